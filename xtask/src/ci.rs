@@ -43,6 +43,7 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
     }
     steps.step("format", || cargo(&["fmt", "--all", "--check"]))?;
     steps.step("layers", layers::check)?;
+    steps.step("words", || words::check(false))?;
     let python = beside(
         || {
             let mut python = PathBuf::new();

@@ -1,7 +1,8 @@
 //! Colour encodings. Everything inside Lumistack is linear light with sRGB (BT.709) primaries;
 //! these functions stand at the edges, where pictures are read and written.
 
-/// Linear light to the sRGB encoding (IEC 61966-2-1), for values in 0..1; clamps outside, NaN becomes 0.
+/// Linear light to the sRGB encoding (IEC 61966-2-1), for values in 0..1; clamps outside, NaN
+/// becomes 0.
 pub fn srgb_encode(linear: f32) -> f32 {
     let linear = if linear.is_nan() { 0.0 } else { linear.clamp(0.0, 1.0) };
     if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 }

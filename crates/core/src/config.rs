@@ -1,4 +1,5 @@
-//! Strict configuration files: TOML whose unknown keys are errors that name the line and the nearest known key.
+//! Strict configuration files: TOML whose unknown keys are errors that name the line and the
+//! nearest known key.
 
 use serde::de::DeserializeOwned;
 use thiserror::Error;
@@ -13,7 +14,7 @@ pub struct ConfigError {
     pub column: usize,
     /// Byte range in the text.
     pub span: std::ops::Range<usize>,
-    /// What was found and what was expected.
+    /// The found value and the expected one, as a sentence.
     pub message: String,
     /// The known key that is spelled most like the unknown one.
     pub suggestion: Option<String>,
@@ -40,8 +41,8 @@ pub fn parse<T: DeserializeOwned>(text: &str) -> Result<T, ConfigError> {
     })
 }
 
-/// serde's sentence about a value of another type, in the words of the file; `key` names the value, and its ending the unit (`pitch_mm`). Other
-/// sentences stay as they are.
+/// serde's sentence about a value of another type, in the words of the file; `key` names the value,
+/// and its ending the unit (`pitch_mm`). Other sentences stay as they are.
 pub fn plain(message: &str, key: &str) -> String {
     let kinds = ["invalid type: ", "invalid value: ", "invalid length "];
     let Some((kind, rest)) = kinds.iter().find_map(|kind| Some((*kind, message.strip_prefix(*kind)?))) else {
@@ -79,7 +80,7 @@ pub fn plain(message: &str, key: &str) -> String {
     format!("expected {expected}, found {found}{place}")
 }
 
-/// How a table is written.
+/// Text for a table in messages; empty for the top level.
 fn table_of(key: &str) -> String {
     if key.is_empty() { String::new() } else { format!(", [{key}]") }
 }
@@ -98,7 +99,8 @@ const UNITS: [(&str, &str); 10] = [
     ("_percent", " in per cent"),
 ];
 
-/// Reads the unknown and the expected names out of serde's message and picks the expected one that is spelled most like the other.
+/// Reads the unknown and the expected names out of serde's message and picks the expected one that
+/// is spelled most like the other.
 pub fn nearest_key(message: &str) -> Option<String> {
     if !message.starts_with("unknown ") {
         return None;
@@ -108,7 +110,7 @@ pub fn nearest_key(message: &str) -> Option<String> {
     nearest(unknown, names).map(String::from)
 }
 
-/// The candidate that is spelled most like `name`, when one is close enough to be what was meant.
+/// The candidate that is spelled most like `name`, if it is close enough to be a likely typo.
 pub fn nearest<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     candidates
         .into_iter()

@@ -1,5 +1,5 @@
-//! What every other crate shares: labelled tensors, colour, image metrics, seeds, large pages, and the
-//! [`Task`] handle that carries progress, cancellation and warnings.
+//! Foundations of every other crate: labelled tensors, colour, image metrics, seeds, large pages,
+//! and the [`Task`] handle that carries progress, cancellation and warnings.
 //!
 //! No file system, no clock, no threads: the crate also compiles to wasm32.
 
@@ -16,5 +16,6 @@ pub mod tone;
 pub use task::{Cancel, Cancelled, Collector, NoProgress, Progress, Task, Warning, Warnings};
 pub use tensor::{Lender, ShapeError, Tensor};
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that
+/// this code has a part in.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

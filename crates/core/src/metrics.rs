@@ -1,6 +1,7 @@
 //! Image metrics: squared error and PSNR in linear light, SSIM and FLIP as an eye judges pictures.
 //!
-//! Sums run in `f64`. Pictures are `[row][col][rgb]`, linear light, 0..1; SSIM and FLIP clamp them and encode or decode as they need.
+//! Sums run in `f64`. Pictures are `[row][col][rgb]`, linear light, 0..1; SSIM and FLIP clamp them
+//! and encode or decode as they need.
 
 mod filter;
 mod flip;
@@ -113,7 +114,8 @@ impl MetricMap {
     }
 }
 
-/// The value below which the share `share` (0..1) of the values lies; 0 for no values. Reorders the slice.
+/// The value below which the share `share` (0..1) of the values lies; 0 for no values. Reorders the
+/// slice.
 pub fn percentile(values: &mut [f32], share: f64) -> f32 {
     if values.is_empty() {
         return 0.0;

@@ -1,19 +1,21 @@
-//! Large pages for large arrays: what is read here and there waits for addresses too where pages are small, and new memory comes faster in large ones.
+//! Large pages for large arrays. With small pages random reads also wait for address translation,
+//! and new memory takes longer to map.
 
 use std::mem::MaybeUninit;
 
 /// Arrays below twice this are left alone, in bytes: the size of a large page on most machines.
 const LARGE_PAGE: usize = 2 << 20;
 
-/// Asks the system for large pages where it can be asked (Linux) and there is room for some. For memory that nobody has touched yet, such as the
-/// spare capacity of a new [`Vec`] or large `vec![0; n]`: that is when pages are made.
+/// Requests large pages from the system, on Linux if some are free. Call it for untouched memory,
+/// such as the spare capacity of a new [`Vec`] or a large `vec![0; n]`: the system makes pages at
+/// the first write.
 pub fn prefer_large_pages<T>(memory: &[T]) {
     if size_of_val(memory) >= 2 * LARGE_PAGE {
         advise(memory.as_ptr() as usize, size_of_val(memory));
     }
 }
 
-/// The same values in large pages, where the array is large and the system can be asked.
+/// Copies a large array into large pages, where the system has them; returns others unchanged.
 pub fn in_large_pages<T: Copy>(values: Vec<T>) -> Vec<T> {
     if cfg!(not(target_os = "linux")) || size_of_val(values.as_slice()) < 2 * LARGE_PAGE {
         return values;
@@ -34,7 +36,8 @@ fn advise(address: usize, length: usize) {
     let start = address.next_multiple_of(LARGE_PAGE);
     let end = (address + length) / LARGE_PAGE * LARGE_PAGE;
     if start < end {
-        // SAFETY: the range lies within memory that the caller has borrowed, and the advice changes no values. A refusal changes nothing.
+        // SAFETY: the range lies within memory that the caller has borrowed, and the advice changes
+        // no values. A refusal changes nothing.
         unsafe { madvise(start as *mut c_void, end - start, MADV_HUGEPAGE) };
     }
 }

@@ -1,5 +1,5 @@
-//! Deterministic seeds: every random stream is derived from the job's seed and from what the stream
-//! is for (view, pixel, frame, ...), so results do not depend on the order of work or on threads.
+//! Deterministic seeds. Every random stream is derived from the job's seed and from the labels of
+//! its use (view, pixel, frame, ...). So results do not depend on the order of work or on threads.
 
 /// Derives an independent 64-bit seed from a parent seed and the labels of a stream.
 ///

@@ -35,13 +35,13 @@ impl Cancel {
         self.0.store(true, Ordering::Relaxed);
     }
 
-    /// Whether somebody asked to stop.
+    /// True if a stop was requested.
     pub fn is_cancelled(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }
 
     /// # Errors
-    /// [`Cancelled`] when somebody asked to stop, for use with `?` inside loops.
+    /// [`Cancelled`] if a stop was requested, for use with `?` inside loops.
     pub fn check(&self) -> Result<(), Cancelled> {
         if self.is_cancelled() { Err(Cancelled) } else { Ok(()) }
     }
@@ -55,9 +55,9 @@ pub struct Cancelled;
 /// Something that the user should know and that does not stop the work.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Warning {
-    /// Where it was found: a file, a JSON path, a stage.
+    /// The place of the problem: a file, a JSON path, a stage.
     pub place: String,
-    /// What was found and what is done about it, one sentence.
+    /// One sentence: the problem, and how it is handled.
     pub message: String,
 }
 
@@ -93,7 +93,7 @@ impl Warnings for Collector {
     }
 }
 
-/// What long work is given: progress, warnings, cancellation.
+/// Context of long work: progress, warnings, cancellation.
 #[derive(Clone, Copy)]
 pub struct Task<'a> {
     /// Progress sink.

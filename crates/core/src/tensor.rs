@@ -7,7 +7,8 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-/// Dense row-major tensor of order `N`; the last axis is contiguous. Its values are its own, or [lent](Tensor::lent) by somebody else.
+/// Dense row-major tensor of order `N`; the last axis is contiguous. It owns its values, or they
+/// are [lent](Tensor::lent) by their owner.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tensor<const N: usize> {
     axes: [&'static str; N],
@@ -15,7 +16,7 @@ pub struct Tensor<const N: usize> {
     data: Values,
 }
 
-/// Values of a tensor that belong to somebody else, such as an array of another program part.
+/// Values of a tensor that another part of the program owns, such as an array of Python.
 pub type Lender = Arc<dyn AsRef<[f32]> + Send + Sync>;
 
 #[derive(Clone)]

@@ -1,21 +1,27 @@
-//! Tone curves: from exposed scene-linear radiance to what a display can show, linear light in 0..1 on both sides.
+//! Tone curves: from exposed scene-linear radiance to the range of a display, linear light in 0..1
+//! on both sides.
 //!
-//! One curve serves all views of a shot, since it acts on a ray's radiance alone: the same point of the scene keeps its colour from view to view.
+//! One curve serves all views of a shot, since it acts on a ray's radiance alone: the same point of
+//! the scene keeps its colour from view to view.
 //!
 //! * [`ToneCurve::Linear`]: min(x, 1), channel by channel.
-//! * [`ToneCurve::KhronosNeutral`]: Khronos PBR Neutral (Khronos Group, 2024, specification and sample in `KhronosGroup/ToneMapping`). With F = 0.04,
-//!   the reflection that a dielectric adds to its base colour, K_s = 0.8 − F and K_d = 0.15:
+//! * [`ToneCurve::KhronosNeutral`]: Khronos PBR Neutral (Khronos Group, 2024, specification and
+//!   sample in `KhronosGroup/ToneMapping`). With F = 0.04, the reflection that a dielectric adds to
+//!   its base colour, K_s = 0.8 − F and K_d = 0.15:
 //!
 //! ```text
 //! x = min(R, G, B),   f = x − x²/4F for x ≤ 2F, else F
 //! p = max(R, G, B) − f;   for p ≤ K_s: c − f, else
-//! p_n = 1 − (1 − K_s)²/(p + 1 − 2K_s),   g = 1/(K_d (p − p_n) + 1):   (c − f) p_n/p · g + p_n (1 − g)
+//! p_n = 1 − (1 − K_s)²/(p + 1 − 2K_s),   g = 1/(K_d (p − p_n) + 1):
+//!       (c − f) p_n/p · g + p_n (1 − g)
 //! ```
 //!
-//! * [`ToneCurve::Agx`]: the base look of AgX (Troy Sobotka; matrices and curve as in Eary Chow's `AgX_LUT_Gen`, from which Blender's table is made). In
-//!   Rec. 2020 colours are drawn together by an inset matrix, pass a sigmoid of log₂ exposure around middle grey 0.18 from −10 to +6.5 stops, keep
-//!   60 % of the hue that they had before it, and are spread again by an outset matrix. What falls below 0 in BT.709 is raised to 0 at equal
-//!   luminance. The result is within 0.03 of Blender's table, whose rails against colours outside the gamut are more elaborate.
+//! * [`ToneCurve::Agx`]: AgX without a further look (Troy Sobotka; matrices and curve as in Eary
+//!   Chow's `AgX_LUT_Gen`, from which Blender's table is made). The steps are in Rec. 2020. An
+//!   inset matrix draws colours together. They pass a sigmoid of log₂ exposure around middle grey
+//!   0.18 from −10 to +6.5 stops, and keep 60 % of their hue before it. An outset matrix spreads
+//!   them again. Values below 0 in BT.709 are raised to 0 at equal luminance. The result is within
+//!   0.03 of Blender's table, which treats colours outside the gamut more elaborately.
 
 use crate::colour::luminance;
 
@@ -33,9 +39,9 @@ pub enum ToneCurve {
 
 /// Reflection at normal incidence that the Khronos curve takes away.
 const F90: f32 = 0.04;
-/// Where its compression starts.
+/// Value at which its compression starts.
 const START: f32 = 0.8 - F90;
-/// How fast its highlights lose colour.
+/// Rate at which its highlights lose colour.
 const DESATURATION: f32 = 0.15;
 
 /// Middle grey, which AgX keeps.
@@ -81,7 +87,8 @@ impl ToneCurve {
         Self::ALL.iter().find(|(_, curve)| *curve == self).map_or("", |(name, _)| name)
     }
 
-    /// What the display shows for exposed radiance `rgb`; negative values and NaN count as 0, infinite ones as very bright.
+    /// Maps exposed radiance `rgb` to the linear value that the display shows. Negative values and
+    /// NaN count as 0, infinite ones as very bright.
     pub fn apply(self, rgb: [f32; 3]) -> [f32; 3] {
         let rgb = rgb.map(|value| if value.is_nan() { 0.0 } else { value.clamp(0.0, 1e6) });
         let shown = match self {
@@ -135,7 +142,11 @@ fn stops(value: f32) -> f32 {
     (((value.max(1e-10) / MIDDLE_GREY).log2() - STOPS[0]) / (STOPS[1] - STOPS[0])).clamp(0.0, 1.0)
 }
 
-/// s·h(SLOPE (x − x₀)/s) + y₀ with h(t) = t/(1 + |t|^POWER)^(1/POWER): straight at middle grey (x₀, y₀), and s such that 0 becomes 0 and 1 becomes 1.
+/// A curve that is straight at middle grey (x₀, y₀), with s such that 0 becomes 0 and 1 becomes 1:
+///
+/// ```text
+/// s·h(SLOPE (x − x₀)/s) + y₀,   h(t) = t/(1 + |t|^POWER)^(1/POWER)
+/// ```
 fn sigmoid(x: f32) -> f32 {
     let (x0, y0) = (-STOPS[0] / (STOPS[1] - STOPS[0]), MIDDLE_GREY.powf(1.0 / GAMMA));
     let (run, rise) = if x < x0 { (x0, y0) } else { (1.0 - x0, 1.0 - y0) };
@@ -193,11 +204,13 @@ mod tests {
 
     /// Against values of 4 decimals.
     const ROUNDED: f32 = 1e-4;
-    /// Blender's table beside the equations: greys, where only its interpolation differs, and colours, where its gamut rails do too.
+    /// Blender's table beside the equations: greys, where only its interpolation differs, and
+    /// colours, where its gamut rails do too.
     const TABLE_GREY: f32 = 1e-3;
     const TABLE_COLOUR: f32 = 0.03;
 
-    /// Exposed colours and what OpenColorIO 2 shows of them with the colour configuration of Blender 4.5, display sRGB, view AgX, decoded to linear light.
+    /// Exposed colours, and their values after OpenColorIO 2 with the colour configuration of
+    /// Blender 4.5, display sRGB, view AgX, decoded to linear light.
     const BLENDER_AGX: [([f32; 3], [f32; 3]); 22] = [
         ([0.001; 3], [0.0003; 3]),
         ([0.01; 3], [0.0063; 3]),
@@ -242,7 +255,8 @@ mod tests {
             // x = 0.02: f = 0.02 − 0.0025
             ([0.02, 0.5, 0.3], [0.0025, 0.4825, 0.2825]),
             ([0.2, 0.5, 0.3], [0.16, 0.46, 0.26]),
-            // p = 1.96, p_n = 1 − 0.0576/1.44 = 0.96, g = 1/1.15: c = (c − f) · 0.48979592 · 0.86956522 + 0.96 · 0.13043478
+            // p = 1.96, p_n = 1 − 0.0576/1.44 = 0.96, g = 1/1.15: c = (c − f) · 0.48979592 ·
+            // 0.86956522 + 0.96 · 0.13043478
             ([2.0, 1.0, 0.5], [0.96, 0.534_086_6, 0.321_135_8]),
             // grey keeps its colour: p = 3.96, p_n = 1 − 0.0576/3.44
             ([4.0; 3], [0.983_256; 3]),
@@ -294,7 +308,8 @@ mod tests {
         }
     }
 
-    /// Hue of the hexcone in degrees: the neutral curve keeps it exactly (it scales and mixes with grey), AgX within what Blender's does.
+    /// Hue of the hexcone in degrees. The neutral curve keeps it exactly (it scales and mixes with
+    /// grey), AgX within the change of Blender's table.
     #[test]
     fn hues_stay() {
         let mut stream = Stream::new(6);
@@ -312,7 +327,8 @@ mod tests {
                 }
             }
         }
-        // where nothing is compressed base colours come out as they are, less what a dielectric's surface adds
+        // uncompressed base colours come out unchanged, less the reflection that a dielectric's
+        // surface adds
         let [r, g, b] = ToneCurve::KhronosNeutral.apply([0.64, 0.24, 0.14]);
         assert!((r - 0.6).abs() < ROUNDED && (g - 0.2).abs() < ROUNDED && (b - 0.1).abs() < ROUNDED);
     }

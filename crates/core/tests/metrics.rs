@@ -1,5 +1,6 @@
-//! SSIM and FLIP against the reference tools, scikit-image and flip-evaluator: their figures as they were written down in
-//! `tests/metrics_reference.json`, and the tools themselves where a Python has them.
+//! SSIM and FLIP against the reference tools, scikit-image and flip-evaluator: their figures as
+//! they were written down in `tests/metrics_reference.json`, and the tools themselves where a
+//! Python has them.
 
 use std::path::Path;
 use std::process::Command;
@@ -12,7 +13,8 @@ use serde_json::Value;
 const SSIM: f64 = 1e-5;
 const FLIP_MEAN: f64 = 1e-4;
 const FLIP_PIXEL: f64 = 1e-3;
-/// The reference tools give the same figures on every machine, up to the digits that are written down.
+/// The reference tools give the same figures on every machine, up to the digits that are written
+/// down.
 const SAME_FIGURE: f64 = 1e-5;
 
 #[test]

@@ -4,15 +4,19 @@ use crate::{
     Backlight, Display, DisplayError, FieldGeometry, LensletBacklight, OutsideBins, Projection, ProjectionKind, Views,
 };
 
-/// Angles and lengths that differ by less, relatively, are equal: a display keeps its own numbers for a light field of its own.
+/// Angles and lengths that differ by less, relatively, are equal: a display keeps its own numbers
+/// for a light field of its own.
 const SAME: f64 = 1e-9;
-/// The most angular bins per axis that a backlight grows to where views fan out, unless half of them are the light field's own views.
+/// The most angular bins per axis that a backlight grows to where views fan out, unless half of
+/// them are the light field's own views.
 const MOST_BINS: usize = 64;
 
 impl Display {
-    /// The same display at another resolution: the field becomes `resolution` = [columns, rows] pixels over the same width, and the masks are
-    /// scaled by the same factors, and so is the number of lenslets over at least the same share of the field. Point spreads keep their width in
-    /// millimetres: a coarse preview keeps the display's character. Physical panels stay, and colour filters stay stripes of one mask column.
+    /// The same display at another resolution. The field becomes `resolution` = [columns, rows]
+    /// pixels over the same width. The masks and the number of lenslets are scaled by the same
+    /// factors, the lenslets over at least the same share of the field. Point spreads keep their
+    /// width in millimetres, so that a coarse preview keeps the display's character. Physical
+    /// panels stay, and colour filters stay stripes of one mask column.
     #[must_use]
     pub fn with_resolution(&self, resolution: [usize; 2]) -> Self {
         let mut display = self.clone();
@@ -32,7 +36,8 @@ impl Display {
             let [old_cols, old_rows] = backlight.lenslets.map(|count| count as f64);
             let cols = scaled(backlight.lenslets[0], 0);
             let pitch_mm = backlight.pitch_mm * old_cols / cols as f64;
-            // one pitch serves both axes: rows are counted up to the share of the height that they covered, since rays beside the grid are lost
+            // one pitch serves both axes: rows are counted up to the share of the height that they
+            // covered, since rays beside the grid are lost
             let height_factor = pitch_factor * resolution[1] as f64 / old[1] as f64;
             let rows = old_rows * backlight.pitch_mm * height_factor / pitch_mm;
             backlight.lenslets = [cols, ((rows - SAME * rows).ceil() as usize).max(1)];
@@ -41,13 +46,17 @@ impl Display {
         display
     }
 
-    /// The same display for a light field that already exists: masks take its resolution and size, the view grid its angles (as the full
-    /// angle whose bins are as wide as the field's). Lenslets scale with the masks. The backlight's bins follow the views per axis: as many bins to a
-    /// view as the display has for its own, so that a backlight made for the display's views has one bin for each of the light field's, and more
-    /// where rays of perspective or one-sided views leave them. Distances and frames stay.
+    /// The same display for a light field that already exists. Masks take its resolution and size.
+    /// The view grid takes its angles, as the full angle whose bins are as wide as the field's.
+    /// Lenslets scale with the masks. Distances and frames stay.
+    ///
+    /// The backlight's bins follow the views per axis: as many bins to a view as the display has
+    /// for its own. So a backlight made for the display's views has one bin for each of the light
+    /// field's. It has more where rays of perspective or one-sided views leave these bins.
     ///
     /// # Errors
-    /// If the light field's rays spread over so many of a view's widths that the backlight would need more than 64 bins along an axis.
+    /// If the light field's rays spread over so many of a view's widths that the backlight would
+    /// need more than 64 bins along an axis.
     pub fn adapted_to(&self, geometry: &FieldGeometry) -> Result<Self, DisplayError> {
         if self.geometry()? == *geometry {
             return Ok(self.clone());
@@ -78,7 +87,8 @@ impl Display {
         Ok(display)
     }
 
-    /// Number of bins and full angle (degrees) along an axis of a backlight that follows the views of a light field.
+    /// Number of bins and full angle (degrees) along an axis of a backlight that follows the views
+    /// of a light field.
     fn adapted_bins(
         &self,
         own: &LensletBacklight,
@@ -101,7 +111,8 @@ impl Display {
         };
         let slopes = if axis == 0 { &geometry.grid.slope_x } else { &geometry.grid.slope_y };
         let outermost = slopes.iter().fold(0.0f64, |most, slope| most.max(slope.abs()));
-        // pinholes see the field's edges under other slopes; a real lens array repeats its bins there
+        // pinholes see the field's edges under other slopes; a real lens array repeats its bins
+        // there
         let fan = match (geometry.grid.projection, own.outside_bins) {
             (Projection::Perspective { distance_mm }, OutsideBins::Dark) => {
                 0.5 * geometry.size_mm()[axis] / distance_mm
@@ -110,7 +121,7 @@ impl Display {
         };
         let width = geometry.grid.bin_width()[axis];
         if width == 0.0 {
-            // nothing to tell apart: the bins of one view, over all of its rays
+            // one view has no directions to separate: the bins of one view, over all of its rays
             let bins = (own_bins / own_views).round().max(1.0) as usize;
             let reach = outermost + fan;
             let fov_deg = if reach < bins_reach { own.fov_deg[axis] } else { full_angle_deg(reach * 1.001) };
@@ -123,7 +134,8 @@ impl Display {
         let needed = 2.0 * reach / bin;
         let mut bins = (needed - 1e-6).ceil().max(1.0);
         if (fineness - 1.0).abs() < 1e-6 {
-            // bins stand at whole widths where their number is odd, at half ones where it is even: views at bins' centres
+            // bins stand at whole widths where their number is odd, at half ones where it is even:
+            // views at bins' centres
             let from_whole = slopes[0] / bin - (slopes[0] / bin).round();
             let odd = from_whole.abs() <= 0.25;
             if (bins % 2.0 == 1.0) != odd {
@@ -149,7 +161,8 @@ impl Display {
         Ok((bins as usize, kept(own.fov_deg[axis], fov_deg)))
     }
 
-    /// Says in a sentence how the backlight of `adapted` differs from this display's; `None` where it does not.
+    /// Says in a sentence how the backlight of `adapted` differs from this display's; `None` where
+    /// it does not.
     pub fn backlight_change(&self, adapted: &Self) -> Option<String> {
         let (Backlight::Lenslets(own), Backlight::Lenslets(now)) = (&self.backlight, &adapted.backlight) else {
             return None;
@@ -217,7 +230,8 @@ mod tests {
         lenslets
     }
 
-    /// The bins that the rays of each view column (axis 0) or row (axis 1) read; no ray may lie beyond them.
+    /// The bins that the rays of each view column (axis 0) or row (axis 1) read; no ray may lie
+    /// outside of them.
     fn bins_of_views(display: &Display, geometry: &FieldGeometry, axis: usize) -> Vec<std::collections::BTreeSet<u32>> {
         let map = crate::RayMap::new(display, geometry);
         let backlight = map.backlight.as_ref().unwrap();

@@ -1,14 +1,17 @@
-//! Where the rays of one view meet the display, over the whole area of every field pixel.
+//! Intersections of the rays of one view with the display, over the whole area of every field
+//! pixel.
 //!
-//! Layers are squares of constant value, so along an axis the pixel that a ray meets changes only where the ray passes an edge. An axis of a field pixel is
-//! cut at all these edges: of every layer, of the lenslets and of their bins. Between two cuts all rays read the same, so one ray with the part's width for a
-//! weight stands for them. The map is separable, hence so are the parts: a pixel's area is the product of its parts along x and along y, and the
-//! mean over it is exact.
+//! Layers are squares of constant value. So along an axis the pixel that a ray reads changes only
+//! where the ray passes an edge. An axis of a field pixel is cut at all these edges: of every
+//! layer, of the lenslets and of their bins. Between two cuts all rays read the same, so one ray
+//! with the part's width as weight represents them. The map is separable, hence so are the parts: a
+//! pixel's area is the product of its parts along x and along y. The mean over it is exact.
 
 use crate::raymap::{Axis, AxisRay};
 use crate::{Backlight, Display, FieldGeometry, RayMap, Sampling};
 
-/// Parts narrower than this share of a pixel come from rounding, where an edge and the pixel's own border coincide.
+/// Parts narrower than this share of a pixel come from rounding, where an edge and the pixel's own
+/// border coincide.
 const SLIVER: f64 = 1e-9;
 
 /// The tables of one view, with a ray for every part of a pixel.
@@ -16,7 +19,8 @@ const SLIVER: f64 = 1e-9;
 pub struct AreaMap {
     /// One view, whose columns and rows are the parts in the order of `x` and `y`.
     pub map: RayMap,
-    /// Parts along x. The first part of every pixel stands before the second of any, so that neighbours in the list read neighbouring pixels.
+    /// Parts along x. The first part of every pixel stands before the second of any, so that
+    /// neighbours in the list read neighbouring pixels.
     pub x: Vec<Part>,
     /// Parts along y, from the top, pixel by pixel.
     pub y: Vec<Part>,
@@ -59,7 +63,7 @@ fn cut_axis(display: &Display, geometry: &FieldGeometry, axis: Axis, view: usize
         if let Backlight::Lenslets(lenslets) = &display.backlight {
             let count = lenslets.lenslets[axis.index()];
             cut_at_whole_numbers(&mut cuts, [&first, &last].map(|ray| axis.lenslet(lenslets, ray)), count);
-            // bins may repeat beyond their range, but not farther than the lenslets reach
+            // bins may repeat outside their range, but not farther than the lenslets reach
             let bins = [&first, &last].map(|ray| axis.bin(lenslets, ray));
             let reach = lenslets.views[axis.index()].saturating_mul(count + 1);
             cut_at_whole_numbers(&mut cuts, bins.map(|bin| bin + reach as f64), reach.saturating_mul(2));
@@ -79,7 +83,8 @@ fn cut_axis(display: &Display, geometry: &FieldGeometry, axis: Axis, view: usize
     (0..axis.count(geometry)).map(pixel).collect()
 }
 
-/// Adds, in rising order, where a place that runs linearly from `place[0]` to `place[1]` passes the edges 0 to `count`, as a share of the way.
+/// Adds, in rising order, where a place that runs linearly from `place[0]` to `place[1]` passes the
+/// edges 0 to `count`, as a share of the way.
 fn cut_at_whole_numbers(cuts: &mut Vec<f64>, place: [f64; 2], count: usize) {
     let [low, high] = [place[0].min(place[1]), place[0].max(place[1])];
     let first = low.ceil().max(0.0);

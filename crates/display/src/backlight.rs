@@ -1,4 +1,4 @@
-//! What lights the layers.
+//! The light source behind the layers.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -34,10 +34,11 @@ pub struct LensletBacklight {
     /// [x, y] of the grid's centre, millimetres.
     #[serde(default)]
     pub offset_mm: [f64; 2],
-    /// Emission of the darkest state relative to the brightest, 0 to less than 1: the lower bound of the optimized emission.
+    /// Emission of the darkest state relative to the brightest, 0 to less than 1: the lower bound
+    /// of the optimized emission.
     #[serde(default)]
     pub black_level: f64,
-    /// What a ray reads beyond the bins.
+    /// Value of a ray outside the bins.
     #[serde(default)]
     pub outside_bins: OutsideBins,
     /// From linear values to the code values of the panel behind the lenslets.
@@ -49,7 +50,7 @@ pub struct LensletBacklight {
     /// Pitch of that panel, millimetres.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panel_pitch_mm: Option<f64>,
-    /// What drives that panel, and where its pixels are; patterns do not depend on it.
+    /// Calibration of that panel; patterns do not depend on it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panel: Option<Panel>,
     /// The lens array as built; patterns do not depend on it.
@@ -58,8 +59,8 @@ pub struct LensletBacklight {
 }
 
 impl LensletBacklight {
-    /// A centred grid at `d_mm` of [columns, rows] lenslets of `pitch_mm`, with [horizontal, vertical] bins `views` over full angles `fov_deg`; dark outside
-    /// the bins.
+    /// A centred grid at `d_mm` of [columns, rows] lenslets of `pitch_mm`, with [horizontal,
+    /// vertical] bins `views` over full angles `fov_deg`; dark outside the bins.
     pub fn new(d_mm: f64, lenslets: [usize; 2], pitch_mm: f64, views: [usize; 2], fov_deg: [f64; 2]) -> Self {
         Self {
             d_mm,
@@ -78,13 +79,13 @@ impl LensletBacklight {
         }
     }
 
-    /// [darkest, brightest] emission that the solver may ask for.
+    /// [darkest, brightest] emission that the solver may use.
     pub fn range(&self) -> [f32; 2] {
         [self.black_level as f32, 1.0]
     }
 
-    /// What the transfer function encodes to emit `value`: 0 for the darkest state, 1 for the brightest. Values outside the range are clamped; NaN
-    /// becomes 0.
+    /// Input of the transfer function for emitting `value`: 0 for the darkest state, 1 for the
+    /// brightest. Values outside the range are clamped; NaN becomes 0.
     pub fn drive(&self, value: f32) -> f32 {
         let drive = (f64::from(value) - self.black_level) / (1.0 - self.black_level);
         if drive.is_nan() { 0.0 } else { drive.clamp(0.0, 1.0) as f32 }

@@ -1,4 +1,4 @@
-//! Which displays make sense.
+//! Ranges of a display's values.
 
 use crate::{Backlight, Display, DisplayError, Layer, LayerColour, Lens, Panel, Views};
 
@@ -23,6 +23,7 @@ impl Display {
             let ok = (1..=1 << 16).contains(&cols) && (1..=1 << 16).contains(&rows);
             check(ok, key, "1 to 65536 per axis", format!("[{cols}, {rows}]"))
         };
+        // the display as a whole
         check(self.schema == Self::SCHEMA, "schema", Self::SCHEMA, self.schema.clone())?;
         check(self.version == 1, "version", "1", self.version.to_string())?;
         check((1..=1000).contains(&self.frames), "frames", "1 to 1000", self.frames.to_string())?;
@@ -40,6 +41,7 @@ impl Display {
             }
         }
         self.geometry()?.check()?;
+        // layers, each in front of the one before
         check(!self.layers.is_empty(), "layers", "at least one layer", "none".into())?;
         for (n, layer) in self.layers.iter().enumerate() {
             let key = |name: &str| format!("layers[{n}].{name}");
@@ -90,6 +92,7 @@ impl Display {
                 check(layer.d_mm > behind, &key("d_mm"), &expected, layer.d_mm.to_string())?;
             }
         }
+        // the directional backlight, behind all layers
         if let Backlight::Lenslets(backlight) = &self.backlight {
             finite("backlight.offset_mm", &backlight.offset_mm)?;
             positive("backlight.pitch_mm", backlight.pitch_mm)?;

@@ -1,15 +1,19 @@
-//! The paper's closed forms of the bound on depth of field, eqs. (23) to (26), with what each assumes of a display.
+//! The paper's closed forms of the bound on depth of field, eqs. (23) to (26), with their
+//! assumptions about a display.
 //!
-//! With slopes (d_r = 1), ω0 = 1/(2p), Δs = (2/A) tan(α/2), Δd the distance of neighbouring layers and z the depth:
+//! With slopes (d_r = 1), ω0 = 1/(2p), Δs = (2/A) tan(α/2), Δd the distance of neighbouring layers
+//! and z the depth:
 //!
 //! ```text
-//! (23) lens array                1/(2Δx)          if |z| ≤ Δx/Δs,                   else 1/(2|z|Δs)
+//! (23) lens array               1/(2Δx)          if |z| ≤ Δx/Δs,                  else 1/(2|z|Δs)
 //! (24) two layers                ω0 · 2Δd/(Δd + 2|z|)
-//! (25) three layers              ω0 · 3Δd/(Δd + |z|)   if |z| ≤ 2Δd,               else ω0 · 2Δd/|z|
+//! (25) three layers             ω0 · 3Δd/(Δd + |z|)   if |z| ≤ 2Δd,               else ω0 ·
+//! 2Δd/|z|
 //! (26) a layer on a lens array   1/(2Δx) + ω0     if |z| ≤ Δx/(Δs + 2ΔxΔsω0),      else 1/(2|z|Δs)
 //! ```
 //!
-//! [`Display::spatial_cutoff`] is the general form and needs none of the assumptions; where they hold, both agree.
+//! [`Display::spatial_cutoff`] is the general form and needs none of the assumptions; where they
+//! hold, both agree.
 
 use crate::{Backlight, Display};
 
@@ -18,9 +22,9 @@ use crate::{Backlight, Display};
 pub struct ClosedForm {
     /// Its number in the paper, 23 to 26.
     pub equation: u32,
-    /// What it assumes, for people.
+    /// Its assumptions, for the user.
     pub assumes: &'static str,
-    /// Which of that the display breaks; empty where the closed form is exact.
+    /// The assumptions that the display breaks; empty where the closed form is exact.
     pub broken: Vec<String>,
     form: Form,
 }
@@ -37,8 +41,10 @@ enum Form {
 const ROUNDING: f64 = 1e-9;
 
 impl Display {
-    /// The closed form for a display of this kind along one axis (0: x, 1: y); `None` where the paper has none.
+    /// The closed form for a display of this kind along one axis (0: x, 1: y); `None` where the
+    /// paper has none.
     pub fn closed_form(&self, axis: usize) -> Option<ClosedForm> {
+        // assumptions that all forms share; the display may break them and still has a form
         let own = self.layers.iter().map(|layer| 0.5 / layer.pitch_mm).fold(f64::INFINITY, f64::min);
         let mut broken = Vec::new();
         if self.layers.iter().any(|layer| 0.5 / layer.pitch_mm > own * (1.0 + ROUNDING)) {
@@ -52,6 +58,7 @@ impl Display {
                 broken.push(format!("the stack's middle stands at {} mm", 0.5 * (first + last)));
             }
         };
+        // select the form by the number of layers and the backlight
         let (equation, assumes, form) = match (d_mm.len(), &self.backlight) {
             (2, Backlight::Uniform) => {
                 centred(&mut broken);
@@ -80,7 +87,8 @@ impl Display {
         Some(ClosedForm { equation, assumes, broken, form })
     }
 
-    /// Equation (23) for the display's lens array alone: integral imaging with the same lenslets and views. `None` without a lens array.
+    /// Equation (23) for the display's lens array alone: integral imaging with the same lenslets
+    /// and views. `None` without a lens array.
     pub fn lens_array_form(&self, axis: usize) -> Option<ClosedForm> {
         let mut broken = Vec::new();
         let form = self.lenses(axis, &mut broken)?;
@@ -126,7 +134,7 @@ mod tests {
     use super::*;
     use crate::LensletBacklight;
 
-    /// How near the general form comes to the closed ones.
+    /// Largest relative difference between the general form and the closed ones.
     const AGREEMENT: f64 = 1e-6;
 
     /// A random display for which the closed form of a kind is exact.
@@ -184,7 +192,8 @@ mod tests {
         assert_eq!(four.closed_form(0), None);
     }
 
-    /// The prototype's lenses stand 8.5 mm behind the layer: away from the screen the bound is some 60 % above (26), which assumes no gap.
+    /// The prototype's lenses stand 8.5 mm behind the layer: away from the screen the bound is some
+    /// 60 % above (26), which assumes no gap.
     #[test]
     fn a_gap_before_the_lenses_raises_the_bound() {
         let mut display = Display::uniform([840, 525], 0.5655, [5, 5], [48.0, 48.0], &[0.0], 12);

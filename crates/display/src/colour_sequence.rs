@@ -10,8 +10,8 @@ pub enum ColourSequence {
     /// Colour filters beside one another: one refresh per frame.
     #[default]
     Simultaneous,
-    /// No colour filters; red, green and blue light in turn: three refreshes per frame. Each colour has its own pattern, so layers keep
-    /// [`LayerColour::Rgb`](crate::LayerColour::Rgb).
+    /// No colour filters; red, green and blue light in turn: three refreshes per frame. Each colour
+    /// has its own pattern, so layers keep [`LayerColour::Rgb`](crate::LayerColour::Rgb).
     Field,
 }
 
@@ -38,7 +38,7 @@ impl Default for ColourOrder {
 }
 
 impl ColourOrder {
-    /// Whether it is red, green, blue.
+    /// True if the order is red, green, blue.
     pub fn is_default(&self) -> bool {
         *self == Self::default()
     }

@@ -26,27 +26,27 @@ pub struct Display {
     /// Refresh rate of the panels, hertz; see [`period_hz`](Self::period_hz).
     #[serde(default = "default_refresh_hz")]
     pub refresh_hz: f64,
-    /// Whether the colours of a frame are shown together or one after another.
+    /// Order of the colours of a frame in time: together, or one after another.
     #[serde(default)]
     pub colour_sequence: ColourSequence,
     /// Order of the colours that are shown one after another.
     #[serde(default, skip_serializing_if = "ColourOrder::is_default")]
     pub colour_order: ColourOrder,
-    /// How the layers of one frame form an image.
+    /// Formation of an image from the layers of one frame.
     #[serde(default)]
     pub formation: Formation,
     /// Brightness scale β (eq. 27), above 0 and at most 1: the display emits β times the target.
     #[serde(default = "default_brightness")]
     pub brightness: f64,
-    /// How a ray reads a layer between pixel centres.
+    /// Interpolation between the pixel centres of a layer.
     #[serde(default)]
     pub sampling: Sampling,
-    /// What a ray reads that leaves a layer.
+    /// Rule for a ray that leaves a layer.
     #[serde(default)]
     pub missing: Missing,
     /// The light field.
     pub field: FieldConfig,
-    /// What lights the layers.
+    /// The light source behind the layers.
     #[serde(default)]
     pub backlight: Backlight,
     /// Layers, rear to front; `d_mm` rises.
@@ -77,12 +77,12 @@ pub struct FieldConfig {
     pub resolution: [usize; 2],
     /// Pixel pitch on z = 0, millimetres.
     pub pitch_mm: f64,
-    /// Which views sample the zone.
+    /// The views that sample the zone.
     #[serde(default)]
     pub views: Views,
     /// [horizontal, vertical] full angle of view, degrees.
     pub fov_deg: [f64; 2],
-    /// How the rays of one view relate.
+    /// Projection of the rays of one view.
     #[serde(default)]
     pub projection: ProjectionKind,
     /// Viewing distance of a perspective grid, millimetres.
@@ -105,13 +105,15 @@ impl Display {
     /// Value of the key `schema`.
     pub const SCHEMA: &'static str = "lumistack/display";
 
-    /// A plain stack: `frames` frames, and layers at `d_mm` (rear to front, millimetres) that all have the field's pixels; oblique views,
-    /// uniform backlight, every other key at its default. `resolution` and `views` are [columns, rows], `fov_deg` full angles. Like every display
-    /// that is put together by hand it is checked by [`check`](Self::check).
+    /// A plain stack: `frames` frames, and layers at `d_mm` (rear to front, millimetres) that all
+    /// have the field's pixels; oblique views, uniform backlight, every other key at its default.
+    /// `resolution` and `views` are [columns, rows], `fov_deg` full angles. Like every display that
+    /// is put together by hand it is checked by [`check`](Self::check).
     ///
     /// ```
     /// use lumistack_display::{Display, Missing};
-    /// let display = Display { missing: Missing::Clear, ..Display::uniform([16, 10], 1.0, [3, 3], [20.0, 20.0], &[-12.0, 0.0, 12.0], 2) };
+    /// let plain = Display::uniform([16, 10], 1.0, [3, 3], [20.0, 20.0], &[-12.0, 0.0, 12.0], 2);
+    /// let display = Display { missing: Missing::Clear, ..plain };
     /// assert!(display.check().is_ok());
     /// ```
     pub fn uniform(
@@ -193,7 +195,8 @@ impl Display {
         }
     }
 
-    /// The display without what patterns do not depend on: its panels' calibration. Two displays that differ in nothing else have the same patterns.
+    /// The display without its panels' calibration, on which patterns do not depend. Two displays
+    /// that differ in nothing else have the same patterns.
     #[must_use]
     pub fn without_panels(&self) -> Self {
         let mut display = Self { colour_order: Default::default(), ..self.clone() };
@@ -233,7 +236,7 @@ resolution = [16, 10]
 pitch_mm = 1.0
 "#;
 
-    /// Three layers, two frames, 16 × 10 pixels, 3 × 3 views: what [`SMALL`] says.
+    /// Three layers, two frames, 16 × 10 pixels, 3 × 3 views: the display of [`SMALL`].
     pub(crate) fn small_display() -> Display {
         let plain = Display::uniform([16, 10], 1.0, [3, 3], [20.0, 20.0], &[-12.0, 0.0, 12.0], 2);
         Display { name: "small".into(), brightness: 0.2, ..plain }
@@ -330,7 +333,7 @@ pitch_mm = 1.0
         assert_eq!(error.to_string(), "backlight.transfer.gamma: expected a number above 0, found 0");
     }
 
-    /// The keys that a table takes: what the parser offers when it meets one that it does not know.
+    /// The keys of a table, as the parser lists them in the error about an unknown key.
     fn keys<T: serde::de::DeserializeOwned>() -> Vec<String> {
         let Err(error) = config::parse::<T>("no_such_key = 1") else { panic!("unknown keys are accepted") };
         let names: Vec<String> = error.message.split('`').skip(1).step_by(2).map(String::from).collect();

@@ -1,16 +1,20 @@
-//! Depth of field: which depths a display can show how sharply, and how far content moves from view to view.
+//! Depth of field: the sharpness of each depth on a display, and the shift of content from view to
+//! view.
 //!
-//! A diffuse plane at z occupies the line of direction u = (1, z) in the plane of spatial frequency and frequency per slope. What N layers and a backlight
-//! can show occupies the Minkowski sum of segments ±g (the paper's spectral support, eqs. 21 to 26, in one form), so that the highest spatial
-//! frequency at depth z is
+//! A diffuse plane at z occupies the line of direction u = (1, z) in the plane of spatial frequency
+//! and frequency per slope. N layers and a backlight cover the Minkowski sum of segments ±g (the
+//! paper's spectral support, eqs. 21 to 26, in one form). So the highest spatial frequency at depth
+//! z, in cycles per millimetre, is
 //!
 //! ```text
-//! ω(z) = min over i with g_i × u ≠ 0 of  Σ_j |g_i × g_j| / |g_i × u|,     a × c = a_1 c_2 − a_2 c_1       cycles per millimetre
+//! ω(z) = min over i with g_i × u ≠ 0 of  Σ_j |g_i × g_j| / |g_i × u|,     a × c = a_1 c_2 − a_2
+//! c_1
 //! layer n:    g = (1, d_n)/(2 p_n)
 //! lenslets:   g = (1, d_b)/(2 Δx)  and  g = (0, 1)/(2 Δs),   Δs = (2/A) tan(α/2)
 //! ```
 //!
-//! The paper's bounds (23) to (26) are this with d_b = 0. They assume continuous, band-limited layers and many frames: a guide, not a strict ceiling.
+//! The paper's bounds (23) to (26) are this with d_b = 0. They assume continuous, band-limited
+//! layers and many frames: a guide, not a strict ceiling.
 
 use crate::{Backlight, Display, FieldGeometry};
 
@@ -18,13 +22,15 @@ use crate::{Backlight, Display, FieldGeometry};
 const ROUNDING: f64 = 1e-12;
 
 impl Display {
-    /// ω(z): the highest spatial frequency that can be shown on a plane at `z_mm`, cycles per millimetre, of the coarser axis. Infinite where nothing limits it.
+    /// ω(z): the highest spatial frequency that can be shown on a plane at `z_mm`, cycles per
+    /// millimetre, of the coarser axis. Infinite where nothing limits it.
     pub fn spatial_cutoff(&self, z_mm: f64) -> f64 {
         [0, 1].map(|axis| cutoff(&self.generators(axis), z_mm)).into_iter().fold(f64::INFINITY, f64::min)
     }
 
-    /// The depths, [low, high] in millimetres, at which frequencies up to `cutoff` (cycles per millimetre) can be shown; `None` where there are none. A
-    /// single layer without directional backlight shows them on itself alone: low = high.
+    /// The depths, [low, high] in millimetres, at which frequencies up to `cutoff` (cycles per
+    /// millimetre) can be shown; `None` where there are none. A single layer without directional
+    /// backlight shows them on itself alone: low = high.
     pub fn depths_shown(&self, cutoff: f64) -> Option<[f64; 2]> {
         let [x, y] = [0, 1].map(|axis| range(&self.generators(axis), cutoff));
         let ([x_low, x_high], [y_low, y_high]) = (x?, y?);
@@ -32,8 +38,8 @@ impl Display {
         (low <= high).then_some([low, high])
     }
 
-    /// The display's depth of field for a light field of pixel pitch `pitch_mm`: the depths at which the finest detail of its pixels, 1/(2 pitch), can be
-    /// shown.
+    /// The display's depth of field for a light field of pixel pitch `pitch_mm`: the depths at
+    /// which the finest detail of its pixels, 1/(2 pitch), can be shown.
     pub fn depth_of_field(&self, pitch_mm: f64) -> Option<[f64; 2]> {
         self.depths_shown(0.5 / pitch_mm)
     }
@@ -70,14 +76,15 @@ pub(crate) fn width(generators: &[[f64; 2]], g: [f64; 2]) -> f64 {
 }
 
 pub(crate) fn cutoff(generators: &[[f64; 2]], z_mm: f64) -> f64 {
-    // of parallel segments the sum is a segment
+    // the sum of parallel segments is a segment
     let along = || generators.iter().map(|g| g[0]).sum();
     let bounds = generators.iter().map(|&g| (width(generators, g), cross(g, [1.0, z_mm]).abs()));
     let bounds = bounds.filter(|(_, across)| *across > 0.0).map(|(width, across)| width / across);
     bounds.reduce(f64::min).unwrap_or_else(along)
 }
 
-/// Where ω(z) ≥ `least`. Every term bounds the distance from its own layer, so the depths are an interval.
+/// The interval of depths with ω(z) ≥ `least`. Every term bounds the distance from its own layer,
+/// so the depths are an interval.
 fn range(generators: &[[f64; 2]], least: f64) -> Option<[f64; 2]> {
     let least = least * (1.0 - ROUNDING);
     let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
@@ -101,8 +108,14 @@ fn range(generators: &[[f64; 2]], least: f64) -> Option<[f64; 2]> {
 }
 
 impl FieldGeometry {
-    /// How far content at depth `z_mm` moves from a view to one whose slope is larger by `step`, in pixels of z = 0 against the direction of the step:
-    /// z·Δs/p, and of pinholes at distance D z·Δs/((1 − z/D) p). Infinite at an eye.
+    /// Shift of content at depth `z_mm` from a view to one whose slope is larger by `step`. The
+    /// unit is pixels of z = 0 against the direction of the step; infinite at an eye. With Δs =
+    /// `step`:
+    ///
+    /// ```text
+    /// parallel projections        z·Δs/p
+    /// pinholes at distance D      z·Δs/((1 − z/D) p)
+    /// ```
     pub fn disparity_px(&self, z_mm: f64, step: f64) -> f64 {
         let seen = match self.grid.projection {
             crate::Projection::Oblique => z_mm,

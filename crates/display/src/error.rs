@@ -1,4 +1,4 @@
-//! What can be wrong with a display file.
+//! Errors of a display file.
 
 use lumistack_core::config::ConfigError;
 use thiserror::Error;
@@ -19,9 +19,9 @@ pub enum DisplayError {
     Value {
         /// The key, for example `layers[2].d_mm`.
         key: String,
-        /// What was needed.
+        /// The expected value or range.
         expected: String,
-        /// What was there.
+        /// The value found.
         found: String,
     },
 }

@@ -4,7 +4,8 @@ use lumistack_core::Tensor;
 
 use crate::{FieldGeometry, GridError};
 
-/// Display-referred linear radiance of every view: `radiance[view_y][view_x][row][col][rgb]`, 0..1 after exposure.
+/// Display-referred linear radiance of every view: `radiance[view_y][view_x][row][col][rgb]`, 0..1
+/// after exposure.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LightField {
     geometry: FieldGeometry,
@@ -12,19 +13,22 @@ pub struct LightField {
     depth: Option<SeenDepth>,
 }
 
-/// How deep the middle view of a light field sees, where that is known: of a scene, not of pictures.
+/// Depth of the surfaces in the middle view of a light field. Light fields of scenes have it, those
+/// of pictures do not.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeenDepth {
     /// Rows of the map, over the whole height of the view; may be fewer than its pixels.
     pub rows: usize,
     /// Columns of the map, over the whole width.
     pub cols: usize,
-    /// z of the first surface in display space, `[row][col]`, millimetres towards the viewer; `None` where a ray meets nothing.
+    /// z of the first surface in display space, `[row][col]`, millimetres towards the viewer;
+    /// `None` where a ray hits nothing.
     pub z_mm: Vec<Option<f32>>,
 }
 
 impl SeenDepth {
-    /// z at a pixel of a view of `size` = [rows, columns] pixels: that of the nearest place of the map.
+    /// z at a pixel of a view of `size` = [rows, columns] pixels: that of the nearest place of the
+    /// map.
     pub fn at(&self, row: usize, col: usize, size: [usize; 2]) -> Option<f32> {
         let place = |i: usize, from: usize, to: usize| ((2 * i + 1) * to / (2 * from)).min(to.saturating_sub(1));
         let index = place(row, size[0], self.rows) * self.cols + place(col, size[1], self.cols);
@@ -63,12 +67,12 @@ impl LightField {
         Ok(Self { geometry, radiance, depth: None })
     }
 
-    /// How deep the view [view rows / 2, view columns / 2] sees, where that is known.
+    /// Depth in the view [view rows / 2, view columns / 2], if known.
     pub fn depth(&self) -> Option<&SeenDepth> {
         self.depth.as_ref()
     }
 
-    /// The same light field, of which is known how deep its middle view sees.
+    /// The same light field with the depth of its middle view.
     #[must_use]
     pub fn with_depth(self, depth: Option<SeenDepth>) -> Self {
         Self { depth, ..self }
@@ -80,7 +84,7 @@ impl LightField {
         [view_rows, view_cols, geometry.rows, geometry.cols, 3]
     }
 
-    /// Where its rays are.
+    /// Pixels and views of its rays.
     pub fn geometry(&self) -> &FieldGeometry {
         &self.geometry
     }

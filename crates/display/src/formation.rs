@@ -1,11 +1,12 @@
-//! How the layers of one frame form an image.
+//! Formation of an image from the layers of one frame.
 //!
-//! With v_n the value that a ray meets on layer n in frame m, and b_m the backlight's:
+//! With v_n the value of layer n in frame m at the ray's intersection, and b_m the backlight's:
 //!
 //! ```text
 //! attenuating    L̃ = (1/M) Σ_m b_m Π_n v_n               (eqs. 7 and 18)
 //! additive       L̃ = (1/M) Σ_m (b_m + Σ_n v_n)           b_m = 0 for a uniform backlight
-//! polarization   L̃ = (1/M) Σ_m b_m sin²(π/2 · Σ_n v_n)   (Lanman et al., "Polarization Fields", SIGGRAPH Asia 2011)
+//! polarization   L̃ = (1/M) Σ_m b_m sin²(π/2 · Σ_n v_n)
+//!                (Lanman et al., "Polarization Fields", SIGGRAPH Asia 2011)
 //! ```
 
 use schemars::JsonSchema;
@@ -18,9 +19,11 @@ pub enum Formation {
     /// Layers absorb: the product of their transmittances.
     #[default]
     Attenuating,
-    /// Layers emit and are clear: the sum of their emissions. A uniform backlight adds nothing; a directional one is one more emitter.
+    /// Layers emit and are clear: the sum of their emissions. A uniform backlight adds nothing; a
+    /// directional one is one more emitter.
     Additive,
-    /// Layers between one pair of crossed polarizers rotate the polarization: sin² of the summed rotation. A value of 1 is a rotation by 90°.
+    /// Layers between one pair of crossed polarizers rotate the polarization: sin² of the summed
+    /// rotation. A value of 1 is a rotation by 90°.
     Polarization,
 }
 

@@ -1,11 +1,14 @@
-//! The forward model: what a display emits; the equations are those of [`Formation`], channels independent.
+//! The forward model: the light that a display emits. The equations are those of [`Formation`],
+//! channels independent.
 //!
-//! Rays meet what the layers' hardware makes of the stored values ([`LayerStack::effective`]); a [`Simulator`] works that out once and then
-//! gives any number of views.
+//! Rays read the stored values after the response of the layers' hardware
+//! ([`LayerStack::effective`]). A [`Simulator`] computes that once and then renders any number of
+//! views.
 //!
-//! The simple version reads four pixels of a layer for every ray. Departure: where the rays of a view meet single pixels one after another – nearest sampling at
-//! equal pitch, any view along the layer's own pixels, or the parts of pixels of a seen picture – whole lines are combined at once (`Reads::Runs`), to the
-//! same bits.
+//! The simple version reads four pixels of a layer for every ray. Departure: where the rays of a
+//! view read single pixels one after another, whole lines are combined at once (`Reads::Runs`), to
+//! the same bits. This holds for nearest sampling at equal pitch, for any view along the layer's
+//! own pixels, and for the parts of pixels of a seen picture.
 
 use std::borrow::Cow;
 
@@ -20,20 +23,23 @@ pub const LEAST_SHARE: f32 = 0.5;
 /// One emitted view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EmittedView {
-    /// Emitted radiance L̃, `[row][col][rgb]`; divide by the stack's brightness for what an adapted viewer sees. Rays that leave the
-    /// display are 0.
+    /// Emitted radiance L̃, `[row][col][rgb]`; divided by the stack's brightness it is the picture
+    /// of an adapted viewer. Rays that leave the display are 0.
     pub radiance: Tensor<3>,
-    /// Whether the ray counts, `[row][col]` row-major: false where it misses the display under the display's [`Missing`] rule.
+    /// True if the ray counts, `[row][col]` row-major: false where it misses the display under the
+    /// display's [`Missing`] rule.
     pub valid: Vec<bool>,
 }
 
 /// A picture as an eye sees it: every pixel is the mean over its area.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeenView {
-    /// Mean of the emitted radiance L̃ over the part of the pixel whose rays count, `[row][col][rgb]`; 0 where none counts. Divide by the stack's brightness
-    /// for what an adapted viewer sees.
+    /// Mean of the emitted radiance L̃ over the part of the pixel whose rays count,
+    /// `[row][col][rgb]`; 0 where none counts. Divided by the stack's brightness it is the picture
+    /// of an adapted viewer.
     pub radiance: Tensor<3>,
-    /// That part of the pixel's area, 0..1, `[row][col]` row-major: the rest misses the display under its [`Missing`] rule.
+    /// Share of the pixel's area whose rays count, 0..1, `[row][col]` row-major. The rest misses
+    /// the display under its [`Missing`] rule.
     pub share: Vec<f32>,
 }
 
@@ -48,12 +54,12 @@ impl From<SeenView> for EmittedView {
 #[derive(Clone, Debug)]
 pub struct Simulator<'a> {
     display: &'a Display,
-    /// What rays meet.
+    /// The stack after the layers' response.
     stack: Cow<'a, LayerStack>,
 }
 
 impl<'a> Simulator<'a> {
-    /// Works out what rays meet: the one step that does not depend on the view.
+    /// Applies the layers' response, the one step that does not depend on the view.
     pub fn new(display: &'a Display, stack: &'a LayerStack) -> Self {
         Self { display, stack: stack.effective(display) }
     }
@@ -74,7 +80,8 @@ impl<'a> Simulator<'a> {
         self.seen(&self.display.field_pixels().with_grid(view.clone()), [0, 0])
     }
 
-    /// The view `view` = [view_y, view_x] of a geometry whose tables for this display are `map`: one ray per pixel, through its centre, as solvers have it.
+    /// The view `view` = [view_y, view_x] of a geometry whose tables for this display are `map`:
+    /// one ray per pixel, through its centre, as solvers have it.
     pub fn view(&self, map: &RayMap, geometry: &FieldGeometry, view: [usize; 2]) -> EmittedView {
         let (rows, cols) = (geometry.rows, geometry.cols);
         let mut radiance = Tensor::zeros(["row", "col", "rgb"], [rows, cols, 3]);
@@ -94,8 +101,9 @@ impl<'a> Simulator<'a> {
         EmittedView { radiance, valid }
     }
 
-    /// The seen picture of a view: for every pixel of `geometry` the mean over its area of the emission along the rays of that view. Exact, since layers are
-    /// squares of constant value: pixels are cut where rays pass from one square to the next.
+    /// The seen picture of a view: for every pixel of `geometry` the mean over its area of the
+    /// emission along the rays of that view. Exact, since layers are squares of constant value:
+    /// pixels are cut where rays pass from one square to the next.
     pub fn seen(&self, geometry: &FieldGeometry, view: [usize; 2]) -> SeenView {
         let area = AreaMap::new(self.display, geometry, view);
         let missing = self.display.missing;
@@ -107,6 +115,7 @@ impl<'a> Simulator<'a> {
         for (row, cuts) in area.y.chunk_by(|a, b| a.pixel == b.pixel).enumerate() {
             sums.fill(0.0);
             shares.fill(0.0);
+            // sum the emission of the parts of each pixel of the row, weighted by their area
             let first = area.y.partition_point(|cut| cut.pixel < row as u32);
             for (number, cut_y) in cuts.iter().enumerate() {
                 let line = lines.emitted(first + number);
@@ -131,13 +140,13 @@ impl<'a> Simulator<'a> {
     }
 }
 
-/// What the rows of one view emit, one after another, in storage that is kept.
+/// Emission of the rows of one view, one after another, in storage that is reused.
 struct Lines<'a> {
     simulator: &'a Simulator<'a>,
     map: &'a RayMap,
     view: [usize; 2],
     reads: Vec<Reads<'a>>,
-    met: Vec<f32>,
+    formed: Vec<f32>,
     sum: Vec<f64>,
 }
 
@@ -148,34 +157,35 @@ impl<'a> Lines<'a> {
             || map.backlight.as_ref().map_or(0, |map| map.x(view[1]).len()),
             |layer| layer.x.of_view(view[1]).len(),
         );
-        Self { simulator, map, view, reads, met: vec![0.0; cols * 3], sum: vec![0.0; cols * 3] }
+        Self { simulator, map, view, reads, formed: vec![0.0; cols * 3], sum: vec![0.0; cols * 3] }
     }
 
-    /// Mean over the frames of the emission of a row's rays, `[col][rgb]`, whether they count or not.
+    /// Mean over the frames of the emission of a row's rays, `[col][rgb]`, whether they count or
+    /// not.
     fn emitted(&mut self, row: usize) -> &[f64] {
-        let Self { simulator, map, view, reads, met, sum } = self;
+        let Self { simulator, map, view, reads, formed, sum } = self;
         let (stack, formation) = (&simulator.stack, simulator.display.formation);
         sum.fill(0.0);
         for frame in 0..stack.frames() {
-            met.fill(formation.neutral());
+            formed.fill(formation.neutral());
             for ((layer, values), reads) in map.layers.iter().zip(&stack.layers).zip(reads.iter()) {
                 let tap_y = layer.y.of_view(view[0])[row];
                 match formation {
-                    Formation::Attenuating => meet_layer(met, values, frame, tap_y, reads, |met, v| *met *= v),
-                    _ => meet_layer(met, values, frame, tap_y, reads, |met, v| *met += v),
+                    Formation::Attenuating => combine_layer(formed, values, frame, tap_y, reads, |x, v| *x *= v),
+                    _ => combine_layer(formed, values, frame, tap_y, reads, |x, v| *x += v),
                 }
             }
             if formation == Formation::Polarization {
-                met.iter_mut().for_each(|met| *met = sin2_of_quarter_turns(*met));
+                formed.iter_mut().for_each(|formed| *formed = sin2_of_quarter_turns(*formed));
             }
             if let (Some(map), Some(emission)) = (&map.backlight, &stack.emission) {
                 let (tap_y, taps_x) = (map.y(view[0])[row], map.x(view[1]));
                 match formation {
-                    Formation::Additive => meet_backlight(met, emission, frame, tap_y, taps_x, |met, b| *met += b),
-                    _ => meet_backlight(met, emission, frame, tap_y, taps_x, |met, b| *met *= b),
+                    Formation::Additive => combine_backlight(formed, emission, frame, tap_y, taps_x, |x, b| *x += b),
+                    _ => combine_backlight(formed, emission, frame, tap_y, taps_x, |x, b| *x *= b),
                 }
             }
-            sum.iter_mut().zip(met.iter()).for_each(|(sum, &met)| *sum += f64::from(met));
+            sum.iter_mut().zip(formed.iter()).for_each(|(sum, &formed)| *sum += f64::from(formed));
         }
         let frames = stack.frames() as f64;
         sum.iter_mut().for_each(|sum| *sum /= frames);
@@ -193,7 +203,7 @@ pub fn view_from_eye(display: &Display, stack: &LayerStack, eye_mm: [f64; 3]) ->
     Simulator::new(display, stack).from_eye(eye_mm)
 }
 
-/// Whether a ray counts: it meets the lenslet grid and, under [`Missing::Drop`], every layer.
+/// True if a ray counts: it intersects the lenslet grid and, under [`Missing::Drop`], every layer.
 #[inline]
 pub fn ray_is_valid(map: &RayMap, missing: Missing, view: [usize; 2], row: usize, col: usize) -> bool {
     let layers = missing == Missing::Clear
@@ -207,7 +217,7 @@ pub fn ray_is_valid(map: &RayMap, missing: Missing, view: [usize; 2], row: usize
     layers && backlight
 }
 
-/// How the rays of a row read a layer.
+/// The reads of a row's rays on a layer.
 enum Reads<'a> {
     /// Runs of rays that read single pixels one after another; all other rays miss.
     Runs(Vec<Run>),
@@ -243,15 +253,15 @@ impl<'a> Reads<'a> {
 /// Mean length of runs, in rays, below which rays are read one by one.
 const SHORT_RUN: usize = 4;
 
-/// Hands each `met[col][rgb]` the layer's value there. Where the ray misses, nothing happens: that is the neutral value, and a ray that does
-/// not count is set to 0 later.
-fn meet_layer(
-    met: &mut [f32],
+/// Combines each `formed[col][rgb]` with the layer's value there. Where the ray misses, the value
+/// stays: a ray that does not count is set to 0 later.
+fn combine_layer(
+    formed: &mut [f32],
     values: &Tensor<4>,
     frame: usize,
     tap_y: Tap,
     reads: &Reads,
-    meet: impl Fn(&mut f32, f32),
+    combine: impl Fn(&mut f32, f32),
 ) {
     if tap_y.is_missed() {
         return;
@@ -262,51 +272,52 @@ fn meet_layer(
         Reads::Runs(runs) => {
             for &Run { first, end, from } in runs {
                 let places = 3 * from..3 * (from + end - first);
-                let met = met[3 * first..3 * end].iter_mut();
+                let formed = formed[3 * first..3 * end].iter_mut();
                 if tap_y.t == 0.0 {
-                    met.zip(&upper[places]).for_each(|(met, value)| meet(met, *value));
+                    formed.zip(&upper[places]).for_each(|(formed, value)| combine(formed, *value));
                 } else {
                     let lines = upper[places.clone()].iter().zip(&lower[places]);
                     let mixed = lines.map(|(top, bottom)| top + tap_y.t * (bottom - top));
-                    met.zip(mixed).for_each(|(met, value)| meet(met, value));
+                    formed.zip(mixed).for_each(|(formed, value)| combine(formed, value));
                 }
             }
         }
         Reads::Taps(taps) => {
-            for (pixel, tap) in met.chunks_exact_mut(3).zip(*taps).filter(|(_, tap)| !tap.is_missed()) {
+            for (pixel, tap) in formed.chunks_exact_mut(3).zip(*taps).filter(|(_, tap)| !tap.is_missed()) {
                 let (left, right) = (3 * tap.first as usize, 3 * tap.second as usize);
                 for c in 0..3 {
                     let top = upper[left + c] + tap.t * (upper[right + c] - upper[left + c]);
                     let bottom = lower[left + c] + tap.t * (lower[right + c] - lower[left + c]);
-                    meet(&mut pixel[c], top + tap_y.t * (bottom - top));
+                    combine(&mut pixel[c], top + tap_y.t * (bottom - top));
                 }
             }
         }
     }
 }
 
-/// Hands each `met[col][rgb]` the backlight's emission there; 0 where it is dark or missed.
-fn meet_backlight(
-    met: &mut [f32],
+/// Combines each `formed[col][rgb]` with the backlight's emission there; 0 where it is dark or
+/// missed.
+fn combine_backlight(
+    formed: &mut [f32],
     emission: &Tensor<6>,
     frame: usize,
     tap_y: BacklightTap,
     taps_x: &[BacklightTap],
-    meet: impl Fn(&mut f32, f32),
+    combine: impl Fn(&mut f32, f32),
 ) {
-    for (pixel, &tap_x) in met.chunks_exact_mut(3).zip(taps_x) {
+    for (pixel, &tap_x) in formed.chunks_exact_mut(3).zip(taps_x) {
         match (tap_x, tap_y) {
             (BacklightTap::Lit { lenslet: col, bin: bin_x }, BacklightTap::Lit { lenslet: row, bin: bin_y }) => {
                 let values = emission.block([frame, bin_y as usize, bin_x as usize, row as usize, col as usize]);
-                pixel.iter_mut().zip(values).for_each(|(met, value)| meet(met, *value));
+                pixel.iter_mut().zip(values).for_each(|(formed, value)| combine(formed, *value));
             }
-            _ => pixel.iter_mut().for_each(|met| meet(met, 0.0)),
+            _ => pixel.iter_mut().for_each(|formed| combine(formed, 0.0)),
         }
     }
 }
 
-/// sin²(π/2 · x) for 0 ≤ x < 1000, which no number of layers passes; the absolute error stays below 1e-6 up to x = 8. In place of `f32::sin`,
-/// whose calls would take most of a view's time.
+/// sin²(π/2 · x) for 0 ≤ x < 1000, which no number of layers passes; the absolute error stays below
+/// 1e-6 up to x = 8. In place of `f32::sin`, whose calls would take most of a view's time.
 fn sin2_of_quarter_turns(x: f32) -> f32 {
     // adding 1.5 · 2²³ leaves no room for a fraction: the sum is rounded to whole half turns
     const ROUND: f32 = 12_582_912.0;
@@ -351,12 +362,13 @@ mod tests {
         };
         let straight = dark(&view_from_slope(&display, &stack, [0.0, 0.0]));
         assert_eq!(straight, (rows / 2, cols / 2));
-        // an eye further right sees the front dot further left on z = 0; an eye further up sees it further down
+        // an eye further right sees the front dot further left on z = 0; an eye further up sees it
+        // further down
         let right = dark(&view_from_slope(&display, &stack, [0.1, 0.0]));
         assert!(right.1 < straight.1 && right.0 == straight.0, "{right:?}");
         let up = dark(&view_from_slope(&display, &stack, [0.0, 0.1]));
         assert!(up.0 > straight.0 && up.1 == straight.1, "{up:?}");
-        // a far eye on the axis sees what the parallel projection shows
+        // a far eye on the axis has the picture of the parallel projection
         let far = view_from_eye(&display, &stack, [0.0, 0.0, 1e7]);
         let straight = view_from_slope(&display, &stack, [0.0, 0.0]);
         let differences = far.radiance.data().iter().zip(straight.radiance.data()).map(|(a, b)| (a - b).abs());
@@ -395,17 +407,21 @@ mod tests {
                     } else {
                         taps += 1
                     }
-                    let met = |reads: &Reads| {
-                        let mut met = vec![0.7f32; 3 * cols];
-                        meet_layer(&mut met, &values, 0, tap_y, reads, |met, v| *met *= v);
-                        met
+                    let formed = |reads: &Reads| {
+                        let mut formed = vec![0.7f32; 3 * cols];
+                        combine_layer(&mut formed, &values, 0, tap_y, reads, |x, v| *x *= v);
+                        formed
                     };
-                    assert_eq!(met(&reads), met(&Reads::Taps(taps_x)), "{sampling:?} {d_mm} {pitch_mm} {view} {row}");
+                    assert_eq!(
+                        formed(&reads),
+                        formed(&Reads::Taps(taps_x)),
+                        "{sampling:?} {d_mm} {pitch_mm} {view} {row}"
+                    );
                 }
             }
         }
         assert!(lines > 20 && taps > 20, "{lines} {taps}");
-        // a layer that no ray meets, and no ray at all
+        // a layer that every ray misses, and no ray at all
         let missed = Tap { first: Tap::MISSED, second: Tap::MISSED, t: 0.0 };
         assert!(
             [&[][..], &[missed; 3]].iter().all(|taps| matches!(Reads::of(taps), Reads::Runs(runs) if runs.is_empty()))

@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-/// How the rays of one view relate.
+/// Projection of the rays of one view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Projection {
     /// Every view is a parallel projection (the paper's): one slope for all its rays.
@@ -17,9 +17,10 @@ pub enum Projection {
 /// A separable grid of views: the product of view columns and view rows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ViewGrid {
-    /// How the rays of one view relate.
+    /// Projection of the rays of one view.
     pub projection: Projection,
-    /// Slope of each view column at the centre of the field; increasing from left to right in our own grids.
+    /// Slope of each view column at the centre of the field; increasing from left to right in our
+    /// own grids.
     pub slope_x: Vec<f64>,
     /// Slope of each view row, y up; decreasing from top to bottom in our own grids.
     pub slope_y: Vec<f64>,
@@ -29,11 +30,11 @@ pub struct ViewGrid {
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("{what}: expected {expected}, found {found}")]
 pub struct GridError {
-    /// Which number.
+    /// Name of the wrong number.
     pub what: &'static str,
-    /// What was needed.
+    /// The expected value or range.
     pub expected: &'static str,
-    /// What was there.
+    /// The value found.
     pub found: String,
 }
 
@@ -44,11 +45,16 @@ impl GridError {
 }
 
 impl ViewGrid {
-    /// `views` = [horizontal, vertical] views at the centres of equal bins of the slope, over full angles `fov_deg`:
-    /// s_x(a) = (a − (A_x−1)/2)·(2/A_x)·tan(α_x/2), s_y alike with the topmost view first. The spacing is eq. 23's Δv.
+    /// `views` = [horizontal, vertical] views at the centres of equal bins of the slope, over full
+    /// angles `fov_deg`. s_y is alike, with the topmost view first. The spacing is eq. 23's Δv.
+    ///
+    /// ```text
+    /// s_x(a) = (a − (A_x−1)/2)·(2/A_x)·tan(α_x/2)
+    /// ```
     ///
     /// # Errors
-    /// If there are no views, or an angle is outside 0..180°, or the viewing distance is not above 0.
+    /// If there are no views, or an angle is outside 0..180°, or the viewing distance is not above
+    /// 0.
     pub fn uniform(projection: Projection, views: [usize; 2], fov_deg: [f64; 2]) -> Result<Self, GridError> {
         if views.contains(&0) {
             return Err(GridError::new("views", "at least 1 × 1", format!("{} × {}", views[0], views[1])));
@@ -116,8 +122,8 @@ impl ViewGrid {
         ]
     }
 
-    /// The midpoints between neighbouring views: the grid of in-between views that a display was not optimized for. An axis with one
-    /// view keeps it.
+    /// The midpoints between neighbouring views: the grid of in-between views that a display was
+    /// not optimized for. An axis with one view keeps it.
     pub fn in_between(&self) -> Self {
         let midpoints = |slopes: &[f64]| match slopes {
             [only] => vec![*only],
@@ -126,8 +132,9 @@ impl ViewGrid {
         Self { projection: self.projection, slope_x: midpoints(&self.slope_x), slope_y: midpoints(&self.slope_y) }
     }
 
-    /// Views beyond the zone: `steps` on the left and as many on the right of the outermost columns, one mean spacing apart, in the middle row; of a
-    /// grid with one column above and below. `None` without steps or without two different views.
+    /// Views outside the zone: `steps` to the left and to the right of the outermost columns, one
+    /// mean spacing apart, in the middle row. A grid with one column has them above and below.
+    /// `None` without steps or without two different views.
     pub fn outside(&self, steps: usize) -> Option<Self> {
         let beyond = |slopes: &[f64]| {
             let (low, high) = slopes.iter().fold((f64::MAX, f64::MIN), |(low, high), s| (low.min(*s), high.max(*s)));
@@ -145,15 +152,17 @@ impl ViewGrid {
         Some(Self { projection: self.projection, slope_x: middle(&self.slope_x), slope_y })
     }
 
-    /// All slopes times `factor`: views closer together, or further apart. From such views everything moves `factor` times as far as between the
-    /// original ones, as if depth were [scaled](Projection::scaled_depth); the view of slope 0 stays.
+    /// All slopes times `factor`: views closer together, or further apart. From such views
+    /// everything moves `factor` times as far as between the original ones, as if depth were
+    /// [scaled](Projection::scaled_depth); the view of slope 0 stays.
     #[must_use]
     pub fn scaled(&self, factor: f64) -> Self {
         let scaled = |slopes: &[f64]| slopes.iter().map(|slope| slope * factor).collect();
         Self { projection: self.projection, slope_x: scaled(&self.slope_x), slope_y: scaled(&self.slope_y) }
     }
 
-    /// Width of one view's bin of slopes per axis (x, y): the mean spacing; 0 for an axis with one view.
+    /// Width of one view's bin of slopes per axis (x, y): the mean spacing; 0 for an axis with one
+    /// view.
     pub fn bin_width(&self) -> [f64; 2] {
         [&self.slope_x, &self.slope_y].map(|slopes| match slopes.as_slice() {
             [first, .., last] => (last - first).abs() / (slopes.len() - 1) as f64,
@@ -163,7 +172,8 @@ impl ViewGrid {
 }
 
 impl Projection {
-    /// Slope along one axis of a view's ray at position `x_mm`, for the view of slope `view_slope` at the centre.
+    /// Slope along one axis of a view's ray at position `x_mm`, for the view of slope `view_slope`
+    /// at the centre.
     #[inline]
     pub fn slope(self, view_slope: f64, x_mm: f64) -> f64 {
         match self {
@@ -172,8 +182,9 @@ impl Projection {
         }
     }
 
-    /// Where content at depth `z_mm` appears when its parallax is `factor` times its own: factor · z of parallel projections; of pinholes at distance D
-    /// that z' with z'/(D − z') = factor · z/(D − z).
+    /// Apparent depth of content at depth `z_mm` whose parallax is multiplied by `factor`. For
+    /// parallel projections it is factor · z. For pinholes at distance D it is the z' with z'/(D −
+    /// z') = factor · z/(D − z).
     pub fn scaled_depth(self, z_mm: f64, factor: f64) -> f64 {
         match self {
             Self::Oblique => factor * z_mm,
@@ -240,7 +251,8 @@ impl FieldGeometry {
     }
 }
 
-/// Evenly spread places among `count`, `most` ≥ 2 at most: the first and the last among them, and of an odd number the middle where there is one.
+/// Evenly spread places among `count`, `most` ≥ 2 at most: the first and the last among them, and
+/// of an odd number the middle where there is one.
 pub fn spread(count: usize, most: usize) -> Vec<usize> {
     if count <= most {
         return (0..count).collect();
@@ -291,7 +303,8 @@ mod tests {
         }
     }
 
-    /// Seen from slopes of a factor, a point moves as one at the scaled depth does from the slopes themselves, and looks the same from the middle.
+    /// Seen from slopes of a factor, a point moves as one at the scaled depth does from the slopes
+    /// themselves, and looks the same from the middle.
     #[test]
     fn scaled_slopes_are_scaled_depths() {
         for projection in [Projection::Oblique, Projection::Perspective { distance_mm: 400.0 }] {

@@ -1,4 +1,5 @@
-//! Projective maps of the plane: where a panel's pixels are ([`Panel`](crate::Panel)), and where a camera sees them.
+//! Projective maps of the plane: where a panel's pixels are ([`Panel`](crate::Panel)), and where a
+//! camera sees them.
 
 /// A projective map of the plane: rows of a 3 × 3 matrix.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -8,7 +9,7 @@ impl Homography {
     /// Everything stays where it is.
     pub const IDENTITY: Self = Self([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
 
-    /// Where a point goes.
+    /// Maps a point.
     #[inline]
     pub fn apply(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let [a, b, c] = self.0.map(|row| row[0] * x + row[1] * y + row[2]);
@@ -31,8 +32,9 @@ impl Homography {
         Self([0, 1, 2].map(|r| [0, 1, 2].map(|c| (0..3).map(|k| self.0[r][k] * first.0[k][c]).sum())))
     }
 
-    /// The map that takes the corners (0,0), (1,0), (1,1), (0,1) of the unit square to four points; `None` where they span nothing, or a part of the square
-    /// lies on or beyond the horizon. Source: Heckbert, "Fundamentals of Texture Mapping and Image Warping" (1989), section 2.2.3.
+    /// The map that takes the corners (0,0), (1,0), (1,1), (0,1) of the unit square to four points.
+    /// `None` where they span nothing, or where the horizon touches or crosses the square. Source:
+    /// Heckbert, "Fundamentals of Texture Mapping and Image Warping" (1989), section 2.2.3.
     pub fn of_unit_square([a, b, c, d]: [[f64; 2]; 4]) -> Option<Self> {
         let (dx1, dx2, sx) = (b[0] - c[0], d[0] - c[0], a[0] - b[0] + c[0] - d[0]);
         let (dy1, dy2, sy) = (b[1] - c[1], d[1] - c[1], a[1] - b[1] + c[1] - d[1]);

@@ -1,12 +1,14 @@
-//! One layer: where it stands, what its pixels can do, and what its hardware does to them.
+//! One layer: its place, the range of its pixels, and the response of its hardware.
 //!
-//! A stored value f is absolute: the transmittance (or emission, or rotation in units of 90°) of a mask pixel. The panel reaches
+//! A stored value f is absolute: the transmittance (or emission, or rotation in units of 90°) of a
+//! mask pixel. The panel reaches
 //!
 //! ```text
 //! f = peak · (black + (1 − black) · decode(code / (2^bits − 1)))
 //! ```
 //!
-//! so f lies in the box [black · peak, peak]. What rays then meet is [`Layer::response`] of the stored values.
+//! so f lies in the box [black · peak, peak]. Rays then read [`Layer::response`] of the stored
+//! values.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -23,14 +25,17 @@ pub struct Layer {
     pub resolution: [usize; 2],
     /// Mask pixel pitch, millimetres.
     pub pitch_mm: f64,
-    /// [x, y] of the layer's centre, millimetres. A misalignment that was measured goes here too: the solver then makes up for it. Fractions of a
-    /// pixel need `sampling = "bilinear"`; under nearest sampling they round.
+    /// [x, y] of the layer's centre, millimetres. A misalignment that was measured goes here too:
+    /// the solver then makes up for it. Fractions of a pixel need `sampling = "bilinear"`; under
+    /// nearest sampling they round.
     #[serde(default)]
     pub offset_mm: [f64; 2],
-    /// Value of the brightest state, above 0 and at most 1: what a filter, a polarizer or clear film takes away even where it is open.
+    /// Value of the brightest state, above 0 and at most 1: the share that is left after the
+    /// filter, polarizer or clear film of an open pixel.
     #[serde(default = "default_peak")]
     pub peak: f64,
-    /// Value of the darkest state relative to the brightest, 0 to less than 1: one over the contrast.
+    /// Value of the darkest state relative to the brightest, 0 to less than 1: one over the
+    /// contrast.
     #[serde(default)]
     pub black_level: f64,
     /// Code values per channel are 2^bits, 1 to 16; none for a continuous range.
@@ -42,13 +47,15 @@ pub struct Layer {
     /// Standard deviation of the layer's Gaussian point spread, mask pixels, 0 to 8.
     #[serde(default)]
     pub blur_px: f64,
-    /// What each emitted channel (row) takes of each mask channel (column): entries ≥ 0, row sums above 0 and at most 1. None: each its own.
+    /// Share of each mask channel (column) in each emitted channel (row): entries ≥ 0, row sums
+    /// above 0 and at most 1. None: each channel its own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crosstalk: Option<[[f64; 3]; 3]>,
-    /// Whether a mask pixel has three values or one.
+    /// Values per mask pixel: three or one.
     #[serde(default)]
     pub colour: LayerColour,
-    /// Column stripes of colour filters on a `mono` layer: column j has the RGB factors `filters[j % len]`, 0..1. Empty: clear.
+    /// Column stripes of colour filters on a `mono` layer: column j has the RGB factors
+    /// `filters[j % len]`, 0..1. Empty: clear.
     #[serde(default)]
     pub filters: Vec<[f64; 3]>,
     /// [columns, rows] of the physical panel, where it differs from the mask.
@@ -57,7 +64,7 @@ pub struct Layer {
     /// Pitch of the physical panel, millimetres, where it differs from the mask's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panel_pitch_mm: Option<f64>,
-    /// What drives the physical panel, and where its pixels are; patterns do not depend on it.
+    /// Calibration of the physical panel; patterns do not depend on it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panel: Option<Panel>,
 }
@@ -109,8 +116,9 @@ impl Layer {
         [(self.black_level * self.peak) as f32, self.peak as f32]
     }
 
-    /// The 2^bits values that a mask pixel can take, rising; the first and the last are those of [`range`](Self::range). `None` for a
-    /// continuous range. They are the same for all channels: `bits` goes with one transfer function.
+    /// The 2^bits values that a mask pixel can take, rising; the first and the last are those of
+    /// [`range`](Self::range). `None` for a continuous range. They are the same for all channels:
+    /// `bits` goes with one transfer function.
     pub fn levels(&self) -> Option<Vec<f32>> {
         let codes = 1u32 << self.bits?.clamp(1, Self::MAX_BITS);
         let level = |code: u32| {
@@ -120,14 +128,16 @@ impl Layer {
         Some((0..codes).map(level).collect())
     }
 
-    /// What the transfer function encodes to show `value`: 0 for the darkest state, 1 for the brightest. Values outside the range are clamped; NaN becomes 0.
+    /// Input of the transfer function for showing `value`: 0 for the darkest state, 1 for the
+    /// brightest. Values outside the range are clamped; NaN becomes 0.
     pub fn drive(&self, value: f32) -> f32 {
         let drive = (f64::from(value) / self.peak - self.black_level) / (1.0 - self.black_level);
         if drive.is_nan() { 0.0 } else { drive.clamp(0.0, 1.0) as f32 }
     }
 }
 
-/// The level nearest to `value`, of levels that rise; of two equally near the lower. Without levels the value itself; NaN goes to the lowest.
+/// The level nearest to `value`, of levels that rise; of two equally near the lower. Without levels
+/// the value itself; NaN goes to the lowest.
 pub fn quantize(value: f32, levels: &[f32]) -> f32 {
     let above = levels.partition_point(|level| *level < value);
     match (above.checked_sub(1).map(|below| levels[below]), levels.get(above)) {
@@ -159,7 +169,7 @@ mod tests {
                 let layer = Layer { bits: Some(bits), transfer: transfer.clone(), ..limited() };
                 let levels = layer.levels().unwrap();
                 assert_eq!(levels.len(), 1 << bits);
-                // above black, 16 bits come closer together than single precision tells apart
+                // above black, steps of 16 bits are finer than single precision
                 let rise = |pair: &[f32]| if bits < 16 { pair[0] < pair[1] } else { pair[0] <= pair[1] };
                 assert!(levels.windows(2).all(rise), "{transfer:?}, {bits} bits");
                 assert_eq!([levels[0], levels[levels.len() - 1]], layer.range());

@@ -1,12 +1,15 @@
-//! The display: its description, the view grids it is made for, where rays meet its layers, and what it emits.
+//! The display: its description, its view grids, the intersections of rays with its layers, and its
+//! emission.
 //!
-//! Display space is right-handed millimetres: origin at the centre of the light field's rectangle, x right, y up, z to the
-//! viewer; z = 0 is the zero-parallax plane. Array indices count down and right from the top left. A ray is a point on z = 0 and a
-//! slope s = tangent of its direction (the paper's v/d_r, eq. 1).
+//! Display space is right-handed millimetres: origin at the centre of the light field's rectangle,
+//! x right, y up, z to the viewer; z = 0 is the zero-parallax plane. Array indices count down and
+//! right from the top left. A ray is a point on z = 0 and a slope s = tangent of its direction (the
+//! paper's v/d_r, eq. 1).
 //!
 //! ```text
 //! Display + FieldGeometry ──▶ RayMap ─────────────────┐
-//! Display + LayerStack ──▶ what rays meet (Response) ──┴─▶ Simulator ──▶ views ──▶ score against a LightField
+//! Display + LayerStack ──▶ effective stack (Response) ─┴─▶ Simulator ─▶ views ─▶ score
+//!                                                                       against a LightField
 //! ```
 
 mod adapt;
@@ -45,7 +48,8 @@ mod views;
 mod weights;
 mod zone;
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that
+/// this code has a part in.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
 pub use area::{AreaMap, Part};

@@ -5,14 +5,20 @@ use crate::{Backlight, Display, GridError, Projection, ViewGrid, Views};
 
 /// Views per axis that [`Views::Auto`] takes at most.
 const MOST_AUTO: usize = 101;
-/// Views to a bin of a directional backlight, which shows the mean of its directions: letters on `paper-directional`, zone score for one, one that is the mean over the
-/// bin, and three: 22.5, 22.9 and 24.1 dB.
+/// Views to a bin of a directional backlight, which shows the mean of its directions. Zone scores
+/// of letters on `paper-directional`: 22.5 dB for one view, 22.9 dB for one that is the mean over
+/// the bin, and 24.1 dB for three.
 const VIEWS_PER_BIN: f64 = 3.0;
 
-/// The native angular step of a display per axis (x, y): the change of slope that moves some layer by one pixel against the light field or against the layer next
-/// to it, p / max |Δd|, or the rays by one bin of the backlight. At multiples of it, of layers with one pitch at multiples of one distance, all shifts are whole
-/// pixels: there one ray per pixel is exact for the pixel's area, and between two such slopes the seen picture mixes products that both share. `None` without
-/// parallax.
+/// The native angular step of a display per axis (x, y); `None` without parallax. It is the least
+/// of these changes of slope:
+///
+/// * p / max |Δd|, which moves some layer by one pixel against the light field or the next layer,
+/// * the one that moves the rays by one bin of the backlight.
+///
+/// If layers have one pitch and multiples of one distance, all shifts at multiples of this step are
+/// whole pixels. There one ray per pixel is exact for the pixel's area. Between two such slopes the
+/// seen picture mixes products that both share.
 pub fn native_step(display: &Display) -> [Option<f64>; 2] {
     let against_field = display.layers.iter().map(|layer| (layer.d_mm.abs(), layer.pitch_mm));
     let gaps =
@@ -25,7 +31,8 @@ pub fn native_step(display: &Display) -> [Option<f64>; 2] {
     })
 }
 
-/// Width of slopes of a bin of a directional backlight along an axis; `None` where it tells no directions apart.
+/// Width of slopes of a bin of a directional backlight along an axis; `None` where it has a single
+/// bin.
 pub(crate) fn bin_width(display: &Display, axis: usize) -> Option<f64> {
     match &display.backlight {
         Backlight::Lenslets(lenslets) if lenslets.views[axis] > 1 => {
@@ -39,7 +46,8 @@ impl Display {
     /// The views of the light field that the display is made for.
     ///
     /// # Errors
-    /// If an angle is outside of 0..180°, there are no views, or the viewing distance is not above 0.
+    /// If an angle is outside of 0..180°, there are no views, or the viewing distance is not above
+    /// 0.
     pub fn view_grid(&self, projection: Projection) -> Result<ViewGrid, GridError> {
         self.field.views.grid(projection, self.field.fov_deg, || self.auto_step(usize::MAX))
     }
@@ -50,8 +58,10 @@ impl Display {
         [cols, rows]
     }
 
-    /// The step of slopes (x, y) of [`Views::Auto`]: the [native](native_step) one, and a third of a bin of a directional backlight, thinned to every second, third, ... native slope until there are no more than `most_views`. An axis
-    /// that shows parallax at all has three views at least: a display that was solved for one direction is right in no other.
+    /// The step of slopes (x, y) of [`Views::Auto`]. It is the [native](native_step) step, or a
+    /// third of a bin of a directional backlight. It is thinned to every second, third, ... native
+    /// slope until there are no more than `most_views`. An axis with parallax has at least three
+    /// views: a display that was solved for one direction is right in no other.
     pub fn auto_step(&self, most_views: usize) -> [f64; 2] {
         let half = self.field.fov_deg.map(half_width);
         let mut native = native_step(self);
@@ -79,7 +89,8 @@ impl Display {
         step(every)
     }
 
-    /// The same display with its choice of views made: where they are [`Views::Auto`], no more than `most_views`.
+    /// The same display with its choice of views made: where they are [`Views::Auto`], no more than
+    /// `most_views`.
     #[must_use]
     pub fn with_views_chosen(mut self, most_views: usize) -> Self {
         if self.field.views == Views::Auto {
@@ -135,7 +146,8 @@ mod tests {
         assert_eq!(fixed.clone().with_views_chosen(1), fixed, "views that were asked for stay");
     }
 
-    /// Coarse pixels, where a native step is wider than the zone, and displays that show one direction.
+    /// Coarse pixels, where a native step is wider than the zone, and displays that show one
+    /// direction.
     #[test]
     fn what_shows_parallax_has_three_views_and_the_rest_one() {
         let mut coarse = stack(20);
@@ -150,14 +162,15 @@ mod tests {
         assert!(fine.views()[0] <= MOST_AUTO && fine.views()[0] > MOST_AUTO / 2);
     }
 
-    /// The figures of layered displays with three layers 40 mm apart: at 420 columns there are 13 whole shifts over 20°.
+    /// The figures of layered displays with three layers 40 mm apart: at 420 columns there are 13
+    /// whole shifts over 20°.
     #[test]
     fn native_steps_are_whole_shifts() {
         let display = Display::uniform([420, 262], 1.128, [5, 5], [20.0, 20.0], &[-40.0, 0.0, 40.0], 6);
         let step = native_step(&display)[0].unwrap();
         assert!((step - 1.128 / 40.0).abs() < 1e-12);
         assert_eq!(2 * (10f64.to_radians().tan() / step).floor() as usize + 1, 13);
-        // two layers around the light field's plane: what one pixel moves is one against the other
+        // two layers around the light field's plane: one pixel of one against the other
         let pair = Display::uniform([4, 4], 1.0, [1, 1], [20.0, 20.0], &[-10.0, 10.0], 1);
         assert_eq!(native_step(&pair), [Some(0.05); 2]);
         let flat = Display::uniform([4, 4], 1.0, [1, 1], [20.0, 20.0], &[0.0], 1);

@@ -1,12 +1,14 @@
-//! Calibration of the physical panels: which output of the computer drives which layer, and where its pixels really are.
+//! Calibration of the physical panels: which output of the computer drives which layer, and where
+//! its pixels really are.
 //!
 //! ```text
-//! output pixel ─rotate, flip─▶ upright pixel (u, v) ─crop─▶ nominal place (x, y) mm ─homography─▶ place on the layer, mm ─pitch─▶ mask pixel
+//! output pixel ─rotate, flip─▶ upright pixel (u, v) ─crop─▶ nominal place (x, y) mm
+//!     ─homography─▶ place on the layer, mm ─pitch─▶ mask pixel
 //!
 //! x = (u − nudge_x − u_centre) · panel_pitch,   y = (v_centre − v + nudge_y) · panel_pitch
 //! ```
 //!
-//! Patterns do not depend on any of this: it is what an output does with them.
+//! Patterns do not depend on any of this: outputs apply it.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -17,7 +19,8 @@ use crate::Sampling;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 #[cfg_attr(not(target_arch = "wasm32"), derive(Deserialize), serde(deny_unknown_fields))]
 pub struct Panel {
-    /// Name of the output that drives it, as `lumistack show --list` prints it; without it the outputs that nobody names, from left to right.
+    /// Name of the output that drives it, as `lumistack show --list` prints it. Panels without a
+    /// name take the outputs that no panel names, from left to right.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub output: Option<String>,
     /// How far the upright picture is turned on the output, clockwise: 0, 90, 180 or 270 degrees.
@@ -26,20 +29,23 @@ pub struct Panel {
     /// How the upright picture is mirrored before it is turned: a panel that is seen from behind.
     #[serde(default)]
     pub flip: Flip,
-    /// [left, top, columns, rows] of the part of the upright picture that is used; its centre is the layer's centre. Default: all of it.
+    /// [left, top, columns, rows] of the part of the upright picture that is used; its centre is
+    /// the layer's centre. Default: all of it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crop: Option<[usize; 4]>,
     /// [right, down] by which the upright picture is shifted, panel pixels.
     #[serde(default)]
     pub nudge_px: [f64; 2],
-    /// From where a pixel should be to where it is, millimetres from the layer's centre, x right, y up: rows of a 3 × 3 matrix. Default: where it should.
+    /// Map from a pixel's nominal place to its real one, in millimetres from the layer's centre, x
+    /// right, y up: rows of a 3 × 3 matrix. Default: the identity.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub homography: Option<[[f64; 3]; 3]>,
-    /// Crosstalk that was measured and that the patterns do not know of (`layers[].crosstalk` is what they know): made up for when they are shown. Row =
-    /// emitted channel, column = channel of the picture.
+    /// Measured crosstalk that the patterns do not account for (they account for
+    /// `layers[].crosstalk`). It is compensated when they are shown. Row = emitted channel, column
+    /// = channel of the picture.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crosstalk: Option<[[f64; 3]; 3]>,
-    /// How a panel pixel reads the mask.
+    /// Interpolation of the mask at a panel pixel.
     #[serde(default)]
     pub resample: Sampling,
 }
@@ -64,7 +70,8 @@ pub struct Lens {
     /// Distance of lens axes, millimetres; default: the backlight's `pitch_mm`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pitch_mm: Option<f64>,
-    /// Focal length as light travels in air, millimetres; default: the one at which a lens fills the horizontal bins.
+    /// Focal length as light travels in air, millimetres; default: the one at which a lens fills
+    /// the horizontal bins.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub focal_mm: Option<f64>,
     /// Turn against the panel, counterclockwise seen from the front, degrees.
@@ -96,7 +103,7 @@ mod unread {
 const SINGULAR: f64 = 1e-9;
 
 impl Panel {
-    /// What is wrong with it: the key, what was expected and what was found.
+    /// The first invalid key, the expected value and the value found.
     pub(crate) fn problem(&self) -> Option<(&'static str, &'static str, String)> {
         if !matches!(self.rotate_deg, 0 | 90 | 180 | 270) {
             return Some(("rotate_deg", "0, 90, 180 or 270", self.rotate_deg.to_string()));

@@ -1,4 +1,5 @@
-//! A display from what its builder knows: panels of one kind, the gaps between them, and maybe a lens array.
+//! A display from the data of its builder: panels of one kind, the gaps between them, and maybe a
+//! lens array.
 
 use crate::{Backlight, Display, DisplayError, Lens, LensletBacklight, Panel, Transfer};
 
@@ -15,7 +16,8 @@ pub struct PanelStack {
     pub panel_pitch_mm: f64,
     /// Panel pixels per pixel of the masks and of the light field, per axis; at least 1.
     pub panel_pixels: usize,
-    /// Names of the outputs, rear to front, that of the backlight's panel first; empty for those from left to right.
+    /// Names of the outputs, rear to front, that of the backlight's panel first; empty for those
+    /// from left to right.
     pub outputs: Vec<String>,
     /// [horizontal, vertical] views of the light field.
     pub views: [usize; 2],
@@ -27,7 +29,7 @@ pub struct PanelStack {
     pub refresh_hz: f64,
     /// Brightness scale β.
     pub brightness: f64,
-    /// What a code value lets through.
+    /// Transmittance of each code value.
     pub transfer: Transfer,
     /// Transmittance of black.
     pub black_level: f64,
@@ -59,12 +61,14 @@ impl PanelStack {
         ((refresh_hz / Display::FLICKER_HZ + 1e-6).floor() as usize).max(1)
     }
 
-    /// The display. The plane of zero parallax is the middle layer, or the middle between the two in the middle.
+    /// The display. The plane of zero parallax is the middle layer, or the middle between the two
+    /// in the middle.
     ///
     /// # Errors
     /// If a number makes no sense.
     pub fn display(&self) -> Result<Display, DisplayError> {
         let &Self { panel_resolution: resolution, panel_pitch_mm: pitch_mm, panel_pixels: scale, .. } = self;
+        // distances, with the stack's middle at z = 0; of an odd number the middle layer lies there
         let depth_mm: f64 = self.gaps_mm.iter().sum();
         let mut d_mm = vec![-depth_mm / 2.0];
         self.gaps_mm.iter().for_each(|gap| d_mm.push(d_mm[d_mm.len() - 1] + gap));
@@ -72,10 +76,12 @@ impl PanelStack {
             let middle = d_mm[d_mm.len() / 2];
             d_mm.iter_mut().for_each(|d| *d -= middle);
         }
+        // layers with one mask pixel per `scale` × `scale` panel pixels
         let mask = resolution.map(|count| (count / scale).max(1));
         let plain = Display::uniform(mask, pitch_mm * scale as f64, self.views, self.fov_deg, &d_mm, self.frames);
         let (refresh_hz, brightness) = (self.refresh_hz, self.brightness);
         let mut display = Display { name: self.name.clone(), refresh_hz, brightness, ..plain };
+        // outputs go to panels from the rearmost on, that of the backlight first
         let mut names = self.outputs.iter().cloned().map(Some).chain(std::iter::repeat(None));
         let mut panel = || Some(Panel { output: names.next().flatten(), ..Panel::default() });
         if let Some(lenses) = &self.lenses {

@@ -1,12 +1,18 @@
-//! Where the rays of a light field meet the layers and the backlight.
+//! Intersections of the rays of a light field with the layers and the backlight.
 //!
-//! Column c of the field at slope s meets layer n at pixel u = (x_c + d_n·s − o_n)/p_n + (W_n−1)/2, computed in f64; rows alike with y
-//! down. The map is separable, so one table of W entries per view column and one of H entries per view row and layer describe all rays: rays
-//! are never expanded into a list.
+//! Column c of the field at slope s intersects layer n at a pixel computed in f64; rows alike with
+//! y down:
+//!
+//! ```text
+//! u = (x_c + d_n·s − o_n)/p_n + (W_n−1)/2
+//! ```
+//!
+//! The map is separable. One table of W entries per view column and layer, and one of H entries per
+//! view row and layer, describe all rays: rays are never expanded into a list.
 
 use crate::{Backlight, Display, FieldGeometry, Layer, LensletBacklight, OutsideBins, Sampling};
 
-/// Where one axis of a ray meets a layer: value = (1 − t)·f(first) + t·f(second).
+/// Intersection of one axis of a ray with a layer: value = (1 − t)·f(first) + t·f(second).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tap {
     /// Pixel index, or [`Tap::MISSED`].
@@ -18,17 +24,18 @@ pub struct Tap {
 }
 
 impl Tap {
-    /// Index of a ray that does not meet the layer.
+    /// Index of a ray that misses the layer.
     pub const MISSED: u32 = u32::MAX;
 
-    /// Whether the ray does not meet the layer.
+    /// True if the ray misses the layer.
     #[inline]
     pub fn is_missed(self) -> bool {
         self.first == Self::MISSED
     }
 
-    /// The pixel or pixels around position `u` (in pixels, 0 = centre of the first) of an axis of `count` pixels. The layer ends
-    /// half a pixel outside its outermost centres, whatever the sampling.
+    /// The pixel or pixels around position `u` (in pixels, 0 = centre of the first) of an axis of
+    /// `count` pixels. The layer ends half a pixel outside its outermost centres, with any
+    /// sampling.
     fn at(u: f64, count: usize, sampling: Sampling) -> Self {
         let nearest = (u + 0.5).floor();
         if !(nearest >= 0.0 && nearest < count as f64) {
@@ -61,7 +68,7 @@ impl AxisTaps {
     }
 }
 
-/// Where rays meet one layer.
+/// Intersections of rays with one layer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LayerMap {
     /// Along columns, per view column.
@@ -74,7 +81,7 @@ pub struct LayerMap {
     pub cols: usize,
 }
 
-/// What one axis of a ray reads of a directional backlight.
+/// The place on a directional backlight that one axis of a ray reads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BacklightTap {
     /// A lenslet and one of its angular bins.
@@ -84,13 +91,13 @@ pub enum BacklightTap {
         /// Angular bin, from the left or the top.
         bin: u32,
     },
-    /// Meets the lenslet grid outside the bins: reads 0.
+    /// Intersects the lenslet grid outside the bins: reads 0.
     Dark,
     /// Passes beside the lenslet grid.
     Missed,
 }
 
-/// Where rays meet the directional backlight.
+/// Intersections of rays with the directional backlight.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BacklightMap {
     rays: [usize; 2],
@@ -128,7 +135,8 @@ impl RayMap {
         Self::of_rays(display, display.sampling, [(&x, geometry.cols), (&y, geometry.rows)])
     }
 
-    /// Tables of any rays; per axis (x, y) the rays of all views, and how many of them belong to one view.
+    /// Tables of any rays; per axis (x, y) the rays of all views, and how many of them belong to
+    /// one view.
     pub(crate) fn of_rays(display: &Display, sampling: Sampling, rays: [(&[AxisRay], usize); 2]) -> Self {
         let layers = display
             .layers
@@ -218,19 +226,19 @@ impl Axis {
         (0..views).flat_map(pixels).collect()
     }
 
-    /// Where a ray meets a layer, in pixels from the centre of the first.
+    /// Intersection of a ray with a layer, in pixels from the centre of the first.
     pub(crate) fn pixel(self, layer: &Layer, ray: &AxisRay) -> f64 {
         let position = ray.at_mm + layer.d_mm * ray.slope - layer.offset_mm[self.index()];
         self.sign() * position / layer.pitch_mm + (layer.resolution[self.index()] as f64 - 1.0) / 2.0
     }
 
-    /// Where a ray meets the lenslet grid, in lenslets from its edge.
+    /// Intersection of a ray with the lenslet grid, in lenslets from its edge.
     pub(crate) fn lenslet(self, backlight: &LensletBacklight, ray: &AxisRay) -> f64 {
         let position = ray.at_mm + backlight.d_mm * ray.slope - backlight.offset_mm[self.index()];
         self.sign() * position / backlight.pitch_mm + backlight.lenslets[self.index()] as f64 / 2.0
     }
 
-    /// Which angular bin a ray reads: A_b/2·(1 + s/tan(α_b/2)), in bins from the edge of the first.
+    /// Angular bin of a ray: A_b/2·(1 + s/tan(α_b/2)), in bins from the edge of the first.
     pub(crate) fn bin(self, backlight: &LensletBacklight, ray: &AxisRay) -> f64 {
         let bins = backlight.views[self.index()] as f64;
         let half_width = (0.5 * backlight.fov_deg[self.index()].to_radians()).tan();
@@ -238,8 +246,9 @@ impl Axis {
     }
 }
 
-/// The ray reads the lenslet by its position at d_b and the bin by its slope. Under `repeat` a ray beyond the bins sees, as behind a real lens
-/// array, the picture of the neighbouring lenslet: bins continue periodically while the lenslet moves by one per zone.
+/// The ray reads the lenslet by its position at d_b and the bin by its slope. Under `repeat` a ray
+/// outside the bins sees the picture of the neighbouring lenslet, as behind a real lens array. Bins
+/// continue periodically while the lenslet moves by one per zone.
 fn backlight_taps(backlight: &LensletBacklight, rays: &[AxisRay], axis: Axis) -> Vec<BacklightTap> {
     let lenslets = backlight.lenslets[axis.index()] as f64;
     let bins = backlight.views[axis.index()] as f64;
@@ -270,13 +279,15 @@ mod tests {
         let geometry = display.geometry().unwrap();
         let map = RayMap::new(&display, &geometry);
         let front = map.layers.last().unwrap();
-        // rightmost view column: slope > 0, so the front layer (d > 0) is met further right than z = 0
+        // rightmost view column: slope > 0, so the ray hits the front layer (d > 0) further right
+        // than z = 0
         let view = geometry.grid.slope_x.len() - 1;
         let shift =
             (display.layers.last().unwrap().d_mm * geometry.grid.slope_x[view] / geometry.pitch_mm + 0.5).floor();
         assert!(shift >= 1.0, "the test needs a shift");
         assert_eq!(front.x.of_view(view)[0].first, shift as u32);
-        // topmost view row: slope_y > 0, the ray climbs, so the front layer is met further up: a smaller row
+        // topmost view row: slope_y > 0, the ray climbs, so it hits the front layer further up: a
+        // smaller row
         assert!(front.y.of_view(0)[0].is_missed());
         assert!(front.y.of_view(0)[geometry.rows - 1].first < geometry.rows as u32 - 1);
     }
@@ -308,7 +319,7 @@ mod tests {
         for view in 0..geometry.grid.slope_y.len() {
             assert!(map.y(view).iter().all(|tap| !matches!(tap, BacklightTap::Lit { bin, .. } if *bin != view as u32)));
         }
-        // beyond the bins: dark, or the neighbour's picture
+        // outside the bins: dark, or the neighbour's picture
         let steep = geometry.with_grid(ViewGrid::single(Projection::Oblique, [1.1 * (10f64.to_radians()).tan(), 0.0]));
         let near = LensletBacklight { d_mm: -1.0, ..backlight };
         assert_eq!(backlight_taps(&near, &Axis::X.centres(&steep), Axis::X)[geometry.cols - 1], BacklightTap::Dark);

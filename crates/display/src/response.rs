@@ -1,11 +1,13 @@
-//! What a layer's hardware does to the values that it stores: the linear map A from mask pixels to what rays meet.
+//! The response of a layer's hardware to the stored values: the linear map A from mask pixels to
+//! the values that rays read.
 //!
 //! ```text
 //! F_c = Σ_c' crosstalk[c][c'] · blur(filter_c' · f_c')
 //! ```
 //!
-//! The filters stand on the mask's columns; the blur is a Gaussian along both axes that keeps constants. On a `mono` layer the three stored channels
-//! are equal: there A maps one unknown per pixel to three channels.
+//! The filters stand on the mask's columns; the blur is a Gaussian along both axes that keeps
+//! constants. On a `mono` layer the three stored channels are equal: there A maps one unknown per
+//! pixel to three channels.
 
 use lumistack_core::Tensor;
 
@@ -25,7 +27,8 @@ pub struct Response {
 const IDENTITY: [[f32; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
 impl Layer {
-    /// What the hardware does to this layer's values; `None` where rays meet just what is stored and every channel is free.
+    /// The hardware's response to this layer's values. `None` where rays read the stored values and
+    /// every channel is free.
     pub fn response(&self) -> Option<Response> {
         let response = Response::of(self);
         (response.is_tied() || !response.is_identity()).then_some(response)
@@ -43,17 +46,17 @@ impl Response {
         }
     }
 
-    /// Whether the three channels of a pixel are one unknown.
+    /// True if the three channels of a pixel are one unknown.
     pub fn is_tied(&self) -> bool {
         self.tied
     }
 
-    /// Whether rays meet just what is stored.
+    /// True if rays read the stored values.
     pub fn is_identity(&self) -> bool {
         !self.is_blurred() && self.filters.is_empty() && self.mix == IDENTITY
     }
 
-    /// Whether there is any blur.
+    /// True if there is any blur.
     pub fn is_blurred(&self) -> bool {
         !self.spread.is_identity()
     }
@@ -92,14 +95,14 @@ impl Response {
 
     /// The whole map for a layer `[frame][row][col][rgb]`.
     pub fn apply(&self, layer: &Tensor<4>) -> Tensor<4> {
-        let mut met = layer.clone();
+        let mut effective = layer.clone();
         let [frames, rows, cols, _] = layer.shape();
         let filters: Vec<[f32; 3]> = (0..cols).map(|col| self.filter(col)).collect();
         let mut stored = vec![0.0; rows * cols];
         let mut blurred = [(); 3].map(|()| vec![0.0; rows * cols]);
         let mut scratch = Vec::new();
         for frame in 0..frames {
-            let frame = met.block_mut([frame]);
+            let frame = effective.block_mut([frame]);
             for (c, plane) in blurred.iter_mut().enumerate() {
                 let columns = filters.iter().cycle();
                 let pixels = frame.chunks_exact(3).zip(columns);
@@ -113,6 +116,6 @@ impl Response {
                 }
             }
         }
-        met
+        effective
     }
 }

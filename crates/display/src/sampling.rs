@@ -1,4 +1,4 @@
-//! How a ray reads a layer.
+//! Interpolation of a layer's pixels along a ray.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Sampling {
-    /// The pixel it meets: floor(ξ + ½).
+    /// The pixel at the intersection: floor(ξ + ½).
     #[default]
     Nearest,
     /// A mixture of the four around it.

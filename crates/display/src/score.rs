@@ -1,7 +1,7 @@
-//! How close a display comes to its target.
+//! Difference of a display's emission from its target.
 //!
-//! PSNR has peak 1 and runs over all rays with w > 0 and all channels. `view` compares L̃/β with L (what an adapted viewer sees), `raw`
-//! compares L̃ with βL, higher by −20·log10 β.
+//! PSNR has peak 1 and runs over all rays with w > 0 and all channels. `view` compares L̃/β, the
+//! picture of an adapted viewer, with L. `raw` compares L̃ with βL, higher by −20·log10 β.
 
 use lumistack_core::metrics::SquaredError;
 

@@ -12,7 +12,8 @@ use crate::{Backlight, Display};
 pub struct LayerStack {
     /// Per layer, rearmost first: `transmittance[frame][row][col][rgb]`.
     pub layers: Vec<Tensor<4>>,
-    /// Of a directional backlight: `emission[frame][bin_y][bin_x][lenslet_row][lenslet_col][rgb]`.
+    /// Emission of a directional backlight:
+    /// `emission[frame][bin_y][bin_x][lenslet_row][lenslet_col][rgb]`.
     pub emission: Option<Tensor<6>>,
     /// β: the display emits β times the target.
     pub brightness: f64,
@@ -22,11 +23,11 @@ pub struct LayerStack {
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("{what}: expected {expected}, found {found}")]
 pub struct StackError {
-    /// Which part.
+    /// Name of the part that does not fit.
     pub what: String,
-    /// What the display needs.
+    /// The shape or range that the display needs.
     pub expected: String,
-    /// What the stack has.
+    /// The value of the stack.
     pub found: String,
 }
 
@@ -66,7 +67,8 @@ impl LayerStack {
         self.layers.first().map_or(0, |layer| layer.shape()[0])
     }
 
-    /// The stack that rays meet: every layer's [`Response`](crate::Response) applied. Borrowed where no layer has one that changes values.
+    /// The stack that rays read: every layer's [`Response`](crate::Response) applied. Borrowed
+    /// where no layer has one that changes values.
     pub fn effective(&self, display: &Display) -> Cow<'_, Self> {
         let responses: Vec<_> =
             display.layers.iter().map(|layer| layer.response().filter(|response| !response.is_identity())).collect();
@@ -80,8 +82,9 @@ impl LayerStack {
         Cow::Owned(Self { layers: layers.collect(), emission: self.emission.clone(), brightness: self.brightness })
     }
 
-    /// Checks that the stack has the shapes of the display and values in 0..1. The box of a layer is narrower where its hardware is limited
-    /// ([`Layer::range`](crate::Layer::range)); patterns from elsewhere may ignore it.
+    /// Checks that the stack has the shapes of the display and values in 0..1. The box of a layer
+    /// is narrower where its hardware is limited ([`Layer::range`](crate::Layer::range)); patterns
+    /// from elsewhere may ignore it.
     ///
     /// # Errors
     /// On the first part that does not fit.

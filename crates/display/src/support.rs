@@ -1,29 +1,35 @@
-//! Spectral support: which frequencies a display can show at all, and the footprint of light that suits it.
+//! Spectral support: the frequencies that a display can show at all, and the footprint of light
+//! that fits it.
 //!
-//! Along one axis the support is the sum of the segments ±g of [`depth`](crate::Display::spatial_cutoff): a polygon that is its own mirror image,
-//! in the plane of spatial frequency ω_x (cycles per millimetre) and frequency per slope ω_s (cycles per unit of slope; the paper's ω_v with
-//! d_r = 1). A box for a lens array, a diamond for two layers, a hexagon for three (the paper's Figure 4).
+//! Along one axis the support is the sum of the segments ±g of
+//! [`depth`](crate::Display::spatial_cutoff): a polygon that is its own mirror image. Its plane has
+//! spatial frequency ω_x (cycles per millimetre) and frequency per slope ω_s (cycles per unit of
+//! slope; the paper's ω_v with d_r = 1). It is a box for a lens array, a diamond for two layers, a
+//! hexagon for three (the paper's Figure 4).
 //!
-//! Its extent on the axis ω_x = 0 is what the bound tends to far from the display, ω(z) → ω_s/|z|. Light gathered over slopes of width
+//! Its extent on the axis ω_x = 0 is the limit of the bound far from the display, ω(z) → ω_s/|z|.
+//! Light gathered over slopes of width
 //!
 //! ```text
 //! δs = 1/(2 ω_s)
 //! ```
 //!
-//! blurs a plane at z over |z| δs = 1/(2 ω(z)), as a pixel of pitch p = 1/(2 ω) does on the display: together with the pixel that is the
-//! prefilter of the display (section 4.1). For lens arrays δs is the width of a view's bin.
+//! blurs a plane at z over |z| δs = 1/(2 ω(z)), as a pixel of pitch p = 1/(2 ω) does on the
+//! display. Together with the pixel that is the prefilter of the display (section 4.1). For lens
+//! arrays δs is the width of a view's bin.
 
 use crate::Display;
 use crate::depth::{cross, cutoff, width};
 
 impl Display {
-    /// ω(z) along one axis (0: x, 1: y), cycles per millimetre; see [`spatial_cutoff`](Self::spatial_cutoff), which is that of the coarser one.
+    /// ω(z) along one axis (0: x, 1: y), cycles per millimetre; see
+    /// [`spatial_cutoff`](Self::spatial_cutoff), which is that of the coarser one.
     pub fn spatial_cutoff_along(&self, axis: usize, z_mm: f64) -> f64 {
         cutoff(&self.generators(axis), z_mm)
     }
 
-    /// Corners of the support along one axis (0: x, 1: y), counterclockwise: [ω_x in cycles per millimetre, ω_s in cycles per unit of slope]. Two
-    /// corners where it is a line.
+    /// Corners of the support along one axis (0: x, 1: y), counterclockwise: [ω_x in cycles per
+    /// millimetre, ω_s in cycles per unit of slope]. Two corners where it is a line.
     pub fn spectral_support(&self, axis: usize) -> Vec<[f64; 2]> {
         let mut generators = self.generators(axis);
         for g in &mut generators {
@@ -53,8 +59,9 @@ impl Display {
         corners
     }
 
-    /// Width of slopes per axis (x, y) over which light may be gathered without losing what the display can show far from itself: δs above. No more than
-    /// the whole field of view, which a single layer comes to.
+    /// Width of slopes per axis (x, y) over which light may be gathered without losing detail that
+    /// the display can show far from itself: δs above. It is at most the whole field of view, which
+    /// a single layer reaches.
     pub fn angular_footprint(&self) -> [f64; 2] {
         [0, 1].map(|axis| {
             let generators = self.generators(axis);
@@ -107,7 +114,7 @@ mod tests {
         assert_corners(&stack(&[5.0]), &[[1.0, 5.0], [-1.0, -5.0]]);
     }
 
-    /// The bound is where the line of a plane leaves the support, whatever the stack.
+    /// The bound is where the line of a plane leaves the support, for every stack.
     #[test]
     fn the_bound_lies_on_the_supports_edge() {
         let mut stream = Stream::new(11);

@@ -1,4 +1,4 @@
-//! What the eye sees in time.
+//! Frames, colours and flicker over time.
 
 use crate::{ColourSequence, Display};
 
@@ -16,7 +16,7 @@ impl Display {
         self.refresh_hz / self.subframes() as f64
     }
 
-    /// What to tell the user where a period is so long that it flickers.
+    /// The warning to the user where a period is so long that it flickers.
     pub fn flicker_warning(&self) -> Option<String> {
         // a display made for the limit exactly does not flicker for a rounding error
         const ROUNDING: f64 = 1e-9;
@@ -66,7 +66,7 @@ mod tests {
             warning.starts_with("6 frames of 3 colours in turn at 360 Hz") && warning.ends_with("1080 Hz"),
             "{warning}"
         );
-        // what never changes cannot flicker, however slow the panel
+        // an image that never changes cannot flicker, however slow the panel
         let still = Display { frames: 1, refresh_hz: 30.0, ..small_display() };
         assert_eq!(still.flicker_warning(), None);
         let coloured = Display { colour_sequence: ColourSequence::Field, ..still };

@@ -1,12 +1,16 @@
-//! From linear values to a panel's code values and back: standard curves, or what was measured on the panel.
+//! From linear values to a panel's code values and back: standard curves, or measurements of the
+//! panel.
 //!
-//! A measured table holds pairs (code, amount of light), each in any unit: the first pair is the darkest state and the last the brightest, and
+//! A measured table holds pairs (code, amount of light), each in any unit: the first pair is the
+//! darkest state and the last the brightest, and
 //!
 //! ```text
-//! code → (code − code_first) / (code_last − code_first),   light → (light − light_first) / (light_last − light_first)
+//! code → (code − code_first) / (code_last − code_first)
+//! light → (light − light_first) / (light_last − light_first)
 //! ```
 //!
-//! with straight lines in between. How bright the darkest state is, is said by `black_level` and `peak`, not here.
+//! with straight lines in between. `black_level` and `peak` hold the brightness of the darkest and
+//! the brightest state, not this table.
 
 use lumistack_core::colour::{srgb_decode, srgb_encode};
 use schemars::JsonSchema;
@@ -38,7 +42,7 @@ pub enum Channels<T> {
 }
 
 impl<T> Channels<T> {
-    /// That of a channel: 0 red, 1 green, 2 blue.
+    /// Value of a channel: 0 red, 1 green, 2 blue.
     ///
     /// # Panics
     /// If there is no such channel.
@@ -64,7 +68,8 @@ impl Transfer {
         Self::Gamma(Channels::Same(gamma))
     }
 
-    /// The code of a linear value of a channel, both in 0..1. Values outside are clamped; NaN becomes 0.
+    /// The code of a linear value of a channel, both in 0..1. Values outside are clamped; NaN
+    /// becomes 0.
     pub fn encode(&self, channel: usize, linear: f32) -> f32 {
         let linear = if linear.is_nan() { 0.0 } else { linear.clamp(0.0, 1.0) };
         match self {
@@ -85,12 +90,12 @@ impl Transfer {
         }
     }
 
-    /// Whether channels differ.
+    /// True if channels differ.
     pub fn is_per_channel(&self) -> bool {
         matches!(self, Self::Gamma(Channels::Rgb(_)) | Self::Table(Channels::Rgb(_)))
     }
 
-    /// What is wrong with it: the key below `transfer`, what was expected and what was found.
+    /// The first invalid key below `transfer`, the expected value and the value found.
     pub(crate) fn problem(&self) -> Option<(String, &'static str, String)> {
         let key = |name: &str, channels: usize, i: usize| {
             if channels == 1 { name.to_string() } else { format!("{name}[{i}]") }
@@ -116,7 +121,8 @@ impl Transfer {
     }
 }
 
-/// Straight lines between the pairs of a table, from its column `from` to the other, both scaled to 0..1.
+/// Straight lines between the pairs of a table, from its column `from` to the other, both scaled to
+/// 0..1.
 fn interpolate(table: &[[f64; 2]], [from, to]: [usize; 2], value: f32) -> f32 {
     let (first, last) = (table[0], table[table.len() - 1]);
     let scaled = |pair: [f64; 2], column: usize| (pair[column] - first[column]) / (last[column] - first[column]);

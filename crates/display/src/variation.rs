@@ -4,12 +4,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Backlight, Display, DisplayError};
 
-/// What to change about a display; what is not given stays.
+/// Changes to a display; keys that are not given stay.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Variation {
-    /// Number of layers N. They stand `gap_mm` apart around the middle of the old ones; new ones are like the frontmost. A directional backlight keeps
-    /// its distance from the rearmost.
+    /// Number of layers N. They stand `gap_mm` apart around the middle of the old ones; new ones
+    /// are like the frontmost. A directional backlight keeps its distance from the rearmost.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub layers: Option<usize>,
     /// Frames M.
@@ -33,7 +33,8 @@ impl Variation {
     /// The changed display, checked.
     ///
     /// # Errors
-    /// If a value is out of range, or layers are asked for whose distance nothing says.
+    /// If a value is out of range, or if layers are added whose distance neither display nor
+    /// variation has.
     pub fn applied_to(&self, base: &Display) -> Result<Display, DisplayError> {
         let mut display = base.clone();
         display.frames = self.frames.unwrap_or(display.frames);
@@ -67,6 +68,7 @@ impl Variation {
         let (Some(first), Some(last)) = (display.layers.first().cloned(), display.layers.last().cloned()) else {
             return fail("layers", "at least one layer", "none".into());
         };
+        // the gap: given, or the mean of the old gaps
         let mean_gap = (old > 1).then(|| (last.d_mm - first.d_mm) / (old as f64 - 1.0));
         let gap_mm = match self.gap_mm.or(mean_gap) {
             Some(gap_mm) if gap_mm.is_finite() && gap_mm > 0.0 => gap_mm,

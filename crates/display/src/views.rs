@@ -1,4 +1,4 @@
-//! How densely views sample the zone.
+//! Density of the views in the zone.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -10,25 +10,30 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::{GridError, Projection, ViewGrid};
 
-/// Share of a step by which the outermost view may stand outside of the zone; so the zone's rim is no further than three quarters of a step from it.
+/// Share of a step by which the outermost view may stand outside of the zone; so the zone's rim is
+/// no further than three quarters of a step from it.
 const BEYOND: f64 = 0.25;
 /// Rounding of quotients that are whole numbers.
 const ROUNDING: f64 = 1e-9;
 
-/// Which views sample the zone |s| ≤ tan(α/2) of a display. In files `"auto"`, `[horizontal, vertical]`, or `{ step = [x, y] }`.
+/// The views that sample the zone |s| ≤ tan(α/2) of a display. In files `"auto"`,
+/// `[horizontal, vertical]`, or `{ step = [x, y] }`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Views {
-    /// As many as make a display right between them: at multiples of its [native step](crate::native_step).
+    /// As many as make a display right between them: at multiples of its [native
+    /// step](crate::native_step).
     #[default]
     Auto,
     /// So many, [horizontal, vertical], at the centres of equal bins of the zone (the paper's).
     Fixed([usize; 2]),
-    /// At all multiples of these slopes (x, y), ≥ 0, that lie in the zone. 0 is one view, straight ahead.
+    /// At all multiples of these slopes (x, y), ≥ 0, that lie in the zone. 0 is one view, straight
+    /// ahead.
     Step([f64; 2]),
 }
 
 impl Views {
-    /// The grid over full angles of `fov_deg`, at the steps that `auto` gives where the choice is the display's.
+    /// The grid over full angles of `fov_deg`, at the steps that `auto` gives where the choice is
+    /// the display's.
     pub(crate) fn grid(
         self,
         projection: Projection,

@@ -5,7 +5,7 @@ use thiserror::Error;
 
 use crate::FieldGeometry;
 
-/// How much each ray counts; all values finite and ≥ 0.
+/// Weight of each ray in the objective; all values finite and ≥ 0.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Weights {
     /// Every ray 1.
@@ -21,9 +21,9 @@ pub enum Weights {
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("weights: expected {expected}, found {found}")]
 pub struct WeightError {
-    /// What was needed.
+    /// The expected value or range.
     pub expected: String,
-    /// What was there.
+    /// The value found.
     pub found: String,
 }
 
@@ -39,11 +39,13 @@ pub struct EyeBox {
 }
 
 impl Weights {
-    /// Weights that follow viewers: a ray counts `floor` + Σ weight · exp(−½ (r/σ)²), where r is its distance from the eye in the plane through the
-    /// eye parallel to the display. `floor` ≥ 0 is what every ray counts, so that the space between eye boxes is not left to chance.
+    /// Weights that follow viewers. A ray counts `floor` + Σ weight · exp(−½ (r/σ)²), where r is
+    /// its distance from the eye in the plane through the eye parallel to the display. `floor` ≥ 0
+    /// is the weight of every ray, so that the space between eye boxes is not left to chance.
     ///
     /// # Errors
-    /// If the geometry makes no sense, an eye is not in front of the display, σ is not above 0, or a weight or the floor is negative or not finite.
+    /// If the geometry makes no sense, or an eye is not in front of the display. If σ is not above
+    /// 0, or a weight or the floor is negative or not finite.
     pub fn eye_boxes(geometry: &FieldGeometry, boxes: &[EyeBox], floor: f32) -> Result<Self, WeightError> {
         let check = |ok: bool, expected: String, found: String| {
             if ok { Ok(()) } else { Err(WeightError { expected, found }) }
@@ -65,6 +67,7 @@ impl Weights {
         let peak = boxes.iter().map(|eye_box| eye_box.weight).sum::<f64>() + f64::from(floor);
         check(peak <= f64::from(f32::MAX), "weights that single precision can hold".into(), peak.to_string())?;
 
+        // add the weights of each eye box to the floor
         let [view_rows, view_cols] = geometry.grid.views();
         let shape = [view_rows, view_cols, geometry.rows, geometry.cols];
         let mut weights = Tensor::filled(["view_y", "view_x", "row", "col"], shape, floor);
@@ -86,7 +89,8 @@ impl Weights {
     /// Checks shape and values.
     ///
     /// # Errors
-    /// If the shape is not that of the geometry, a value is negative, infinite or NaN, or all are 0.
+    /// If the shape is not that of the geometry, a value is negative, infinite or NaN, or all are
+    /// 0.
     pub fn check(&self, geometry: &FieldGeometry) -> Result<(), WeightError> {
         let [view_rows, view_cols] = geometry.grid.views();
         let (shape, expected, data) = match self {
@@ -119,7 +123,8 @@ impl Weights {
 }
 
 impl EyeBox {
-    /// The Gaussian's factors along x `[view_x][col]` and y `[view_y][row]`: a ray at p with slope s passes the eye's plane at p + z·s.
+    /// The Gaussian's factors along x `[view_x][col]` and y `[view_y][row]`: a ray at p with slope
+    /// s passes the eye's plane at p + z·s.
     fn falloff(&self, geometry: &FieldGeometry) -> [Vec<f64>; 2] {
         let [eye_x, eye_y, z] = self.eye_mm;
         let along = |slopes: &[f64], positions: Vec<f64>, eye: f64| {

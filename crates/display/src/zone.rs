@@ -1,9 +1,13 @@
 //! The zone that a display is made for, and how right it is there.
 //!
-//! The zone is the slopes |s_x| ≤ tan(α_x/2), |s_y| ≤ tan(α_y/2) of an oblique field, the eye positions D·s of a perspective one, or the union of eye boxes. The
-//! score `psnr_zone` is −10 log₁₀ of the mean squared error between seen picture / β and the scene's picture, over directions that are spread over the whole zone
-//! and that no solver saw. The scene's pictures are noisy, so each is given twice with independent noise: the mean product of the two differences is the squared
-//! error without their noise, since E[(e + n₁)(e + n₂)] = e².
+//! The zone of an oblique field is the slopes |s_x| ≤ tan(α_x/2), |s_y| ≤ tan(α_y/2). That of a
+//! perspective field is the eye positions D·s. With eye boxes it is their union.
+//!
+//! The score `psnr_zone` is −10 log₁₀ of the mean squared error between seen picture / β and the
+//! scene's picture. The mean is over directions that are spread over the whole zone and that the
+//! solver did not use. The scene's pictures are noisy, so each is given twice with independent
+//! noise. The mean product of the two differences is the squared error without their noise, since
+//! E[(e + n₁)(e + n₂)] = e².
 
 use crate::{EyeBox, LEAST_SHARE, Projection, SeenView, ViewGrid};
 
@@ -12,12 +16,12 @@ pub const LEAST_DIRECTIONS: usize = 32;
 /// Radius of the disc that stands for an eye box, in its standard deviations.
 const EYE_BOX_SIGMAS: f64 = 1.5;
 
-/// Where eyes are expected.
+/// The expected slopes or positions of eyes.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Zone {
     /// Slopes, or eye positions D·s: a rectangle around 0.
     Slopes {
-        /// How the rays of a view relate.
+        /// Projection of the rays of a view.
         projection: Projection,
         /// tan(α/2) per axis (x, y), ≥ 0.
         half_width: [f64; 2],
@@ -27,8 +31,9 @@ pub enum Zone {
 }
 
 impl Zone {
-    /// The zone of a light field's views: from half a spacing beyond the outermost view of an axis to the other side, as wide as `fov_deg` where it is known.
-    /// An axis with one view has no width, since a display for one view promises nothing beside it.
+    /// The zone of a light field's views. Per axis it reaches half a spacing past the outermost
+    /// views, or is as wide as `fov_deg` where that is known. An axis with one view has no width,
+    /// since a display for one view promises nothing beside it.
     pub fn of_grid(grid: &ViewGrid, fov_deg: Option<[f64; 2]>) -> Self {
         let slopes = [&grid.slope_x, &grid.slope_y];
         let spacing = grid.bin_width();
@@ -40,8 +45,9 @@ impl Zone {
         Self::Slopes { projection: grid.projection, half_width }
     }
 
-    /// `count` directions, spread over the zone by an additive recurrence of low discrepancy in two dimensions (Roberts' R₂, whose ratio is the real root of
-    /// x³ = x + 1): each a grid of one view. Always the same ones for the same zone and count.
+    /// `count` directions, spread over the zone by an additive recurrence of low discrepancy in two
+    /// dimensions (Roberts' R₂, whose ratio is the real root of x³ = x + 1). Each is a grid of one
+    /// view. The same zone and count always give the same directions.
     pub fn directions(&self, count: usize) -> Vec<ViewGrid> {
         const RATIO: f64 = 1.324_717_957_244_746;
         let point = |i: usize| [1.0, 2.0].map(|power| (0.5 + (i + 1) as f64 * RATIO.powf(-power)).fract());
@@ -73,14 +79,16 @@ impl Zone {
 pub struct DirectionScore {
     /// Slope (x, y) at the centre of the field.
     pub slope: [f64; 2],
-    /// Mean squared error over pixels and channels. Noise may leave it a little below 0 where a display is perfect.
+    /// Mean squared error over pixels and channels. Noise may leave it a little below 0 where a
+    /// display is perfect.
     pub mse: f64,
     /// Pixels that are scored.
     pub pixels: usize,
 }
 
 impl DirectionScore {
-    /// Compares a seen picture / β with two renders of the scene's picture, `[row][col][rgb]`, whose noise is independent; two equal ones where they have none.
+    /// Compares a seen picture / β with two renders of the scene's picture, `[row][col][rgb]`,
+    /// whose noise is independent; two equal ones where they have none.
     pub fn new(direction: &ViewGrid, seen: &SeenView, brightness: f64, references: [&[f32]; 2]) -> Self {
         let (mut sum, mut pixels) = (0.0, 0);
         let pictures = references[0].chunks_exact(3).zip(references[1].chunks_exact(3));
@@ -111,12 +119,13 @@ pub struct ZoneScore {
 }
 
 impl ZoneScore {
-    /// `psnr_zone`: of the mean error over all directions, dB. `None` where no pixel could be scored.
+    /// `psnr_zone`: of the mean error over all directions, dB. `None` where no pixel could be
+    /// scored.
     pub fn psnr(&self) -> Option<f64> {
         mean(&self.scored()).map(psnr)
     }
 
-    /// Of the mean error over the worst tenth of the directions, rounded up, dB.
+    /// PSNR of the mean error over the worst tenth of the directions, rounded up, in dB.
     pub fn worst_tenth(&self) -> Option<f64> {
         let mut scored = self.scored();
         scored.sort_by(|a, b| b.total_cmp(a));
@@ -187,7 +196,8 @@ mod tests {
         assert!(Zone::Eyes(Vec::new()).directions(32).is_empty());
     }
 
-    /// Two noisy references give the error of the picture, not that of the noise, which is 25 times as large.
+    /// Two noisy references give the error of the picture, not that of the noise, which is 25 times
+    /// as large.
     #[test]
     fn noise_of_the_references_does_not_count() {
         let pixels = 40_000;

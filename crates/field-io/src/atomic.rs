@@ -28,7 +28,7 @@ pub fn write(path: &Path, fill: impl FnOnce(&mut Writer<'_>) -> io::Result<()>) 
 /// Writes a file from bytes.
 ///
 /// # Errors
-/// Those of [`fn@write`].
+/// As [`fn@write`].
 pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), FieldError> {
     write(path, |writer| writer.write_all(bytes))
 }

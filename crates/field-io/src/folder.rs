@@ -2,10 +2,13 @@
 //! OpenEXR picture per view.
 //!
 //! ```json
-//! { "schema": "lumistack/lightfield", "version": 1, "axes": ["view_y", "view_x", "row", "col", "rgb"], "linear": true,
-//!   "resolution": [cols, rows], "pitch_mm": 0.5, "projection": "perspective", "distance_mm": 600.0,
+//! { "schema": "lumistack/lightfield", "version": 1, "linear": true,
+//!   "axes": ["view_y", "view_x", "row", "col", "rgb"],
+//!   "resolution": [cols, rows], "pitch_mm": 0.5, "projection": "perspective",
+//!   "distance_mm": 600.0,
 //!   "slope_x": [left, ..., right], "slope_y": [top, ..., bottom], "info": { },
-//!   "views": [{ "file": "view_00_00.exr", "view": [view_y, view_x], "slope": [s_x, s_y], "eye_mm": [x, y, z] }] }
+//!   "views": [{ "file": "view_00_00.exr", "view": [view_y, view_x],
+//!               "slope": [s_x, s_y], "eye_mm": [x, y, z] }] }
 //! ```
 //!
 //! Slopes are tangents, x right, y up. `eye_mm` (perspective views only) is D·(s_x, s_y, 1). The

@@ -1,8 +1,10 @@
 //! Reading of files that the user or another file names.
 //!
-//! A name may stand for anything: a device that never ends, a pipe that nobody writes to, a file of terabytes, a secret somewhere else. Here only
-//! regular files are opened, their size is compared with a limit before the first byte is read, and a [`Folder`] keeps the names that a file
-//! contains inside the folder of that file. Every reader of the workspace that has a path goes through this crate.
+//! A name may stand for anything: a device that never ends, a pipe without a writer, a file of
+//! terabytes, a secret in another folder. Here only regular files are opened, and their size is
+//! compared with a limit before the first byte is read. A [`Folder`] keeps the names that a file
+//! contains inside the folder of that file. Every reader of the workspace that has a path goes
+//! through this crate.
 
 use std::fmt;
 use std::fs::{File, FileType};
@@ -19,7 +21,8 @@ pub const MAX_TEXT_BYTES: u64 = 64 << 20;
 /// # Errors
 /// As [`File::open`], and when the path leads to anything but a regular file.
 pub fn open(path: &Path) -> io::Result<File> {
-    // before it is opened: to open a pipe waits for a writer, to open a device may already do something
+    // before it is opened: to open a pipe waits for a writer, to open a device may already do
+    // something
     check_kind(std::fs::metadata(path)?.file_type())?;
     let file = File::open(path)?;
     // the path may lead elsewhere by now
@@ -97,7 +100,8 @@ fn special(_kind: FileType) -> &'static str {
 #[derive(Clone, Debug)]
 pub struct Folder {
     base: PathBuf,
-    /// Folders of the file and of the file that it is a link to, without links; empty: names may lead anywhere.
+    /// Folders of the file and of the file that it is a link to, without links; empty: names may
+    /// lead anywhere.
     inside: Vec<PathBuf>,
 }
 
@@ -140,8 +144,8 @@ impl Folder {
         Self { base: file.parent().unwrap_or(Path::new("")).to_owned(), inside: Vec::new() }
     }
 
-    /// The folder of `file`, which names may not leave, neither by `..` nor by a link. Of a file that is a link, the folder of its target
-    /// counts too.
+    /// The folder of `file`, which names may not leave, neither by `..` nor by a link. If the file
+    /// is a link, the folder of its target counts too.
     ///
     /// # Errors
     /// When the file is not there.
@@ -206,7 +210,8 @@ mod tests {
         assert_eq!(error, "expected text in UTF-8, found another byte at 1");
     }
 
-    /// Without the check before the file is opened, the pipe would block this test for ever, and the device would fill memory.
+    /// Without the check before the file is opened, the pipe would block this test for ever, and
+    /// the device would fill memory.
     #[cfg(unix)]
     #[test]
     fn devices_and_pipes_are_refused_at_once() {

@@ -1,15 +1,18 @@
 //! A hash of a crate's own sources, for its build script.
 //!
-//! Results are kept between runs, and so between versions of the program. Their keys hold the fingerprints of all crates whose code they pass through,
-//! so that no change to that code can leave an old result in use. A version that somebody raises by hand is forgotten sooner or later.
+//! Results are kept between runs, and so between versions of the program. Their keys hold the
+//! fingerprints of all crates whose code they pass through, so that no change to that code can
+//! leave an old result in use. A version number that must be raised by hand is forgotten sooner or
+//! later.
 //!
 //! ```text
 //! build.rs   fn main() { lumistack_fingerprint::emit(&[]); }
 //! lib.rs     pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 //! ```
 //!
-//! The same sources give the same fingerprint on every machine: names are relative to the crate, with `/` between parts, and sorted; contents are
-//! taken byte by byte. Nothing outside the crate's folder is read, so that packaged crates build too.
+//! The same sources give the same fingerprint on every machine: names are relative to the crate,
+//! with `/` between parts, and sorted; contents are taken byte by byte. Nothing outside the crate's
+//! folder is read, so that packaged crates build too.
 
 use std::fs;
 use std::io;
@@ -21,10 +24,12 @@ const MANIFEST: &str = "Cargo.toml";
 /// In a packaged crate the manifest as its author wrote it.
 const ORIGINAL_MANIFEST: &str = "Cargo.toml.orig";
 
-/// In a build script: sets `LUMISTACK_FINGERPRINT` for the crate, from `src`, the manifest and the folders `more`, relative to the manifest's.
+/// In a build script: sets `LUMISTACK_FINGERPRINT` for the crate, from `src`, the manifest and the
+/// folders `more`, relative to the manifest's.
 ///
 /// # Panics
-/// When cargo does not run it, or the sources cannot be read: a crate without a fingerprint must not build.
+/// When cargo does not run it, or the sources cannot be read: a crate without a fingerprint must
+/// not build.
 pub fn emit(more: &[&str]) {
     let folder = std::env::var_os("CARGO_MANIFEST_DIR").expect("cargo runs build scripts and says where the crate is");
     let folder = Path::new(&folder);
@@ -59,7 +64,8 @@ pub fn of(folder: &Path, more: &[&str]) -> io::Result<String> {
     Ok(hash.finalize().to_hex()[..32].to_string())
 }
 
-/// Adds every file below a folder under its name relative to the crate. Hidden files and what Python compiles are no sources.
+/// Adds every file below a folder under its name relative to the crate. Hidden files and compiled
+/// Python are no sources.
 fn collect(folder: &Path, name: &str, files: &mut Vec<(String, PathBuf)>) -> io::Result<()> {
     for entry in fs::read_dir(folder)? {
         let path = entry?.path();
@@ -118,7 +124,7 @@ mod tests {
     fn the_same_sources_elsewhere_have_the_same_fingerprint() {
         let [here, there] = [(); 2].map(|()| tempfile::tempdir().unwrap());
         write(here.path(), &CRATE);
-        // written in another order, beside what is no source; the manifest was packaged
+        // written in another order, beside files that are no sources; the manifest was packaged
         let mut reversed = CRATE;
         reversed.reverse();
         write(there.path(), &reversed);

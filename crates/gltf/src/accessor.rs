@@ -1,7 +1,9 @@
-//! Accessors: typed elements in buffer views, dense or sparse, with every bound checked before the first byte is read.
+//! Accessors: typed elements in buffer views, dense or sparse, with every bound checked before the
+//! first byte is read.
 //!
-//! Element i starts at byte `offset + stride · i` of its view. Integers become floats as they are, or, when `normalized`,
-//! by f = c / (2ⁿ − 1) unsigned and f = max(c / (2ⁿ⁻¹ − 1), −1) signed (glTF 2.0, sections 3.6.2 and 3.11).
+//! Element i starts at byte `offset + stride · i` of its view. Integers become floats of the same
+//! value. With `normalized` they become f = c / (2ⁿ − 1) if unsigned, and f = max(c / (2ⁿ⁻¹ − 1),
+//! −1) if signed (glTF 2.0, sections 3.6.2 and 3.11).
 
 use gltf::json;
 use gltf::json::accessor::{ComponentType, Type};
@@ -11,10 +13,11 @@ use crate::document::Document;
 use crate::draco;
 use crate::error::Fault;
 
-/// Elements of an accessor without a buffer view are zeros that take no room in the file; more are refused.
+/// Elements of an accessor without a buffer view are zeros that take no room in the file; more are
+/// refused.
 const MAX_IMPLICIT_COUNT: u64 = 1 << 24;
 
-/// What an accessor must hold at the place that uses it.
+/// Required form of an accessor at the place that uses it.
 pub(crate) struct Format {
     pub(crate) types: &'static [Type],
     pub(crate) components: &'static [ComponentType],
@@ -34,7 +37,7 @@ pub(crate) struct Accessor<'a> {
     sparse: Option<Sparse<'a>>,
 }
 
-/// Which elements of an accessor to read, in what order.
+/// The elements of an accessor to read, in order.
 pub(crate) enum Selection {
     All,
     Some(Vec<u32>),
@@ -60,6 +63,7 @@ impl<'a> Accessor<'a> {
         used_at: &str,
         format: &Format,
     ) -> Result<Self, Fault> {
+        // the accessor's type has to fit its use
         let accessor = document.get(index, used_at)?;
         let place = format!("/accessors/{}", index.value());
         let invalid = |field: &str| {
@@ -79,6 +83,7 @@ impl<'a> Accessor<'a> {
             return Err(Fault::new(format!("{place}/count"), format!("a count in 1..{most}"), count));
         }
         let count = count as usize;
+        // dense elements, sparse replacements, or both
         let dimensions = kind.multiplicity();
         let size = component.size() * dimensions;
         // only vertex attributes may be interleaved, and all of them are vectors
@@ -99,7 +104,8 @@ impl<'a> Accessor<'a> {
         Ok(Self { used_at, count, dimensions, component, normalized, dense, sparse })
     }
 
-    /// Elements that came out of a Draco stream in place of those of the accessor that the index at `used_at` refers to.
+    /// Elements that came out of a Draco stream in place of those of the accessor that the index at
+    /// `used_at` refers to.
     pub(crate) fn decoded(
         document: &'a Document<'_>,
         index: json::Index<json::Accessor>,
@@ -120,7 +126,8 @@ impl<'a> Accessor<'a> {
         Ok(Self { used_at: used_at.to_owned(), count, dimensions, component, normalized, dense, sparse: None })
     }
 
-    /// Elements as floats. `fill` stands in for components that the accessor lacks; components past `N` are left out.
+    /// Elements as floats. `fill` stands in for components that the accessor lacks; components past
+    /// `N` are left out.
     pub(crate) fn floats<const N: usize>(
         &self,
         document: &Document<'_>,
@@ -217,7 +224,8 @@ impl<'a> Accessor<'a> {
         if self.normalized { (value / largest).max(-1.0) } else { value }
     }
 
-    /// Takes integers for normalized ones; some writers forget to say so where glTF allows nothing else.
+    /// Takes integers for normalized ones; some writers forget to say so where glTF allows nothing
+    /// else.
     pub(crate) fn assume_normalized(mut self) -> Self {
         self.normalized = true;
         self
@@ -225,8 +233,8 @@ impl<'a> Accessor<'a> {
 }
 
 impl<'a> Elements<'a> {
-    /// `count` elements of `size` bytes from byte `offset` of a view. `place` holds the fields `bufferView` and
-    /// `byteOffset`.
+    /// `count` elements of `size` bytes from byte `offset` of a view. `place` holds the fields
+    /// `bufferView` and `byteOffset`.
     fn open(
         document: &'a Document<'_>,
         view: json::Index<json::buffer::View>,
@@ -239,9 +247,11 @@ impl<'a> Elements<'a> {
     ) -> Result<Self, Fault> {
         let view = document.view(view, &format!("{place}/bufferView"))?;
         let length = view.bytes.len();
+        // the distance of elements
         let mut stride = view.stride.unwrap_or(size);
         if stride != size && !may_stride {
-            // glTF has no stride here. Most readers follow one that leaves room for the elements, and so does this one; others mean nothing.
+            // glTF has no stride here. Most readers follow one that leaves room for the elements,
+            // and so does this one; others mean nothing.
             let room = (length as u64).saturating_sub(offset);
             let needed = (count as u64 - 1).saturating_mul(stride as u64).saturating_add(size as u64);
             let followed = stride > size && needed <= room;
@@ -257,6 +267,7 @@ impl<'a> Elements<'a> {
             let expected = format!("at least {size}, an element of {place}");
             return Err(Fault::new(format!("{}/byteStride", view.place), expected, stride));
         }
+        // all elements lie within the view
         let Some(bytes) = usize::try_from(offset).ok().and_then(|offset| view.bytes.get(offset..)) else {
             let expected = format!("at most {length}, the length of {}", view.place);
             return Err(Fault::new(format!("{place}/byteOffset"), expected, offset));
@@ -293,6 +304,7 @@ impl<'a> Sparse<'a> {
             let expected = format!("a count in 1..{accessor_count}");
             return Err(Fault::new(format!("{place}/count"), expected, sparse.count.0));
         };
+        // indices and values in views of their own
         let elements = |view, part: &str, offset: u64, size| {
             let (part, count_place) = (format!("{place}/{part}"), format!("{place}/count"));
             Elements::open(document, view, &part, &count_place, offset, count, size, false)
@@ -301,6 +313,7 @@ impl<'a> Sparse<'a> {
         let raw = elements(indices.buffer_view, "indices", indices.byte_offset.0, index_size)?;
         let values = elements(values.buffer_view, "values", values.byte_offset.0, size)?;
         document.spend(&place, count, size_of::<u32>())?;
+        // indices increase, so the last one bounds all
         let indices: Vec<u32> = (0..count).map(|i| unsigned(raw.get(i))).collect();
         let place = format!("{place}/indices");
         if let Some(at) = indices.windows(2).position(|pair| pair[0] >= pair[1]) {

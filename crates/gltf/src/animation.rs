@@ -1,9 +1,16 @@
-//! Animations sampled at one time: where nodes stand and how much morph targets weigh.
+//! Animations sampled at one time: transforms of nodes and weights of morph targets.
 //!
-//! Between keys k and k+1, with u = (t − t_k) / (t_{k+1} − t_k) and Δ = t_{k+1} − t_k seconds: STEP takes v_k; LINEAR takes
-//! (1−u)·v_k + u·v_{k+1}, rotations along the shorter arc (slerp); CUBICSPLINE takes the Hermite spline
-//! (2u³−3u²+1)·v_k + Δ(u³−2u²+u)·b_k + (3u²−2u³)·v_{k+1} + Δ(u³−u²)·a_{k+1} with in-tangents a and out-tangents b. Before the first
-//! key and after the last the values hold (glTF 2.0, section 3.11 and appendix C).
+//! Between keys k and k+1, with u = (t − t_k) / (t_{k+1} − t_k) and Δ = t_{k+1} − t_k seconds:
+//!
+//! * STEP takes v_k.
+//! * LINEAR takes (1−u)·v_k + u·v_{k+1}, rotations along the shorter arc (slerp).
+//! * CUBICSPLINE takes the Hermite spline with in-tangents a and out-tangents b:
+//!
+//! ```text
+//! (2u³−3u²+1)·v_k + Δ(u³−2u²+u)·b_k + (3u²−2u³)·v_{k+1} + Δ(u³−u²)·a_{k+1}
+//! ```
+//!
+//! Before the first key and after the last the values hold (glTF 2.0, section 3.11 and appendix C).
 
 use std::collections::{HashMap, HashSet};
 
@@ -34,7 +41,7 @@ const WEIGHTS: Format = Format {
     text: "SCALAR of FLOAT or of normalized 8- or 16-bit integers",
 };
 
-/// What an animation says about a node instead of the node itself.
+/// Values that an animation gives a node in place of the node's own.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct NodePose {
     pub(crate) translation: Option<DVec3>,
@@ -43,7 +50,7 @@ pub(crate) struct NodePose {
     pub(crate) weights: Option<Vec<f32>>,
 }
 
-/// What an animation moves.
+/// The animated property of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Property {
     Translation,
@@ -158,6 +165,7 @@ fn channels(document: &Document<'_>, number: usize) -> Result<Vec<Channel>, Faul
         let Some(target) = Fields::at(document, target_place.clone())? else {
             return Err(expected(target_place, "a target"));
         };
+        // the target: a node and one of its properties
         let property = match target.text("path")? {
             Some("translation") => Property::Translation,
             Some("rotation") => Property::Rotation,
@@ -176,6 +184,7 @@ fn channels(document: &Document<'_>, number: usize) -> Result<Vec<Channel>, Faul
         if !moved.insert((node.value(), property)) {
             return Err(Fault::new(target_place, "one channel for one target", "a second one"));
         }
+        // the sampler: keys, values, and the interpolation between them
         let Some(sampler) = channel.count("sampler")?.filter(|&sampler| sampler < sampler_count) else {
             let expected = format!("an index below {sampler_count}");
             return Err(Fault::new(channel.place("sampler"), expected, document.quote(&channel.place("sampler"))));
@@ -206,23 +215,24 @@ fn times(document: &Document<'_>, channel: &Channel) -> Result<Vec<f32>, Fault> 
 }
 
 /// The key at or before a time, the share u of the way to the next one, and that way in seconds.
-struct Moment {
+struct KeyInterval {
     key: usize,
     share: f64,
     gap_s: f64,
 }
 
-fn moment(times: &[f32], time_s: f64) -> Moment {
+fn key_interval(times: &[f32], time_s: f64) -> KeyInterval {
     let after = times.partition_point(|&time| f64::from(time) <= time_s);
     if after == 0 || after == times.len() {
-        return Moment { key: after.saturating_sub(1), share: 0.0, gap_s: 0.0 };
+        return KeyInterval { key: after.saturating_sub(1), share: 0.0, gap_s: 0.0 };
     }
     let [before_s, after_s] = [after - 1, after].map(|key| f64::from(times[key]));
     let gap_s = after_s - before_s;
-    Moment { key: after - 1, share: (time_s - before_s) / gap_s, gap_s }
+    KeyInterval { key: after - 1, share: (time_s - before_s) / gap_s, gap_s }
 }
 
-/// Values of a channel around a time, each of `group` elements of `N` numbers, and how to blend them.
+/// Values of a channel around a time, each of `group` elements of `N` numbers, and how to blend
+/// them.
 enum Values<const N: usize> {
     Held(Vec<[f64; N]>),
     Linear {
@@ -246,6 +256,7 @@ fn values<const N: usize>(
     let times = times(document, channel)?;
     let place = format!("{}/output", channel.sampler);
     let accessor = Accessor::open(document, channel.output, &place, format)?.assume_normalized();
+    // every key has one group of elements, or three for a cubic spline
     let is_cubic = channel.interpolation == Interpolation::CubicSpline;
     let per_key = if is_cubic { 3 * group } else { group };
     if times.len().checked_mul(per_key) != Some(accessor.count) {
@@ -259,7 +270,7 @@ fn values<const N: usize>(
         let read = accessor.finite::<N>(document, &selection, 0.0)?;
         Ok(read.into_iter().map(|element| element.map(f64::from)).collect())
     };
-    let Moment { key, share: u, gap_s } = moment(&times, time_s);
+    let KeyInterval { key, share: u, gap_s } = key_interval(&times, time_s);
     Ok(match channel.interpolation {
         Interpolation::CubicSpline if u == 0.0 => Values::Held(read(key, 1)?),
         _ if u == 0.0 => Values::Held(read(key, 0)?),
@@ -332,7 +343,7 @@ mod tests {
     fn the_segment_of_a_time() {
         let times = [1.0, 2.0, 4.0];
         let found = |time_s| {
-            let Moment { key, share, gap_s } = moment(&times, time_s);
+            let KeyInterval { key, share, gap_s } = key_interval(&times, time_s);
             (key, share, gap_s)
         };
         assert_eq!(found(-5.0), (0, 0.0, 0.0));

@@ -15,7 +15,7 @@ pub(crate) struct Attributes<'d, 'f> {
     /// `/meshes/I/primitives/J`.
     pub(crate) place: &'d str,
     pub(crate) primitive: &'d json::mesh::Primitive,
-    /// What a Draco stream holds instead of accessors.
+    /// Attributes of a Draco stream, which replace accessors.
     pub(crate) decoded: Option<&'d draco::Decoded>,
 }
 

@@ -1,7 +1,9 @@
-//! Why a file shows nothing: the first reason that its structure gives, and the first defect in what nothing shows.
+//! Reasons for a file without a visible triangle: the first one in its structure, and the first
+//! defect in parts of the file that the scene does not use.
 //!
-//! A file that breaks off early, or whose scene lost its nodes, is sound as far as it is read. A reader who has to find out why the scene is empty
-//! is helped by a look at the rest, which takes no more memory than any scene may.
+//! A file that breaks off early, or whose scene lost its nodes, is sound as far as it is read. The
+//! defects of the rest help a reader who has to find out why the scene is empty. Reading them takes
+//! no more memory than any scene may.
 
 use std::collections::HashSet;
 
@@ -18,7 +20,7 @@ use crate::nodes::Nodes;
 use crate::skin::Pose;
 use crate::{animation, lights_cameras, options};
 
-/// What every scene needs.
+/// The requirement of every scene.
 const EXPECTED: &str = "at least one triangle with area";
 
 /// An accessor of any use.
@@ -48,7 +50,7 @@ pub(crate) fn nothing_to_show(document: &Document<'_>, nodes: &Nodes) -> Fault {
     Fault::new(nodes.place(), EXPECTED, format!("{found}{defect}"))
 }
 
-/// How the error of a scene goes on whose triangles have no area.
+/// Extends the error of a scene whose triangles have no area.
 pub(crate) fn no_area(document: &Document<'_>, found: &str, triangles: usize) -> String {
     let left_out = left_out(document).map(|reason| format!("; {reason}")).unwrap_or_default();
     match triangles {
@@ -97,12 +99,12 @@ fn structure(document: &Document<'_>, nodes: &Nodes) -> String {
     left_out(document).unwrap_or_else(|| "no mesh has a copy to show".to_owned())
 }
 
-/// Reads everything in the file, in the order of what depends on what, up to the first defect.
+/// Reads everything in the file, dependencies first, up to the first defect.
 fn defect(document: &Document<'_>, nodes: &Nodes) -> Result<(), Fault> {
     let root = &document.root;
     let mut dataless = None;
     let mut note = |read: Result<(), Fault>| match read {
-        // a buffer without data may be a placeholder; what is wrong besides says more
+        // a buffer without data may be a placeholder, so any other defect is the better reason
         Err(Fault::Malformed { place, expected, found }) if found == "none" && place.starts_with("/buffers/") => {
             dataless.get_or_insert(Fault::Malformed { place, expected, found });
             Ok(())

@@ -121,8 +121,9 @@ fn write_integers_as_integers(value: &mut Value) {
     }
 }
 
-/// The `gltf` crate's types ask for what glTF leaves optional: the nodes of a scene, and the target node of an animation. Takes the
-/// animations out, which are read without types.
+/// Adds values that glTF leaves optional and the `gltf` crate's types require: the nodes of a
+/// scene, and the target node of an animation. Takes the animations out, which are read without
+/// types.
 fn adapt_to_types(raw: &mut Value) -> Option<Value> {
     let scenes = raw.get_mut("scenes").and_then(Value::as_array_mut);
     for scene in scenes.into_iter().flatten().filter_map(Value::as_object_mut) {
@@ -155,7 +156,7 @@ fn pointer(path: &Path) -> String {
     pointer
 }
 
-/// Splits serde's sentence into what was expected and what was found.
+/// Splits serde's sentence into the expected and the found part.
 fn structure_fault(place: String, message: &str) -> Fault {
     if let Some(field) = message.strip_prefix("missing field `").and_then(|rest| rest.strip_suffix('`')) {
         return Fault::new(format!("{place}/{field}"), "a value", "nothing");

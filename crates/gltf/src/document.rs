@@ -1,4 +1,5 @@
-//! The opened file: checked look-ups, the bytes of buffers and files, and the memory that may still be spent on it.
+//! The opened file: checked look-ups, the bytes of buffers and files, and the memory that may still
+//! be spent on it.
 
 use std::borrow::Cow;
 use std::cell::{Cell, OnceCell, RefCell};
@@ -28,9 +29,9 @@ pub(crate) struct Document<'a> {
     bin: Option<&'a [u8]>,
     /// Whole content of every buffer's file or data URI, kept with the first buffer of equal URI.
     buffers: Vec<OnceCell<Cow<'a, [u8]>>>,
-    /// Of every buffer the first one with the same URI.
+    /// For every buffer, the first one with the same URI.
     first_buffer: Vec<usize>,
-    /// Of every image the first one with the same URI.
+    /// For every image, the first one with the same URI.
     pub(crate) first_image: Vec<usize>,
     /// Content of buffer views that the file holds compressed.
     pub(crate) unpacked_views: Vec<OnceCell<Vec<u8>>>,
@@ -186,7 +187,7 @@ impl<'a> Document<'a> {
         })
     }
 
-    /// What a URI stands for: a data URI's own content, or a file beside the glTF file.
+    /// Content of a URI: a data URI's own bytes, or a file beside the glTF file.
     pub(crate) fn read_uri(&self, uri: &str, place: &str, max_bytes: u64) -> Result<Vec<u8>, Fault> {
         self.task.cancel.check()?;
         if let Some(data) = uri.strip_prefix("data:") {
@@ -206,7 +207,8 @@ impl<'a> Document<'a> {
     }
 }
 
-/// Of every entry the position of the first one with the same URI; entries without one are their own.
+/// For every entry, the position of the first one with the same URI. Entries without one are their
+/// own.
 fn firsts<'u>(uris: impl Iterator<Item = Option<&'u str>>) -> Vec<usize> {
     let mut known = HashMap::new();
     uris.enumerate().map(|(i, uri)| uri.map_or(i, |uri| *known.entry(uri).or_insert(i))).collect()

@@ -1,6 +1,7 @@
 //! `KHR_draco_mesh_compression`: a primitive whose triangles and attributes are one Draco stream.
 //!
-//! What the stream holds goes before the primitive's accessors, of which only `normalized` is read.
+//! Attributes of the stream take precedence over the primitive's accessors, of which only
+//! `normalized` is read.
 
 use std::collections::HashMap;
 
@@ -36,6 +37,7 @@ pub(crate) fn decode(document: &Document<'_>, place: &str) -> Result<Option<Deco
     let Some(fields) = Fields::at(document, format!("{place}/extensions/KHR_draco_mesh_compression"))? else {
         return Ok(None);
     };
+    // decode within the memory that is left to the file
     let stream_place = fields.place("bufferView");
     let stream = document.view(fields.needed_index("bufferView")?, &stream_place)?.bytes;
     let most_bytes = document.affordable_bytes().min(MAX_PRIMITIVE_BYTES);
@@ -57,6 +59,7 @@ pub(crate) fn decode(document: &Document<'_>, place: &str) -> Result<Option<Deco
         return Err(broken(format!("a corner past its {vertices} vertices")));
     }
     let mut attributes = HashMap::new();
+    // unpack attributes to one element per vertex, as accessors have them
     let listed = document.json(&fields.place("attributes"));
     let Some(list) = listed.and_then(Value::as_object) else {
         return Err(Fault::new(fields.place("attributes"), "an object of attributes", quote(listed)));

@@ -1,4 +1,5 @@
-//! Errors of glTF ingest: each names the file, the place in it, what was needed and what was there.
+//! Errors of glTF ingest: each names the file, the place in it, the expected value and the value
+//! found.
 
 use std::fmt::Display;
 use std::panic::AssertUnwindSafe;
@@ -17,12 +18,12 @@ pub enum GltfError {
         file: String,
         /// JSON pointer (RFC 6901) such as `/accessors/3/count`, or a byte or line of the file.
         place: String,
-        /// What was needed.
+        /// The expected value or range.
         expected: String,
-        /// What was there.
+        /// The value found.
         found: String,
     },
-    /// The file is sound and says that nobody should show it without an extension that is not supported.
+    /// The file is sound, but requires an extension that is not supported.
     #[error("{file}: {place}: expected extensions that can be read ({supported}), found {name}{advice}")]
     UnsupportedExtension {
         /// The file as the caller named it.
@@ -33,7 +34,7 @@ pub enum GltfError {
         name: String,
         /// Every extension that a file may require.
         supported: String,
-        /// What the user can do about it; starts with "; " or is empty.
+        /// A hint for the user; starts with "; " or is empty.
         advice: String,
     },
     /// The caller chose an animation or a variant that the file does not have.
@@ -80,7 +81,8 @@ impl Fault {
     }
 }
 
-/// Runs the decoder of a library. Its panic says that the file is broken in a way that the library does not look for; our own code has none.
+/// Runs the decoder of a library. Its panic says that the file is broken in a way that the library
+/// does not look for; our own code has none.
 pub(crate) fn contained<T>(place: &str, expected: &str, decode: impl FnOnce() -> Result<T, Fault>) -> Result<T, Fault> {
     let broken = |_| Err(Fault::new(place, expected, "bytes on which its decoder stops"));
     std::panic::catch_unwind(AssertUnwindSafe(decode)).unwrap_or_else(broken)

@@ -1,17 +1,18 @@
-//! Which extensions are read, and what becomes of the others. `docs/GLTF.md` has the table for users; a test keeps both the same.
+//! The extensions that are read, and the handling of the others. `docs/GLTF.md` has the table for
+//! users; a test keeps both the same.
 
 use crate::document::Document;
 use crate::error::Fault;
 
-/// What becomes of an extension.
+/// Handling of an extension.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Handling {
     /// Read; a file may require it.
     Read,
     /// Does not change the picture; a file may require it.
     WithoutEffect,
-    /// Not read: refused where a file requires it, left out with a warning where it uses it. With what the user can do instead, which
-    /// starts with "; ", or nothing.
+    /// Not read: refused where a file requires it, left out with a warning where it uses it. Holds
+    /// a hint for the user, which starts with "; " or is empty.
     NotRead(&'static str),
 }
 
@@ -87,7 +88,7 @@ mod tests {
 
     use super::*;
 
-    /// The rows of the table in `docs/GLTF.md`: extension, what is done, test.
+    /// The rows of the table in `docs/GLTF.md`: extension, handling, test.
     fn rows() -> Vec<[&'static str; 3]> {
         let text = include_str!("../../../docs/GLTF.md");
         let table = text.split("| extension |").nth(1).expect("a table of extensions");
@@ -123,7 +124,7 @@ mod tests {
             let source = &sources.iter().find(|(stem, _)| stem == file).unwrap_or_else(|| panic!("{test}")).1;
             let body = source.split(&format!("#[test]\nfn {name}()")).nth(1);
             let body = body.unwrap_or_else(|| panic!("{extension}: no test {test}")).split("\n}\n").next().unwrap();
-            // the extension is in the test, in a list beside it, or in what a helper of that file writes
+            // the extension is named in the test, in a list beside it, or by a helper of that file
             let plain = extension.trim_matches('`');
             assert!(body.contains(plain) || source.contains(plain), "{extension}: {test} does not mention it");
         }

@@ -1,9 +1,13 @@
 //! `KHR_materials_pbrSpecularGlossiness` as metallic-roughness.
 //!
-//! The material is a dielectric (metallic 0) of base colour `diffuse` whose reflection at normal incidence is `specular`: the index of
-//! refraction 0 turns the Fresnel term off, so that the specular colour alone sets it (KHR_materials_specular, "Conversions", and
-//! KHR_materials_ior). Roughness is 1 − glossiness; where a texture holds glossiness in its alpha, a picture is made whose green
-//! channel is 1 − glossinessFactor · alpha, since no factor on a roughness texture can say the same.
+//! The material is a dielectric (metallic 0) of base colour `diffuse` whose reflection at normal
+//! incidence is `specular`. The index of refraction 0 turns the Fresnel term off, so that the
+//! specular colour alone sets the reflection (KHR_materials_specular, "Conversions", and
+//! KHR_materials_ior).
+//!
+//! Roughness is 1 − glossiness. Where a texture holds glossiness in its alpha, a picture is made
+//! whose green channel is 1 − glossinessFactor · alpha, since no factor on a roughness texture can
+//! express this.
 
 use glam::{Vec3, Vec4};
 use lumistack_scene::{Material, Texture};
@@ -14,7 +18,7 @@ use crate::textures::Loader;
 
 pub(crate) const NAME: &str = "KHR_materials_pbrSpecularGlossiness";
 
-/// Changes the material to what the extension says, if it is there.
+/// Converts the material by the extension's parameters. Returns false if the extension is absent.
 pub(crate) fn convert(loader: &mut Loader<'_, '_>, material: &mut Material, place: &str) -> Result<bool, Fault> {
     let Some(fields) = Fields::at(loader.document, format!("{place}/extensions/{NAME}"))? else { return Ok(false) };
     material.base_color = Vec4::from(fields.numbers("diffuseFactor", [1.0; 4])?);

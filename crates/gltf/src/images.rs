@@ -1,7 +1,7 @@
 //! Pictures: textures' images, each read and decoded once, and the environment map.
 //!
-//! The content decides the format; names and MIME types are often wrong. Colour profiles and orientation tags are ignored, as
-//! glTF asks for (2.0, section 3.8.3).
+//! The content decides the format; names and MIME types are often wrong. Colour profiles and
+//! orientation tags are ignored, as glTF requires (2.0, section 3.8.3).
 
 use std::collections::HashMap;
 use std::io::Cursor;
@@ -15,22 +15,24 @@ use crate::error::{Fault, contained};
 use crate::ktx2;
 use crate::options::MAX_SIDE;
 
-/// Memory that a decoder may take besides the picture itself: rows, tables, and a copy in another format.
+/// Memory that a decoder may take besides the picture itself: rows, tables, and a copy in another
+/// format.
 const DECODER_BYTES: u64 = 64 << 20;
 
-/// Images in the order of first use. Their headers are read as they are asked for, and all are decoded at the end, so that a scene whose pictures
-/// are too large together is refused before the first is decoded.
+/// Images in the order of first use. Their headers are read at first use, and all are decoded at
+/// the end. So a scene whose pictures are too large together is refused before the first is
+/// decoded.
 #[derive(Default)]
 pub(crate) struct Images {
     /// Sizes, and after [`decode`](Self::decode) pixels.
     pub(crate) decoded: Vec<Image>,
     /// From the file's image number to a position in `decoded`.
     position: HashMap<usize, usize>,
-    /// What makes the images that have no pixels yet, in the order of `decoded`.
+    /// Sources of the images that have no pixels yet, in the order of `decoded`.
     waiting: Vec<Waiting>,
 }
 
-/// What an image is made from.
+/// The source of an image.
 enum Waiting {
     /// A picture in a format.
     Picture { content: Content, place: String, format: Format },
@@ -38,7 +40,7 @@ enum Waiting {
     Roughness { from: usize, factor: f32 },
 }
 
-/// Where the bytes of a picture are.
+/// The source of a picture's bytes.
 enum Content {
     Own(Vec<u8>),
     View(json::Index<json::buffer::View>),
@@ -100,7 +102,8 @@ impl Images {
         Ok(self.decoded.len() - 1)
     }
 
-    /// Position of an image that has 1 − `factor` · alpha of the image at `from` in its green channel.
+    /// Position of an image that has 1 − `factor` · alpha of the image at `from` in its green
+    /// channel.
     pub(crate) fn roughness(
         &mut self,
         document: &Document<'_>,
@@ -120,7 +123,7 @@ impl Images {
         self.waiting.push(waiting);
     }
 
-    /// Decodes every image, in the order in which they were asked for.
+    /// Decodes every image, in the order of first use.
     pub(crate) fn decode(&mut self, document: &Document<'_>) -> Result<(), Fault> {
         let first = self.decoded.len() - self.waiting.len();
         for (i, waiting) in std::mem::take(&mut self.waiting).into_iter().enumerate() {
@@ -206,7 +209,7 @@ fn unreadable(place: &str, format: ImageFormat, error: ImageError) -> Fault {
     Fault::new(place, format!("a readable {format:?} picture of at most {MAX_SIDE} texels a side"), error)
 }
 
-/// Whether the codes have 16 bits.
+/// True if the codes have 16 bits.
 fn is_deep(decoder: &impl ImageDecoder) -> bool {
     let color = decoder.color_type();
     color.bytes_per_pixel() / color.channel_count() > 1
@@ -230,7 +233,8 @@ fn codes(document: &Document<'_>, bytes: &[u8], place: &str) -> Result<Pixels, F
         let decoded = DynamicImage::from_decoder(decoder).map_err(fault)?;
         return Ok(Pixels::Rgba16(decoded.into_rgba16().into_raw().as_chunks::<4>().0.to_vec()));
     }
-    // large pictures are not held twice: decoded at the end of their texels, then spread out from the start, which never catches up
+    // large pictures are not held twice: decoded at the end of their texels, then spread out from
+    // the start, which never catches up
     let (count, channels) = (width as usize * height as usize, usize::from(decoder.color_type().channel_count()));
     let mut texels = vec![[0; 4]; count];
     let start = (4 - channels) * count;

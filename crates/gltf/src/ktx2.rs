@@ -1,8 +1,9 @@
-//! `KHR_texture_basisu`: KTX2 pictures whose texels are packed by Basis Universal, as ETC1S or UASTC.
+//! `KHR_texture_basisu`: KTX2 pictures whose texels are packed by Basis Universal, as ETC1S or
+//! UASTC.
 //!
-//! Every offset and size of the container is checked here before the decoder sees it. Only the largest level is decoded; the path
-//! tracer makes its own pyramid. Sources: KTX 2.0 specification, sections 3 and 5; KHR_texture_basisu, "KTX v2 Images with Basis
-//! Universal Supercompression".
+//! Every offset and size of the container is checked here before the decoder sees it. Only the
+//! largest level is decoded; the path tracer makes its own pyramid. Sources: KTX 2.0 specification,
+//! sections 3 and 5; KHR_texture_basisu, "KTX v2 Images with Basis Universal Supercompression".
 
 #[cfg(feature = "ktx2")]
 use std::ops::Range;
@@ -15,7 +16,7 @@ use crate::document::Document;
 use crate::error::Fault;
 use crate::options::MAX_SIDE;
 
-/// What a KTX2 file starts with.
+/// First bytes of a KTX2 file.
 pub(crate) const MAGIC: &[u8] = b"\xABKTX 20\xBB\r\n\x1A\n";
 
 /// Bytes of the header before the list of levels, and of one level's entry there.
@@ -28,7 +29,7 @@ const NOTES: Range<usize> = 56..64;
 const ETC1S: u32 = 163;
 const UASTC: u32 = 166;
 
-/// Which of the decoded channels hold what glTF calls red, green, blue and alpha.
+/// The decoded channels that hold glTF's red, green, blue and alpha.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Channels {
     Rgba,
@@ -67,7 +68,8 @@ pub(crate) fn decode(bytes: &[u8], place: &str) -> Result<Pixels, Fault> {
 pub(crate) fn decode(bytes: &[u8], place: &str) -> Result<Pixels, Fault> {
     let Header { width, height, channels } = Header::read(bytes, place)?;
     let broken = |error| Fault::new(place, "a sound Basis Universal picture", format!("{error:?}"));
-    // notes on the file say nothing about its texels, and the decoder trusts the length of the last one
+    // notes on the file say nothing about its texels, and the decoder trusts the length of the last
+    // one
     let mut noteless = bytes.to_vec();
     noteless[NOTES].fill(0);
     let transcoder = Transcoder::new(&noteless).map_err(broken)?;
@@ -85,7 +87,7 @@ pub(crate) fn decode(bytes: &[u8], place: &str) -> Result<Pixels, Fault> {
 }
 
 impl Header {
-    /// Reads what matters of the header and checks every range that it speaks of.
+    /// Reads the header's fields that matter and checks every range in it.
     fn read(bytes: &[u8], place: &str) -> Result<Self, Fault> {
         let fault =
             |expected: &str, found: String| Err(Fault::new(place, format!("a KTX2 picture with {expected}"), found));
@@ -99,6 +101,7 @@ impl Header {
             Some(end) if end <= bytes.len() as u64 => Ok(()),
             _ => Err(truncated()),
         };
+        // one picture of Basis Universal with its mip levels
         let (format, width, height, depth) = (word(12)?, word(20)?, word(24)?, word(28)?);
         let (layers, faces, levels, scheme) = (word(32)?, word(36)?, word(40)?, word(44)?);
         if format != 0 {
@@ -111,16 +114,19 @@ impl Header {
             let found = format!("depth {depth}, {layers} layers, {faces} faces and {levels} levels");
             return fault("one face, no layers and 1 to 16 levels", found);
         }
+        // offsets and lengths lie within the file
         let descriptor = word(48)? as usize;
         for (offset, length) in [(word(48)?, word(52)?), (word(56)?, word(60)?)] {
             inside(offset.into(), length.into())?;
         }
         inside(long(64)?, long(72)?)?;
+        // the codec
         let model = word(descriptor + 12)? & 255;
         if !((model == ETC1S && scheme == 1) || (model == UASTC && (scheme == 0 || scheme == 2))) {
             let found = format!("colour model {model} with supercompression {scheme}");
             return fault("ETC1S in BasisLZ, or UASTC plain or in Zstandard", found);
         }
+        // levels have the size that their texels need
         for level in 0..levels {
             let entry = HEADER_BYTES + LEVEL_BYTES * level as usize;
             inside(long(entry)?, long(entry + 8)?)?;
@@ -131,6 +137,7 @@ impl Header {
                 return fault(&format!("{needed} bytes in level {level}"), unpacked.to_string());
             }
         }
+        // channel ids of the samples in the data format descriptor
         let sample = |at: usize| -> Result<u32, Fault> { Ok((word(at)? >> 24) & 15) };
         let first = sample(descriptor + 28)?;
         let two_samples = word(52)? >= 60;

@@ -1,12 +1,15 @@
 //! glTF 2.0 to [`Scene`](lumistack_scene::Scene).
 //!
-//! [`load`] takes the bytes of a `.gltf` or `.glb` file and an [`AssetResolver`] that reads the files it refers to; the crate itself
-//! touches no file system. The `gltf` crate gives the JSON its types; every index, count and offset is checked here before it is
-//! used, so that no file can cause a panic, and memory is bounded.
+//! [`load`] takes the bytes of a `.gltf` or `.glb` file and an [`AssetResolver`] that reads the
+//! files it refers to; the crate itself uses no file system. The `gltf` crate gives the JSON its
+//! types. This crate checks every index, count and offset before its use. So no file can cause a
+//! panic, and memory is bounded.
 //!
-//! [`load_with`] takes a time of an animation and a variant of materials. What is read, extension by extension, is in `docs/GLTF.md`.
+//! [`load_with`] takes a time of an animation and a variant of materials. `docs/GLTF.md` lists the
+//! supported extensions.
 //!
-//! Meshopt, Draco and Basis Universal streams are decoded by libraries in pure Rust, within the limits of this crate.
+//! Meshopt, Draco and Basis Universal streams are decoded by libraries in pure Rust, within the
+//! limits of this crate.
 //!
 //! ```
 //! use lumistack_core::{Cancel, Collector, Task};
@@ -29,7 +32,8 @@
 //! let (warnings, cancel) = (Collector::default(), Cancel::default());
 //! let resolver = Folder("scenes/none".into());
 //! let text = br#"{"asset": {"version": "2.0"}, "nodes": [{"mesh": 0}]}"#;
-//! let error = lumistack_gltf::load("a.gltf", text, &resolver, Task::quiet(&warnings, &cancel)).unwrap_err();
+//! let task = Task::quiet(&warnings, &cancel);
+//! let error = lumistack_gltf::load("a.gltf", text, &resolver, task).unwrap_err();
 //! assert_eq!(error.to_string(), "a.gltf: /nodes/0/mesh: expected an index below 0, found 0");
 //! ```
 
@@ -65,16 +69,18 @@ pub use error::GltfError;
 pub use load::{Contents, contents, load, load_with};
 pub use options::LoadOptions;
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that
+/// this code has a part in.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
 /// Reads the files that a glTF file refers to.
 pub trait AssetResolver {
-    /// The content of the file at `uri`, which is relative to the glTF file and already percent-decoded. The file is not trusted: `uri` may
-    /// lead anywhere (`../../secret`, `/dev/zero`), and the resolver decides where it may.
+    /// The content of the file at `uri`, which is relative to the glTF file and already
+    /// percent-decoded. The file is not trusted: `uri` may lead anywhere (`../../secret`,
+    /// `/dev/zero`), and the resolver decides where it may.
     ///
     /// # Errors
-    /// The reason in a few words, for the user ("No such file"); also where the file is larger than `max_bytes`, which is to be known before it
-    /// is read.
+    /// The reason in a few words, for the user ("No such file"); also where the file is larger than
+    /// `max_bytes`, which is to be known before it is read.
     fn read(&self, uri: &str, max_bytes: u64) -> Result<Vec<u8>, String>;
 }

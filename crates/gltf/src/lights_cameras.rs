@@ -1,7 +1,8 @@
-//! What lights the scene from outside its surfaces, and who looks at it.
+//! Light sources other than surfaces, and cameras.
 //!
-//! Sources: KHR_lights_punctual (candela and lux, light along −z of the node), glTF 2.0, section 3.10 (cameras), and two notes of
-//! our own: `extras.lumistack.focus_distance` on a camera, `extras.lumistack.environment` on a scene.
+//! Sources: KHR_lights_punctual (candela and lux, light along −z of the node), and glTF 2.0,
+//! section 3.10 (cameras). Two extras are our own: `extras.lumistack.focus_distance` on a camera,
+//! and `extras.lumistack.environment` on a scene.
 
 use std::f32::consts::{FRAC_PI_2, PI};
 
@@ -36,6 +37,7 @@ pub(crate) fn lights(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<Light
             let found = format!("colour {:?} and intensity {}", source.color, source.intensity);
             return Err(Fault::new(place, "a finite colour and intensity ≥ 0", found));
         }
+        // light shines along −z of the node
         let placement = &nodes.scene_from_node[node];
         let direction = match (placement.transform_vector3(DVec3::NEG_Z).try_normalize(), kind) {
             (Some(direction), _) => direction.as_vec3(),
@@ -161,6 +163,7 @@ pub(crate) fn environment(
         return Ok(None);
     };
     let place = format!("{scene}/extras/lumistack/environment");
+    // unknown keys are errors, since a typo must not be silent
     let known = ["image", "strength", "rotation"];
     let object = environment.as_object();
     if object.is_none_or(|object| object.keys().any(|key| !known.contains(&key.as_str()))) {

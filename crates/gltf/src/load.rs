@@ -23,12 +23,13 @@ use crate::{
 
 /// Loads a `.gltf` or `.glb` file.
 ///
-/// `name` stands for the file in messages, `bytes` is its content, and `resolver` reads the files it refers to. Only what the default
-/// scene shows is read.
+/// `name` stands for the file in messages, `bytes` is its content, and `resolver` reads the files
+/// it refers to. Only parts that the default scene uses are read.
 ///
 /// # Errors
-/// [`GltfError`] with the place in the file: when the file or one it refers to is missing or broken, when it requires an extension
-/// that is not supported, when nothing in it can be rendered, and when the task is cancelled.
+/// [`GltfError`] with the place in the file. The file or one it refers to is missing or broken. It
+/// requires an extension that is not supported. Nothing in it can be rendered. The task was
+/// cancelled.
 pub fn load(name: &str, bytes: &[u8], resolver: &dyn AssetResolver, task: Task<'_>) -> Result<Scene, GltfError> {
     load_with(name, bytes, resolver, &LoadOptions::default(), task)
 }
@@ -49,7 +50,7 @@ pub fn load_with(
     load_scene(name, bytes, resolver, options, task).map_err(|fault| fault.in_file(name))
 }
 
-/// What a file offers to choose from.
+/// The animations and variants that a file offers.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Contents {
     /// Animations in the file's order: name, and time of the last key in seconds.
@@ -61,7 +62,7 @@ pub struct Contents {
 /// Lists the animations and variants of a file.
 ///
 /// # Errors
-/// As [`load`], of what has to be read for the list.
+/// As [`load`], for the parts that have to be read for the list.
 pub fn contents(name: &str, bytes: &[u8], resolver: &dyn AssetResolver, task: Task<'_>) -> Result<Contents, GltfError> {
     let warnings = InFile { name, inner: task.warnings };
     let task = Task { warnings: &warnings, ..task };
@@ -104,6 +105,7 @@ fn load_scene(
         document.variant = Some(choose("material variant", variant, &variants::names(&document))?);
     }
     let document = document;
+    // only shown nodes, and the materials of their meshes, are read
     let nodes = nodes::load(&document, animation::sample(&document, options)?)?;
     let mut materials = material::load(&document, &used_materials(&document, &nodes)?)?;
     let environment = lights_cameras::environment(&document, &nodes, &mut materials.images)?;
@@ -134,7 +136,7 @@ fn load_scene(
     })
 }
 
-/// Which materials the meshes of the scene use.
+/// Marks the materials that the meshes of the scene use.
 fn used_materials(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<bool>, Fault> {
     let mut used = vec![false; document.root.materials.len()];
     // thousands of nodes may share a mesh of thousands of primitives
@@ -170,6 +172,7 @@ fn place_meshes(
         let node = &document.root.nodes[number];
         let Some(index) = node.mesh else { continue };
         let mesh = document.get(index, &format!("/nodes/{number}/mesh"))?;
+        // a skin places its mesh by itself
         let mut scene_from_node = nodes.scene_from_node[number];
         let mut pose = None;
         if let Some(skin) = node.skin {
@@ -185,6 +188,7 @@ fn place_meshes(
         let animated_weights = nodes.poses.get(&number).and_then(|pose| pose.weights.as_deref());
         let weights = animated_weights.or(node.weights.as_deref());
         let own_shape = pose.is_some() || weights.is_some();
+        // read the mesh once per shape
         let clouds = match loaded_splats.entry(index.value()) {
             Entry::Occupied(entry) => entry.into_mut(),
             Entry::Vacant(entry) => entry.insert(read_splats(document, mesh, index.value(), &mut parts.clouds)?),
@@ -198,6 +202,7 @@ fn place_meshes(
                 entry.insert(first..parts.meshes.len())
             }
         };
+        // place it once, or once per instance of EXT_mesh_gpu_instancing
         let copies = nodes::copies(document, number)?.unwrap_or_else(|| vec![DAffine3::IDENTITY]);
         let placed = (positions.len() + clouds.len()) * copies.len();
         document.spend(&format!("/nodes/{number}"), placed, size_of::<Instance>())?;
@@ -213,7 +218,8 @@ fn place_meshes(
     Ok(())
 }
 
-/// The primitives of a mesh that are splats: numbers of their clouds, and where they stand in the mesh.
+/// The primitives of a mesh that are splats: numbers of their clouds, and where they stand in the
+/// mesh.
 fn read_splats(
     document: &Document<'_>,
     mesh: &json::Mesh,

@@ -1,7 +1,8 @@
-//! Materials and their textures: the metallic-roughness model with the extensions that change how a path tracer shades.
+//! Materials and their textures: the metallic-roughness model with the extensions that change how a
+//! path tracer shades.
 //!
-//! Source: glTF 2.0, section 3.9, and the KHR_materials_* extensions. Occlusion textures are left out: a path tracer finds
-//! occlusion itself.
+//! Source: glTF 2.0, section 3.9, and the KHR_materials_* extensions. Occlusion textures are left
+//! out: a path tracer finds occlusion itself.
 
 use glam::{Vec3, Vec4};
 use gltf::json;
@@ -17,17 +18,18 @@ use crate::quote::quote;
 use crate::textures::{Loader, Reference, plain, untyped_transform};
 use crate::{glossiness, material_extensions};
 
-/// Materials in the file's order, with what they need.
+/// Materials in the file's order, with their textures and images.
 pub(crate) struct Materials {
     pub(crate) materials: Vec<Material>,
-    /// Per material, the texture coordinate sets of the file that the mesh's sets 0 and 1 are to hold.
+    /// Per material, the texture coordinate sets of the file that the mesh's sets 0 and 1 are to
+    /// hold.
     pub(crate) uv_sets: Vec<[u32; 2]>,
     pub(crate) textures: Vec<Texture>,
     pub(crate) images: Images,
 }
 
-/// Reads the materials of the file. Those that nothing uses keep their place but get no textures, so that a picture which
-/// nobody sees cannot be missing.
+/// Reads the materials of the file. Unused ones keep their place but get no textures, so that a
+/// picture which is never seen cannot be missing.
 pub(crate) fn load(document: &Document<'_>, used: &[bool]) -> Result<Materials, Fault> {
     let mut loader = Loader::new(document);
     let (mut materials, mut uv_sets) = (Vec::new(), Vec::new());
@@ -48,6 +50,7 @@ impl Loader<'_, '_> {
     fn material(&mut self, source: &json::Material, place: &str) -> Result<(Material, [u32; 2]), Fault> {
         let pbr = &source.pbr_metallic_roughness;
         let extensions = source.extensions.clone().unwrap_or_default();
+        // factors
         let strength = extensions.emissive_strength.map_or(1.0, |strength| strength.emissive_strength.0);
         let emission = Vec3::from(source.emissive_factor.0) * strength;
         if !(emission.is_finite() && emission.min_element() >= 0.0) {
@@ -73,6 +76,7 @@ impl Loader<'_, '_> {
             material.attenuation_distance = volume.attenuation_distance.0;
         }
 
+        // textures
         let pbr_place = format!("{place}/pbrMetallicRoughness");
         let base_color = pbr.base_color_texture.as_ref().map(|info| plain(info, &pbr_place, "baseColorTexture"));
         material.base_color_texture = self.texture_use(base_color)?;
@@ -131,8 +135,8 @@ impl Loader<'_, '_> {
     }
 }
 
-/// Assigns the texture coordinate sets of the file that a material uses to the two that a mesh can hold. Returns the file's
-/// sets in the mesh's order: 0 and 1 unless another is used.
+/// Assigns the texture coordinate sets of the file that a material uses to the two that a mesh can
+/// hold. Returns the file's sets in the mesh's order: 0 and 1 unless another is used.
 fn fit_uv_sets(material: &mut Material, place: &str, task: Task<'_>) -> [u32; 2] {
     let mut used: Vec<usize> = material.textures().map(|(_, texture)| texture.uv_set).collect();
     used.sort_unstable();
@@ -146,6 +150,7 @@ fn fit_uv_sets(material: &mut Material, place: &str, task: Task<'_>) -> [u32; 2]
         );
         task.warn(place, message);
     }
+    // renumber the set of every texture
     let coat = material.clearcoat.as_mut();
     let sheen = material.sheen.as_mut();
     let film = material.iridescence.as_mut();

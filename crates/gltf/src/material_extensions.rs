@@ -1,7 +1,7 @@
 //! Material extensions that the `gltf` crate has no types for.
 //!
-//! Source: the texts of KHR_materials_specular, _clearcoat, _sheen, _iridescence, _anisotropy and _dispersion. Factors out of range are
-//! clamped by the scene's validator.
+//! Source: the texts of KHR_materials_specular, _clearcoat, _sheen, _iridescence, _anisotropy and
+//! _dispersion. Factors out of range are clamped by the scene's validator.
 
 use lumistack_scene::{Anisotropy, Clearcoat, Iridescence, Material, Sheen};
 

@@ -84,6 +84,7 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
         document.leave_out(place, "a primitive without POSITION is left out".into());
         return Ok(None);
     };
+    // triangles: those of the Draco stream, or by the mode from indices
     let count = positions.count;
     let (mut triangles, left_over) = match &decoded {
         Some(decoded) if decoded.vertices == count => {
@@ -104,6 +105,7 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
     if left_over > 0 {
         document.task.warn(place, format!("{left_over} vertices at the end make no triangle and are left out"));
     }
+    // read the attributes of used vertices alone
     let selection = select_used_vertices(&mut triangles, count);
 
     let mut mesh = Mesh {
@@ -113,7 +115,8 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
         material: request.material,
         ..Mesh::default()
     };
-    // normals and tangents may be broken: the scene's validator and `mend_tangents` replace what has no direction
+    // normals and tangents may be broken: the scene's validator and `mend_tangents` replace those
+    // without a direction
     if let Some(normals) = attributes.open(Semantic::Normals, &NORMAL, Some(count))? {
         mesh.normals = vec3s(normals.assume_normalized().floats::<3>(document, &selection, 0.0)?);
         if let Some(tangents) = attributes.open(Semantic::Tangents, &TANGENT, Some(count))? {
@@ -137,6 +140,7 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
         let colors = colors.assume_normalized().finite::<4>(document, &selection, 1.0)?;
         mesh.colors = clamp_colors(document, place, colors);
     }
+    // deform the mesh: morph targets first, then the skin
     morph(&attributes, request.weights, &mut mesh, &selection, count)?;
     if let Some(pose) = request.pose {
         pose.apply(document, &attributes, &mut mesh, &selection, count)?;
@@ -163,7 +167,8 @@ fn indices(document: &Document<'_>, request: &Request<'_>, count: usize) -> Resu
     }
 }
 
-/// Triangles of a list, strip or fan, all of one orientation, and the number of vertices that are too many.
+/// Triangles of a list, strip or fan, all of one orientation, and the number of vertices that are
+/// too many.
 fn triangles(mode: Mode, v: &[u32]) -> (Vec<[u32; 3]>, usize) {
     match mode {
         Mode::TriangleStrip => {
@@ -257,7 +262,8 @@ fn clamp_colors(document: &Document<'_>, place: &str, colors: Vec<[f32; 4]>) -> 
     clamped
 }
 
-/// Makes tangents unit vectors with handedness ±1. If any has no direction all are dropped and generated anew.
+/// Makes tangents unit vectors with handedness ±1. If any has no direction all are dropped and
+/// generated anew.
 fn mend_tangents(document: &Document<'_>, mesh: &mut Mesh) {
     let mended: Option<Vec<Vec4>> = mesh
         .tangents

@@ -1,7 +1,9 @@
-//! `EXT_meshopt_compression` and `KHR_meshopt_compression`: buffer views that the file holds packed.
+//! `EXT_meshopt_compression` and `KHR_meshopt_compression`: buffer views that the file holds
+//! packed.
 //!
-//! A view's bytes are `count` elements of `byteStride` bytes, packed by one of three codecs and, for attributes, passed through a
-//! filter after unpacking. Its own `buffer` is for readers without the extension.
+//! A view's bytes are `count` elements of `byteStride` bytes, packed by one of three codecs and,
+//! for attributes, passed through a filter after unpacking. Its own `buffer` is for readers without
+//! the extension.
 
 use gltf::json;
 use meshoptimizer_rs::codec::{
@@ -16,7 +18,8 @@ use crate::fields::Fields;
 
 const NAMES: [&str; 2] = ["KHR_meshopt_compression", "EXT_meshopt_compression"];
 
-/// No codec packs tighter than this: a block of 256 vertices takes at least a byte for every four columns of bytes.
+/// No codec packs tighter than this: a block of 256 vertices takes at least a byte for every four
+/// columns of bytes.
 const MAX_RATIO: u64 = 1024;
 
 /// Largest unpacked view.
@@ -51,6 +54,7 @@ impl<'d> Packed<'d> {
         let fields = &self.fields;
         let number =
             |key: &str| fields.count(key)?.ok_or_else(|| Fault::new(fields.place(key), "a whole number", "nothing"));
+        // the extension's numbers have to agree with the view's, and bound the memory
         let (count, stride, length) = (number("count")?, number("byteStride")?, number("byteLength")?);
         let offset = fields.count("byteOffset")?.unwrap_or_default();
         let source = document.range(fields.needed_index("buffer")?, offset, length, fields.here())?;
@@ -72,6 +76,7 @@ impl<'d> Packed<'d> {
         let most_held = usize::try_from(2 * MAX_VIEW_BYTES).unwrap_or(usize::MAX);
         let mut workspace = Workspace::new(Limits { max_bytes: most_held, ..Limits::default() });
         let broken = |error| Fault::new(fields.place("buffer"), "a sound meshopt stream", error);
+        // decode, then undo the filter
         let mode = fields.text("mode")?;
         let decode = match mode {
             Some("ATTRIBUTES") => decode_vertex_buffer,

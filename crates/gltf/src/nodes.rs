@@ -1,7 +1,7 @@
 //! The node hierarchy: which nodes the scene shows and where they stand.
 //!
-//! scene_from_node = scene_from_parent · parent_from_node, with parent_from_node a matrix or translation · rotation · scale
-//! (glTF 2.0, section 3.5). Products are taken in f64.
+//! scene_from_node = scene_from_parent · parent_from_node, with parent_from_node a matrix or
+//! translation · rotation · scale (glTF 2.0, section 3.5). Products are taken in f64.
 
 use std::collections::HashMap;
 
@@ -26,18 +26,19 @@ pub(crate) struct Nodes {
     pub(crate) shown: Vec<usize>,
     /// Placement of every node of the file.
     pub(crate) scene_from_node: Vec<DAffine3>,
-    /// What animations say about nodes.
+    /// Animated values of nodes.
     pub(crate) poses: HashMap<usize, NodePose>,
 }
 
 impl Nodes {
-    /// JSON pointer to what says which nodes are shown.
+    /// JSON pointer to the list of shown nodes.
     pub(crate) fn place(&self) -> String {
         self.scene_place.clone().unwrap_or_else(|| "/nodes".to_owned())
     }
 }
 
-/// Reads the hierarchy of the default scene: the file's choice, or its first scene, or, without scenes, all nodes.
+/// Reads the hierarchy of the default scene: the file's choice, or its first scene, or, without
+/// scenes, all nodes.
 pub(crate) fn load(document: &Document<'_>, poses: HashMap<usize, NodePose>) -> Result<Nodes, Fault> {
     let mut parents = parents(document)?;
     let root = &document.root;
@@ -45,6 +46,7 @@ pub(crate) fn load(document: &Document<'_>, poses: HashMap<usize, NodePose>) -> 
         Some(scene) => Some((document.get(scene, "/scene")?, scene.value())),
         None => root.scenes.first().map(|scene| (scene, 0)),
     };
+    // roots: those of the scene, or all nodes without a parent if the file has no scene
     let mut roots = Vec::new();
     match scene {
         Some((scene, number)) => {
@@ -68,6 +70,7 @@ pub(crate) fn load(document: &Document<'_>, poses: HashMap<usize, NodePose>) -> 
             roots.extend(orphans.map(|node| (node, String::new())));
         }
     }
+    // walk the visible nodes below the roots, in the file's order
     let scene_from_node = placements(document, &parents, &poses)?;
     let mut shown = Vec::new();
     let mut seen = vec![false; root.nodes.len()];
@@ -85,8 +88,9 @@ pub(crate) fn load(document: &Document<'_>, poses: HashMap<usize, NodePose>) -> 
     Ok(Nodes { scene_place, shown, scene_from_node, poses })
 }
 
-/// Whether a node that the scene lists is a root of what it shows. A child is not meant to be listed, but many readers show it: where the scene
-/// shows an ancestor too, it stands there; otherwise it stands alone, without its parents. `known` keeps what was found about ancestors.
+/// True if a node that the scene lists is a root of the scene. A child should not be listed, but
+/// many readers show it. Where the scene shows an ancestor too, the child stays there; otherwise it
+/// stands alone, without its parents. `known` caches the findings about ancestors.
 fn adopt(
     document: &Document<'_>,
     node: usize,
@@ -198,7 +202,7 @@ fn parent_from_node(
         }
     };
     let placement = match pose {
-        // not allowed, but clear: the matrix stands for what is not animated
+        // not allowed, but clear: the matrix gives the values that are not animated
         Some(_) if node.matrix.is_some() => posed(pose, at_rest.to_scale_rotation_translation()),
         _ => at_rest,
     };
@@ -229,7 +233,8 @@ const TRANSLATION: Format = Format { types: &[Type::Vec3], components: &[F32], t
 const ROTATION: Format =
     Format { types: &[Type::Vec4], components: &[F32, I8, I16], text: "VEC4 of FLOAT, BYTE or SHORT" };
 
-/// `EXT_mesh_gpu_instancing`: the copies of the node's mesh, in the node's space. `None` without the extension.
+/// `EXT_mesh_gpu_instancing`: the copies of the node's mesh, in the node's space. `None` without
+/// the extension.
 pub(crate) fn copies(document: &Document<'_>, node: usize) -> Result<Option<Vec<DAffine3>>, Fault> {
     let place = format!("/nodes/{node}/extensions/EXT_mesh_gpu_instancing");
     if document.json(&place).is_none() {
@@ -242,6 +247,7 @@ pub(crate) fn copies(document: &Document<'_>, node: usize) -> Result<Option<Vec<
         let index = index.ok_or_else(|| Fault::new(&place, "an accessor's index", quote(Some(value))))?;
         Accessor::open(document, json::Index::new(index), &place, format).map(Some)
     };
+    // attributes that are absent have their defaults, and the others one count
     let translations = open("TRANSLATION", &TRANSLATION)?;
     let rotations = open("ROTATION", &ROTATION)?.map(Accessor::assume_normalized);
     let scales = open("SCALE", &TRANSLATION)?;
@@ -278,7 +284,8 @@ fn vectors(document: &Document<'_>, accessor: Option<Accessor<'_>>) -> Result<Op
     accessor.map(|accessor| accessor.finite::<3>(document, &Selection::All, 0.0)).transpose()
 }
 
-/// Our own notes `extras.lumistack` of the object at `owner`; warns of those that are not in `known`.
+/// Our own notes `extras.lumistack` of the object at `owner`; warns of those that are not in
+/// `known`.
 pub(crate) fn extras<'a>(document: &'a Document<'_>, owner: &str, known: &[&str]) -> Option<&'a Value> {
     let place = format!("{owner}/extras/lumistack");
     let value = document.json(&place)?;

@@ -1,25 +1,30 @@
-//! What a caller may choose of a file: a time, an animation, a variant.
+//! Options of a load: a time, an animation, a variant.
 
 use crate::error::Fault;
 
 /// Largest side of a picture in texels.
 pub(crate) const MAX_SIDE: u32 = 1 << 15;
 
-/// Choices of [`load_with`](crate::load_with). The default is the scene as its nodes stand, with its default materials.
+/// Choices of [`load_with`](crate::load_with). The default is the scene as its nodes stand, with
+/// its default materials.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LoadOptions {
-    /// Time at which animations are sampled, seconds; they hold their first and last values beyond their ends. `None`: the scene as
-    /// its nodes stand, or, with [`animation`](Self::animation), time 0.
+    /// Time at which animations are sampled, seconds; they hold their first and last values outside
+    /// of their range. `None`: the scene as its nodes stand, or, with
+    /// [`animation`](Self::animation), time 0.
     pub time_s: Option<f64>,
-    /// Name or number of the animation. `None`: all of them together where no two move the same thing, otherwise the first.
+    /// Name or number of the animation. `None`: all of them together where no two move the same
+    /// thing, otherwise the first.
     pub animation: Option<String>,
-    /// Name or number of the material variant (`KHR_materials_variants`). `None`: the default materials.
+    /// Name or number of the material variant (`KHR_materials_variants`). `None`: the default
+    /// materials.
     pub variant: Option<String>,
-    /// Bytes that the scene without its pictures may decode to. Small files can ask for any amount (many primitives over one accessor, pictures of one
-    /// colour); past this they are refused instead of exhausting the machine. 8 GiB.
+    /// Bytes that the scene without its pictures may decode to. Small files can require any amount
+    /// (many primitives over one accessor, pictures of one colour). Files that exceed this are
+    /// refused instead of exhausting the machine. 8 GiB.
     pub max_decoded_bytes: u64,
-    /// Bytes that the decoded pictures of the scene may take together, beside `max_decoded_bytes`. The sizes in all headers are added up before
-    /// the first picture is decoded. 8 GiB.
+    /// Bytes that the decoded pictures of the scene may take together, beside `max_decoded_bytes`.
+    /// The sizes in all headers are added up before the first picture is decoded. 8 GiB.
     pub max_picture_bytes: u64,
 }
 
@@ -39,7 +44,7 @@ pub(crate) fn choose(what: &'static str, wanted: &str, names: &[Option<&str>]) -
     })
 }
 
-/// How an entry is called in messages.
+/// Name of an entry in messages.
 pub(crate) fn label(number: usize, name: Option<&str>) -> String {
     name.map_or_else(|| number.to_string(), |name| format!("{number} ({name})"))
 }

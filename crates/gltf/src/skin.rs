@@ -1,7 +1,8 @@
 //! Skins at rest: linear blend skinning in the pose that the nodes have in the file.
 //!
-//! p' = Σ w_j · G_j · B_j · p, with G_j the joint's global transform and B_j its inverse bind matrix (glTF 2.0, section 3.7.3).
-//! The placement of the node that carries the mesh does not count.
+//! p' = Σ w_j · G_j · B_j · p, with G_j the joint's global transform and B_j its inverse bind
+//! matrix (glTF 2.0, section 3.7.3). The placement of the node that carries the mesh does not
+//! count.
 
 use glam::{Affine3A, DAffine3, DMat4, Mat3A, Vec3A};
 use gltf::json;
@@ -31,7 +32,8 @@ pub(crate) struct Pose {
 }
 
 impl Pose {
-    /// Reads the skin that the index at `used_at` refers to; `scene_from_node` holds the placement of every node.
+    /// Reads the skin that the index at `used_at` refers to; `scene_from_node` holds the placement
+    /// of every node.
     pub(crate) fn load(
         document: &Document<'_>,
         index: json::Index<json::Skin>,
@@ -70,6 +72,7 @@ impl Pose {
         selection: &Selection,
         count: usize,
     ) -> Result<(), Fault> {
+        // sum the weighted joint matrices of every vertex, over all sets of joints
         let mut sums = vec![(Affine3A::ZERO, 0.0f32); mesh.positions.len()];
         let mut first_joints = Vec::new();
         for set in 0.. {
@@ -119,7 +122,7 @@ fn cofactors(m: &Mat3A) -> Mat3A {
     Mat3A::from_cols(y.cross(z), z.cross(x), x.cross(y))
 }
 
-/// Whether a skin can move the mesh; otherwise it stands where its node stands.
+/// True if a skin can move the mesh; otherwise it stands where its node stands.
 pub(crate) fn has_joints(mesh: &json::Mesh) -> bool {
     let joints = gltf::json::validation::Checked::Valid(Semantic::Joints(0));
     mesh.primitives.iter().any(|primitive| primitive.attributes.contains_key(&joints))

@@ -1,4 +1,5 @@
-//! `KHR_gaussian_splatting`: primitives of points that are Gaussian splats, from accessors or from an SPZ stream.
+//! `KHR_gaussian_splatting`: primitives of points that are Gaussian splats, from accessors or from
+//! an SPZ stream.
 
 use glam::{DAffine3, DQuat, Quat, Vec3};
 use gltf::json;
@@ -40,7 +41,7 @@ pub(crate) struct Splats {
     pub(crate) mesh_from_cloud: DAffine3,
 }
 
-/// Whether a primitive is splats.
+/// True if a primitive is splats.
 pub(crate) fn is_splats(document: &Document<'_>, place: &str) -> bool {
     document.json(&format!("{place}/extensions/{NAME}")).is_some()
 }
@@ -53,6 +54,7 @@ pub(crate) fn load(document: &Document<'_>, place: &str) -> Result<Splats, Fault
     if mode != 0 {
         return Err(Fault::new(format!("{place}/mode"), "0 (POINTS), as splats have", mode));
     }
+    // unknown values fall back to the only known ones
     let text = |key: &str| document.json(&format!("{here}/{key}")).and_then(serde_json::Value::as_str);
     let encoding = match text("colorSpace") {
         Some("srgb_rec709_display") => Encoding::Srgb,
@@ -107,11 +109,12 @@ fn from_accessors(document: &Document<'_>, place: &str, encoding: Encoding) -> R
     let positions = needed("POSITION", &POSITION, None)?;
     let count = Some(positions.count);
     let all = &Selection::All;
-    // what is no number or out of range, the validator drops
+    // the validator drops splats with values that are no number or out of range
     let positions = positions.floats::<3>(document, all, 0.0)?;
     let rotations = needed(&own("ROTATION"), &ROTATION, count)?.assume_normalized().floats::<4>(document, all, 0.0)?;
     let scales = needed(&own("SCALE"), &SCALE, count)?.floats::<3>(document, all, 0.0)?;
     let opacities = needed(&own("OPACITY"), &OPACITY, count)?.assume_normalized().floats::<1>(document, all, 0.0)?;
+    // harmonics up to the first degree that is absent; a degree has all of its coefficients
     let mut harmonics = Vec::new();
     for degree in 0..=lumistack_scene::MAX_DEGREE {
         let mut of_degree = Vec::new();
@@ -130,6 +133,7 @@ fn from_accessors(document: &Document<'_>, place: &str, encoding: Encoding) -> R
             }
         }
     }
+    // interleave the harmonics splat by splat
     let count = positions.len();
     document.spend(place, count, harmonics.len() * size_of::<[f32; 3]>())?;
     let interleaved = (0..count).flat_map(|i| harmonics.iter().flat_map(move |of_all| of_all[i]));

@@ -1,4 +1,5 @@
-//! Textures of materials: references of every kind that glTF has, samplers, and the transform of texture coordinates.
+//! Textures of materials: references of every kind that glTF has, samplers, and the transform of
+//! texture coordinates.
 //!
 //! Source: glTF 2.0, sections 3.8 and 3.9, and KHR_texture_transform.
 
@@ -17,7 +18,7 @@ use crate::fields::Fields;
 use crate::images::Images;
 use crate::quote::quote;
 
-/// The textures that materials have asked for so far.
+/// The textures that materials have used so far.
 pub(crate) struct Loader<'d, 'f> {
     pub(crate) document: &'d Document<'f>,
     pub(crate) textures: Vec<Texture>,
@@ -76,6 +77,7 @@ impl<'d, 'f> Loader<'d, 'f> {
             Some((source, place)) => self.images.texture(document, json::Index::new(source as u32), place)?,
             None => self.images.texture(document, texture.source, &format!("{place}/source"))?,
         };
+        // without a sampler the texture repeats and is filtered linearly
         let sampler = match texture.sampler {
             Some(sampler) => Some((document.get(sampler, &format!("{place}/sampler"))?, sampler.value())),
             None => None,
@@ -128,8 +130,9 @@ pub(crate) fn untyped_transform(value: &Value, place: &str) -> Result<TextureTra
     })
 }
 
-/// `KHR_texture_transform`: scale, then rotation, then offset. Positive angles turn u towards −v (v points down, so this is
-/// counter-clockwise to the eye); the extension's text leaves the sense open, its test scene and all common viewers agree.
+/// `KHR_texture_transform`: scale, then rotation, then offset. Positive angles turn u towards −v,
+/// which is counter-clockwise to the eye, since v points down. The extension's text leaves the
+/// sense open; its test scene and all common viewers agree.
 fn affine(transform: &TextureTransform) -> Affine2 {
     let (scale, offset) = (Vec2::from(transform.scale.0), Vec2::from(transform.offset.0));
     Affine2::from_scale_angle_translation(scale, -transform.rotation.0, offset)

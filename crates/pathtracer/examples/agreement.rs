@@ -1,12 +1,15 @@
-//! Renders the scenes of `cargo xtask bench agreement` in independent batches, and writes them with the pictures for another renderer.
+//! Renders the scenes of `cargo xtask bench agreement` in independent batches, and writes them with
+//! the pictures for another renderer.
 //!
 //! ```text
-//! cargo run --release -p lumistack-pathtracer --example agreement -- FOLDER [--batches N] [--samples N] [--size N]
+//! cargo run --release -p lumistack-pathtracer --example agreement --
+//!     FOLDER [--batches N] [--samples N] [--size N]
 //! ```
 //!
-//! Per scene a folder with `scene.json` (camera: orthographic, along −z, the square −1..1), `mesh_K.f32` (corners of triangles: position xyz,
-//! texture uv; 15 numbers each) and `ours.f32`: `[batch][row][col][rgb]`. Surfaces are flat, so that no renderer interpolates normals in its own way;
-//! microfacets scatter once, as they do there.
+//! Per scene a folder with `scene.json` (camera: orthographic, along −z, the square −1..1),
+//! `mesh_K.f32` (corners of triangles: position xyz, texture uv; 15 numbers each) and `ours.f32`:
+//! `[batch][row][col][rgb]`. Surfaces are flat, so that no renderer interpolates normals in its own
+//! way; microfacets scatter once, as they do there.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -25,10 +28,11 @@ use lumistack_scene::{
 const SKY: [usize; 2] = [1024, 512];
 /// Scattering events after the first hit.
 const MAX_BOUNCES: u32 = 6;
-/// Texels per edge of the floor's texture: each several pixels wide, so that nobody filters.
+/// Texels per edge of the floor's texture. Each is several pixels wide, so that no renderer
+/// filters.
 const TEXELS: usize = 6;
 
-/// What a surface is, in words that several renderers share.
+/// A surface, in terms that several renderers share.
 #[derive(Clone, Copy)]
 enum Surface {
     Diffuse(Vec3),
@@ -116,7 +120,8 @@ fn scenes() -> Vec<SceneSpec> {
     // seen from +z; the floor leans back by 50°
     let lean = Mat3::from_rotation_x(-0.7);
     let floor = |surface| (panel(Vec3::new(0.0, 0.0, -0.6), lean * Vec3::X * 2.5, lean * Vec3::Y * 2.5), surface);
-    // its front, u × v, looks down and away from the camera; a black panel right behind it hides its back, which renderers treat differently
+    // its front, u × v, looks down and away from the camera; a black panel right behind it hides
+    // its back, which renderers treat differently
     let (lamp_u, lamp_v) = (Vec3::X * 0.6, Vec3::new(0.0, -0.42, 0.42));
     let lamp_at = Vec3::new(0.3, 1.1, 1.2);
     let lamp = |radiance| (panel(lamp_at, lamp_u, lamp_v), Surface::Light(radiance));
@@ -212,7 +217,7 @@ fn block(centre: Vec3, half: f32, turn: Mat3) -> Mesh {
 }
 
 fn material(surface: Surface) -> Material {
-    let matt = |color: Vec3| Material {
+    let diffuse = |color: Vec3| Material {
         base_color: color.extend(1.0),
         metallic: 0.0,
         ior: 1.0,
@@ -220,21 +225,23 @@ fn material(surface: Surface) -> Material {
         ..Material::default()
     };
     match surface {
-        Surface::Diffuse(color) => matt(color),
+        Surface::Diffuse(color) => diffuse(color),
         Surface::Textured => Material {
             base_color_texture: Some(TextureUse { texture: 0, uv_set: 0, texture_from_mesh: Affine2::IDENTITY }),
-            ..matt(Vec3::ONE)
+            ..diffuse(Vec3::ONE)
         },
-        Surface::Conductor(alpha) => Material { metallic: 1.0, roughness: alpha.sqrt(), ior: 1.5, ..matt(Vec3::ONE) },
+        Surface::Conductor(alpha) => {
+            Material { metallic: 1.0, roughness: alpha.sqrt(), ior: 1.5, ..diffuse(Vec3::ONE) }
+        }
         Surface::Dielectric(alpha) => Material {
             roughness: alpha.sqrt(),
             ior: 1.5,
             transmission: 1.0,
             solid: true,
             base_color: Vec4::ONE,
-            ..matt(Vec3::ONE)
+            ..diffuse(Vec3::ONE)
         },
-        Surface::Light(radiance) => Material { emission: radiance, double_sided: false, ..matt(Vec3::ZERO) },
+        Surface::Light(radiance) => Material { emission: radiance, double_sided: false, ..diffuse(Vec3::ZERO) },
     }
 }
 
@@ -321,7 +328,8 @@ fn describe(spec: &SceneSpec, arguments: &Arguments, folder: &Path) -> Result<()
         Sky::Constant(value) => write!(text, "], \"sky\": {value}}}")?,
         Sky::Map => {
             text += "], \"sky\": \"sky.f32\"}";
-            // rows from +y to −y, both ends included; columns of equal angles from −z over −x... as the script says
+            // rows from +y to −y, both ends included; columns of equal angles from −z over −x... as
+            // the script says
             let [width, height] = SKY;
             let texel = |k: usize| {
                 let phi = std::f32::consts::TAU * ((k % width) as f32 + 0.5) / width as f32;

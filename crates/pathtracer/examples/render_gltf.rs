@@ -1,11 +1,13 @@
 //! Renders views of a glTF file to PNG and prints how long that took.
 //!
 //! ```text
-//! cargo run --release -p lumistack-pathtracer --example render_gltf -- SCENE [-o FOLDER] [--size COLSxROWS] [--samples N] [--views N]
+//! cargo run --release -p lumistack-pathtracer --example render_gltf --
+//!     SCENE [-o FOLDER] [--size COLSxROWS] [--samples N] [--views N]
 //! ```
 //!
-//! The window comes from the file's first camera or is framed on the scene; a scene without light gets a white sky. Views are the N × N of
-//! a 20° × 20° oblique grid on a window 474 mm wide; only the corners and the centre are written, all are timed.
+//! The window comes from the file's first camera or is framed on the scene; a scene without light
+//! gets a white sky. Views are the N × N of a 20° × 20° oblique grid on a window 474 mm wide; only
+//! the corners and the centre are written, all are timed.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -20,7 +22,8 @@ use lumistack_gltf::AssetResolver;
 use lumistack_pathtracer::{Renderer, Settings};
 use lumistack_scene::{Environment, Image, Pixels, Scene, Window};
 
-/// Width of the window in millimetres: 420 pixels of 1.128 mm, the paper's panel at half resolution.
+/// Width of the window in millimetres: 420 pixels of 1.128 mm, the paper's panel at half
+/// resolution.
 const WIDTH_MM: f64 = 473.76;
 /// Full angle of the views.
 const FOV_DEG: f64 = 20.0;

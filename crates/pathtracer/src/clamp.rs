@@ -1,4 +1,4 @@
-//! Dims samples that are brighter than a limit, and counts what that removes.
+//! Dims samples that are brighter than a limit, and counts the light that is removed.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -11,7 +11,7 @@ use crate::settings::Settings;
 /// Sums are kept in so many parts of the limit: whole numbers add up the same in any order.
 const PARTS: f64 = 65536.0;
 
-/// What a limit removed from one view.
+/// Light that a limit removed from one view.
 #[derive(Default)]
 pub(crate) struct Clamped {
     samples: AtomicU64,
@@ -33,7 +33,7 @@ impl Clamped {
         kept
     }
 
-    /// What to tell about a view; `None` when nothing was removed.
+    /// The warning about a view; `None` when nothing was removed.
     pub(crate) fn message(&self, settings: &Settings, radiance: &Tensor<3>) -> Option<String> {
         let samples = self.samples.load(Ordering::Relaxed);
         let limit = settings.clamp.filter(|_| samples > 0)?;

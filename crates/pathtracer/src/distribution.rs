@@ -1,12 +1,13 @@
-//! Discrete distributions for importance sampling, by inversion of the cumulative sum so that stratified numbers stay stratified.
+//! Discrete distributions for importance sampling, by inversion of the cumulative sum so that
+//! stratified numbers stay stratified.
 
 /// Probabilities over 0..n, proportional to weights.
 pub(crate) struct Distribution {
     /// Cumulative probability up to and including each entry; the last is 1.
     cumulative: Vec<f32>,
     probabilities: Vec<f32>,
-    /// First entry that a number in each of n equal parts of [0, 1) can lead to: the search goes on from there, in constant time on
-    /// average (Chen, Asau 1974).
+    /// First entry for a number in each of n equal parts of [0, 1). The search continues from
+    /// there, in constant time on average (Chen, Asau 1974).
     guide: Vec<u32>,
 }
 
@@ -28,7 +29,8 @@ impl Distribution {
         // no number below 1 may fall behind the last entry that has weight
         let last = weights.iter().rposition(|&w| w > 0.0)?;
         cumulative[last..].fill(1.0);
-        // the probability that inversion really gives, so that sampling and density agree to rounding
+        // the probability that inversion really gives, so that sampling and density agree to
+        // rounding
         let probabilities =
             (0..cumulative.len()).map(|i| cumulative[i] - if i == 0 { 0.0 } else { cumulative[i - 1] }).collect();
         let parts = cumulative.len() as f32;

@@ -1,10 +1,12 @@
-//! The scene's triangles, and what a ray finds where it meets one.
+//! The scene's triangles, and the surface data at a hit.
 //!
-//! Triangles of meshes that are placed once are kept in render space, as if the scene were one mesh. A mesh that is placed often is
-//! kept once, in a space of its own around its centre, with a transform per instance, so that memory follows what is unique.
+//! Triangles of meshes that are placed once are kept in render space, as if the scene were one
+//! mesh. A mesh that is placed often is kept once, in a space of its own around its centre, with a
+//! transform per instance. So memory grows with unique geometry only.
 //!
-//! Render space is the scene moved to the centre of its bounds and scaled by a power of two to a half diagonal of 1 to 2, so that
-//! 32-bit rounding is the same for a scene of a micrometre and of a kilometre, wherever it stands.
+//! Render space is the scene moved to the centre of its bounds and scaled by a power of two to a
+//! half diagonal of 1 to 2. So 32-bit rounding is the same for a scene of a micrometre and of a
+//! kilometre, at any place.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -16,10 +18,11 @@ use lumistack_simd::prefetch;
 
 use crate::bvh::{Hit, NO_INSTANCE, Placement};
 
-/// Rays leave a surface at this share of the largest coordinate of its triangle: about 16 times the rounding error of a point
-/// interpolated from three vertices.
+/// Rays leave a surface at this share of the largest coordinate of its triangle: about 16 times the
+/// rounding error of a point interpolated from three vertices.
 const OFFSET_SHARE: f32 = 4e-6;
-/// Scenes of up to this many triangles with instances counted share nothing (see [`Sharing::Auto`]): some 150 MB.
+/// Scenes of up to this many triangles with instances counted share nothing (see
+/// [`Sharing::Auto`]): some 150 MB.
 const FLATTENED: usize = 1 << 20;
 /// Smaller meshes are not worth a tree of their own.
 const LEAST_SHARED: usize = 16;
@@ -40,7 +43,8 @@ pub(crate) struct RenderSpace {
 /// When meshes that are placed more than once share their triangles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Sharing {
-    /// In scenes of more than [`FLATTENED`] triangles with instances counted: rays are faster through one tree.
+    /// In scenes of more than [`FLATTENED`] triangles with instances counted: rays are faster
+    /// through one tree.
     Auto,
     /// Whenever it can be.
     #[cfg(test)]
@@ -51,8 +55,8 @@ pub(crate) enum Sharing {
 pub(crate) struct Geometry {
     scene: Arc<Scene>,
     pub(crate) space: RenderSpace,
-    /// First the `loose` triangles, in render space, wound counter-clockwise seen from the front; then those of shared meshes in the
-    /// spaces of their trees, wound as the mesh is.
+    /// First the `loose` triangles, in render space, wound counter-clockwise seen from the front;
+    /// then those of shared meshes in the spaces of their trees, wound as the mesh is.
     records: Vec<Record>,
     pub(crate) loose: Range<usize>,
     /// Triangles of each shared mesh.
@@ -61,14 +65,16 @@ pub(crate) struct Geometry {
     instances: Vec<PlacedInstance>,
 }
 
-/// What a hit needs of its triangle, side by side in two cache lines: to collect it from the mesh's arrays takes a dozen.
+/// Data of a triangle for its hits, side by side in two cache lines. Collecting it from the mesh's
+/// arrays takes a dozen.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
 struct Record {
     corners: [Vec3; 3],
-    /// Of loose triangles in render space, of shared ones in the mesh's; interpolated, then normalized.
+    /// In render space for loose triangles, in the mesh's space for shared ones; interpolated, then
+    /// normalized.
     normals: [Vec3; 3],
-    /// Of set 0; zeros where the mesh has none.
+    /// Texture coordinates of set 0; zeros where the mesh has none.
     uvs: [Vec2; 3],
     geometric_normal: Vec3,
     /// Length in texture space (set 0) per length in the space of the corners: √(area / area).
@@ -143,6 +149,7 @@ impl Geometry {
     pub(crate) fn new(scene: Arc<Scene>, sharing: Sharing) -> Self {
         let space = RenderSpace::new(&scene);
         let shares = shared_meshes(&scene, sharing);
+        // loose triangles go to render space, and every instance keeps its transform
         let mut geometry = Self {
             space,
             records: Vec::with_capacity(unique_triangles(&scene, sharing)),
@@ -177,6 +184,7 @@ impl Geometry {
             if !shares[instance.mesh] {
                 continue;
             }
+            // the first instance of a shared mesh stores its triangles around the mesh's centre
             let (shared, scale, centre) = *trees[instance.mesh].get_or_insert_with(|| {
                 let mesh = &scene.meshes[instance.mesh];
                 let mut bounds = Bounds::EMPTY;
@@ -188,6 +196,7 @@ impl Geometry {
                 (geometry.shared.len() - 1, own.scale, own.centre)
             });
             let linear = linear(instance);
+            // place the instance: from the tree's space to render space
             let render_from_tree = (space.scale / scale) * linear;
             let origin = instance.scene_from_mesh.translation.as_dvec3() + linear * centre;
             geometry.instances[index].placement = geometry.placements.len() as u32;
@@ -237,7 +246,7 @@ impl Geometry {
         }
     }
 
-    /// Bytes of what is kept per triangle and instance.
+    /// Bytes of the records, instances and placements.
     pub(crate) fn bytes(&self) -> usize {
         size_of_val(self.records.as_slice())
             + size_of_val(self.instances.as_slice())
@@ -270,7 +279,7 @@ impl Geometry {
         &self.scene.materials[self.material_index(triangle)]
     }
 
-    /// Asks for what a hit needs to know of its triangle before it is needed.
+    /// Prefetches the record of a triangle ahead of its hit.
     #[inline]
     pub(crate) fn prefetch(&self, triangle: u32) {
         let record = self.records.as_ptr().wrapping_add(triangle as usize).cast::<u8>();
@@ -278,7 +287,8 @@ impl Geometry {
         prefetch(record.wrapping_add(64));
     }
 
-    /// The point of a triangle of no shared mesh with these vertex weights (in render-space winding).
+    /// The point of a triangle of no shared mesh with these vertex weights (in render-space
+    /// winding).
     #[inline]
     pub(crate) fn point(&self, triangle: u32, barycentric: [f32; 3]) -> SurfacePoint<'_> {
         let record = &self.records[triangle as usize];
@@ -352,7 +362,8 @@ fn linear(instance: &Instance) -> DMat3 {
     DMat3::from_cols(m.x_axis.as_dvec3(), m.y_axis.as_dvec3(), m.z_axis.as_dvec3())
 }
 
-/// Which meshes are kept once however often they are placed. Emitting ones are not: each triangle that emits is a light of its own.
+/// The meshes that are kept once for any number of placements. Emitting meshes are not: each
+/// triangle that emits is a light of its own.
 fn shared_meshes(scene: &Scene, sharing: Sharing) -> Vec<bool> {
     if sharing == Sharing::Auto && scene.triangle_count() <= FLATTENED {
         return vec![false; scene.meshes.len()];
@@ -381,7 +392,7 @@ impl SurfacePoint<'_> {
         &self.geometry.scene.meshes[self.geometry.scene.instances[self.record.instance as usize].mesh]
     }
 
-    /// Of three corners of a mesh's array, their mean by this point's weights.
+    /// Interpolates three corners of a mesh's array by this point's barycentrics.
     fn interpolated<T>(&self, values: &[T]) -> T
     where
         T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>,
@@ -415,13 +426,13 @@ impl SurfacePoint<'_> {
         uv_per_length(uvs, normal_and_doubled_area(self.record.corners).1) * self.shrinking
     }
 
-    /// Whether vertex normals turn nothing.
+    /// True if vertex normals equal the geometric normal.
     #[inline]
     pub(crate) fn is_flat(&self) -> bool {
         self.record.flags & FLAT != 0
     }
 
-    /// Whether the mesh has vertex colours.
+    /// True if the mesh has vertex colours.
     pub(crate) fn is_colored(&self) -> bool {
         self.record.flags & COLORED != 0
     }
@@ -432,7 +443,8 @@ impl SurfacePoint<'_> {
         if self.is_colored() { self.interpolated(&self.mesh().colors) } else { Vec4::ONE }
     }
 
-    /// Interpolated normal on the front side; the geometric normal where interpolation fails or contradicts the winding.
+    /// Interpolated normal on the front side; the geometric normal where interpolation fails or
+    /// contradicts the winding.
     #[inline]
     pub(crate) fn shading_normal(&self) -> Vec3 {
         let sum = weighted(self.weights, self.record.normals);
@@ -441,8 +453,10 @@ impl SurfacePoint<'_> {
         if normal.dot(self.geometric_normal) > 0.0 { normal } else { self.geometric_normal }
     }
 
-    /// The place on a smooth surface through the corners with their normals, on the side of the normal; `side` is 1 on the front and −1 on the back.
-    /// Each corner's tangent plane is where the surface may bulge to (Hanika 2021, "Hacking the shadow terminator", Ray Tracing Gems II).
+    /// The place on a smooth surface through the corners with their normals, on the side of the
+    /// normal; `side` is 1 on the front and −1 on the back. Each corner's tangent plane is where
+    /// the surface may bulge to (Hanika 2021, "Hacking the shadow terminator", Ray Tracing Gems
+    /// II).
     pub(crate) fn smooth_position(&self, side: f32) -> Vec3 {
         let bulge = |k: usize| {
             let (corner, normal) = match self.placed {
@@ -459,7 +473,8 @@ impl SurfacePoint<'_> {
         self.position + bulge(0) + bulge(1) + bulge(2)
     }
 
-    /// `normal` turned by a tangent-space normal (glTF: x along u, y up in the picture). `None` without tangents.
+    /// `normal` turned by a tangent-space normal (glTF: x along u, y up in the picture). `None`
+    /// without tangents.
     pub(crate) fn mapped_normal(&self, normal: Vec3, mapped: Vec3) -> Option<Vec3> {
         let tangents = &self.mesh().tangents;
         if tangents.is_empty() {
@@ -475,9 +490,10 @@ impl SurfacePoint<'_> {
     }
 }
 
-/// Turns a shading normal just so far that the mirror direction of `to_viewer` stays above the surface (Keller et al. 2017, "The Iray
-/// light transport simulation and rendering system", appendix): no black rims, and the viewer is always on its side. Both normals
-/// are on the viewer's side of the surface.
+/// Bends a shading normal just so far that the mirror direction of `to_viewer` stays above the
+/// surface (Keller et al. 2017, "The Iray light transport simulation and rendering system",
+/// appendix). So there are no black rims, and the normal is always on the viewer's side. Both
+/// normals are on the viewer's side of the surface.
 pub(crate) fn bend_normal(shading: Vec3, geometric: Vec3, to_viewer: Vec3) -> Vec3 {
     let least = LEAST_REFLECTED_COSINE.min(0.9 * to_viewer.dot(geometric).max(0.0));
     let reflected = 2.0 * shading.dot(to_viewer) * shading - to_viewer;

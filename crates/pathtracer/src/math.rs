@@ -3,7 +3,7 @@
 /// Sine and cosine of an angle in turns, −1..1; absolute error below 1e-6.
 #[inline]
 pub(crate) fn sin_cos_turns(turns: f32) -> (f32, f32) {
-    // nearest quarter and what is left, at most an eighth of a turn
+    // nearest quarter and the remainder, at most an eighth of a turn
     let quarters = (4.0 * turns + if turns < 0.0 { -0.5 } else { 0.5 }) as i32;
     let x = (turns - 0.25 * quarters as f32) * std::f32::consts::TAU;
     let x2 = x * x;
@@ -18,7 +18,8 @@ pub(crate) fn sin_cos_turns(turns: f32) -> (f32, f32) {
     }
 }
 
-/// Angle of a vector from the x axis, in turns, −0.5..0.5; absolute error below 2e-7. 0 for the zero vector.
+/// Angle of a vector from the x axis, in turns, −0.5..0.5; absolute error below 2e-7. 0 for the
+/// zero vector.
 #[inline]
 pub(crate) fn angle_turns(y: f32, x: f32) -> f32 {
     let (across, up) = (x.abs(), y.abs());
@@ -33,8 +34,9 @@ pub(crate) fn angle_turns(y: f32, x: f32) -> f32 {
     turns.copysign(y)
 }
 
-/// The unit disc from the unit square, area for area (concentric map of Shirley, Chiu 1997). Both halves of the map are evaluated alike
-/// and exchanged at the end: which one it is, is a coin toss that no branch predictor wins.
+/// The unit disc from the unit square, area for area (concentric map of Shirley, Chiu 1997). Both
+/// halves of the map are evaluated alike and exchanged at the end: which one it is, is a coin toss
+/// that no branch predictor wins.
 #[inline]
 pub(crate) fn concentric_disc(u: [f32; 2]) -> (f32, f32) {
     let (a, b) = (2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0);

@@ -14,7 +14,8 @@ pub(crate) struct Normals {
 }
 
 impl Normals {
-    /// Of a point with a normal map; the bumps' α² = tan² ∠(mapped, smooth) / 8, 1 at most.
+    /// Normals of a point with a normal map. The bumps have α² = tan² ∠(mapped, smooth) / 8, 1 at
+    /// most.
     #[inline]
     pub(crate) fn new(mapped: Vec3, smooth: Vec3) -> Self {
         if mapped == smooth {
@@ -36,10 +37,18 @@ impl Normals {
         Self { mapped, smooth: if self.alpha2 == 0.0 { mapped } else { turn(self.smooth) }, alpha2: self.alpha2 }
     }
 
-    /// Share of the light from `direction` that bumps do not keep from one another, 2 cos θ / (cos θ + √(cos² θ + α² sin² θ)) with the angle θ to the
-    /// smooth normal: Smith's shadowing of a GGX surface as rough as they are (Estevez, Lecocq, Stein 2019, "A microfacet-based shadowing function to
-    /// solve the bump terminator problem", Ray Tracing Gems; Cycles has it too). By the cosine to the mapped normal alone light ends in a hard edge
-    /// where the smooth surface turns away, and slopes are lit through their neighbours.
+    /// Share of the light from `direction` that bumps do not shadow, with the angle θ to the smooth
+    /// normal:
+    ///
+    /// ```text
+    /// 2 cos θ / (cos θ + √(cos² θ + α² sin² θ))
+    /// This is Smith's shadowing of a GGX surface of the same roughness. With the cosine to the
+    /// mapped normal alone, light ends in a hard edge where the smooth surface turns away, and
+    /// slopes are lit through their neighbours. Source: Estevez, Lecocq, Stein 2019, "A
+    /// microfacet-based shadowing function to solve the bump terminator problem", Ray Tracing Gems;
+    /// Cycles has it too.
+    /// a hard edge where the smooth surface turns away, and slopes are lit through their
+    /// neighbours.
     #[inline]
     pub(crate) fn unshadowed(&self, direction: Vec3) -> f32 {
         if self.alpha2 == 0.0 {
@@ -55,8 +64,8 @@ impl Normals {
 mod tests {
     use super::*;
 
-    /// What bumps keep from one another: all light at the smooth surface's horizon, none from straight above, and in between more the steeper they are and
-    /// the flatter it falls, without a step.
+    /// Bumps shadow all light at the smooth surface's horizon and none from straight above. In
+    /// between they shadow more, without a step, the steeper they are and the lower the light is.
     #[test]
     fn the_shadow_of_bumps_ends_softly() {
         let from = |degrees: f32| Vec3::new(degrees.to_radians().sin(), 0.0, degrees.to_radians().cos());

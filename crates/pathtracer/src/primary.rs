@@ -1,14 +1,18 @@
 //! Rays of a view: from the display's geometry to rays in render space.
 //!
-//! Light of slope s through (x, y, 0) travels along (s_x, s_y, 1) in display space. Its path is traced backwards,
+//! Light of slope s through (x, y, 0) travels along (s_x, s_y, 1) in display space. Its path is
+//! traced backwards,
 //!
 //! ```text
 //! (x, y, 0) − τ (s_x, s_y, 1),   τ from τ₀ in millimetres
 //! ```
 //!
-//! from τ₀ in front of the scene's bounds in oblique views, so that what stands in front of the display plane is seen too, and from
-//! no nearer than the eye in perspective ones; where the window has a near plane, no nearer than that. Start and direction are linear in the offsets of a sample from the centre of its pixel and of
-//! its slopes, so a pixel's central ray is made in f64, and its samples in f32 from that.
+//! from a start τ₀. In oblique views it lies in front of the scene's bounds, so that objects in
+//! front of the display plane are seen too. In perspective views it is no nearer than the eye.
+//! Where the window has a near plane, it is no nearer than that.
+//!
+//! Start and direction are linear in the offsets of a sample from the centre of its pixel and of
+//! its slopes. So a pixel's central ray is computed in f64, and its samples in f32 from that.
 
 use glam::{DVec3, Vec3};
 use lumistack_display::{FieldGeometry, Projection};
@@ -20,9 +24,11 @@ use crate::tracer::Cone;
 
 /// Bounds are entered this much outside themselves, relative to the radius of the scene.
 const BOUNDS_MARGIN: f64 = 1e-5;
-/// Width of the texture footprint over that of a pixel. Samples are spread over the pixel, so each needs to cover only a part: 16 of them a quarter
-/// of its width each. Half of it pales small letters, and adds what variance it takes (up to 3 %) as blur.
-/// A display shows the paler target better (still life: 36.8 dB instead of 36.2 dB), but less of what is there: its gradients have 12 % less energy.
+/// Width of the texture footprint over that of a pixel. Samples are spread over the pixel, so each
+/// needs to cover only a part: each of 16 samples a quarter of its width. Half of it dims small
+/// letters, and trades variance (up to 3 %) for blur. A display shows the dimmer target better
+/// (still life: 36.8 dB instead of 36.2 dB), but with less detail: its gradients have 12 % less
+/// energy.
 const FOOTPRINT_SHARE: f64 = 0.25;
 
 /// The rays of one view.
@@ -31,7 +37,7 @@ pub(crate) struct PrimaryRays<'a> {
     view: [usize; 2],
     /// Full width of the range of slopes per axis, 0 for a point.
     slope_width: [f64; 2],
-    /// Whether the range is the ellipse of those widths instead of the rectangle.
+    /// True if the range is the ellipse of those widths instead of the rectangle.
     round: bool,
     /// Display space in render space: the origin and one millimetre along each axis.
     origin: DVec3,
@@ -52,7 +58,8 @@ pub(crate) struct PixelRays {
     direction: Vec3,
     /// A pixel to the right and one up on the plane z = 0.
     pixel: [Vec3; 2],
-    /// Unit vectors to the right and up, and the way they are followed to the start, τ₀ in render space.
+    /// Unit vectors to the right and up, and the way they are followed to the start, τ₀ in render
+    /// space.
     axes: [Vec3; 2],
     start: f32,
     /// Change of slope across the pixel, and full width of the range of slopes.
@@ -60,11 +67,12 @@ pub(crate) struct PixelRays {
     slope_width: [f32; 2],
     round: bool,
     pub(crate) cone: Cone,
-    /// False where no ray of the pixel can meet the scene.
+    /// False where no ray of the pixel can hit the scene.
     pub(crate) in_bounds: bool,
 }
 
-/// The square −0.5..0.5 to the disc of diameter 1, equal areas to equal areas and neighbours to neighbours (Shirley, Chiu 1997).
+/// The square −0.5..0.5 to the disc of diameter 1, equal areas to equal areas and neighbours to
+/// neighbours (Shirley, Chiu 1997).
 fn in_disc([x, y]: [f32; 2]) -> [f32; 2] {
     use std::f32::consts::{FRAC_PI_2, FRAC_PI_4};
     if x == 0.0 && y == 0.0 {
@@ -88,7 +96,8 @@ impl<'a> PrimaryRays<'a> {
         let axes = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| space.scale * map.vector(axis));
         let millimetre = map.scale * space.scale;
         let half_size = space.half_size.as_dvec3() + BOUNDS_MARGIN * f64::from(space.radius);
-        // τ of the nearest and of the farthest corner of the bounds, which lie around the origin of render space
+        // τ of the nearest and of the farthest corner of the bounds, which lie around the origin of
+        // render space
         let toward = axes[2] / (millimetre * millimetre);
         let (centre, reach) = (origin.dot(toward), half_size.dot(toward.abs()));
         let start = match geometry.grid.projection {
@@ -105,19 +114,22 @@ impl<'a> PrimaryRays<'a> {
         let pitch = self.geometry.pitch_mm;
         let grid = &self.geometry.grid;
         let point = [self.geometry.x_mm(col), self.geometry.y_mm(row)];
+        // slope of the central ray, and its change across a pixel
         let slope = grid.slope_at(self.view, point);
         let beside = grid.slope_at(self.view, point.map(|p| p + pitch));
         let turn = [0, 1].map(|axis| beside[axis] - slope[axis]);
         let [x, y, z] = self.axes;
         let on_plane = self.origin + point[0] * x + point[1] * y;
         let along = -(slope[0] * x + slope[1] * y + z);
+        // the texture footprint: constant in parallel projections, growing from the eye in others
         let (start, spread) = match grid.projection {
             Projection::Oblique => (1.0, 0.0),
             Projection::Perspective { distance_mm } => {
                 (1.0 + self.start / distance_mm, pitch * self.millimetre / (distance_mm * along.length()))
             }
         };
-        // how far the pixel's rays are from the central one inside the bounds, along both axes together
+        // how far the pixel's rays are from the central one inside the bounds, along both axes
+        // together
         let spreading: f64 =
             [0, 1].map(|axis| pitch + self.deepest * (turn[axis].abs() + self.slope_width[axis])).into_iter().sum();
         let half_size = self.half_size + 0.5 * spreading * self.millimetre;
@@ -141,8 +153,9 @@ impl<'a> PrimaryRays<'a> {
 }
 
 impl PixelRays {
-    /// At most [`BEAM`] rays at offsets from the centre of the pixel, in pixels, and from the centre of the slopes, in widths; offsets are in
-    /// −0.5..0.5, x to the right and y up.
+    /// Fills at most [`BEAM`] rays. The offsets are in −0.5..0.5, x to the right and y up. The
+    /// first are from the centre of the pixel, in pixels; the second are from the centre of the
+    /// slopes, in widths.
     #[inline]
     pub(crate) fn fill(&self, rays: &mut [Ray], offsets: impl Fn(usize) -> [[f32; 2]; 2]) {
         // numbers of the same kind side by side: their roots and quotients become vectors
@@ -159,6 +172,7 @@ impl PixelRays {
             }
         }
         for index in 0..BEAM {
+            // start and direction are linear in the offsets
             let turned: [f32; 3] =
                 std::array::from_fn(|axis| turns[0][index] * self.axes[0][axis] + turns[1][index] * self.axes[1][axis]);
             for axis in 0..3 {
@@ -191,7 +205,7 @@ impl PixelRays {
     }
 }
 
-/// Whether a line meets the box −`half`..`half`.
+/// True if a line intersects the box −`half`..`half`.
 fn passes_through(origin: DVec3, direction: DVec3, half: DVec3) -> bool {
     // no 0 · ∞: along an axis that the line runs across, it is inside all the way or never
     let across = direction.cmpeq(DVec3::ZERO);
@@ -239,8 +253,9 @@ mod tests {
         assert_eq!(in_disc([0.0, 0.0]), [0.0, 0.0]);
     }
 
-    /// Rays of random windows far from the scene, near it and inside it: each is the line through its point of the display plane with its
-    /// slope, starts before the bounds or at the eye, and its pixel says so where it meets them.
+    /// Rays of random windows far from the scene, near it and inside it. Each is the line through
+    /// its point of the display plane with its slope, and starts before the bounds or at the eye.
+    /// Where it intersects the bounds, its pixel is `in_bounds`.
     #[test]
     fn rays_are_lines_of_the_display() {
         let mut stream = Stream::new(4);

@@ -25,16 +25,18 @@ impl Tree {
         Scratch(self.0.stack())
     }
 
-    /// Distance, in lengths of `direction`, and index of the nearest triangle that is met.
+    /// Returns the distance, in lengths of `direction`, and the index of the nearest triangle on
+    /// the ray.
     #[inline]
     pub fn nearest(&self, origin: Vec3, direction: Vec3, t_max: f32, scratch: &mut Scratch) -> Option<(f32, u32)> {
         let hit = self.0.nearest(&Ray { origin, direction, t_max }, &mut scratch.0, |_| true)?;
         Some((hit.t, hit.triangle))
     }
 
-    /// How many of up to [`BEAM_RAYS`] rays without an end, origins and directions, meet a triangle; those that lie close together share work.
+    /// Counts the rays that hit a triangle, among up to [`BEAM_RAYS`] origins and directions
+    /// without an end. Rays that lie close together share work.
     #[inline]
-    pub fn met_by_beam(&self, rays: impl ExactSizeIterator<Item = (Vec3, Vec3)>, scratch: &mut Scratch) -> usize {
+    pub fn hits_of_beam(&self, rays: impl ExactSizeIterator<Item = (Vec3, Vec3)>, scratch: &mut Scratch) -> usize {
         let count = rays.len();
         assert!(count <= BEAM, "{count} rays in a beam of {BEAM}");
         let mut beam = [Ray::ANY; BEAM];
@@ -46,7 +48,7 @@ impl Tree {
         hits.iter().flatten().count()
     }
 
-    /// Whether no triangle is met.
+    /// True if no triangle lies on the segment.
     #[inline]
     pub fn is_open(&self, origin: Vec3, direction: Vec3, t_max: f32, scratch: &mut Scratch) -> bool {
         self.0.transmittance(&Ray { origin, direction, t_max }, &mut scratch.0, |_| Vec3::ZERO) == Vec3::ONE

@@ -78,7 +78,7 @@ pub struct Renderer {
     memory: Memory,
 }
 
-/// What a prepared scene occupies.
+/// Sizes of a prepared scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Memory {
     /// Triangles with instances counted.
@@ -95,7 +95,7 @@ pub struct Memory {
     pub texture_bytes: usize,
 }
 
-/// What the samples of a pixel say.
+/// Statistics of the samples of a pixel.
 struct PixelMean {
     /// Mean radiance.
     mean: Vec3,
@@ -119,7 +119,7 @@ pub enum RenderError {
     View {
         /// Number of views, [vertical, horizontal].
         views: [usize; 2],
-        /// The view that was asked for, [y, x].
+        /// The requested view, [y, x].
         view: [usize; 2],
     },
     /// The tree cannot hold so many triangles.
@@ -143,8 +143,9 @@ pub enum RenderError {
 }
 
 impl Renderer {
-    /// Prepares a scene: image pyramids, tree, lights. Takes time and memory in proportion to the scene, not to the views; in scenes of
-    /// more than a million triangles, a mesh that is placed often counts once.
+    /// Prepares a scene: image pyramids, tree, lights. Takes time and memory in proportion to the
+    /// scene, not to the views; in scenes of more than a million triangles, a mesh that is placed
+    /// often counts once.
     ///
     /// # Errors
     /// If the scene has more than 2²⁹ − 1 triangles or 2³⁰ − 1 instances, or when cancelled.
@@ -153,6 +154,7 @@ impl Renderer {
     }
 
     fn with_sharing(scene: Arc<Scene>, sharing: Sharing, task: Task<'_>) -> Result<Self, RenderError> {
+        // the tree's references bound the scene's size
         let found = geometry::unique_triangles(&scene, sharing);
         if found > bvh::MAX_TRIANGLES {
             return Err(RenderError::TooManyTriangles { found });
@@ -164,6 +166,7 @@ impl Renderer {
         task.cancel.check()?;
         let materials = Materials::new(scene.clone());
         task.cancel.check()?;
+        // the tree, from corners and flags that only its build needs
         let flags: Vec<u32> = (0..found as u32).map(|t| materials.flags(geometry.material_index(t))).collect();
         let corners: Vec<_> = (0..found as u32).map(|t| geometry.corners(t)).collect();
         let bvh = Bvh::new(&bvh::Input {
@@ -191,36 +194,41 @@ impl Renderer {
         Ok(Self { geometry, bvh, materials, lights, traits, backdrop: scene.backdrop, memory })
     }
 
-    /// What the prepared scene occupies.
+    /// Memory of the prepared scene.
     pub fn memory(&self) -> Memory {
         self.memory
     }
 
-    /// Leaves out the light that microfacets scatter more than once, for comparisons with renderers that have none of it: rough metals
-    /// and rough glass are then darker than they should be.
+    /// Leaves out the light that microfacets scatter more than once, for comparisons with renderers
+    /// that leave it out too. Rough metals and rough glass are then darker than they should be.
     #[must_use]
     pub fn single_scattering(mut self) -> Self {
         self.materials.without_compensation();
         self
     }
 
-    /// Shows the environment past the scene whatever the scene's backdrop, for comparisons with renderers that have none.
+    /// Shows the environment past the scene even if the scene has a backdrop, for comparisons with
+    /// renderers without backdrops.
     #[must_use]
     pub fn without_backdrop(mut self) -> Self {
         self.backdrop = None;
         self
     }
 
-    /// Steps by which one call of [`render_view`](Self::render_view) advances the progress: its tiles.
+    /// Steps by which one call of [`render_view`](Self::render_view) advances the progress: its
+    /// tiles.
     pub fn steps_per_view(geometry: &FieldGeometry) -> u64 {
         Tiles::new(geometry).count() as u64
     }
 
-    /// Renders one view, `view` = [view_y, view_x] of the geometry's grid: scene-linear radiance `[row][col][rgb]`, not exposed.
+    /// Renders one view, `view` = [view_y, view_x] of the geometry's grid: scene-linear radiance
+    /// `[row][col][rgb]`, not exposed.
     ///
-    /// The pixel filter is a box as wide as the pixel. The caller begins and ends the progress stage, which may span many views;
-    /// this call advances it by [`steps_per_view`](Self::steps_per_view). Samples that are not finite numbers are left out of the mean
-    /// and reported as a warning, as is what [`Settings::clamp`] removes.
+    /// The pixel filter is a box as wide as the pixel. The caller begins and ends the progress
+    /// stage, which may span many views; this call advances it by
+    /// [`steps_per_view`](Self::steps_per_view). Samples that are not finite numbers are left out
+    /// of the mean. They are reported as a warning, and so is the light that [`Settings::clamp`]
+    /// removes.
     ///
     /// # Errors
     /// If a setting, the geometry or the view is out of range, or when cancelled.
@@ -235,8 +243,9 @@ impl Renderer {
         self.view_of(window, geometry, view, settings, task, |pixel| pixel.mean.to_array())
     }
 
-    /// [`render_view`](Self::render_view), and the variance of every mean, `[row][col][rgb]`: the variance of the samples over their number.
-    /// Samples are stratified, so the means scatter less than this says. NaN where fewer than two samples are finite numbers.
+    /// [`render_view`](Self::render_view), and the variance of every mean, `[row][col][rgb]`: the
+    /// variance of the samples over their number. Samples are stratified, so the means scatter less
+    /// than this says. NaN where fewer than two samples are finite numbers.
     ///
     /// # Errors
     /// As [`render_view`](Self::render_view).
@@ -295,7 +304,8 @@ impl Renderer {
         Ok(radiance)
     }
 
-    /// 1 for every pixel whose central ray meets a surface, else 0: `[row][col]`. Does not advance the progress.
+    /// 1 for every pixel whose central ray hits a surface, else 0: `[row][col]`. Does not advance
+    /// the progress.
     ///
     /// # Errors
     /// If the geometry or the view is out of range, or when cancelled.
@@ -310,7 +320,7 @@ impl Renderer {
         let quiet = Task { progress: &lumistack_core::NoProgress, ..task };
         let mask = self.by_tiles(geometry, quiet, ["row", "col", "hit"], |row, col, stack| {
             let rays = rays.pixel(row, col);
-            [f32::from(u8::from(rays.in_bounds && self.tracer().meets_surface(rays.central(), stack)))]
+            [f32::from(u8::from(rays.in_bounds && self.tracer().hits_surface(rays.central(), stack)))]
         })?;
         let [rows, cols, _] = mask.shape();
         let mut flat = Tensor::zeros(["row", "col"], [rows, cols]);
@@ -318,7 +328,7 @@ impl Renderer {
         Ok(flat)
     }
 
-    /// Share of the window, 0..1, where the central rays of a view meet a surface.
+    /// Share of the window, 0..1, where the central rays of a view hit a surface.
     ///
     /// # Errors
     /// As [`hit_mask`](Self::hit_mask).
@@ -391,6 +401,7 @@ impl Renderer {
         stack: &mut Stack,
     ) -> PixelMean {
         let tracer = self.tracer();
+        // sums in double precision, since their difference gives the variance
         let (mut sum, mut squares) = ([0.0f64; 3], [0.0f64; 3]);
         let mut not_finite = 0;
         samples.for_each_beam(at, pixel_seed, |beam, rays, draws| {
@@ -421,7 +432,8 @@ impl Renderer {
         }
     }
 
-    /// Fills `[row][col][k]` tile by tile. Values depend only on the pixel, so threads do not matter.
+    /// Fills `[row][col][k]` tile by tile. Values depend only on the pixel, so threads do not
+    /// matter.
     fn by_tiles<const K: usize>(
         &self,
         geometry: &FieldGeometry,
@@ -511,7 +523,8 @@ mod tests {
 
     use super::*;
 
-    /// A bowl with texture coordinates, placed often: turned, stretched, mirrored; transparent in one material.
+    /// A bowl with texture coordinates, placed often: turned, stretched, mirrored; transparent in
+    /// one material.
     fn bowls(alpha_mode: AlphaMode) -> Arc<Scene> {
         let size = 7;
         let mut mesh = Mesh::default();
@@ -567,8 +580,9 @@ mod tests {
         Arc::new(parts.validate(Task::quiet(&warnings, &cancel)).unwrap())
     }
 
-    /// Instances that share a tree and copies in one tree are the same scene. The same random numbers make the same paths except where
-    /// rounding decides, so the pictures agree far below their noise; transparency draws other numbers and agrees within it.
+    /// Instances that share a tree and copies in one tree are the same scene. The same random
+    /// numbers make the same paths except where rounding decides, so the pictures agree far below
+    /// their noise; transparency draws other numbers and agrees within it.
     #[test]
     fn shared_and_copied_meshes_look_the_same() {
         let (warnings, cancel) = (Collector::default(), Cancel::default());
@@ -599,7 +613,8 @@ mod tests {
             let noise = square(&copied, &other_noise);
             let share = if alpha_mode == AlphaMode::Opaque { 0.05 } else { 1.3 };
             assert!(square(&copied, &shared) < share * noise, "{} against noise {noise}", square(&copied, &shared));
-            // the noise of the difference of two means, five standard errors (one pixel in three channels is one sample)
+            // the noise of the difference of two means, five standard errors (one pixel in three
+            // channels is one sample)
             let bound = 5.0 * (noise / (copied.data().len() / 3) as f64).sqrt();
             assert!((mean(&copied) - mean(&shared)).abs() < bound, "{} and {}", mean(&copied), mean(&shared));
             assert!(mean(&copied) > 0.1);

@@ -1,14 +1,19 @@
-//! Sample points: (0,2)-sequences, padded to any dimension, decorrelated per view, pixel and pair of dimensions.
+//! Sample points: (0,2)-sequences, padded to any dimension, decorrelated per view, pixel and pair
+//! of dimensions.
 //!
-//! Each pair of dimensions takes the first two dimensions of Sobol's sequence with Owen's nested uniform scrambling of the values
-//! and of the order (Owen 1995; shuffling as in Burley 2020, "Practical Hash-based Owen Scrambling"). Scrambling at every draw
-//! costs more than tracing, so a bank of [`PATTERNS`] scrambled sequences is made once; a draw picks a pattern, flips bits of the
-//! sample's index and of the values by a hash of (pixel, pair), and so costs one hash and one load. Flipping keeps every
-//! sequence's stratification (Kollig, Keller 2002) and makes each point uniform, hence the estimate unbiased.
+//! Each pair of dimensions takes the first two dimensions of Sobol's sequence. Owen's nested
+//! uniform scrambling permutes its values and its order (Owen 1995; shuffling as in Burley 2020,
+//! "Practical Hash-based Owen Scrambling").
+//!
+//! Scrambling at every draw costs more than tracing, so a bank of [`PATTERNS`] scrambled sequences
+//! is made once. A draw picks a pattern and flips bits of the sample's index and of the values by a
+//! hash of (pixel, pair). So it costs one hash and one load. Flipping keeps every sequence's
+//! stratification (Kollig, Keller 2002) and makes each point uniform, hence the estimate unbiased.
 
 use lumistack_core::seed;
 
-/// Scrambled sequences in the bank; pairs of one path that are less than this apart use different ones.
+/// Scrambled sequences in the bank; pairs of one path that are less than this apart use different
+/// ones.
 const PATTERNS: usize = 64;
 /// Longest sequence in the bank; more samples start over with other hashes.
 const LONGEST: u32 = 4096;
@@ -24,7 +29,8 @@ pub(crate) struct SampleBank {
     parts: u32,
 }
 
-/// Draws the random numbers of samples of one pixel that follow one another: what depends on pixel and pair is worked out once for all.
+/// Draws the random numbers of consecutive samples of one pixel. All samples share the hash of
+/// pixel and pair.
 #[derive(Clone, Copy)]
 pub(crate) struct Draws<'a> {
     bank: &'a SampleBank,
@@ -62,8 +68,9 @@ impl SampleBank {
         Self { points, length, parts }
     }
 
-    /// The numbers of the pixel with this hash for sample `first` and those that follow. Those of one object must be in one stretch of the longest
-    /// sequence, as they are from multiples of any power of two up to it.
+    /// The numbers of the pixel with this hash for sample `first` and those that follow. Those of
+    /// one object must be in one stretch of the longest sequence, as they are from multiples of any
+    /// power of two up to it.
     pub(crate) fn draws(&self, pixel: u64, first: u32) -> Draws<'_> {
         let pixel = if first < self.length { pixel } else { seed::derive(pixel, &[u64::from(first / self.length)]) };
         Draws { bank: self, pixel, first: first & (self.length - 1) }
@@ -71,8 +78,8 @@ impl SampleBank {
 }
 
 impl<'a> Draws<'a> {
-    /// Of the pixel's samples one each has its number in one of so many equal parts of [0, 1), or one or two where the samples are no power of two:
-    /// true of both numbers of every pair.
+    /// Number of equal parts of [0, 1) that hold one number each of the pixel's samples, in both
+    /// numbers of every pair. If the number of samples is no power of two, a part holds one or two.
     #[inline]
     pub(crate) fn parts(&self) -> u32 {
         self.bank.parts
@@ -124,7 +131,8 @@ fn sobol_second(mut index: u32) -> u32 {
     result
 }
 
-/// Owen's nested uniform scrambling: each bit is flipped by a hash of the bits above it. Slow and exact; used only for the bank.
+/// Owen's nested uniform scrambling: each bit is flipped by a hash of the bits above it. Slow and
+/// exact; used only for the bank.
 fn owen_scramble(value: u32, key: u64) -> u32 {
     let mut result = value;
     for bit in 0..32 {
@@ -167,8 +175,9 @@ mod tests {
         }
     }
 
-    /// Over pixels, every sample of every pair is uniform over its square, and one number of a pair tells nothing of a number of another:
-    /// chi-square over 12 × 12 cells, false-alarm rate [`FALSE_ALARM_RATE`] each of 36.
+    /// Over pixels, every sample of every pair is uniform over its square. Numbers of different
+    /// pairs are independent. Chi-square over 12 × 12 cells, false-alarm rate [`FALSE_ALARM_RATE`]
+    /// for each of 36 tests.
     #[test]
     fn numbers_are_uniform_over_pixels() {
         const EDGE: usize = 12;
@@ -190,8 +199,8 @@ mod tests {
         }
     }
 
-    /// Both numbers of every pair put one sample into each of n equal parts, for powers of two; for other n no part of the next smaller power is
-    /// empty or holds more than two.
+    /// For powers of two n, both numbers of every pair put one sample into each of n equal parts.
+    /// For other n, no part of the next smaller power is empty or holds more than two.
     #[test]
     fn every_number_is_stratified() {
         for samples in [16u32, 48, 64] {
@@ -215,7 +224,8 @@ mod tests {
 
     #[test]
     fn pairs_and_pixels_are_independent() {
-        // correlation of products between pairs, between pixels and between samples, over many pixels
+        // correlation of products between pairs, between pixels and between samples, over many
+        // pixels
         let bank = SampleBank::new(16);
         let pixels = 20_000u64;
         let mut sums = [0.0f64; 4];
@@ -238,7 +248,8 @@ mod tests {
 
     #[test]
     fn a_smooth_integral_converges_faster_than_random() {
-        // ∫∫ over a disc of radius 1 around the origin is π/4; random points have a standard deviation of 0.41/√n
+        // ∫∫ over a disc of radius 1 around the origin is π/4; random points have a standard
+        // deviation of 0.41/√n
         let samples = 256;
         let bank = SampleBank::new(samples);
         let mean_square: f64 = (0..200)

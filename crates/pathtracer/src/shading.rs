@@ -11,7 +11,8 @@ use crate::geometry::{SurfacePoint, bend_normal};
 use crate::normals::Normals;
 use crate::texture::{Encoding, Slot, Textures};
 
-/// Footprint of lookups that must not be filtered: alpha, whose average is not the alpha of an average once it is thresholded.
+/// Footprint of lookups that must not be filtered: alpha, whose average is not the alpha of an
+/// average once it is thresholded.
 const FINEST: f32 = 0.0;
 
 /// All materials, ready for shading.
@@ -81,7 +82,7 @@ impl Materials {
         Self { scene, textures, slots, compensated: true }
     }
 
-    /// Leaves out what microfacets return of the light that single scattering loses.
+    /// Leaves out the light that single scattering loses and compensation returns.
     pub(crate) fn without_compensation(&mut self) {
         self.compensated = false;
     }
@@ -112,7 +113,8 @@ impl Materials {
         }
     }
 
-    /// Radiance that the surface emits towards a viewer on its front or back side, at a direction with this cosine to the normal.
+    /// Radiance that the surface emits towards a viewer on its front or back side, at a direction
+    /// with this cosine to the normal.
     pub(crate) fn emission(
         &self,
         index: usize,
@@ -289,7 +291,7 @@ impl Materials {
     }
 }
 
-/// Whether a material has any of the [`Extras`].
+/// True if a material has any of the [`Extras`].
 fn has_extras(material: &Material) -> bool {
     material.specular != 1.0
         || material.specular_color != Vec3::ONE
@@ -301,7 +303,7 @@ fn has_extras(material: &Material) -> bool {
         || (is_solid(material) && material.dispersion > 0.0)
 }
 
-/// Whether light can enter a solid behind this surface.
+/// True if light can enter a solid behind this surface.
 fn is_solid(material: &Material) -> bool {
     material.solid && material.transmission > 0.0
 }

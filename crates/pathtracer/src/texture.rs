@@ -1,7 +1,8 @@
 //! Filtered texture lookups: image pyramids, trilinear.
 //!
-//! The finest level is the scene's own image; only the coarser ones are made here, by averaging 2 × 2 texels (fewer at odd edges)
-//! in linear light. Colours keep the storage of their image: 8-bit codes stay 8-bit codes, 16-bit codes become linear 16-bit.
+//! The finest level is the scene's own image; only the coarser ones are made here, by averaging 2 ×
+//! 2 texels (fewer at odd edges) in linear light. Colours keep the storage of their image: 8-bit
+//! codes stay 8-bit codes, 16-bit codes become linear 16-bit.
 
 use std::collections::HashMap;
 use std::sync::{Arc, OnceLock};
@@ -10,7 +11,7 @@ use glam::{Vec2, Vec4};
 use lumistack_core::colour::{srgb_code, srgb_decode};
 use lumistack_scene::{Filter, Image, Pixels, Scene, Texture, TextureUse, Wrap};
 
-/// What the codes of an image mean in one slot.
+/// Meaning of an image's codes in one slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Encoding {
     /// RGB is sRGB-encoded, alpha linear.
@@ -52,7 +53,7 @@ enum Texels {
 }
 
 impl Textures {
-    /// Starts without pyramids; [`slot`](Self::slot) makes them as they are asked for.
+    /// Starts without pyramids; [`slot`](Self::slot) builds them on first use.
     pub(crate) fn new(scene: Arc<Scene>) -> Self {
         Self { scene, pyramids: Vec::new(), by_image: HashMap::new() }
     }
@@ -80,7 +81,8 @@ impl Textures {
         self.pyramids.iter().flatten().map(level).sum()
     }
 
-    /// The texture at mesh coordinates `uv`, averaged over a footprint `texels_wide` texels of the finest level wide.
+    /// The texture at mesh coordinates `uv`, averaged over a footprint `texels_wide` texels of the
+    /// finest level wide.
     pub(crate) fn lookup(&self, slot: &Slot, uv: Vec2, texels_wide: f32) -> Vec4 {
         let uv = slot.source.texture_from_mesh.transform_point2(uv);
         let coarser = &self.pyramids[slot.pyramid];
@@ -174,7 +176,8 @@ fn interpolate(
 /// The two texels beside a coordinate, `shift` texels before it, and the share of the second.
 #[inline]
 fn neighbours(coordinate: f32, size: usize, wrap: Wrap, shift: f32) -> (usize, usize, f32) {
-    // folded to one period (two when mirrored) before scaling, so that texels are found by comparisons, not divisions
+    // folded to one period (two when mirrored) before scaling, so that texels are found by
+    // comparisons, not divisions
     let folded = match wrap {
         Wrap::Repeat => coordinate - floor(coordinate),
         Wrap::MirroredRepeat => {
@@ -196,7 +199,8 @@ fn neighbours(coordinate: f32, size: usize, wrap: Wrap, shift: f32) -> (usize, u
     (first as usize, second as usize, share)
 }
 
-/// Floor without a library call, for |x| < 2³¹; larger values keep their sign and become texel 0 or the last one.
+/// Floor without a library call, for |x| < 2³¹; larger values keep their sign and become texel 0 or
+/// the last one.
 #[inline]
 fn floor(x: f32) -> f32 {
     let whole = x as i32 as f32;

@@ -5,21 +5,30 @@
 //! w = p² / (p_b² + p_l²)
 //! ```
 //!
-//! T is the throughput, E what the hit surface emits, the second term one sampled light; w is the power heuristic with the density of
-//! the technique that made the sample on top. Alpha of mode `Blend` is decided by chance along scattered rays and multiplied along
-//! shadow rays, so both have the right mean.
+//! T is the throughput, E the emission of the hit surface, and the second term one sampled light.
+//! In the power heuristic w the density of the technique that made the sample is on top. Alpha of
+//! mode `Blend` is decided by chance along scattered rays and multiplied along shadow rays, so both
+//! have the right mean.
 //!
-//! The samples of a pixel are traced together, a vertex of all paths at a time: first rays lie close together and meet
-//! the tree as a beam, random numbers of a vertex share their hash, and what one path waits for the next does not.
+//! The samples of a pixel are traced together, a vertex of all paths at a time. First rays lie
+//! close together and traverse the tree as a beam. Random numbers of a vertex share their hash.
+//! While one path waits for memory, the next goes on.
 //!
-//! Of the time on FlightHelmet half goes into rays. The rest waits for memory and for branches rather than for arithmetic: the whole program
-//! compiled for AVX2 with FMA was no faster. Nearly all variance of a diffuse scene comes from the first scattered direction: four jointly stratified
-//! points of lights at the first hit instead of one lowered the squared error by 7 % and cost 80 % more time (FlightHelmet, 16 spp).
-//! What paths wait for between rays are chains of roots and quotients, and results read in larger pieces than they were written in. So directions
-//! around normals and primary rays are worked out for all paths at once, as vectors, hits are written where they are read, and a light's density is
-//! kept as what it is multiplied with (FlightHelmet: together 9 % more samples).
-//! A loop over the paths for each part of a vertex (surface, light, scattered direction) cost 3 %: what they hand on has to be stored.
-//! The shadow rays of first hits as a beam, with a test of every block's bounds against eight rays at once, took 1.6 times as long as alone.
+//! Measured on FlightHelmet with 16 samples per pixel:
+//!
+//! * Half of the time goes into rays. The rest waits for memory and for branches rather than for
+//!   arithmetic: the whole program compiled for AVX2 with FMA was no faster.
+//! * Nearly all variance of a diffuse scene comes from the first scattered direction. Four jointly
+//!   stratified points of lights at the first hit instead of one lowered the squared error by 7 %
+//!   and cost 80 % more time.
+//! * Between rays, paths wait for chains of roots and quotients, and for results that are read in
+//!   larger pieces than they were written in. So directions around normals and primary rays are
+//!   computed for all paths at once, as vectors. Hits are written where they are read, and a
+//!   light's density is kept as its inverse. Together this gave 9 % more samples.
+//! * A loop over the paths for each part of a vertex (surface, light, scattered direction) cost 3
+//!   %, since the parts' results have to be stored.
+//! * The shadow rays of first hits as a beam took 1.6 times as long as alone, with a test of every
+//!   block's bounds against eight rays at once.
 
 use glam::Vec3;
 use lumistack_scene::{Lamp, Material};
@@ -27,18 +36,19 @@ use lumistack_scene::{Lamp, Material};
 use crate::bsdf::{Appearance, Bsdf, Scatter, cosine_directions};
 use crate::bvh::{ALPHA, BEAM, Bvh, Hit, Ray, Stack, TINT};
 use crate::geometry::{Geometry, SurfacePoint};
+use crate::lambert::{Lambert, is_lambertian};
 use crate::light::{Lights, Receiver};
-use crate::matt::{Matt, is_matt};
 use crate::sampler::{Draws, Pair};
 use crate::settings::Settings;
 use crate::shading::Materials;
 
 /// Pairs of random numbers that the primary ray uses: position in the pixel, slope in the bin.
 pub(crate) const PRIMARY_PAIRS: u64 = 2;
-/// Pairs per vertex of a path: scattered direction, point of a light, roulette and choice between reflection and refraction.
+/// Pairs per vertex of a path: scattered direction, point of a light, roulette and choice between
+/// reflection and refraction.
 const VERTEX_PAIRS: u64 = 3;
-/// First of the pairs that decide about surfaces with alpha: one for each bounce and triangle, so that surfaces behind one another
-/// decide independently.
+/// First of the pairs that decide about surfaces with alpha: one for each bounce and triangle, so
+/// that surfaces behind one another decide independently.
 const ALPHA_PAIRS: u64 = 1 << 62;
 /// Odd step that spreads instances over these pairs.
 const INSTANCE_STEP: u64 = 0x2545_f491_4f6c_dd1d;
@@ -49,15 +59,16 @@ const MOST_SURVIVAL: f32 = 0.95;
 /// Footprints widen by this share of the distance after a scattering lobe of α = 1.
 const SCATTER_SPREAD: f32 = 0.1;
 
-/// Footprint of a ray: `width + spread · t`, in render space (Akenine-Möller et al. 2019, "Texture level of detail strategies").
+/// Footprint of a ray: `width + spread · t`, in render space (Akenine-Möller et al. 2019, "Texture
+/// level of detail strategies").
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Cone {
     pub(crate) width: f32,
     pub(crate) spread: f32,
 }
 
-/// A material is nothing but Lambert's law, as [`is_matt`] says.
-const MATT: u8 = 1;
+/// A material is nothing but Lambert's law, as [`is_lambertian`] says.
+const LAMBERTIAN: u8 = 1;
 /// It may emit light.
 const EMISSIVE: u8 = 2;
 /// It shows its colour and scatters nothing.
@@ -65,32 +76,32 @@ const UNLIT: u8 = 4;
 /// It stands for a light source, which first hits pass.
 const UNSEEN: u8 = 8;
 
-/// What the path loop asks of a material at every hit, in one byte.
+/// Properties of a material that the path loop reads at every hit, in one byte.
 pub(crate) fn traits(material: &Material) -> u8 {
     let flag = |is: bool, flag: u8| if is { flag } else { 0 };
-    flag(is_matt(material), MATT)
+    flag(is_lambertian(material), LAMBERTIAN)
         | flag(material.is_emissive(), EMISSIVE)
         | flag(material.unlit, UNLIT)
         | flag(material.lamp == Lamp::Unseen, UNSEEN)
 }
 
-/// Everything that rays meet.
+/// The scene that rays are traced in.
 #[derive(Clone, Copy)]
 pub(crate) struct Tracer<'a> {
     pub(crate) geometry: &'a Geometry,
     pub(crate) bvh: &'a Bvh,
     pub(crate) materials: &'a Materials,
     pub(crate) lights: &'a Lights,
-    /// What is known of every material beforehand: [`MATT`], [`EMISSIVE`], [`UNLIT`], [`UNSEEN`].
+    /// Properties of every material: [`LAMBERTIAN`], [`EMISSIVE`], [`UNLIT`], [`UNSEEN`].
     pub(crate) traits: &'a [u8],
-    /// What is seen past the scene instead of the environment.
+    /// Radiance past the scene instead of the environment, for straight paths from the viewer.
     pub(crate) backdrop: Option<Vec3>,
 }
 
 /// How a point scatters.
 #[expect(clippy::large_enum_variant, reason = "on the stack and never moved; a box would allocate at every hit")]
 enum Surface {
-    Matt(Matt),
+    Lambert(Lambert),
     General(Bsdf),
 }
 
@@ -100,23 +111,25 @@ struct Path {
     radiance: Vec3,
     throughput: Vec3,
     cone: Cone,
-    /// The last vertex that scattered other than straight through: its place and density, for the heuristic.
+    /// The last vertex that scattered other than straight through: its place and density, for the
+    /// heuristic.
     scattered_at: Receiver,
     scattered_pdf: f32,
-    /// Whether nothing has turned the path aside since the viewer.
+    /// True if no event has turned the path aside since the viewer.
     straight: bool,
     /// Material of the solid that the path is in.
     inside: Option<usize>,
     /// Wavelength of a path that has entered dispersing glass.
     wave_nm: Option<f32>,
-    /// Share of what arrives that the first surface scatters by Lambert's law, where that is asked for.
+    /// With `SPLIT`, the share of the incident light that the first surface scatters by Lambert's
+    /// law.
     diffuse: Vec3,
 }
 
-/// What is known of the first surface of a path, and its light that goes alike to all viewers.
+/// The first surface of a path, and its light that is alike for all viewers.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct First {
-    /// Whether there is one.
+    /// True if the path hits a surface.
     pub(crate) is_there: bool,
     /// Radiance that it scatters by Lambert's law.
     pub(crate) diffuse: Vec3,
@@ -127,17 +140,17 @@ pub(crate) struct First {
     pub(crate) normal: Vec3,
 }
 
-/// What would arrive from sampled lights if nothing were between, for as many paths as `count`.
+/// Unshadowed contributions of sampled lights, for as many paths as `count`.
 struct Shadows {
     count: usize,
     rays: [Ray; BEAM],
     /// Path, direction towards the light, contribution.
     lights: [(usize, Vec3, Vec3); BEAM],
-    /// Share of the contribution that a first surface scatters by Lambert's law, where that is asked for.
+    /// With `SPLIT`, the share of the contribution that a first surface scatters by Lambert's law.
     diffuse: [Vec3; BEAM],
 }
 
-/// A hit with what shading needs.
+/// A hit with its data for shading.
 struct Vertex<'a> {
     point: SurfacePoint<'a>,
     material: usize,
@@ -148,8 +161,9 @@ struct Vertex<'a> {
 }
 
 impl Tracer<'_> {
-    /// Radiance that arrives along at most [`BEAM`] rays of a pixel, which draw their numbers from `draws` one after another. Rays that are not `in_bounds`
-    /// meet nothing. What is left in `rays` is of no use.
+    /// Radiance that arrives along at most [`BEAM`] rays of a pixel, which draw their numbers from
+    /// `draws` one after another. Rays that are not `in_bounds` hit nothing. The contents of `rays`
+    /// afterwards are of no use.
     pub(crate) fn radiance(
         &self,
         rays: &mut [Ray],
@@ -162,7 +176,8 @@ impl Tracer<'_> {
         self.radiance_split::<false>(rays, cone, in_bounds, settings, draws, stack, &mut [])
     }
 
-    /// [`radiance`](Self::radiance); with `SPLIT` also what is known of every path's first surface, into as many places as there are rays.
+    /// [`radiance`](Self::radiance). With `SPLIT` it also writes every path's first surface to
+    /// `first`, which has a place per ray.
     pub(crate) fn radiance_split<const SPLIT: bool>(
         &self,
         rays: &mut [Ray],
@@ -188,6 +203,7 @@ impl Tracer<'_> {
             diffuse: Vec3::ZERO,
         };
         let mut paths = [start; BEAM];
+        // filled by every vertex, traced once all paths have scattered
         let mut shadows = Shadows {
             count: 0,
             rays: [rays[0]; BEAM],
@@ -201,6 +217,7 @@ impl Tracer<'_> {
             let pairs = [draws.pair(pairs), draws.pair(pairs + 1), draws.pair(pairs + 2)];
             shadows.count = 0;
             let around_normal = self.cosine_directions(going, &pairs[0]);
+            // scatter every path at its hit, or end it with the light from infinity
             for (place, index) in ones(going).enumerate() {
                 let path = &mut paths[index];
                 let before = path.radiance;
@@ -241,6 +258,7 @@ impl Tracer<'_> {
                     None => going &= !(1 << index),
                 }
             }
+            // add the sampled lights that nothing blocks
             for (place, (ray, (index, direction, light))) in
                 shadows.rays.iter().zip(&shadows.lights).take(shadows.count).enumerate()
             {
@@ -250,6 +268,7 @@ impl Tracer<'_> {
                     first[*index].diffuse += *light * passed * shadows.diffuse[place];
                 }
             }
+            // trace the next ray of every path that goes on
             if going == 0 {
                 break;
             }
@@ -264,14 +283,14 @@ impl Tracer<'_> {
         paths.map(|path| path.radiance)
     }
 
-    /// Number of rays among those of [`radiance`](Self::radiance) that meet no surface at first.
+    /// Number of rays among those of [`radiance`](Self::radiance) that miss all surfaces.
     pub(crate) fn misses(&self, rays: &mut [Ray], in_bounds: bool, draws: &Draws<'_>, stack: &mut Stack) -> usize {
         let mut hits = [None; BEAM];
         self.first_hits(rays, in_bounds, draws, stack, &mut hits);
         hits[..rays.len()].iter().filter(|hit| hit.is_none()).count()
     }
 
-    /// The surfaces that rays of a pixel meet first.
+    /// The first hits of a pixel's rays.
     #[inline]
     fn first_hits(
         &self,
@@ -286,7 +305,8 @@ impl Tracer<'_> {
         }
     }
 
-    /// Directions around a normal for the paths that go on, in their order: worked out together, they are vectors.
+    /// Directions around a normal for the paths that go on, in their order. Computed together, they
+    /// become vectors.
     #[inline]
     fn cosine_directions(&self, going: u32, pair: &Pair<'_>) -> [[f32; BEAM]; 3] {
         let mut u = [[0.0; BEAM]; 2];
@@ -296,7 +316,7 @@ impl Tracer<'_> {
         cosine_directions(&u, going.count_ones() as usize)
     }
 
-    /// A vertex of a path: what it emits, the light to ask for, and the ray to go on with.
+    /// A vertex of a path: adds its emission and one sampled light, and returns the next ray.
     #[inline]
     fn scatter<const SPLIT: bool>(
         &self,
@@ -313,9 +333,11 @@ impl Tracer<'_> {
         first: &mut [First],
     ) -> Option<Ray> {
         let vertex = self.vertex(ray, path.cone, hit);
+        // the solid that the path is in absorbs light up to the hit
         if let Some(material) = path.inside {
             path.throughput *= self.absorption(material, hit.t);
         }
+        // add the emission, weighted against light sampling at the previous vertex
         let cosine = vertex.normal.dot(ray.direction);
         let traits = self.traits[vertex.material];
         if traits & EMISSIVE != 0 {
@@ -332,9 +354,10 @@ impl Tracer<'_> {
         if bounce == settings.max_bounces || traits & UNLIT != 0 {
             return None;
         }
+        // look up textures, and prepare the scattering function
         let mut vertex_nm = None;
-        let surface = if traits & MATT != 0 {
-            Surface::Matt(self.matt(&vertex))
+        let surface = if traits & LAMBERTIAN != 0 {
+            Surface::Lambert(self.lambert(&vertex))
         } else {
             let mut appearance = self.materials.appearance(vertex.material, &vertex.point, vertex.width);
             vertex_nm = appearance.disperse(path.wave_nm, || draws.pair(WAVE_PAIR).of(index)[0]);
@@ -346,6 +369,7 @@ impl Tracer<'_> {
             let reflectance = surface.diffuse_reflectance();
             first[index] = First { is_there: true, diffuse: Vec3::ZERO, reflectance, position, normal };
         }
+        // next-event estimation: one sampled light, whose shadow ray is traced later
         let [u_roulette, u_fresnel] = pairs[2].of(index);
         if surface.is_smooth() && self.lights.can_be_sampled() {
             // the roulette's number may serve twice: this term and the rest of the path only add up
@@ -365,11 +389,13 @@ impl Tracer<'_> {
                 },
             );
         }
+        // sample the next direction
         let scatter = surface.sample(pairs[0].of(index), around_normal, u_fresnel)?;
         if is_first && scatter.pdf.is_finite() {
             path.diffuse = surface.diffuse_share(scatter.weight * scatter.pdf, scatter.direction);
         }
         path.throughput *= scatter.weight;
+        // Russian roulette: a path survives with a chance in proportion to its throughput
         if bounce >= settings.roulette_start {
             let survival = path.throughput.max_element().min(MOST_SURVIVAL);
             // also ends paths whose throughput is zero
@@ -378,6 +404,7 @@ impl Tracer<'_> {
             }
             path.throughput /= survival;
         }
+        // update the state of the path for its next vertex
         if scatter.refracted {
             path.inside = if vertex.front { Some(vertex.material) } else { None };
             path.wave_nm = path.wave_nm.or(vertex_nm);
@@ -392,8 +419,8 @@ impl Tracer<'_> {
         Some(vertex.leave(scatter.direction))
     }
 
-    /// Whether a ray meets a surface at all.
-    pub(crate) fn meets_surface(&self, ray: Ray, stack: &mut Stack) -> bool {
+    /// True if a ray hits a surface.
+    pub(crate) fn hits_surface(&self, ray: Ray, stack: &mut Stack) -> bool {
         self.first_surface(ray, stack).is_some()
     }
 
@@ -404,7 +431,8 @@ impl Tracer<'_> {
         hit.map(|hit| hit.t)
     }
 
-    /// Place in render space, shading normal on the viewer's side and appearance of the first surface that a path meets.
+    /// Place in render space, shading normal on the viewer's side and appearance of the first
+    /// surface of a path.
     pub(crate) fn first_seen(
         &self,
         ray: &Ray,
@@ -437,12 +465,12 @@ impl Tracer<'_> {
         Bsdf::new(appearance, to_viewer, &frame, *front)
     }
 
-    /// What [`bsdf`](Self::bsdf) is for a matt material, without what only others have.
+    /// The counterpart of [`bsdf`](Self::bsdf) for a material that scatters by Lambert's law alone.
     #[inline]
-    fn matt(&self, vertex: &Vertex<'_>) -> Matt {
+    fn lambert(&self, vertex: &Vertex<'_>) -> Lambert {
         let Vertex { material, point, front, normal, width } = vertex;
         let normals = self.materials.diffuse_normals(*material, point, *width, *normal, *front);
-        Matt::new(self.materials.base_color(*material, point, *width), *normal, normals)
+        Lambert::new(self.materials.base_color(*material, point, *width), *normal, normals)
     }
 
     /// Adds light from one sampled light, which has yet to find its way.
@@ -463,7 +491,8 @@ impl Tracer<'_> {
         let Some(light) = self.lights.sample(self.geometry, self.materials, &receiver, u, u_fine, parts) else {
             return;
         };
-        // hard light ends where the smooth surface turns away, not its triangles: no other technique finds it, so the weights stay right
+        // hard light ends where the smooth surface turns away, not its triangles: no other
+        // technique finds it, so the weights stay right
         let is_hard = light.inverse_pdf == 0.0 && vertex.may_bulge(surface);
         let (value, scatter_pdf) = if is_hard {
             surface.evaluate_above(vertex.smooth_normal(), light.direction)
@@ -487,12 +516,13 @@ impl Tracer<'_> {
         shadows.count += 1;
     }
 
-    /// Whether first hits pass the surface.
+    /// True if first hits pass the surface.
     fn is_unseen(&self, hit: &Hit) -> bool {
         self.traits[self.geometry.material_index(hit.triangle)] & UNSEEN != 0
     }
 
-    /// Decides whether a surface is there: one with alpha by chance, a lamp that is not seen for all but first hits.
+    /// Decides whether a surface is there: one with alpha by chance, a lamp that is not seen for
+    /// all but first hits.
     fn is_there(&self, hit: &Hit, bounce: u32, draws: &Draws<'_>, index: usize) -> bool {
         if hit.flags & ALPHA == 0 {
             return true;
@@ -527,7 +557,8 @@ impl Tracer<'_> {
         open + coverage * self.bsdf(&vertex, &appearance, -direction).straight()
     }
 
-    /// What a solid leaves of light after `distance`: attenuation_color^(distance / attenuation_distance).
+    /// Share of light that is left after `distance` in a solid: attenuation_color^(distance /
+    /// attenuation_distance).
     fn absorption(&self, material: usize, distance: f32) -> Vec3 {
         let (color, reference) = self.materials.attenuation(material);
         let exponent = distance / (reference * self.geometry.space.scale as f32);
@@ -539,7 +570,7 @@ impl Surface {
     #[inline]
     fn is_smooth(&self) -> bool {
         match self {
-            Self::Matt(_) => true,
+            Self::Lambert(_) => true,
             Self::General(bsdf) => bsdf.is_smooth(),
         }
     }
@@ -547,14 +578,14 @@ impl Surface {
     #[inline]
     fn evaluate(&self, direction: Vec3) -> (Vec3, f32) {
         match self {
-            Self::Matt(matt) => matt.evaluate(direction),
+            Self::Lambert(lambert) => lambert.evaluate(direction),
             Self::General(bsdf) => bsdf.evaluate(direction),
         }
     }
 
     fn evaluate_above(&self, horizon: Vec3, direction: Vec3) -> (Vec3, f32) {
         match self {
-            Self::Matt(matt) => matt.above(horizon).evaluate(direction),
+            Self::Lambert(lambert) => lambert.above(horizon).evaluate(direction),
             Self::General(bsdf) => bsdf.evaluate_above(horizon, direction),
         }
     }
@@ -562,15 +593,15 @@ impl Surface {
     #[inline]
     fn sample(&self, u: [f32; 2], around_normal: Vec3, u_fresnel: f32) -> Option<Scatter> {
         match self {
-            Self::Matt(matt) => matt.sample(around_normal),
+            Self::Lambert(lambert) => lambert.sample(around_normal),
             Self::General(bsdf) => bsdf.sample(u, u_fresnel),
         }
     }
 
-    /// Reflectance of what scatters alike to all viewers.
+    /// Reflectance of the light that is scattered alike to all viewers.
     fn diffuse_reflectance(&self) -> Vec3 {
         match self {
-            Self::Matt(matt) => matt.albedo(),
+            Self::Lambert(lambert) => lambert.albedo(),
             Self::General(bsdf) => bsdf.diffuse_reflectance(),
         }
     }
@@ -578,7 +609,7 @@ impl Surface {
     /// The share of that in `value` = f |cos| of a direction, 0..1 by channel.
     fn diffuse_share(&self, value: Vec3, direction: Vec3) -> Vec3 {
         match self {
-            Self::Matt(_) => Vec3::ONE,
+            Self::Lambert(_) => Vec3::ONE,
             Self::General(bsdf) => {
                 let share = bsdf.evaluate_diffuse(direction) / value;
                 // where nothing is scattered nothing is shared
@@ -589,14 +620,15 @@ impl Surface {
 
     fn transmits(&self) -> bool {
         match self {
-            Self::Matt(_) => false,
+            Self::Lambert(_) => false,
             Self::General(bsdf) => bsdf.transmits(),
         }
     }
 }
 
 impl Vertex<'_> {
-    /// What the choice of a light needs to know; `horizon` where it matters that the surface may be smoother than its triangles.
+    /// The receiver for choosing a light. With `horizon` it accounts for a surface that is smoother
+    /// than its triangles.
     #[inline(always)]
     fn receiver(&self, surface: &Surface, horizon: bool) -> Receiver {
         let tilt = if horizon && self.may_bulge(surface) {
@@ -608,7 +640,8 @@ impl Vertex<'_> {
         Receiver { position: self.point.position, normal: (!surface.transmits()).then_some(self.normal), tilt }
     }
 
-    /// Whether light may arrive from below the triangle's horizon: where it stands for a smooth surface that passes nothing.
+    /// True if light may arrive from below the triangle's horizon: where the triangle stands for a
+    /// smooth opaque surface.
     fn may_bulge(&self, surface: &Surface) -> bool {
         !self.point.is_flat() && !surface.transmits()
     }
@@ -637,7 +670,8 @@ fn heuristic(ratio: f32) -> f32 {
     1.0 / (1.0 + ratio * ratio)
 }
 
-/// A density over that of the technique that made the sample, which is infinite where no other could have.
+/// A density over that of the technique that made the sample, which is infinite where no other
+/// could have.
 #[inline]
 fn ratio(other: f32, own: f32) -> f32 {
     if other == 0.0 { 0.0 } else { other / own }

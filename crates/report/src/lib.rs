@@ -33,7 +33,7 @@
 //! | `zone` | null, or `directions` (list of `slope`, `psnr` in dB and `pixels`), and `ssim` and `flip`, means over those whose references have enough samples, the first eight |
 //! | `psnr_view`, `psnr_raw` | dB, target views by their pixels' centre rays: the solver's quality. Here and below, at most 7 views along an axis are measured |
 //! | `ssim`, `flip` | means over all target views |
-//! | `pixels_per_degree` | of visual angle, for FLIP |
+//! | `pixels_per_degree` | pixels per degree of visual angle, for FLIP |
 //! | `brightness` | β |
 //! | `light` | luminances relative to the backlight's: `emitted` (mean of L̃), `wanted` (mean of L), `open` (of a display with all pixels at their brightest, from straight ahead), and `text` |
 //! | `views` | of the target: `slope_x[view_x]`, `slope_y[view_y]` (tangents, y up), `projection`, `distance_mm`, `rows`, `cols`, `pitch_mm`, and `[view_y][view_x]` arrays `psnr_view` (dB), `ssim`, `flip` and `counted_share` (fraction of rays that count, 0..1) |
@@ -42,7 +42,7 @@
 //! | `depth` | null, or over the rays of all views with a hit: `depth_of_field_mm` ([low, high] or null), fractions `inside` it, `inside_middle` (of the central view), `beyond_a_pixel`, percentiles `depth_mm` and `disparity_px` (between neighbouring views), `window_moved_back_mm`, `depth_scale`, and two histograms |
 //! | `convergence` | list of `iteration`, `objective` (Σ w (βL − L̃)²), `psnr_view` (dB), `seconds` since the solver's start |
 //! | `reached` | list of `seconds`, `iteration`, `psnr_view`: the last point of the convergence by then |
-//! | `denoising` | null, or `name`, and over all views and in the list `views`: `mean` (of the unbiased picture), `mean_change`, `mse_before`, `mse_after`, each of these a pair of value and standard error (exposed radiance; errors at pixels that the filter never saw) |
+//! | `denoising` | null, or `name`, and over all views and in the list `views`: `mean` (of the unbiased picture), `mean_change`, `mse_before`, `mse_after`. Each is a pair of value and standard error (exposed radiance; errors at pixels that the filter never used) |
 //! | `stages`, `seconds_total` | list of `name`, `seconds`, `cached` |
 //! | `display`, `settings`, `scene` | the display file, the resolved job, facts about the scene or null |
 //! | `warnings`, `outputs` | lists of `place`, `message` and of `label`, `path` (relative to the report), `failed` (null, or the reason) |

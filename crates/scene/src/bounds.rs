@@ -27,12 +27,12 @@ impl Bounds {
         self.max = self.max.max(other.max);
     }
 
-    /// Whether the box holds nothing.
+    /// True if the box holds nothing.
     pub fn is_empty(&self) -> bool {
         !(self.min.cmple(self.max)).all()
     }
 
-    /// Whether a point lies in the box or on its border.
+    /// True if a point lies in the box or on its border.
     pub fn contains(&self, point: Vec3) -> bool {
         point.cmpge(self.min).all() && point.cmple(self.max).all()
     }

@@ -8,9 +8,9 @@ use thiserror::Error;
 pub struct SceneError {
     /// Place in the file.
     pub place: String,
-    /// What was needed.
+    /// The expected value or range.
     pub expected: String,
-    /// What was there.
+    /// The value found.
     pub found: String,
 }
 

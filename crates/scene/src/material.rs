@@ -22,36 +22,42 @@ pub struct Material {
     pub normal_texture: Option<TextureUse>,
     /// Factor on the x and y of the normal map.
     pub normal_scale: f32,
-    /// Linear RGB radiance (W/(sr·m²) up to the file's unit), `KHR_materials_emissive_strength` included.
+    /// Linear RGB radiance (W/(sr·m²) up to the file's unit), `KHR_materials_emissive_strength`
+    /// included.
     pub emission: Vec3,
     /// RGB sRGB-encoded.
     pub emission_texture: Option<TextureUse>,
-    /// What alpha means.
+    /// Meaning of alpha.
     pub alpha_mode: AlphaMode,
-    /// Whether back faces are shaded; otherwise they are invisible.
+    /// True if back faces are shaded; otherwise they are invisible.
     pub double_sided: bool,
-    /// Shown with its base colour whatever the light (`KHR_materials_unlit`).
+    /// Shown with its base colour under any light (`KHR_materials_unlit`).
     pub unlit: bool,
-    /// Whether the surface stands for a light source of the file, and if so whether the viewer sees it.
+    /// Marks a surface that stands for a light source of the file, seen or unseen by the viewer.
     pub lamp: Lamp,
-    /// Index of refraction (`KHR_materials_ior`), ≥ 1; or 0, which says that dielectric reflection has no angular dependence and
-    /// [`specular_color`](Self::specular_color) alone sets its colour (the specular-glossiness workflow).
+    /// Index of refraction (`KHR_materials_ior`), ≥ 1; or 0, which says that dielectric reflection
+    /// has no angular dependence and [`specular_color`](Self::specular_color) alone sets its colour
+    /// (the specular-glossiness workflow).
     pub ior: f32,
     /// Factor on the dielectric reflection (`KHR_materials_specular`), 0..1.
     pub specular: f32,
     /// Alpha channel, linear.
     pub specular_texture: Option<TextureUse>,
-    /// Linear RGB factor on the dielectric reflection at normal incidence (`KHR_materials_specular`), ≥ 0; the product is at most 1.
+    /// Linear RGB factor on the dielectric reflection at normal incidence
+    /// (`KHR_materials_specular`), ≥ 0; the product is at most 1.
     pub specular_color: Vec3,
     /// RGB sRGB-encoded.
     pub specular_color_texture: Option<TextureUse>,
-    /// Share of light that enters a dielectric and passes through (`KHR_materials_transmission`), 0..1.
+    /// Share of light that enters a dielectric and passes through (`KHR_materials_transmission`),
+    /// 0..1.
     pub transmission: f32,
     /// Red channel, linear.
     pub transmission_texture: Option<TextureUse>,
-    /// Whether the surface bounds a solid (`KHR_materials_volume`) and so refracts; otherwise it is an infinitely thin wall.
+    /// True if the surface bounds a solid (`KHR_materials_volume`) and so refracts; otherwise it is
+    /// an infinitely thin wall.
     pub solid: bool,
-    /// Colour of white light after [`attenuation_distance`](Self::attenuation_distance) inside a solid, 0..1.
+    /// Colour of white light after [`attenuation_distance`](Self::attenuation_distance) inside a
+    /// solid, 0..1.
     pub attenuation_color: Vec3,
     /// Scene units; infinite when the solid does not absorb.
     pub attenuation_distance: f32,
@@ -59,7 +65,7 @@ pub struct Material {
     pub dispersion: f32,
     /// A clear layer on top.
     pub clearcoat: Option<Clearcoat>,
-    /// Fibres on top, as of velvet.
+    /// Fibres on top, as of cloth.
     pub sheen: Option<Sheen>,
     /// A thin film on the base.
     pub iridescence: Option<Iridescence>,
@@ -78,7 +84,8 @@ pub struct Clearcoat {
     pub roughness: f32,
     /// Green channel, linear.
     pub roughness_texture: Option<TextureUse>,
-    /// Normals of the coat, as [`Material::normal_texture`]; without it the coat has the geometry's.
+    /// Normals of the coat, as [`Material::normal_texture`]; without it the coat has the
+    /// geometry's.
     pub normal_texture: Option<TextureUse>,
     /// Factor on the x and y of the coat's normal map.
     pub normal_scale: f32,
@@ -106,7 +113,8 @@ pub struct Iridescence {
     pub texture: Option<TextureUse>,
     /// Index of refraction of the film, ≥ 1.
     pub ior: f32,
-    /// Thickness where the texture reads 0 and 1, nanometres; without a texture the film is as thick as at 1.
+    /// Thickness where the texture reads 0 and 1, nanometres; without a texture the film is as
+    /// thick as at 1.
     pub thickness_nm: [f32; 2],
     /// Green channel, linear.
     pub thickness_texture: Option<TextureUse>,
@@ -125,17 +133,19 @@ pub struct Anisotropy {
     pub strength: f32,
     /// Angle of the direction of stretch from the tangent, counter-clockwise in tangent space.
     pub rotation_rad: f32,
-    /// RG: direction in tangent space, 2·rg − 1, turned by the rotation; B: factor on the strength. Linear.
+    /// RG: direction in tangent space, 2·rg − 1, turned by the rotation; B: factor on the strength.
+    /// Linear.
     pub texture: Option<TextureUse>,
 }
 
-/// Whether a surface stands for a light source. Glowing objects are none: they are geometry.
+/// Marks a surface that stands for a light source. Glowing objects are no lamps: they are geometry.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Lamp {
     /// A surface like any other.
     #[default]
     No,
-    /// A light source that first hits pass as if it were not there. Mirrors, panes and shadows know it.
+    /// A light source that first hits pass as if it were not there. Mirrors, panes and shadows know
+    /// it.
     Unseen,
     /// A light source that is seen.
     Seen,
@@ -205,8 +215,8 @@ impl Material {
         .filter_map(|(slot, texture)| texture.map(|texture| (slot, texture)))
     }
 
-    /// The coordinate set that tangents must follow: that of the first of normal map, coat's normal map and anisotropy; `None` where
-    /// the material needs no tangents.
+    /// The coordinate set that tangents must follow: that of the first of normal map, coat's normal
+    /// map and anisotropy; `None` where the material needs no tangents.
     pub fn tangent_uv_set(&self) -> Option<usize> {
         let coat = self.clearcoat.as_ref().and_then(|coat| coat.normal_texture.as_ref());
         let mapped = self.normal_texture.as_ref().or(coat).map(|texture| texture.uv_set);
@@ -214,13 +224,13 @@ impl Material {
         mapped.or(stretched)
     }
 
-    /// Whether the surface can emit light.
+    /// True if the surface can emit light.
     pub fn is_emissive(&self) -> bool {
         self.emission.max_element() > 0.0 || self.unlit
     }
 }
 
-/// What a material's alpha means.
+/// Meaning of a material's alpha.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum AlphaMode {
     /// Alpha is ignored.
@@ -258,7 +268,7 @@ pub struct Texture {
     pub filter: Filter,
 }
 
-/// What lies outside the unit square of a texture.
+/// Content outside the unit square of a texture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Wrap {
     /// Tiles.
@@ -293,7 +303,7 @@ pub struct Image {
     pub pixels: Pixels,
 }
 
-/// Texels of an [`Image`]. Whether codes are sRGB-encoded or linear is decided by the slot that uses them.
+/// Texels of an [`Image`]. The slot that uses them decides if codes are sRGB-encoded or linear.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Pixels {
     /// 8-bit codes.
@@ -314,7 +324,7 @@ impl Pixels {
         }
     }
 
-    /// Whether there are none.
+    /// True if there are no texels.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }

@@ -4,7 +4,7 @@ use glam::{Affine3A, Quat, Vec2, Vec3, Vec4};
 
 use crate::{Cloud, Image, Material, PlacedCloud, Texture};
 
-/// A scene that nobody has checked yet; see [`SceneParts::validate`].
+/// A scene before its check; see [`SceneParts::validate`].
 #[derive(Clone, Debug, Default)]
 pub struct SceneParts {
     /// Name or path, for messages.
@@ -29,7 +29,8 @@ pub struct SceneParts {
     pub cameras: Vec<Camera>,
     /// Light from infinity; `None` is black.
     pub environment: Option<Environment>,
-    /// Linear radiance ≥ 0 that the viewer sees past the scene instead of the environment. Mirrors and bent light show the environment.
+    /// Linear radiance ≥ 0 that the viewer sees past the scene instead of the environment. Mirrors
+    /// and bent light show the environment.
     pub backdrop: Option<Vec3>,
 }
 
@@ -42,8 +43,9 @@ pub struct Mesh {
     pub positions: Vec<Vec3>,
     /// Unit normals, one per vertex. The validator generates flat ones when empty.
     pub normals: Vec<Vec3>,
-    /// Unit tangents, w = ±1 the handedness of the bitangent `w · normal × tangent`; may be empty. The validator generates them
-    /// when the material has a normal map or anisotropy and the mesh has none.
+    /// Unit tangents, w = ±1 the handedness of the bitangent `w · normal × tangent`; may be empty.
+    /// The validator generates them when the material has a normal map or anisotropy and the mesh
+    /// has none.
     pub tangents: Vec<Vec4>,
     /// Texture coordinates of set 0 and 1; each may be empty, which reads (0, 0).
     pub uvs: [Vec<Vec2>; 2],
@@ -71,7 +73,8 @@ pub struct Light {
     pub position: Vec3,
     /// Unit direction in which light travels; unused by point lights.
     pub direction: Vec3,
-    /// Point and spot: radiant intensity (candela scale); directional: irradiance (lux scale). Linear RGB.
+    /// Point and spot: radiant intensity (candela scale); directional: irradiance (lux scale).
+    /// Linear RGB.
     pub intensity: Vec3,
     /// Shape of the emission.
     pub kind: LightKind,
@@ -91,8 +94,9 @@ pub enum LightKind {
     },
     /// Parallel light.
     Directional,
-    /// Light from a disc of the sky with one radiance, such as the sun; `intensity` is the irradiance on a surface that faces its centre.
-    /// Seen by surfaces alone, not by cameras or mirrors.
+    /// Light from a disc of the sky with one radiance, such as the sun; `intensity` is the
+    /// irradiance on a surface that faces its centre. Seen by surfaces alone, not by cameras or
+    /// mirrors.
     Distant {
         /// Angle from the centre to the edge, 0..=π/2.
         half_angle_rad: f32,
@@ -110,7 +114,8 @@ pub struct Camera {
     pub projection: Projection,
     /// Distance of the plane of focus, scene units, where the file gives one.
     pub focus_distance: Option<f32>,
-    /// Distance of the near plane ≥ 0, scene units, where the file gives one: nothing before it is seen.
+    /// Distance of the near plane ≥ 0, scene units, where the file gives one: nothing before it is
+    /// seen.
     pub near: Option<f32>,
 }
 
@@ -133,8 +138,8 @@ pub enum Projection {
     },
 }
 
-/// Light from infinity: an equirectangular map. Its top row is the environment's +y; the column at the centre of the picture is
-/// its −z, and columns to the right turn towards +x.
+/// Light from infinity: an equirectangular map. Its top row is the environment's +y; the column at
+/// the centre of the picture is its −z, and columns to the right turn towards +x.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Environment {
     /// Index into [`SceneParts::images`]; an `RgbF32` image of linear radiance.

@@ -1,11 +1,13 @@
-//! Clouds of 3D Gaussians ("splats"), as captures of the real world are kept.
+//! Clouds of 3D Gaussians ("splats"), the format of captures of the real world.
 //!
 //! ```text
-//! G(x) = exp(−½ (x − μ)ᵀ Σ⁻¹ (x − μ)),   Σ = M R diag(s²) Rᵀ Mᵀ        M: the linear part of scene_from_cloud
+//! G(x) = exp(−½ (x − μ)ᵀ Σ⁻¹ (x − μ)),   Σ = M R diag(s²) Rᵀ Mᵀ
+//! M: the linear part of scene_from_cloud
 //! colour = max(0, ½ + Σ_lm c_lm Y_lm(direction from the viewer to μ))
 //! ```
 //!
-//! Source: Kerbl et al., *3D Gaussian Splatting for Real-Time Radiance Field Rendering*, SIGGRAPH 2023, as KHR_gaussian_splatting states it.
+//! Source: Kerbl et al., *3D Gaussian Splatting for Real-Time Radiance Field Rendering*, SIGGRAPH
+//! 2023, as KHR_gaussian_splatting states it.
 
 use glam::{Affine3A, Quat, Vec3};
 use lumistack_core::Task;
@@ -15,7 +17,8 @@ use crate::{Bounds, SceneError};
 /// The highest degree of spherical harmonics that a cloud may have.
 pub const MAX_DEGREE: usize = 3;
 
-/// Splats in a space of their own. All arrays have one entry per splat; the validator may change their order.
+/// Splats in a space of their own. All arrays have one entry per splat; the validator may change
+/// their order.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cloud {
     /// Place in the file ("/meshes/3/primitives/0"), for messages.
@@ -30,13 +33,15 @@ pub struct Cloud {
     pub opacities: Vec<f32>,
     /// Degree of the harmonics, 0..=[`MAX_DEGREE`].
     pub degree: usize,
-    /// Coefficients c_lm, `[splat][coefficient][rgb]` with (degree + 1)² coefficients by degree l, then order m, in the cloud's axes.
+    /// Coefficients c_lm, `[splat][coefficient][rgb]` with (degree + 1)² coefficients by degree l,
+    /// then order m, in the cloud's axes.
     pub harmonics: Vec<f32>,
-    /// What colours are, and in which space they are blended.
+    /// Meaning of the colours, and the space in which they are blended.
     pub encoding: Encoding,
 }
 
-/// The space of a cloud's colours. Both are display-referred with the primaries of BT.709: 1 is white.
+/// The space of a cloud's colours. Both are display-referred with the primaries of BT.709: 1 is
+/// white.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Encoding {
     /// sRGB code values, as captures are trained.
@@ -70,7 +75,7 @@ impl Cloud {
         self.positions.len()
     }
 
-    /// Whether there are none.
+    /// True if there are no splats.
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
     }
@@ -126,12 +131,14 @@ impl Cloud {
         }
     }
 
-    /// Checks lengths, normalizes rotations, and drops splats that are no Gaussians: trainers write some.
+    /// Checks lengths, normalizes rotations, and drops splats that are no Gaussians: trainers write
+    /// some.
     pub(crate) fn check(&mut self, task: Task<'_>) -> Result<(), SceneError> {
         if self.degree > MAX_DEGREE {
             let expected = format!("a degree of harmonics up to {MAX_DEGREE}");
             return Err(SceneError::new(&self.place, expected, self.degree.to_string()));
         }
+        // every list has an entry per splat
         let count = self.len();
         let lengths = [
             ("rotations", self.rotations.len(), count),
@@ -142,6 +149,7 @@ impl Cloud {
         if let Some((name, found, expected)) = lengths.into_iter().find(|(_, found, expected)| found != expected) {
             return Err(SceneError::new(&self.place, format!("{expected} values of {name}"), found.to_string()));
         }
+        // leave out splats that are no Gaussians, with one warning for all
         let mut first_fault = None;
         let kept: Vec<bool> = (0..count)
             .map(|i| {
@@ -159,6 +167,7 @@ impl Cloud {
             task.warn(&self.place, message);
         }
         self.rotations.iter_mut().for_each(|rotation| *rotation = rotation.normalize());
+        // splats that lie close together lie close in memory
         if self.len() > UNSORTED {
             self.sort_by_place();
         }
@@ -184,6 +193,7 @@ impl Cloud {
             }
             bits
         };
+        // Morton code of the place
         let key = |at: Vec3| {
             let [x, y, z] = (at - bounds.min).to_array();
             spread(x) | spread(y) << 1 | spread(z) << 2
@@ -202,10 +212,12 @@ impl Cloud {
         turned(&mut self.harmonics, values, &order);
     }
 
-    /// Bounds of the placed cloud without its floaters: the bulk by opacity times size on every axis, and what stands near it.
+    /// Bounds of the placed cloud without its floaters: the bulk by opacity times size on every
+    /// axis, and the splats near it.
     pub(crate) fn seen_bounds(&self, scene_from_cloud: Affine3A) -> Bounds {
         let points: Vec<Vec3> = self.positions.iter().map(|p| scene_from_cloud.transform_point3(*p)).collect();
-        // what a splat covers; the largest, which are sky and haze, count no more than the large ones
+        // area that a splat covers; the largest splats, which are sky and haze, count no more than
+        // the large ones
         let mut areas: Vec<f32> = self.scales.iter().map(|s| (s.x * s.y).max(s.y * s.z).max(s.z * s.x)).collect();
         let mut sorted = areas.clone();
         sorted.sort_by(f32::total_cmp);

@@ -1,4 +1,5 @@
-//! From [`SceneParts`] to [`Scene`]: what cannot be rendered is refused, what can be mended is mended and reported.
+//! From [`SceneParts`] to [`Scene`]: defects that prevent rendering are errors, others are repaired
+//! and reported.
 
 use std::f32::consts::FRAC_PI_2;
 use std::ops::Deref;
@@ -33,12 +34,13 @@ impl Scene {
         self.bounds
     }
 
-    /// Bounds of what the viewer sees: all but [unseen lamps](Lamp::Unseen) and floating splats. Those of everything where nothing else is there.
+    /// Bounds of all that the viewer sees: everything but [unseen lamps](Lamp::Unseen) and floating
+    /// splats. If nothing else is in the scene, the bounds of everything.
     pub fn seen_bounds(&self) -> Bounds {
         self.seen_bounds
     }
 
-    /// Whether the viewer sees an instance, if it stands in view: it is no [unseen lamp](Lamp::Unseen).
+    /// True if the viewer can see an instance: it is no [unseen lamp](Lamp::Unseen).
     pub fn is_seen(&self, instance: &crate::Instance) -> bool {
         self.materials[self.meshes[instance.mesh].material].lamp != Lamp::Unseen
     }
@@ -60,8 +62,9 @@ impl Scene {
         })
     }
 
-    /// Whether something lights the scene: an environment, a punctual light, or a surface that emits more than white (radiance 1). What emits
-    /// less, such as a label or a display in the scene, is seen but leaves the rest black.
+    /// True if something lights the scene: an environment, a punctual light, or a surface that
+    /// emits more than white (radiance 1). A dimmer surface, such as a label or a display in the
+    /// scene, is seen but leaves the rest black.
     pub fn is_lit(&self) -> bool {
         // a picture of light has values of its own; codes reach 1
         let brightest = |texture: &TextureUse| match &self.images[self.textures[texture.texture].image].pixels {
@@ -85,14 +88,17 @@ impl Scene {
 }
 
 impl SceneParts {
-    /// Checks everything that later stages rely on, generates missing normals and tangents, drops triangles without area, splats that are no
-    /// Gaussians and instances without volume (with a warning).
+    /// Checks everything that later stages rely on, generates missing normals and tangents, drops
+    /// triangles without area, splats that are no Gaussians and instances without volume (with a
+    /// warning).
     ///
     /// # Errors
-    /// On the first index out of range, number that is not finite, or attribute of the wrong length; and when nothing is left to render.
+    /// On the first index out of range, number that is not finite, or attribute of the wrong
+    /// length; and when nothing is left to render.
     pub fn validate(mut self, task: Task<'_>) -> Result<Scene, SceneError> {
         self.check_images()?;
         self.check_materials(task)?;
+        // check every mesh, and compute the normals and tangents that it lacks
         let tangent_uv_sets: Vec<_> = self.materials.iter().map(crate::Material::tangent_uv_set).collect();
         let material_count = self.materials.len();
         let mut flat: Vec<(String, usize, usize)> = Vec::new();
@@ -125,6 +131,7 @@ impl SceneParts {
         }
         self.check_instances(task)?;
         self.check_lights_and_cameras()?;
+        // bounds of all instances and clouds, and of those that the viewer sees
         let (mut bounds, mut seen_bounds) = (Bounds::EMPTY, Bounds::EMPTY);
         for instance in &self.instances {
             let mesh = &self.meshes[instance.mesh];
@@ -227,6 +234,7 @@ impl SceneParts {
     fn check_materials(&mut self, task: Task<'_>) -> Result<(), SceneError> {
         for (i, material) in self.materials.iter_mut().enumerate() {
             let place = format!("/materials/{i} ({})", material.name);
+            // references
             for (slot, texture) in material.textures() {
                 index(&format!("{place} {slot}"), texture.texture, self.textures.len(), "texture")?;
                 index(&format!("{place} {slot} texCoord"), texture.uv_set, 2, "texture coordinate set (0 or 1)")?;
@@ -238,6 +246,8 @@ impl SceneParts {
                     ));
                 }
             }
+            // parameters outside of their range are clamped with a warning, since files often
+            // exceed it
             let clamp = |name: &str, value: &mut f32, low: f32, high: f32| -> Result<(), SceneError> {
                 if value.is_nan() {
                     return Err(SceneError::new(
@@ -344,6 +354,7 @@ impl SceneParts {
             let (Some(x), Some(z), true) = (x, z, camera.scene_from_camera.is_finite()) else {
                 return Err(SceneError::new(place, "a placement with three independent axes", format!("{axes:?}")));
             };
+            // remove scale and shear from the placement
             camera.scene_from_camera = Affine3A {
                 matrix3: Mat3A::from_cols(x, Vec3A::cross(z, x), z),
                 translation: camera.scene_from_camera.translation,
@@ -454,7 +465,8 @@ fn mend_normals(mesh: &mut Mesh, task: Task<'_>) {
     );
 }
 
-/// Gives every triangle its own vertices and its face normal (glTF: meshes without normals are shaded flat).
+/// Gives every triangle its own vertices and its face normal (glTF: meshes without normals are
+/// shaded flat).
 fn generate_flat_normals(mesh: &mut Mesh) {
     fn spread<T: Copy>(values: &mut Vec<T>, triangles: &[[u32; 3]]) {
         if !values.is_empty() {
@@ -473,8 +485,9 @@ fn generate_flat_normals(mesh: &mut Mesh) {
     mesh.triangles = (0..mesh.triangles.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
 }
 
-/// Tangents along increasing u, averaged over the triangles around a vertex and made perpendicular to its normal. The bitangent
-/// points up in the texture, which is along decreasing v (glTF's normal maps have green up and v down).
+/// Tangents along increasing u, averaged over the triangles around a vertex and made perpendicular
+/// to its normal. The bitangent points up in the texture, which is along decreasing v (glTF's
+/// normal maps have green up and v down).
 fn generate_tangents(mesh: &mut Mesh, uv_set: usize) {
     let count = mesh.positions.len();
     let uvs = &mesh.uvs[uv_set];
@@ -496,6 +509,7 @@ fn generate_tangents(mesh: &mut Mesh, uv_set: usize) {
             }
         }
     }
+    // make tangents perpendicular to the normal; any will do without texture coordinates
     mesh.tangents = sums
         .iter()
         .zip(&mesh.normals)
@@ -624,7 +638,8 @@ mod tests {
             filter: crate::Filter::Linear,
         });
         parts.images.push(crate::Image { name: "n".into(), width: 1, height: 1, pixels: Pixels::Rgba8(vec![[0; 4]]) });
-        // u along x and v along −y, as in an unmirrored picture: up in the texture is +y = normal × tangent
+        // u along x and v along −y, as in an unmirrored picture: up in the texture is +y = normal ×
+        // tangent
         parts.meshes[0].uvs[0] = vec![Vec2::new(0.0, 1.0), Vec2::new(1.0, 1.0), Vec2::new(0.0, 0.0)];
         let scene = validate(parts).0.unwrap();
         assert_eq!(scene.meshes[0].tangents[0], Vec3::X.extend(1.0));

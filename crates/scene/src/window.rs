@@ -43,7 +43,8 @@ pub struct Window {
     pub scene_from_display: Similarity,
     /// Width and height of the light field's rectangle in millimetres, both > 0.
     pub size_mm: [f64; 2],
-    /// z in display space of the plane, before which nothing is seen: first rays start there. `None` sees all that stands before the window.
+    /// z in display space of the plane, before which nothing is seen: first rays start there.
+    /// `None` sees all that stands before the window.
     pub near_mm: Option<f64>,
 }
 
@@ -57,15 +58,15 @@ pub enum WindowError {
     Camera {
         /// The camera.
         name: String,
-        /// What it has.
+        /// Distance and width of its window, in scene units.
         found: String,
     },
     /// Numbers that make no rectangle.
     #[error("window: expected {expected}, found {found}")]
     Given {
-        /// What was needed.
+        /// The expected value or range.
         expected: &'static str,
-        /// What was given.
+        /// The value found.
         found: String,
     },
 }
@@ -74,8 +75,9 @@ pub enum WindowError {
 const FRAMING_MARGIN: f64 = 0.02;
 
 impl Window {
-    /// The camera's plane of focus, as wide as its frustum there. Without a focus distance the plane goes through the centre of
-    /// the scene's bounds. Nothing before the camera's near plane is seen.
+    /// The camera's plane of focus, as wide as its frustum there. Without a focus distance the
+    /// plane goes through the centre of the scene's bounds. Nothing before the camera's near plane
+    /// is seen.
     ///
     /// # Errors
     /// If that rectangle is empty, infinite or behind the camera.
@@ -110,7 +112,8 @@ impl Window {
         Ok(Self { scene_from_display: Similarity { rotation, scale, translation }, size_mm, near_mm })
     }
 
-    /// A window at `centre` that looks along `forward` with `up` upwards and is `width` scene units wide.
+    /// A window at `centre` that looks along `forward` with `up` upwards and is `width` scene units
+    /// wide.
     ///
     /// # Errors
     /// If the vectors are zero or parallel, or the width is not a positive number.
@@ -143,8 +146,9 @@ impl Window {
         Self { scene_from_display, size_mm: self.size_mm, near_mm: self.near_mm.map(|near| near / factor) }
     }
 
-    /// The window moved back along its normal by `by_mm`, so that what was at depth −`by_mm` lies in its plane. What is seen straight on stays: a window
-    /// for parallel projections keeps its size, and one before an eye at `eye_mm` grows with the distance, eye and frustum staying where they are.
+    /// The window moved back along its normal by `by_mm`, so that depth −`by_mm` becomes its plane.
+    /// The view from straight ahead stays. A window for parallel projections keeps its size. One
+    /// before an eye at `eye_mm` grows with the distance, while eye and frustum stay.
     #[must_use]
     pub fn moved_back(&self, by_mm: f64, eye_mm: Option<f64>) -> Self {
         let map = self.scene_from_display;
@@ -155,7 +159,8 @@ impl Window {
         Self { scene_from_display, size_mm: self.size_mm, near_mm: self.near_mm.map(|near| (near + by_mm) / factor) }
     }
 
-    /// Frames points as seen along `forward`: the plane goes through the centre of their extents and just holds their width and height.
+    /// Frames points as seen along `forward`: the plane goes through the centre of their extents
+    /// and just holds their width and height.
     ///
     /// # Errors
     /// If there are no points, they are one point, or the directions are zero or parallel.
@@ -178,8 +183,8 @@ impl Window {
         Self::given(turned * (0.5 * (min + max)), forward, up, scale * size_mm[0], size_mm)
     }
 
-    /// Frames the bounds from the front (looking along −z, glTF's front of an asset): the plane goes through their centre and just
-    /// holds their width and height.
+    /// Frames the bounds from the front (looking along −z, glTF's front of an asset): the plane
+    /// goes through their centre and just holds their width and height.
     ///
     /// # Errors
     /// If the bounds are empty or a single point.
@@ -217,7 +222,8 @@ mod tests {
         assert!((map.point(DVec3::ZERO) - DVec3::new(1.0, 1.0, 0.0)).length() < 1e-6);
         assert!((map.point(DVec3::new(200.0, 0.0, 0.0)) - DVec3::new(1.0, 1.0, -3.2)).length() < 1e-6);
         assert!((map.point(DVec3::new(0.0, 0.0, 1.0)) - DVec3::new(1.016, 1.0, 0.0)).length() < 1e-6);
-        // a near plane half a unit before the camera lies 1.5 units before the window, 16 thousandths of a unit per millimetre
+        // a near plane half a unit before the camera lies 1.5 units before the window, 16
+        // thousandths of a unit per millimetre
         assert!((window.near_mm.unwrap() - 1.5 / 0.016).abs() < 1e-3);
         assert!(
             (map.inverse_point(map.point(DVec3::new(1.0, -2.0, 3.0))) - DVec3::new(1.0, -2.0, 3.0)).length() < 1e-9

@@ -55,7 +55,8 @@ impl Backend {
         }
     }
 
-    /// A kernel's function for this instruction set. Only the kernel's own demands on its arguments make it unsafe to call: the machine has the set.
+    /// A kernel's function for this instruction set. Only the kernel's own demands on its arguments
+    /// make it unsafe to call: the machine has the set.
     pub fn function<K: Kernel>(self) -> Function<K> {
         match self.0 {
             Set::Portable => crate::portable::run::<K>,
@@ -70,13 +71,15 @@ impl Backend {
         }
     }
 
-    /// Runs a kernel with vectors of exactly eight lanes: the best that this instruction set has of that length.
+    /// Runs a kernel with vectors of exactly eight lanes: the best that this instruction set has of
+    /// that length.
     ///
     /// # Safety
     /// The arguments are as the kernel demands.
     #[inline]
     pub unsafe fn call_eight<K: Kernel>(self, args: K::Args<'_>) -> K::Output {
-        // SAFETY: a `Backend` exists only where the machine has it; the rest is passed on from the caller
+        // SAFETY: a `Backend` exists only where the machine has it; the rest is passed on from the
+        // caller
         unsafe {
             match self.0 {
                 Set::Portable => K::run::<Portable>(args),

@@ -1,7 +1,7 @@
 //! Half floats without an instruction for them.
 
-/// A finite half float as `f32`, without branches: shifted into place, then scaled by 2^112 for the difference of the exponents' biases, which makes
-/// subnormal numbers come out right too.
+/// A finite half float as `f32`, without branches. The bits are shifted into place, then scaled by
+/// 2^112 for the difference of the exponents' biases. So subnormal numbers are right too.
 #[inline(always)]
 pub fn float_from_half(half: u16) -> f32 {
     let bits = u32::from(half);
@@ -13,7 +13,8 @@ pub fn float_from_half(half: u16) -> f32 {
 #[inline(always)]
 pub fn nearest_half(value: f32) -> u16 {
     let magnitude = value.to_bits() & 0x7fff_ffff;
-    // the last bit of a subnormal half float is that of a float in 0.5..1, so that an addition rounds there
+    // the last bit of a subnormal half float is that of a float in 0.5..1, so that an addition
+    // rounds there
     let subnormal = (f32::from_bits(magnitude) + 0.5).to_bits() & 0x7f_ffff;
     let normal = (magnitude.wrapping_sub(112 << 23) + 0xfff + (magnitude >> 13 & 1)) >> 13;
     let half = if magnitude < 113 << 23 { subnormal } else { normal };

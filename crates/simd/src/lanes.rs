@@ -3,15 +3,15 @@
 /// A vector of [`COUNT`](Self::COUNT) values.
 ///
 /// # Safety
-/// Every method may only run where the machine has the instruction set of the type. Loads and stores need `COUNT` values at the pointer, at any
-/// alignment.
+/// Every method may only run where the machine has the instruction set of the type. Loads and
+/// stores need `COUNT` values at the pointer, at any alignment.
 #[expect(clippy::missing_safety_doc, reason = "one section for all methods, above")]
 pub trait Lanes: Copy {
     /// A truth value per lane.
     type Mask: Copy;
     /// Number of values; divides [`MAX_LANES`](crate::MAX_LANES).
     const COUNT: usize;
-    /// Number of vectors that registers hold; 0 where the compiler decides what a vector is.
+    /// Number of vectors that registers hold; 0 where the compiler chooses the width of a vector.
     const REGISTERS: usize;
 
     /// The same value in all lanes.
@@ -35,12 +35,13 @@ pub trait Lanes: Copy {
     unsafe fn min(self, other: Self) -> Self;
     /// The greater, of numbers only: the result for NaN is open.
     unsafe fn max(self, other: Self) -> Self;
-    /// self · factor + addend, rounded once where the machine has an instruction for it, else twice.
+    /// self · factor + addend, rounded once where the machine has an instruction for it, else
+    /// twice.
     unsafe fn mul_add(self, factor: Self, addend: Self) -> Self;
     /// addend − self · factor, rounded as [`mul_add`](Self::mul_add).
     unsafe fn neg_mul_add(self, factor: Self, addend: Self) -> Self;
-    /// self · factor + addend, rounded once on every machine but WebAssembly's: the same bits everywhere, at the price of a library call per lane where the
-    /// machine has no instruction.
+    /// self · factor + addend, rounded once on every machine but WebAssembly's: the same bits
+    /// everywhere, at the price of a library call per lane where the machine has no instruction.
     unsafe fn fused_mul_add(self, factor: Self, addend: Self) -> Self;
     /// addend − self · factor, rounded as [`fused_mul_add`](Self::fused_mul_add).
     unsafe fn fused_neg_mul_add(self, factor: Self, addend: Self) -> Self;
@@ -58,7 +59,8 @@ pub trait Lanes: Copy {
     /// One bit per lane, lane 0 lowest.
     unsafe fn bits(mask: Self::Mask) -> u32;
 
-    /// Calls another kernel with the same vectors, out of line unless the compiler finds inlining cheap.
+    /// Calls another kernel with the same vectors, out of line unless the compiler finds inlining
+    /// cheap.
     unsafe fn call<K: Kernel>(args: K::Args<'_>) -> K::Output;
 
     /// Reads an array of exactly `COUNT` values.
@@ -94,5 +96,6 @@ pub trait Kernel {
     unsafe fn run<V: Lanes>(args: Self::Args<'_>) -> Self::Output;
 }
 
-/// A kernel compiled for one instruction set. Kernels with the same arguments and results have functions of the same type.
+/// A kernel compiled for one instruction set. Kernels with the same arguments and results have
+/// functions of the same type.
 pub type Function<K> = for<'a> unsafe fn(<K as Kernel>::Args<'a>) -> <K as Kernel>::Output;

@@ -2,15 +2,17 @@
 //!
 //! ```text
 //! Kernel::run::<V: Lanes>      written once
-//!     Backend::function        one small function per kernel and instruction set, to be put into tables
+//!     Backend::function        one small function per kernel and instruction set, for tables
 //!     Backend::call_eight      the same with vectors of exactly eight lanes, called at once
 //!     Lanes::call              from one kernel to another, out of line
 //! ```
 //!
-//! A kernel is generic over [`Lanes`]. Each function that a [`Backend`] returns is compiled with the right `target_feature`, and the vector operations are
-//! inlined into it. Code stays small as long as kernels are: a kernel inlines all that it does not [`call`](Lanes::call).
+//! A kernel is generic over [`Lanes`]. Each function that a [`Backend`] returns is compiled with
+//! the right `target_feature`, and the vector operations are inlined into it. Code stays small as
+//! long as kernels are: a kernel inlines all that it does not [`call`](Lanes::call).
 //!
-//! [`Portable`] is the scalar twin: it compiles everywhere, and the tests compare every other backend with it, operation by operation.
+//! [`Portable`] is the scalar twin: it compiles everywhere, and the tests compare every other
+//! backend with it, operation by operation.
 
 mod backend;
 mod half;
@@ -46,5 +48,6 @@ pub use x86::{Avx2, Avx512};
 /// The most lanes of any vector: 16. Every lane count divides it.
 pub const MAX_LANES: usize = 16;
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that
+/// this code has a part in.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

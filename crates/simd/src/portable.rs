@@ -5,7 +5,7 @@ use std::array::from_fn;
 use crate::half::float_from_half;
 use crate::lanes::{Kernel, Lanes};
 
-/// Eight values that the compiler may turn into whatever the target has.
+/// Eight values that the compiler may turn into any vectors of the target.
 #[derive(Clone, Copy, Debug)]
 pub struct Portable([f32; 8]);
 

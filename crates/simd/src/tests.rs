@@ -105,7 +105,7 @@ impl Kernel for Eight {
     #[inline(always)]
     unsafe fn run<V: Lanes>(values: [f32; 8]) -> (usize, [f32; 8]) {
         let mut copy = [0.0; 8];
-        // SAFETY: the machine has V; the copy has room for what was asserted
+        // SAFETY: the machine has V; the copy has room for eight values, as asserted
         unsafe {
             assert_eq!(V::COUNT, 8);
             V::load(values.as_ptr()).store(copy.as_mut_ptr());
@@ -176,7 +176,7 @@ fn assert_same(got: &Results, expected: &Results, of: &str) {
 fn every_operation_of_every_backend_is_that_of_plain_numbers() {
     assert_eq!(Backend::available()[0].to_string(), "portable");
     for (index, backend) in Backend::available().iter().enumerate() {
-        // only instruction sets fuse what may be rounded twice
+        // only instruction sets fuse a product and a sum; portable code rounds twice
         let rounds_once = index > 0 && !cfg!(target_arch = "wasm32");
         for seed in 0..100 {
             let operands = operands(seed);

@@ -14,7 +14,8 @@ pub(crate) unsafe fn run<K: Kernel>(args: K::Args<'_>) -> K::Output {
     unsafe { K::run::<Simd128>(args) }
 }
 
-// SAFETY of every block below: the module is compiled for simd128; the trait's callers guarantee the memory
+// SAFETY of every block below: the module is compiled for simd128; the trait's callers guarantee
+// the memory
 #[allow(clippy::undocumented_unsafe_blocks, unused_unsafe, reason = "one reason for all, above")]
 impl Lanes for Simd128 {
     type Mask = v128;

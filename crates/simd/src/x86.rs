@@ -25,7 +25,8 @@ macro_rules! lanes {
         #[derive(Clone, Copy, Debug)]
         pub struct $name($vector);
 
-        // SAFETY of every block below: the trait's callers guarantee the instruction set and the memory
+        // SAFETY of every block below: the trait's callers guarantee the instruction set and the
+        // memory
         #[allow(
             clippy::undocumented_unsafe_blocks,
             unused_unsafe,

@@ -1,6 +1,8 @@
-//! Tests that need what a machine may not have: other people's files, Python packages, programs.
+//! Tests with requirements that a machine may lack: other people's files, Python packages,
+//! programs.
 //!
-//! Where the variable `CI` is set everything is expected to be there, and a test that is skipped fails instead.
+//! Where the variable `CI` is set everything is expected to be there, and a test that is skipped
+//! fails instead.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -22,7 +24,8 @@ pub fn skipped(why: &str) {
     }
 }
 
-/// Says that a test runs in another step of CI, `cargo xtask STEP`, which sets what it needs.
+/// Prints that a test runs in another step of CI, `cargo xtask STEP`, which provides its
+/// requirements.
 pub fn runs_in(step: &str) {
     println!("not here: `cargo xtask {step}` runs this test");
 }
@@ -41,7 +44,8 @@ fn account(why: &str, test: Option<&str>, is_ci: bool, list: Option<&Path>) -> R
     if is_ci { Err(format!("skipped on CI, where every test must run: {why}")) } else { Ok(()) }
 }
 
-/// A folder of third-party files that `variable` names, or `default` beside the workspace (`../shared/...`); skips the test where it is missing.
+/// A folder of third-party files that `variable` names, or `default` beside the workspace
+/// (`../shared/...`); skips the test where it is missing.
 #[track_caller]
 pub fn folder(variable: &str, default: &str) -> Option<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
@@ -53,7 +57,8 @@ pub fn folder(variable: &str, default: &str) -> Option<PathBuf> {
     None
 }
 
-/// The Python that `LUMISTACK_PYTHON` names, or `python3`, if it has these modules ("numpy, PIL"); skips the test where neither has.
+/// The Python that `LUMISTACK_PYTHON` names, or `python3`, if it has these modules ("numpy, PIL");
+/// skips the test where neither has.
 #[track_caller]
 pub fn python_with(modules: &str) -> Option<PathBuf> {
     let candidates = [std::env::var_os("LUMISTACK_PYTHON").map(PathBuf::from), Some("python3".into())];

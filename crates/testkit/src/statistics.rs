@@ -1,15 +1,19 @@
-//! Tests of Monte Carlo results: each takes the rate at which it may fail although nothing is wrong.
+//! Tests of Monte Carlo results: each takes the rate at which it may fail although nothing is
+//! wrong.
 //!
 //! Two-sided z-test of a mean: z = (x̄ − μ) / (s/√n), refused when P(|Z| > |z|) < false_alarm_rate.
-//! Pearson's chi-square test: X² = Σ (O − E)²/E over cells, refused when P(χ²_(cells−1) > X²) < false_alarm_rate.
+//! Pearson's chi-square test: X² = Σ (O − E)²/E over cells, refused when P(χ²_(cells−1) > X²) <
+//! false_alarm_rate.
 
 use statrs::distribution::{ChiSquared, ContinuousCDF, Normal};
 
-/// The rate used by tests that have no reason for another: with a few hundred such tests, one in thousands of seeds fails. Seeds are
-/// fixed, so a test that passed keeps passing until the code changes.
+/// The rate used by tests that have no reason for another: with a few hundred such tests, one in
+/// thousands of seeds fails. Seeds are fixed, so a test that passed keeps passing until the code
+/// changes.
 pub const FALSE_ALARM_RATE: f64 = 1e-5;
 
-/// Cells of a chi-square test with a smaller expected count are pooled; below this the statistic is not chi-square distributed.
+/// Cells of a chi-square test with a smaller expected count are pooled; below this the statistic is
+/// not chi-square distributed.
 const LEAST_EXPECTED: f64 = 8.0;
 
 /// Mean and standard error of independent samples.
@@ -22,7 +26,7 @@ pub struct Mean {
 }
 
 impl Mean {
-    /// Of independent samples.
+    /// Mean of independent samples.
     pub fn of(samples: impl IntoIterator<Item = f64>) -> Self {
         // Welford's recurrence
         let (mut count, mut mean, mut squares) = (0.0, 0.0, 0.0);
@@ -36,7 +40,8 @@ impl Mean {
         Self { value: mean, standard_error }
     }
 
-    /// z of a hypothesis, after granting the code an absolute systematic error (rounding, an interpolated table).
+    /// z of a hypothesis, after granting the code an absolute systematic error (rounding, an
+    /// interpolated table).
     pub fn z(self, expected: f64, systematic_error: f64) -> f64 {
         let excess = ((self.value - expected).abs() - systematic_error).max(0.0);
         if excess == 0.0 { 0.0 } else { excess / self.standard_error }
@@ -45,7 +50,8 @@ impl Mean {
     /// Asserts that the mean is `expected`.
     ///
     /// # Panics
-    /// If it differs by more than the systematic error and chance at this false-alarm rate, or is not a number.
+    /// If it differs by more than the systematic error and chance at this false-alarm rate, or is
+    /// not a number.
     #[track_caller]
     pub fn assert_is(self, expected: f64, systematic_error: f64, false_alarm_rate: f64) {
         let (z, limit) = (self.z(expected, systematic_error), z_limit(false_alarm_rate));
@@ -74,8 +80,8 @@ pub fn z_limit(false_alarm_rate: f64) -> f64 {
     Normal::standard().inverse_cdf(1.0 - 0.5 * false_alarm_rate)
 }
 
-/// Probability that chance gives counts at least as far from the expected ones. Both sides should have the same sum; cells with
-/// small expectations are pooled.
+/// Probability that chance gives counts at least as far from the expected ones. Both sides should
+/// have the same sum; cells with small expectations are pooled.
 ///
 /// # Panics
 /// If the lengths differ or fewer than two cells are left after pooling.

@@ -1,7 +1,8 @@
 //! Separable filters: out[i] = Σ_k weights[k] · in[i + k − radius], along rows, then along columns.
 //!
-//! Pictures are filtered band by band, so that a metric's many intermediate planes take little memory: a band is a few rows with a halo of rows
-//! above and below, filled by the border's rule where the picture ends.
+//! Pictures are filtered band by band, so that a metric's many intermediate planes take little
+//! memory. A band is a few rows with a halo of rows above and below. The border's rule fills the
+//! halo where the picture ends.
 
 use std::ops::{AddAssign, Mul, Range};
 
@@ -22,7 +23,7 @@ pub(super) trait Real: Copy + Default + Mul<Output = Self> + AddAssign {}
 impl Real for f32 {}
 impl Real for f64 {}
 
-/// What a filter reads beyond the picture.
+/// Pixels that a filter reads outside of the picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Border {
     /// The outermost pixel: a a | a b c | c c.
@@ -36,7 +37,8 @@ pub(super) fn bands(rows: usize) -> impl Iterator<Item = Range<usize>> {
     (0..rows).step_by(BAND).map(move |start| start..(start + BAND).min(rows))
 }
 
-/// The channels of a band of a picture `[row][col][rgb]`, with `halo` rows above and below, each value changed by `change`.
+/// The channels of a band of a picture `[row][col][rgb]`, with `halo` rows above and below, each
+/// value changed by `change`.
 pub(super) fn channels<T: Real>(
     rgb: &[f32],
     shape: [usize; 2],
@@ -78,7 +80,8 @@ impl<T: Real> Plane<T> {
         Self { data, ..*self }
     }
 
-    /// Filters every column of a band and takes its halo off; `weights` has odd length of at most 2·halo + 1.
+    /// Filters every column of a band and takes its halo off; `weights` has odd length of at most
+    /// 2·halo + 1.
     pub(super) fn filtered_along_columns(&self, weights: &[T], halo: usize) -> Self {
         let rows = self.rows - 2 * halo;
         let mut data = vec![T::default(); rows * self.cols];
@@ -93,7 +96,8 @@ impl<T: Real> Plane<T> {
 }
 
 impl Border {
-    /// Index that position `i` of a line reads, where the line of `count` ≥ 1 values starts at position `radius`.
+    /// Index that position `i` of a line reads, where the line of `count` ≥ 1 values starts at
+    /// position `radius`.
     fn index(self, i: usize, radius: usize, count: usize) -> usize {
         match self {
             Self::Nearest => i.saturating_sub(radius).min(count - 1),

@@ -1,19 +1,24 @@
-//! FLIP: the error that an eye sees when it flips between two pictures.
+//! FLIP: the difference that a person sees when two pictures alternate.
 //!
 //! ```text
-//! colour    linear RGB ─▶ Y Cx Cz ─▶ contrast sensitivity filters (Gaussians) ─▶ clamped RGB ─▶ Lab, a and b times L/100 (Hunt)
-//!           ΔE_c = HyAB distance ^ 0.7, mapped to 0..1: up to 0.4 of the largest distance to 0..0.95, the rest to 0.95..1
-//! features  Y ─▶ first and second derivatives of a Gaussian of 0.082°/2 ─▶ edges and points, lengths over x and y
+//! colour    linear RGB ─▶ Y Cx Cz ─▶ contrast sensitivity filters (Gaussians) ─▶ clamped RGB
+//!             ─▶ Lab, a and b times L/100 (Hunt)
+//!           ΔE_c = HyAB distance ^ 0.7, mapped to 0..1:
+//!             up to 0.4 of the largest distance to 0..0.95, the rest to 0.95..1
+//! features  Y ─▶ first and second derivatives of a Gaussian of 0.082°/2 ─▶ edges and points,
+//!             lengths over x and y
 //!           ΔE_f = (larger difference / √2) ^ 0.5
 //! FLIP      ΔE_c ^ (1 − ΔE_f), 0 (equal) to 1 (worst)
 //! ```
 //!
-//! Filters are given in degrees of visual angle, so the error depends on how many pixels a degree holds; they read the outermost pixel
-//! beyond a picture's edge. Every filter is separable, the sum of two Gaussians of Cz as two separate filters whose total weight is 1.
+//! Filters have their size in degrees of visual angle, so the error depends on the number of pixels
+//! per degree. They read the outermost pixel past a picture's edge. Every filter is separable. The
+//! sum of two Gaussians of Cz is two separate filters whose total weight is 1.
 //!
-//! Source: Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström, Fairchild, "FLIP: A Difference Evaluator for Alternating Images", High
-//! Performance Graphics 2020 (LDR-FLIP). Checked against the authors' tool. The tool reads sRGB-encoded pictures and decodes them first; here they
-//! come in linear light.
+//! Source: Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström, Fairchild, "FLIP: A Difference
+//! Evaluator for Alternating Images", High Performance Graphics 2020 (LDR-FLIP). Checked against
+//! the authors' tool. The tool reads sRGB-encoded pictures and decodes them first; here they come
+//! in linear light.
 
 use std::ops::Range;
 
@@ -51,7 +56,7 @@ pub struct Flip {
     colours: Colours,
 }
 
-/// What the eye has of a band of a picture.
+/// A band of a picture after the filters of the visual system.
 struct Seen {
     /// Lab after Hunt's effect, one value per pixel each.
     lightness: Vec<f32>,
@@ -63,7 +68,8 @@ struct Seen {
 }
 
 impl Flip {
-    /// The authors' setting: a screen of 3840 pixels as wide as it is far away, 67.02 pixels per degree.
+    /// The authors' setting: a screen of 3840 pixels as wide as it is far away, 67.02 pixels per
+    /// degree.
     pub const DEFAULT_PIXELS_PER_DEGREE: f64 = 3840.0 * std::f64::consts::PI / 180.0;
 
     /// Filters for so many pixels per degree of visual angle, kept within 1 to 1000.
@@ -96,7 +102,8 @@ impl Flip {
         }
     }
 
-    /// FLIP at every pixel of two pictures `[row][col][rgb]` of linear light; `shape` = [rows, cols].
+    /// FLIP at every pixel of two pictures `[row][col][rgb]` of linear light; `shape` = [rows,
+    /// cols].
     ///
     /// # Panics
     /// If a picture does not fill the shape.
@@ -119,7 +126,7 @@ impl Flip {
         MetricMap { rows, cols, values, margin: 0 }
     }
 
-    /// What the eye has of a band of a picture.
+    /// Filters a band of a picture as the visual system does.
     fn seen(&self, rgb: &[f32], shape: [usize; 2], band: &Range<usize>) -> Seen {
         let halo = self.y.len().max(self.smooth.len()) / 2;
         let clamped = |value: f32| if value > 0.0 { value.min(1.0) } else { 0.0 };
@@ -148,7 +155,8 @@ impl Flip {
     }
 }
 
-/// Gaussian, its first and its second derivative; positive and negative weights of the derivatives sum to 1 and −1.
+/// Gaussian, its first and its second derivative; positive and negative weights of the derivatives
+/// sum to 1 and −1.
 fn feature_filters(deviation_px: f64) -> (Vec<f32>, Vec<f32>, Vec<f32>) {
     let radius = (3.0 * deviation_px).ceil() as i64;
     let offsets: Vec<f64> = (-radius..=radius).map(|i| i as f64).collect();
@@ -169,7 +177,8 @@ fn scaled(weights: &[f64], factor: f64) -> Vec<f32> {
     weights.iter().map(|weight| (weight * factor) as f32).collect()
 }
 
-/// Colour spaces, all relative to the white point: y = Y/Y_n, Cx ∝ X/X_n − Y/Y_n, Cz ∝ Y/Y_n − Z/Z_n.
+/// Colour spaces, all relative to the white point: y = Y/Y_n, Cx ∝ X/X_n − Y/Y_n, Cz ∝ Y/Y_n −
+/// Z/Z_n.
 #[derive(Clone, Debug)]
 struct Colours {
     opponent_from_rgb: [[f32; 3]; 3],

@@ -1,13 +1,25 @@
 //! Structural similarity.
 //!
-//! SSIM = (2 μ_x μ_y + C₁)(2 σ_xy + C₂) / ((μ_x² + μ_y² + C₁)(σ_x² + σ_y² + C₂)), with means, variances and the covariance under a Gaussian
-//! window of σ = 1.5 pixels on 11 × 11 pixels, C₁ = 0.01² and C₂ = 0.03² for a range of 1, on sRGB-encoded values, each channel on its own;
-//! then the mean over channels and over all pixels whose window lies inside the picture.
+//! ```text
+//! SSIM = (2 μ_x μ_y + C₁)(2 σ_xy + C₂) / ((μ_x² + μ_y² + C₁)(σ_x² + σ_y² + C₂))
+//! ```
 //!
-//! Source: Wang, Bovik, Sheikh, Simoncelli, "Image quality assessment: from error visibility to structural similarity", IEEE Transactions on Image
-//! Processing 13 (2004). It is what scikit-image computes as `structural_similarity(x, y, channel_axis=-1, data_range=1, gaussian_weights=True,
-//! sigma=1.5, use_sample_covariance=False)`, with population variances. A picture that is smaller than the window on either axis, which
-//! scikit-image refuses, is mirrored at its edges and all its pixels count (its `win_size=1`).
+//! Means, variances and the covariance are taken under a Gaussian window of σ = 1.5 pixels on 11 ×
+//! 11 pixels. C₁ = 0.01² and C₂ = 0.03², for a range of 1. Values are sRGB-encoded, each channel on
+//! its own. The result is the mean over channels and over all pixels whose window lies inside the
+//! picture.
+//!
+//! Source: Wang, Bovik, Sheikh, Simoncelli, "Image quality assessment: from error visibility to
+//! structural similarity", IEEE Transactions on Image Processing 13 (2004). scikit-image computes
+//! the same, with population variances, by
+//!
+//! ```text
+//! structural_similarity(x, y, channel_axis=-1, data_range=1, gaussian_weights=True, sigma=1.5,
+//!                       use_sample_covariance=False)
+//! ```
+//!
+//! A picture that is smaller than the window on either axis, which scikit-image refuses, is
+//! mirrored at its edges and all its pixels count (its `win_size=1`).
 
 use super::MetricMap;
 use super::filter::{Border, Plane, bands, channels};
@@ -18,7 +30,8 @@ const RADIUS: usize = 5;
 const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
 
-/// SSIM at every pixel of two pictures `[row][col][rgb]` of linear light; `shape` = [rows, cols]. 1 where they are equal.
+/// SSIM at every pixel of two pictures `[row][col][rgb]` of linear light; `shape` = [rows, cols]. 1
+/// where they are equal.
 ///
 /// # Panics
 /// If a picture does not fill the shape.

@@ -2,7 +2,7 @@
 
 use lumistack_core::seed::{Stream, derive};
 
-use super::oracle::{Met, emitted, seen};
+use super::oracle::{Effective, emitted, seen};
 use super::random_stack;
 use crate::{
     Backlight, Display, FieldGeometry, Formation, LayerColour, LayerStack, LensletBacklight, Missing, OutsideBins,
@@ -53,13 +53,13 @@ fn random_display(formation: Formation, choices: [bool; 5], seed: u64) -> Displa
 
 /// Compares every ray of every view.
 fn assert_agrees(display: &Display, stack: &LayerStack, geometry: &FieldGeometry, what: &str) {
-    let met: Vec<Met> =
-        display.layers.iter().zip(&stack.layers).map(|(layer, values)| Met::of(layer, values)).collect();
+    let effective: Vec<Effective> =
+        display.layers.iter().zip(&stack.layers).map(|(layer, values)| Effective::of(layer, values)).collect();
     let (simulator, map) = (Simulator::new(display, stack), RayMap::new(display, geometry));
     for view in geometry.grid.iter() {
         let found = simulator.view(&map, geometry, view);
         for (i, pixel) in found.radiance.data().chunks_exact(3).enumerate() {
-            let expected = emitted(display, &met, stack, geometry, view, [i / geometry.cols, i % geometry.cols]);
+            let expected = emitted(display, &effective, stack, geometry, view, [i / geometry.cols, i % geometry.cols]);
             assert_eq!(found.valid[i], expected.is_some(), "{what}: ray {i} of view {view:?}");
             for (found, expected) in pixel.iter().zip(expected.unwrap_or_default()) {
                 let error = (f64::from(*found) - expected).abs();
@@ -134,7 +134,8 @@ fn two_quarter_turns_of_half_a_right_angle_are_bright() {
     assert!(half.radiance.data().iter().all(|value| (value - 0.5).abs() < 1e-6));
 }
 
-/// Oblique views whose edges all lie on the sixteenths of a pixel: there 16 × 16 rays per pixel are exact.
+/// Oblique views whose edges all lie on the sixteenths of a pixel: there 16 × 16 rays per pixel are
+/// exact.
 #[test]
 fn seen_pictures_are_exact_means_over_pixels() {
     for (seed, formation) in FORMATIONS.into_iter().enumerate() {
@@ -142,7 +143,7 @@ fn seen_pictures_are_exact_means_over_pixels() {
             let mut display = Display {
                 formation,
                 missing,
-                // whatever the solver reads, eyes see squares
+                // eyes see squares under any sampling of the solver
                 sampling: Sampling::Bilinear,
                 ..Display::uniform([8, 6], 1.0, [1, 1], [30.0, 30.0], &[-3.0, 0.0, 2.0], 2)
             };
@@ -165,7 +166,8 @@ fn seen_pictures_are_exact_means_over_pixels() {
     }
 }
 
-/// Any display, from near and far: 150 × 150 rays per pixel come within what their spacing allows.
+/// Any display, from near and far: 150 × 150 rays per pixel agree within the error of their
+/// spacing.
 #[test]
 fn seen_pictures_of_any_display_are_means_over_pixels() {
     const SPACING: f64 = 0.03;
@@ -183,14 +185,14 @@ fn seen_pictures_of_any_display_are_means_over_pixels() {
 /// Largest difference from the oracle over all pixels of the last view.
 fn compare_seen(display: &Display, stack: &LayerStack, geometry: &FieldGeometry, fine: usize) -> f64 {
     display.check().unwrap();
-    let met: Vec<Met> =
-        display.layers.iter().zip(&stack.layers).map(|(layer, values)| Met::of(layer, values)).collect();
+    let effective: Vec<Effective> =
+        display.layers.iter().zip(&stack.layers).map(|(layer, values)| Effective::of(layer, values)).collect();
     let view = geometry.grid.iter().last().unwrap();
     let found = Simulator::new(display, stack).seen(geometry, view);
     let mut worst = 0.0f64;
     for (i, (pixel, share)) in found.radiance.data().chunks_exact(3).zip(&found.share).enumerate() {
         let place = [i / geometry.cols, i % geometry.cols];
-        let (expected, expected_share) = seen(display, &met, stack, geometry, view, place, fine);
+        let (expected, expected_share) = seen(display, &effective, stack, geometry, view, place, fine);
         worst = worst.max((f64::from(*share) - expected_share).abs());
         if expected_share > 0.1 {
             (0..3).for_each(|c| worst = worst.max((f64::from(pixel[c]) - expected[c]).abs()));

@@ -1,4 +1,5 @@
-//! The equations, written down naively and once more: no tables, no separable passes, double precision.
+//! The equations, written down naively and once more: no tables, no separable passes, double
+//! precision.
 
 use lumistack_core::Tensor;
 
@@ -7,14 +8,15 @@ use crate::{
     OutsideBins, Sampling,
 };
 
-/// What rays meet of a layer, as [frame][row][col][rgb].
-pub(super) struct Met {
+/// Values of a layer that rays read, as [frame][row][col][rgb].
+pub(super) struct Effective {
     shape: [usize; 4],
     values: Vec<f64>,
 }
 
-impl Met {
-    /// F_c = Σ_c' crosstalk[c][c'] · blur(filter_c' · f_c'), the blur as one sum over all pixels of a square.
+impl Effective {
+    /// F_c = Σ_c' crosstalk[c][c'] · blur(filter_c' · f_c'), the blur as one sum over all pixels of
+    /// a square.
     pub(super) fn of(layer: &Layer, stored: &Tensor<4>) -> Self {
         let shape @ [frames, rows, cols, _] = stored.shape();
         let radius = (3.0 * layer.blur_px).ceil() as i64;
@@ -73,19 +75,20 @@ struct Ray {
 /// Radiance of the ray through a pixel's centre; `None` for one that does not count.
 pub(super) fn emitted(
     display: &Display,
-    met: &[Met],
+    effective: &[Effective],
     stack: &LayerStack,
     geometry: &FieldGeometry,
     view: [usize; 2],
     [row, col]: [usize; 2],
 ) -> Option<[f64; 3]> {
-    emitted_at(display, met, stack, geometry, view, [row as f64, col as f64])
+    emitted_at(display, effective, stack, geometry, view, [row as f64, col as f64])
 }
 
-/// Mean over a pixel's area: of the rays through the centres of `fine` × `fine` squares of it, and the share of them that counts.
+/// Mean over a pixel's area: of the rays through the centres of `fine` × `fine` squares of it, and
+/// the share of them that counts.
 pub(super) fn seen(
     display: &Display,
-    met: &[Met],
+    effective: &[Effective],
     stack: &LayerStack,
     geometry: &FieldGeometry,
     view: [usize; 2],
@@ -97,7 +100,7 @@ pub(super) fn seen(
     let (mut sum, mut count) = ([0.0; 3], 0.0);
     for (y, x) in (0..fine).flat_map(|y| (0..fine).map(move |x| (y, x))) {
         let place = [row as f64 + offset(y), col as f64 + offset(x)];
-        if let Some(rgb) = emitted_at(display, met, stack, geometry, view, place) {
+        if let Some(rgb) = emitted_at(display, effective, stack, geometry, view, place) {
             count += 1.0;
             (0..3).for_each(|c| sum[c] += rgb[c]);
         }
@@ -108,7 +111,7 @@ pub(super) fn seen(
 /// Radiance of the ray at a place between rows and columns; `None` for one that does not count.
 fn emitted_at(
     display: &Display,
-    met: &[Met],
+    effective: &[Effective],
     stack: &LayerStack,
     geometry: &FieldGeometry,
     view: [usize; 2],
@@ -120,8 +123,8 @@ fn emitted_at(
     let mut radiance = [0.0; 3];
     for frame in 0..display.frames {
         let mut layers = Vec::new();
-        for (layer, met) in display.layers.iter().zip(met) {
-            match (read(display.sampling, layer, met, ray, frame), display.missing) {
+        for (layer, effective) in display.layers.iter().zip(effective) {
+            match (read(display.sampling, layer, effective, ray, frame), display.missing) {
                 (Some(value), _) => layers.push(value),
                 (None, Missing::Clear) => {}
                 (None, Missing::Drop) => return None,
@@ -145,8 +148,8 @@ fn emitted_at(
     Some(radiance)
 }
 
-/// What the ray reads of a layer; `None` beside it.
-fn read(sampling: Sampling, layer: &Layer, met: &Met, ray: Ray, frame: usize) -> Option<[f64; 3]> {
+/// Value of a layer on the ray; `None` beside it.
+fn read(sampling: Sampling, layer: &Layer, effective: &Effective, ray: Ray, frame: usize) -> Option<[f64; 3]> {
     let [cols, rows] = layer.resolution;
     let x = ray.x + layer.d_mm * ray.slope[0] - layer.offset_mm[0];
     let y = ray.y + layer.d_mm * ray.slope[1] - layer.offset_mm[1];
@@ -156,19 +159,21 @@ fn read(sampling: Sampling, layer: &Layer, met: &Met, ray: Ray, frame: usize) ->
     let inside = (0.0..cols as f64).contains(&nearest_u) && (0.0..rows as f64).contains(&nearest_v);
     inside.then(|| {
         std::array::from_fn(|c| match sampling {
-            Sampling::Nearest => met.get(frame, nearest_v as usize, nearest_u as usize, c),
+            Sampling::Nearest => effective.get(frame, nearest_v as usize, nearest_u as usize, c),
             // a tent around the ray's position, held inside the outermost centres
             Sampling::Bilinear => {
                 let (u, v) = (u.clamp(0.0, cols as f64 - 1.0), v.clamp(0.0, rows as f64 - 1.0));
                 let tent = |distance: f64| (1.0 - distance.abs()).max(0.0);
                 let pixels = (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col)));
-                pixels.map(|(row, col)| tent(row as f64 - v) * tent(col as f64 - u) * met.get(frame, row, col, c)).sum()
+                pixels
+                    .map(|(row, col)| tent(row as f64 - v) * tent(col as f64 - u) * effective.get(frame, row, col, c))
+                    .sum()
             }
         })
     })
 }
 
-/// What the ray reads of the backlight: 0 outside the bins; `None` beside the lenslets.
+/// Value of the backlight on the ray: 0 outside the bins; `None` beside the lenslets.
 fn light(backlight: &LensletBacklight, emission: &Tensor<6>, ray: Ray, frame: usize) -> Option<[f64; 3]> {
     let [cols, rows] = backlight.lenslets.map(|n| n as i64);
     let [bins_x, bins_y] = backlight.views.map(|n| n as i64);
@@ -183,7 +188,7 @@ fn light(backlight: &LensletBacklight, emission: &Tensor<6>, ray: Ray, frame: us
     let mut bin_x = (bins_x as f64 / 2.0 * (1.0 + ray.slope[0] / half_angle[0])).floor() as i64;
     let mut bin_y = (bins_y as f64 / 2.0 * (1.0 - ray.slope[1] / half_angle[1])).floor() as i64;
     if backlight.outside_bins == OutsideBins::Repeat {
-        // beyond the last bin the ray comes through the neighbouring lenslet's picture
+        // past the last bin the ray comes through the neighbouring lenslet's picture
         for (bin, bins, lenslet) in [(&mut bin_x, bins_x, &mut col), (&mut bin_y, bins_y, &mut row)] {
             while *bin >= bins {
                 *bin -= bins;

@@ -1,11 +1,12 @@
-//! What hardware does to a layer, against a sum over all pixels; the blur against its transpose.
+//! The response of a layer's hardware, against a sum over all pixels; the blur against its
+//! transpose.
 
 use std::borrow::Cow;
 
 use lumistack_core::Tensor;
 use lumistack_core::seed::Stream;
 
-use super::oracle::Met;
+use super::oracle::Effective;
 use super::{fill, random_stack};
 use crate::config::tests::small_display;
 use crate::{Layer, LayerColour, LayerStack, Response};
@@ -41,10 +42,10 @@ fn every_effect_agrees_with_the_sum_over_all_pixels() {
                 Layer { colour: LayerColour::Mono, filters: filters.clone(), crosstalk: Some(crosstalk), ..plain },
             ] {
                 let stored = values(size, 2, i as u64);
-                let met = Met::of(&layer, &stored);
+                let effective = Effective::of(&layer, &stored);
                 let found = layer.response().map_or_else(|| stored.clone(), |response| response.apply(&stored));
                 assert_eq!(found.shape(), stored.shape());
-                for (found, expected) in found.data().iter().zip(met.values()) {
+                for (found, expected) in found.data().iter().zip(effective.values()) {
                     assert!((f64::from(*found) - expected).abs() < ROUNDING, "{size:?} {layer:?}");
                     assert!((0.0..=1.0 + ROUNDING).contains(&f64::from(*found)));
                 }
@@ -118,7 +119,7 @@ fn the_point_spread_has_the_width_that_was_asked_for() {
         let response = layer([100, 100], sigma).response().unwrap();
         let radius = (response.taps().len() / 2) as f64;
         let moments = response.taps().iter().enumerate().map(|(k, w)| f64::from(*w) * (k as f64 - radius).powi(2));
-        // cutting off beyond 3σ takes 2.7 % of the variance
+        // the cut at 3σ takes 2.7 % of the variance
         assert!((moments.sum::<f64>().sqrt() / sigma - 1.0).abs() < 0.02, "{sigma}");
         assert!(radius >= 3.0 * sigma);
     }
@@ -130,7 +131,7 @@ fn an_ideal_layer_has_no_response_and_costs_nothing() {
     let stack = random_stack(&display, 1);
     assert_eq!(display.layers[0].response(), None);
     assert!(matches!(stack.effective(&display), Cow::Borrowed(_)));
-    // one unknown per pixel, met as it is stored
+    // one unknown per pixel, read as it is stored
     display.layers[0].colour = LayerColour::Mono;
     display.layers[1].crosstalk = Some([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
     let tied = display.layers[0].response().unwrap();
@@ -147,10 +148,10 @@ fn an_ideal_layer_has_no_response_and_costs_nothing() {
 fn filters_are_stripes_of_columns() {
     let filters = vec![[1.0, 0.0, 0.0], [0.0, 0.5, 0.0]];
     let response = Layer { colour: LayerColour::Mono, filters, ..layer([2, 5], 0.0) }.response().unwrap();
-    let met = response.apply(&Tensor::filled(LayerStack::LAYER_AXES, [1, 2, 5, 3], 0.8));
+    let effective = response.apply(&Tensor::filled(LayerStack::LAYER_AXES, [1, 2, 5, 3], 0.8));
     for (row, col) in [(0, 0), (1, 0), (0, 3), (1, 4)] {
         let expected = if col % 2 == 0 { [0.8, 0.0, 0.0] } else { [0.0, 0.4, 0.0] };
-        assert_eq!(met.block([0, row, col]), expected);
+        assert_eq!(effective.block([0, row, col]), expected);
         assert_eq!(response.filter(col), if col % 2 == 0 { [1.0, 0.0, 0.0] } else { [0.0, 0.5, 0.0] });
     }
 }

@@ -1,4 +1,5 @@
-//! Animations: each test writes a small file, or takes one of others, and looks at the scene at a time.
+//! Animations: each test writes a small file, or takes one of others, and looks at the scene at a
+//! time.
 
 use crate::support::{Builder, F32, I8, I16, Memory, U8, U16, assets, load_choosing, load_file_choosing};
 use glam::{Quat, Vec3};
@@ -164,7 +165,8 @@ fn weights_move_morph_targets() {
 fn cubic_weights_have_three_groups_per_key() {
     let b = animated(|b| {
         let input = b.floats("SCALAR", &[0.0, 2.0]);
-        // in-tangents, values, out-tangents of two targets; the first rises as t² − t³/4 (0 to 2), the second stays at 1
+        // in-tangents, values, out-tangents of two targets; the first rises as t² − t³/4 (0 to 2),
+        // the second stays at 1
         let key = |value: [f32; 2]| [0.0, 0.0, value[0], value[1], 0.0, 0.0];
         let values: Vec<f32> = [key([0.0, 1.0]), key([2.0, 1.0])].concat();
         let output = b.floats("SCALAR", &values);

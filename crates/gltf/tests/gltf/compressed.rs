@@ -1,4 +1,5 @@
-//! Packed meshes and pictures, written by the encoders of others (`data/make.mjs`), against what was packed.
+//! Packed meshes and pictures, written by the encoders of others (`data/make.mjs`), against their
+//! sources.
 
 use std::collections::BTreeMap;
 
@@ -14,7 +15,8 @@ fn data(name: &str) -> Vec<u8> {
     std::fs::read(workspace().join("crates/gltf/tests/data").join(name)).unwrap()
 }
 
-/// Vertices by their grid position in halves, and triangles by those of their corners, the least first.
+/// Vertices by their grid position in halves, and triangles by those of their corners, the least
+/// first.
 type Grid = (BTreeMap<[i32; 2], (Vec3, Vec3, Vec2)>, Vec<[[i32; 2]; 3]>);
 
 fn grid(scene: &Scene) -> Grid {
@@ -75,7 +77,7 @@ fn draco_primitives_are_decoded() {
     let (jet, warnings) = support::load_file(&folder.join("jet-fighter/jet-fighter.glb"));
     let jet = jet.unwrap();
     assert_eq!(jet.triangle_count(), 36440, "{warnings:?}");
-    // the accessors' own bounds: what the exporter saw before packing
+    // the accessors' own bounds: those of the mesh before packing
     let bounds = jet.bounds();
     println!("jet-fighter spans {} to {}", bounds.min, bounds.max);
 }

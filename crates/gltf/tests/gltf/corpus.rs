@@ -1,4 +1,5 @@
-//! Files that others made: sample assets, which load, and hostile ones, which must do no harm; and the scenes of this project.
+//! Files that others made: sample assets, which load, and hostile ones, which must do no harm; and
+//! the scenes of this project.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -97,8 +98,8 @@ fn sample_assets_load_or_are_refused_for_their_extensions() {
     }
 }
 
-/// glTF-Asset-Generator: modes 0 to 6 without indices, then with; the last two have indices of other sizes. Those that make
-/// triangles show one unit square that faces +z.
+/// glTF-Asset-Generator: modes 0 to 6 without indices, then with; the last two have indices of
+/// other sizes. Those that make triangles show one unit square that faces +z.
 fn check_primitive_mode(file: usize, result: Result<Scene, GltfError>) {
     if file % 7 < 4 && file < 14 {
         assert!(result.unwrap_err().to_string().contains("at least one triangle"));
@@ -133,7 +134,8 @@ fn quantized_and_plain_meshes_are_the_same_surface() {
     assert!(largest < tolerance && largest > 0.0);
 }
 
-/// Errors of the Khronos validator that do not change what is to be seen, so that a file with no others loads, and why.
+/// Errors of the Khronos validator that do not change the picture, so that a file with no others
+/// loads, and why.
 const HARMLESS: [(&str, &str); 32] = [
     ("ACCESSOR_ANIMATION_INPUT_NEGATIVE", "values hold before the first key, wherever it is"),
     ("ACCESSOR_ANIMATION_SAMPLER_OUTPUT_NON_NORMALIZED_QUATERNION", "made unit length"),
@@ -185,7 +187,8 @@ fn verdict(path: &Path) -> Option<Vec<String>> {
     Some(errors.map(|message| message["code"].as_str().unwrap().to_owned()).collect())
 }
 
-/// A `.gltf` file with a triangle added to what its scene shows, so that only its own defects can be a reason to refuse it.
+/// A `.gltf` file with a triangle added to its scene, so that only its own defects can be a reason
+/// to refuse it.
 fn with_a_triangle(path: &Path) -> Option<Vec<u8>> {
     let file: Value = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
     let (mut b, [_, node]) = add_triangle(&file)?;
@@ -213,8 +216,8 @@ const STRICT: [(&str, &str); 1] = [(
     "its times have no data and so are all zero, which the validator does not look at",
 )];
 
-/// What the validator calls an error that matters is refused, at the latest when the scene shows the object that has it; all else
-/// loads, once there is something to see.
+/// Files with a validator error that matters are refused, at the latest when the scene shows the
+/// object that has it. All others load, once the scene has a triangle.
 #[test]
 fn hostile_files_do_no_harm() {
     let Some(folder) = assets("hostile/gltf") else { return };
@@ -259,7 +262,8 @@ fn hostile_files_do_no_harm() {
     }
     println!("{loaded} load, {refused} refused");
     assert!(disagreements.is_empty(), "{disagreements:#?}");
-    // every file that shows nothing says why, and those that are broken in different ways do not all say the same
+    // every file that shows nothing says why, and those that are broken in different ways do not
+    // all say the same
     assert!(reasons.iter().all(|reason| reason.starts_with("none: ")), "{reasons:#?}");
     let count = reasons.len();
     reasons.sort();
@@ -282,7 +286,8 @@ fn hostile_files_do_no_harm() {
     }
 }
 
-/// Most hostile files keep their defect in an object that nothing shows. Here every object is shown in turn.
+/// Most hostile files keep their defect in an object that nothing shows. Here every object is shown
+/// in turn.
 #[test]
 fn hostile_objects_do_no_harm_when_shown() {
     let Some(folder) = assets("hostile/gltf") else { return };
@@ -304,7 +309,7 @@ fn hostile_objects_do_no_harm_when_shown() {
     }
     messages.iter().for_each(|message| println!("{message}"));
     println!("{loaded} load, {refused} refused");
-    // an index just past the end of a list finds what was appended, so those are tested elsewhere
+    // an index just past the end of a list finds the appended entry, so those are tested elsewhere
     for (file, expected) in [
         ("mesh/accessor_unequal_count", "/attributes/COLOR_0: expected"),
         ("mesh/position_accessor_invalid_format", "/attributes/POSITION: expected VEC3"),
@@ -320,7 +325,8 @@ fn hostile_objects_do_no_harm_when_shown() {
     }
 }
 
-/// The file with a triangle that no scene shows yet: its mesh and its node. `None` where a list is no list.
+/// The file with a triangle that no scene shows yet: its mesh and its node. `None` where a list is
+/// no list.
 fn add_triangle(file: &Value) -> Option<(Builder, [usize; 2])> {
     let mut b = Builder { json: file.clone(), bin: Vec::new() };
     for list in ["scenes", "nodes", "meshes", "accessors", "bufferViews", "buffers", "materials", "textures"] {

@@ -1,4 +1,4 @@
-//! Broken files: one error each, which names the place, what was expected and what was found.
+//! Broken files: one error each, which names the place, the expected value and the value found.
 
 use crate::support::{Builder, F32, Memory, U8, U16, U32, error, load, load_choosing, load_with, png};
 use lumistack_core::{Cancel, Cancelled, Collector, Task};
@@ -213,7 +213,7 @@ fn scenes_with_nothing_to_see() {
     let reason =
         "/meshes/0/primitives/0: a primitive of mode Lines has no surface and is left out (and 1 more are left out)";
     assert_error(&b, &format!("/scenes/0: {nothing}: {reason}"));
-    // what nothing shows is broken as well
+    // the part that the scene does not use is broken as well
     let b = triangle_with(|b| {
         b.set("/nodes/0", json!({}));
         b.set("/accessors/0/count", json!(4));
@@ -248,7 +248,7 @@ fn pictures_are_counted_before_the_first_is_decoded() {
     let mut b = Builder::triangle();
     let sky = png(64, &[[7; 4]; 64 * 64]);
     let (first, second) = (b.view(&sky), b.view(&sky));
-    // the first is cut off in its pixels, which nobody gets to see
+    // the first is cut off in its pixels, which are never seen
     b.set(&format!("/bufferViews/{first}/byteLength"), json!(60));
     for view in [first, second] {
         b.push("images", json!({"bufferView": view}));
@@ -371,7 +371,8 @@ fn copies_of_copies_do_not_exhaust_memory() {
     assert!(message.starts_with(expected), "{message}");
 }
 
-/// Fifty thousand nodes of a mesh with twenty thousand primitives: a billion of anything would take minutes.
+/// Fifty thousand nodes of a mesh with twenty thousand primitives: a billion of anything would take
+/// minutes.
 #[test]
 fn nodes_that_share_a_large_mesh_take_no_time() {
     let mut builder = Builder::triangle();

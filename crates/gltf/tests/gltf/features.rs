@@ -1,4 +1,4 @@
-//! What a sound file means: each test writes a small file and looks at the scene.
+//! The meaning of sound files: each test writes a small file and checks the scene.
 
 use std::f32::consts::{FRAC_1_SQRT_2, FRAC_PI_2};
 
@@ -360,8 +360,9 @@ fn the_transform_test_scene_agrees_on_the_sense_of_rotation() {
     let Some(folder) = support::assets("gltf/TextureTransformTest") else { return };
     let (scene, _) = support::load_file(&folder.join("TextureTransformTest.gltf"));
     let scene = scene.unwrap();
-    // the arrow's tip lies on the diagonal of its picture; the scene marks where it must show on the turned square, whose
-    // corners (−0.5, 0.5) and (0.5, −0.5) have the texture coordinates (0, 0) and (1, 1)
+    // The arrow's tip lies on the diagonal of its picture. The scene marks its place on the turned
+    // square. The square's corners (−0.5, 0.5) and (0.5, −0.5) have the texture coordinates (0, 0)
+    // and (1, 1).
     let material = scene.materials.iter().find(|material| material.name == "Rotation").unwrap();
     let map = material.base_color_texture.unwrap().texture_from_mesh;
     let marked = map.transform_point2(Vec2::new(0.5 - 0.079_048_224, 0.5 + 0.516_267_5));
@@ -504,7 +505,8 @@ fn whole_numbers_may_be_written_as_floats() {
     assert!(text.contains("3.0") && load(text.as_bytes()).0.is_ok());
 }
 
-/// A scene that lists a child, a node twice or a node of two parents is no tree of nodes, but others show it.
+/// A scene that lists a child, a node twice or a node of two parents is no tree of nodes, but
+/// others show it.
 #[test]
 fn scenes_that_list_children_are_shown() {
     let corner = |b: &Builder| {
@@ -530,7 +532,7 @@ fn scenes_that_list_children_are_shown() {
     assert_eq!(corner(&under(json!([0]))), (vec![0.0], vec![alone]));
     let again = "/scenes/0/nodes/1: expected every node once, found node 1 again; it is shown once";
     assert_eq!(corner(&under(json!([1, 1]))), (vec![3.0], vec![again.into()]));
-    // of two parents the first
+    // the first of two parents
     let mut b = under(json!([1, 2]));
     b.push("nodes", json!({"children": [0, 0], "translation": [5, 0, 0]}));
     let (places, warnings) = corner(&b);
@@ -540,7 +542,8 @@ fn scenes_that_list_children_are_shown() {
     assert_eq!(warnings[0], expected);
 }
 
-/// glTF has strides for vertices only. One on indices is followed where the indices lie so, as others do, and has no effect otherwise.
+/// glTF has strides for vertices only. One on indices is followed where the indices lie so, as
+/// others do, and has no effect otherwise.
 #[test]
 fn strides_where_none_belong_are_said() {
     for (bytes, stride, expected) in [

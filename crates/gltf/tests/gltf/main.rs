@@ -1,4 +1,5 @@
-//! How glTF is read. One program for all files, which share the processors; `cargo test -p lumistack-gltf --test gltf animations::` runs the tests of one.
+//! How glTF is read. One program for all files, which share the processors;
+//! `cargo test -p lumistack-gltf --test gltf animations::` runs the tests of one.
 
 mod animations;
 mod compressed;

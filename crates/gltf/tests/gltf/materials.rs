@@ -21,7 +21,7 @@ fn triangle_with(material: Value) -> Builder {
     b
 }
 
-/// A texture reference with a transform that tells it from the others, and how the scene should hold it.
+/// A texture reference with a transform of its own, and its expected form in the scene.
 fn texture(number: usize) -> (Value, Option<TextureUse>) {
     let shift = 0.0625 * number as f32;
     let json = json!({"index": number, "texCoord": number % 2,
@@ -182,7 +182,7 @@ fn variants_choose_materials() {
         let options = LoadOptions { variant: variant.map(Into::into), ..LoadOptions::default() };
         load_choosing(&b.glb(), &options).0.map(|scene| scene.materials[scene.meshes[0].material].name.clone())
     };
-    // what no mesh shows is not read: the broken texture of the third material stays unseen
+    // materials that no mesh uses are not read: the broken texture of the third stays unseen
     assert_eq!(choose(None).unwrap(), "plain");
     assert_eq!(choose(Some("Ruby")).unwrap(), "red");
     assert_eq!(choose(Some("0")).unwrap(), "red");

@@ -103,7 +103,7 @@ fn a_file_cut_anywhere_is_refused() {
 
 #[test]
 fn a_binary_chunk_cut_anywhere_is_survived() {
-    // the container is sound, so that every accessor meets the end of its data
+    // the container is sound, so that the end of the data cuts every accessor in turn
     let whole = everything();
     let json_length = whole.bin.len();
     for length in (0..json_length).step_by(3) {

@@ -149,7 +149,7 @@ fn broken_splats_are_refused_or_left_out() {
         b.set(&attribute("SCALE"), scales.into());
     };
     refused(&fewer, "3 elements, as POSITION has");
-    // what no Gaussian has is left out, one by one
+    // splats with impossible values are left out, one by one
     for (name, kind, values) in [
         ("SCALE", "VEC3", [0.1, f32::NAN, 0.1, 1.0, 1.0, 1.0, -1.0, 1.0, 1.0].as_slice()),
         ("ROTATION", "VEC4", &[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0, f32::INFINITY, 0.0, 0.0, 1.0]),

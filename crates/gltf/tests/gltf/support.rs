@@ -1,4 +1,5 @@
-//! Shared by the tests: a writer of small glTF files, resolvers, and the folder of third-party files.
+//! Shared by the tests: a writer of small glTF files, resolvers, and the folder of third-party
+//! files.
 
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};

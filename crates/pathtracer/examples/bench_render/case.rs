@@ -1,7 +1,8 @@
-//! The scene that all renderers get: Lambert surfaces with base-colour textures, one rectangle light, a constant sky, one perspective view.
+//! The scene that all renderers get: Lambert surfaces with base-colour textures, one rectangle
+//! light, a constant sky, one perspective view.
 //!
-//! Whatever the file's materials are, they become diffuse, opaque and two-sided with face normals, so that every renderer can express
-//! the scene exactly. The light faces the scene and stands so that nobody sees its back.
+//! All materials of the file become diffuse, opaque and two-sided with face normals, so that every
+//! renderer can express the scene exactly. The light faces the scene, and its back is out of view.
 
 use std::error::Error;
 use std::path::Path;
@@ -47,7 +48,8 @@ impl AssetResolver for Folder<'_> {
 }
 
 impl Case {
-    /// A glTF or USD file as a diffuse scene, or with its own materials; a file without a camera also gets a floor. With `copies` > 1, so many of it stand in a square.
+    /// A glTF or USD file as a diffuse scene, or with its own materials; a file without a camera
+    /// also gets a floor. With `copies` > 1, so many of it stand in a square.
     pub fn load(
         path: &Path,
         copies: usize,
@@ -55,7 +57,7 @@ impl Case {
         own_materials: bool,
         task: Task<'_>,
     ) -> Outcome<Self> {
-        // what a diffuse scene leaves out need not be warned of
+        // Warnings about parts of the file that a diffuse scene leaves out are of no use.
         let unread = Collector::default();
         let quiet = Task { warnings: &unread, ..task };
         let extension = path.extension().unwrap_or_default().to_string_lossy();
@@ -156,8 +158,9 @@ impl Case {
         corner + u[0] * across + u[1] * up
     }
 
-    /// Writes the scene for the peers: `scene.json` names arrays and pictures beside it. Meshes are in world space. `exact` asks for this scene to the
-    /// last digit, otherwise a peer may take a kind of light that it is better at.
+    /// Writes the scene for the peers: `scene.json` names arrays and pictures beside it. Meshes are
+    /// in world space. With `exact` peers render this very scene; otherwise a peer may take a kind
+    /// of light that it is better at.
     pub fn export(&self, folder: &Path, exact: bool) -> Outcome {
         std::fs::create_dir_all(folder)?;
         let mut meshes = Vec::new();

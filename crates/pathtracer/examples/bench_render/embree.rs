@@ -1,6 +1,8 @@
-//! Embree 4 from its Python wheel, called from here, so that both sides pay the same for a loop over rays.
+//! Embree 4 from its Python wheel, called from here, so that both sides pay the same for a loop
+//! over rays.
 //!
-//! The library is opened at run time; constants and layouts are those of Embree 4's `rtcore` headers.
+//! The library is opened at run time; constants and layouts are those of Embree 4's `rtcore`
+//! headers.
 
 use std::ffi::{CStr, CString, c_char, c_int, c_uint, c_void};
 use std::path::Path;
@@ -20,7 +22,8 @@ pub struct Embree {
     _arrays: (Vec<f32>, Vec<u32>),
 }
 
-// SAFETY: Embree's queries may run on any number of threads once the scene is committed, which `new` does
+// SAFETY: Embree's queries may run on any number of threads once the scene is committed, which
+// `new` does
 unsafe impl Sync for Embree {}
 
 /// `RTCRayHit` with room to spare.
@@ -88,7 +91,8 @@ impl Embree {
     pub fn new(library: &Path, triangles: &[[Vec3; 3]]) -> Outcome<Self> {
         let path = CString::new(library.to_string_lossy().as_bytes())?;
         const NOW: c_int = 2;
-        // SAFETY: the path is a C string; a library's initializers are trusted as much as the library
+        // SAFETY: the path is a C string; a library's initializers are trusted as much as the
+        // library
         let handle = unsafe { dlopen(path.as_ptr(), NOW) };
         if handle.is_null() {
             return Err(format!("{}: not a library that can be opened", library.display()).into());
@@ -103,7 +107,8 @@ impl Embree {
         vertices.push(0.0);
         let indices: Vec<u32> = (0..3 * triangles.len() as u32).collect();
         type Pointer = *mut c_void;
-        // SAFETY: names and signatures are those of the headers; the arrays live as long as the scene
+        // SAFETY: names and signatures are those of the headers; the arrays live as long as the
+        // scene
         unsafe {
             let new_device: extern "C" fn(*const c_char) -> Pointer = std::mem::transmute(symbol(c"rtcNewDevice")?);
             let new_scene: extern "C" fn(Pointer) -> Pointer = std::mem::transmute(symbol(c"rtcNewScene")?);

@@ -1,4 +1,5 @@
-//! Views whose light is averaged over all that see it, beside the same views one by one, at equal squared error.
+//! Views whose light is averaged over all that see it, beside the same views one by one, at equal
+//! squared error.
 
 use std::time::Duration;
 
@@ -10,7 +11,8 @@ use lumistack_pathtracer::{Renderer, Settings};
 use crate::case::{Case, Outcome};
 use crate::{BOUNCES, Options};
 
-/// Share of the values that are not brighter than what counts as white. Errors above it do not count: no display shows them, and a few would hide all others.
+/// Share of the values that are at most white. Brighter values do not count as errors: no display
+/// shows them, and a few would hide all others.
 const BELOW_WHITE: f64 = 0.99;
 /// Tick of `/proc/self/stat` in milliseconds.
 const TICK_MS: u64 = 10;
@@ -65,7 +67,8 @@ fn field_of(case: &Case, views: [usize; 2], fov_deg: f64) -> Outcome<FieldGeomet
 /// Time of the processors that this process has spent.
 fn spent() -> Outcome<Duration> {
     let stat = std::fs::read_to_string("/proc/self/stat")?;
-    // the name, in brackets, may hold spaces; user and system time are the twelfth and thirteenth field past it
+    // the name, in brackets, may hold spaces; user and system time are the twelfth and thirteenth
+    // field past it
     let past_name = stat.rsplit(") ").next().unwrap_or_default();
     let ticks: Vec<u64> = past_name.split(' ').skip(11).take(2).map(str::parse).collect::<Result<_, _>>()?;
     Ok(Duration::from_millis(TICK_MS * ticks.iter().sum::<u64>()))
@@ -87,7 +90,8 @@ fn report(case: &Case, options: &Options, ways: &[Way; 2], samples: u32) {
     let variance = |way: &Way, view: usize| {
         mean(view, &|i| 0.5 * (at(&way.pictures, 0, view, i) - at(&way.pictures, 1, view, i)).powi(2))
     };
-    // differences to two independent pictures without bias: their product is the squared error, bias included, without the noise of those
+    // differences to two independent pictures without bias: their product is the squared error,
+    // bias included, without the noise of those
     let error = |way: &Way, view: usize| {
         let of = |half: usize| {
             mean(view, &|i| {

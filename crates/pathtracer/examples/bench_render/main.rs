@@ -1,17 +1,25 @@
 //! Times the path tracer, beside other renderers where they are named.
 //!
 //! ```text
-//! bench_render view SCENE [--quick] [--rounds N] [--samples N] [--reference N] [--size COLSxROWS] [--folder FOLDER] [--peer PYTHON SCRIPT]...
+//! bench_render view SCENE [--quick] [--rounds N] [--samples N] [--reference N] [--size COLSxROWS]
+//!              [--folder FOLDER] [--peer PYTHON SCRIPT]...
 //! bench_render rays SCENE [--copies N] [--rounds N] [--size COLSxROWS] [--embree LIBRARY]
-//! bench_render agree SCENE [--reference N] [--size COLSxROWS] [--folder FOLDER] [--peer PYTHON SCRIPT]...
+//! bench_render agree SCENE [--reference N] [--size COLSxROWS] [--folder FOLDER]
+//!              [--peer PYTHON SCRIPT]...
 //! bench_render big SCENE [--copies N]
-//! bench_render field SCENE [--copies N] [--own-materials] [--views ROWSxCOLS] [--fov DEGREES] [--samples N] [--size COLSxROWS]
+//! bench_render field SCENE [--copies N] [--own-materials] [--views ROWSxCOLS] [--fov DEGREES]
+//!              [--samples N] [--size COLSxROWS]
 //! ```
 //!
-//! `rays` counts rays per second of the tree alone. `big` renders a scene of many copies and prints what it occupies. `view` renders one view of a diffuse scene (see [`case`]) with everyone in turn and prints, per renderer and sampler, the median time,
-//! samples per second, the mean squared error against the renderer's own converged picture, and error × seconds per megapixel. `agree` compares converged pictures of the
-//! same view and fails where they differ. `field` renders many views one by one, and with the light that views share averaged, and prints a table row for each: processor
-//! seconds, squared error with that of the worst view and the bias in it, and how many times less time it takes to the same error.
+//! * `rays` counts rays per second of the tree alone.
+//! * `big` renders a scene of many copies and prints its memory.
+//! * `view` renders one view of a diffuse scene (see [`case`]) with each renderer in turn. Per
+//!   renderer and sampler it prints the median time, samples per second, the mean squared error
+//!   against the renderer's own converged picture, and error × seconds per megapixel.
+//! * `agree` compares converged pictures of the same view and fails where they differ.
+//! * `field` renders many views, once each by itself and once with shared light averaged over them.
+//!   Per method it prints processor seconds, squared error, the error of the worst view, the bias,
+//!   and the speed-up at equal error.
 
 mod case;
 #[cfg(unix)]
@@ -47,7 +55,8 @@ struct Options {
     peers: Vec<[PathBuf; 2]>,
     copies: usize,
     embree: Option<PathBuf>,
-    /// Of a light field: rows and columns of views, their zone, and whether surfaces stay as the file has them.
+    /// For `field`: rows and columns of views, their field of view, and true if surfaces keep the
+    /// materials of the file.
     views: [usize; 2],
     fov_deg: f64,
     own_materials: bool,
@@ -308,7 +317,8 @@ fn mean_square(picture: &[f32], reference: &[f32]) -> f64 {
     sum / picture.len() as f64
 }
 
-/// Relative difference of the mean radiance, and root mean square of the pixels' relative differences.
+/// Relative difference of the mean radiance, and root mean square of the pixels' relative
+/// differences.
 fn agreement(ours: &[f32], theirs: &[f32]) -> (f64, f64) {
     let mean = |values: &[f32]| values.iter().map(|&v| f64::from(v)).sum::<f64>() / values.len() as f64;
     let (own_mean, their_mean) = (mean(ours), mean(theirs));

@@ -1,4 +1,5 @@
-//! Other people's renderers: child processes that answer one line of JSON per request, as `xtask/bench/view.py` says.
+//! Other people's renderers: child processes that answer one line of JSON per request, as
+//! `xtask/bench/view.py` says.
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;

@@ -1,5 +1,6 @@
-//! Rays per second of the tree alone, beside Embree over the same rays on the same threads. Beams and packets are taken over neighbouring pixels
-//! (`primary`) and over the samples of one pixel (`pixels`), as the path tracer takes them.
+//! Rays per second of the tree alone, beside Embree over the same rays on the same threads. Beams
+//! and packets are taken over neighbouring pixels (`primary`) and over the samples of one pixel
+//! (`pixels`), as the path tracer takes them.
 
 use std::path::Path;
 use std::time::Instant;
@@ -35,11 +36,12 @@ enum Kind {
     Coherent,
     /// The nearest hits of rays to all sides.
     Scattered,
-    /// Whether anything is in the way.
+    /// Any hit on a segment.
     Shadow,
 }
 
-/// Prints Mrays/s of primary rays, two bounces and shadow rays: the fastest of rounds in turn, since what else a machine does only takes time away.
+/// Prints Mrays/s of primary rays, two bounces and shadow rays. Each is the fastest of rounds in
+/// turn, since other programs of the machine only take time away.
 pub fn measure(case: &Case, embree: Option<&Path>, rounds: usize) -> Outcome {
     let triangles = world_triangles(case);
     let start = Instant::now();
@@ -92,7 +94,7 @@ pub fn measure(case: &Case, embree: Option<&Path>, rounds: usize) -> Outcome {
                 let (seconds, hits) = timed(rays, |chunk| {
                     let mut scratch = tree.scratch();
                     let beam = |rays: &[(Vec3, Vec3, f32)]| {
-                        tree.met_by_beam(rays.iter().map(|&(o, d, _)| (o, d)), &mut scratch)
+                        tree.hits_of_beam(rays.iter().map(|&(o, d, _)| (o, d)), &mut scratch)
                     };
                     chunk.chunks(BEAM_RAYS).map(beam).sum()
                 });
@@ -149,7 +151,8 @@ fn world_triangles(case: &Case) -> Vec<[Vec3; 3]> {
     triangles
 }
 
-/// Rays of a path tracer: through every pixel, as many samples of some pixels, then scattered by Lambert's law, and from the first hits to the light.
+/// Rays of a path tracer: through every pixel, as many samples of some pixels, then scattered by
+/// Lambert's law, and from the first hits to the light.
 fn batches(case: &Case, tree: &Tree, triangles: &[[Vec3; 3]]) -> Vec<Batch> {
     let mut stream = Stream::new(1);
     let geometry = &case.geometry;

@@ -1,19 +1,25 @@
 //! Directional albedo of the GGX reflection lobe, tabulated once.
 //!
-//! E(μ, α) is the albedo of the lobe without Fresnel and B(μ, α) that with s(o·h) of [`fresnel`] in its place, so that with Fresnel it is
-//! F₀(E − B) + F₉₀B. Single scattering loses 1 − E of what it reflects. That share strikes the surface again, is reflected by the mean F̄ of the
-//! Fresnel term, and leaves in the share Ē or strikes once more, so that the lobe has to be multiplied by K:
+//! E(μ, α) is the albedo of the lobe without Fresnel. B(μ, α) is the albedo with s(o·h) of
+//! [`fresnel`] in the place of Fresnel's term. So the albedo with Fresnel is F₀(E − B) + F₉₀B.
+//!
+//! Single scattering loses the share 1 − E of the reflected light. That share strikes the surface
+//! again and is reflected by the mean F̄ of the Fresnel term. The share Ē of it leaves, and the
+//! rest strikes once more. So the lobe has to be multiplied by K:
 //!
 //! ```text
 //! E K = E + (1 − E) F̄ Ē (1 + F̄(1 − Ē) + F̄²(1 − Ē)² + …) = E + (1 − E) F̄ Ē / (1 − F̄(1 − Ē))
 //! F̄ = 2 ∫ F(μ) μ dμ = F₀ + (1 − F₀)/21,   Ē = 2 ∫ E(μ) μ dμ
 //! ```
 //!
-//! F̄ is that of a metal's s. A dielectric's is a little greater (0.092 instead of 0.086 at n = 1.5), which would change its gloss by less than a percent.
+//! F̄ is that of a metal's s. A dielectric's is a little greater (0.092 instead of 0.086 at n =
+//! 1.5), which would change its gloss by less than a percent.
 //!
-//! A white metal is lossless, a coloured one becomes more saturated. Sources: Turquin 2019, "Practical multiple scattering compensation for
-//! microfacet models" (a factor on the lobe that depends on the viewer alone); Kulla, Conty 2017, "Revisiting physically based shading at
-//! Imageworks" (the series).
+//! A white metal is lossless, a coloured one becomes more saturated. Sources:
+//!
+//! * Turquin 2019, "Practical multiple scattering compensation for microfacet models": a factor on
+//!   the lobe that depends on the viewer alone.
+//! * Kulla, Conty 2017, "Revisiting physically based shading at Imageworks": the series.
 
 use std::sync::OnceLock;
 
@@ -29,7 +35,8 @@ const ROUGHNESSES: usize = 32;
 const SAMPLES: u32 = 987;
 /// Step of the Fibonacci lattice of [`SAMPLES`] points.
 const LATTICE_STEP: u32 = 610;
-/// Nodes of the table for stretched lobes, and its samples: root of the cosine, azimuth, √α along and across.
+/// Nodes of the table for stretched lobes, and its samples: root of the cosine, azimuth, √α along
+/// and across.
 const STRETCHED: [usize; 4] = [16, 6, 13, 13];
 const STRETCHED_SAMPLES: u32 = 377;
 const STRETCHED_STEP: u32 = 233;
@@ -37,14 +44,15 @@ const STRETCHED_STEP: u32 = 233;
 const SMALLEST: f32 = 1e-3;
 /// The index of refraction whose B every table has: the format's own, and that of clear coats.
 pub(crate) const COMMON_IOR: f32 = 1.5;
-/// Nodes of the table for other indices over the root of the cosine, √α, and the root of (n − 1)/(n + 1); samples per node.
+/// Nodes of the table for other indices over the root of the cosine, √α, and the root of
+/// (n − 1)/(n + 1); samples per node.
 const INDICES: [usize; 3] = [40, 16, 20];
 const INDICES_SAMPLES: u32 = 377;
 const INDICES_STEP: u32 = 233;
 /// (n − 1)/(n + 1) of the highest index in that table, 4; a higher one counts as this.
 const LARGEST_ROOT: f32 = 0.6;
 
-/// Where in a table's values E stands, and its mean.
+/// Indices of E and of its mean in a table's values.
 const FULL: usize = 0;
 const MEAN: usize = 3;
 
@@ -67,7 +75,7 @@ impl Albedo {
         f0 * (self.full - rise) + f90 * rise
     }
 
-    /// Factor that returns what single scattering loses.
+    /// The factor K, which returns the light that single scattering loses.
     #[inline]
     pub(crate) fn compensation(&self, f0: Vec3) -> Vec3 {
         let fresnel = f0 + (Vec3::ONE - f0) * (1.0 / 21.0);
@@ -89,7 +97,8 @@ pub(crate) fn albedo(cosine: f32, roughness: f32) -> Albedo {
     TABLE.get_or_init(tabulate).at([cosine, roughness]).into()
 }
 
-/// Albedo of a stretched lobe: linear in the root of the cosine, in cos² of the azimuth from the stretch, and in √α along and across.
+/// Albedo of a stretched lobe: linear in the root of the cosine, in cos² of the azimuth from the
+/// stretch, and in √α along and across.
 pub(crate) fn stretched(o: Vec3, alpha: Vec2) -> Albedo {
     static TABLE: OnceLock<Table<4, 4>> = OnceLock::new();
     let across = o.x * o.x + o.y * o.y;
@@ -97,7 +106,8 @@ pub(crate) fn stretched(o: Vec3, alpha: Vec2) -> Albedo {
     TABLE.get_or_init(tabulate_stretched).at([o.z.max(0.0).sqrt(), azimuth, alpha.x.sqrt(), alpha.y.sqrt()]).into()
 }
 
-/// B of a dielectric of any index: linear in the root of the cosine, in √α, and in the root of (n − 1)/(n + 1).
+/// B of a dielectric of any index: linear in the root of the cosine, in √α, and in the root of (n −
+/// 1)/(n + 1).
 pub(crate) fn dielectric(cosine: f32, roughness: f32, ior: f32) -> f32 {
     static TABLE: OnceLock<Table<3, 1>> = OnceLock::new();
     let root = (ior - 1.0).max(0.0) / (ior + 1.0) / LARGEST_ROOT;
@@ -143,7 +153,8 @@ fn tabulate_indices() -> Table<3, 1> {
     })
 }
 
-/// ∫ E density over nodes that are spread evenly over 0..1, for a density whose own integral is 1: exact where E is constant.
+/// ∫ E density over nodes that are spread evenly over 0..1, for a density whose own integral is 1:
+/// exact where E is constant.
 fn mean_over(nodes: &[[f32; 4]], density: impl Fn(f32) -> f32) -> f32 {
     let last = (nodes.len() - 1) as f32;
     let (mut sum, mut weights) = (0.0, 0.0);

@@ -1,4 +1,4 @@
-//! What the scattering function needs to know about a point.
+//! Parameters of the scattering function at a point.
 
 use glam::Vec3;
 
@@ -16,9 +16,9 @@ pub(crate) struct Appearance {
     pub(crate) roughness: f32,
     pub(crate) ior: f32,
     pub(crate) transmission: f32,
-    /// Whether transmitted light refracts into a solid.
+    /// True if transmitted light refracts into a solid.
     pub(crate) solid: bool,
-    /// Whether microfacets return what single scattering loses.
+    /// True if microfacets return the light that single scattering loses.
     pub(crate) compensated: bool,
     pub(crate) extras: Option<Extras>,
 }
@@ -39,7 +39,8 @@ pub(crate) struct Extras {
 }
 
 impl Appearance {
-    /// The appearance of dispersing glass at a wavelength, drawn from `u` for a path that has none yet; returns the wavelength.
+    /// The appearance of dispersing glass at a wavelength, drawn from `u` for a path that has none
+    /// yet; returns the wavelength.
     pub(crate) fn disperse(&mut self, path_nm: Option<f32>, u: impl FnOnce() -> f32) -> Option<f32> {
         let extras = self.extras.as_mut().filter(|extras| extras.dispersion > 0.0)?;
         let wave = match path_nm {

@@ -1,4 +1,5 @@
-//! Diffuse scattering of the base: Lambert's law around a normal of its own, under the shadows of bumps.
+//! Diffuse scattering of the base: Lambert's law around a normal of its own, under the shadows of
+//! bumps.
 
 use std::f32::consts::FRAC_1_PI;
 

@@ -8,7 +8,8 @@ use crate::normals::Normals;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Frame {
     pub(crate) geometric: Vec3,
-    /// Normal of what is reflected and refracted, bent so that a mirror shows the viewer nothing from below the surface.
+    /// Normal of specular reflection and refraction, bent so that a mirror never reflects the
+    /// viewer into the surface.
     pub(crate) shading: Vec3,
     /// Normals of diffuse scattering, which are not bent.
     pub(crate) diffuse: Normals,
@@ -19,7 +20,7 @@ pub(crate) struct Frame {
 }
 
 impl Frame {
-    /// The same normal for everything.
+    /// A frame with one normal for all lobes.
     pub(crate) fn flat(geometric: Vec3, shading: Vec3) -> Self {
         Self { geometric, shading, diffuse: Normals::smooth(shading), coat: shading, tangent: None }
     }

@@ -1,13 +1,19 @@
-//! Share of light that an interface reflects: Schlick's approximation, Fresnel's equations, and a thin film on top.
+//! Share of light that an interface reflects: Schlick's approximation, Fresnel's equations, and a
+//! thin film on top.
 //!
-//! F = f₀ + (f₉₀ − f₀) s(cos θ), where s rises from 0 to 1. Metals have s = (1 − cos θ)⁵ (Schlick 1994), dielectrics the course of Fresnel's equations
-//! F_n for their index: s = (F_n(cos θ) − F_n(1)) / (1 − F_n(1)), so that F = F_n where nothing changes f₀ and f₉₀. (The format's sample code takes
-//! Schlick's term for both; at n = 1.5 it reflects 8.6 % of diffuse light, the equations 9.2 %.) A film (`KHR_materials_iridescence`) replaces F by the reflectance of
-//! outside–film–base with interference, integrated over the spectrum in closed form (Belcour, Barla 2017, section 4; the constants
-//! are their fit of the CIE colour-matching functions), with Schlick's reflectances at both interfaces and without polarization:
+//! F = f₀ + (f₉₀ − f₀) s(cos θ), where s rises from 0 to 1. Metals have s = (1 − cos θ)⁵ (Schlick
+//! 1994). Dielectrics follow Fresnel's equations F_n of their index: s = (F_n(cos θ) − F_n(1)) / (1
+//! − F_n(1)). So F = F_n unless the material changes f₀ or f₉₀. (The sample code of glTF takes
+//! Schlick's term for both. At n = 1.5 it reflects 8.6 % of diffuse light, the equations 9.2 %.)
+//!
+//! A film (`KHR_materials_iridescence`) replaces F by the reflectance of outside–film–base with
+//! interference. The spectrum is integrated in closed form (Belcour, Barla 2017, section 4; the
+//! constants are their fit of the CIE colour-matching functions). Both interfaces have Schlick's
+//! reflectances, without polarization:
 //!
 //! ```text
-//! F = C₀ + 2 Σ_m C_m S(m D, m φ),   C₀ = R₁₂ + R_s,   C_m = (R_s − T₁₂₁) (R₁₂ R₂₃)^(m/2),   R_s = T₁₂₁² R₂₃ / (1 − R₁₂ R₂₃)
+//! F = C₀ + 2 Σ_m C_m S(m D, m φ),   C₀ = R₁₂ + R_s,   C_m = (R_s − T₁₂₁) (R₁₂ R₂₃)^(m/2)
+//! R_s = T₁₂₁² R₂₃ / (1 − R₁₂ R₂₃)
 //! D = 2 n₂ d cos θ₂
 //! ```
 
@@ -17,7 +23,8 @@ use glam::{Mat3, Vec3};
 
 /// Terms of the sum over m; the spectral sensitivity has died out behind them.
 const ORDERS: u32 = 2;
-/// Films thinner than this, in nanometres, fade to no film: without thickness there is no interface.
+/// Films thinner than this, in nanometres, fade to no film: without thickness there is no
+/// interface.
 const FADE_NM: f32 = 30.0;
 /// f₀ of the base from which its index of refraction is taken; 1 would be infinite.
 const MOST_F0: f32 = 0.9999;
@@ -54,7 +61,8 @@ pub(crate) fn metal_rise(cosine: f32) -> f32 {
     (1.0 - cosine.clamp(0.0, 1.0)).powi(5)
 }
 
-/// s of a dielectric seen from outside. An index of 0, as the format has it where only colours of gloss are known, rises like a metal.
+/// s of a dielectric seen from outside. An index of 0, as the format has it where only colours of
+/// gloss are known, rises like a metal.
 #[inline]
 pub(crate) fn dielectric_rise(cosine: f32, ior: f32) -> f32 {
     if ior < 1.0 { metal_rise(cosine) } else { rise(dielectric(cosine, ior).0, normal_reflectance(ior)) }
@@ -82,7 +90,8 @@ impl Film {
         let base_root = base_f0.clamp(Vec3::ZERO, Vec3::splat(MOST_F0)).map(f32::sqrt);
         let base_ior = (Vec3::ONE + base_root) / (Vec3::ONE - base_root);
         let r23 = (base_ior / ior).map(|ratio| schlick(normal_reflectance(ratio), cos_film));
-        // a reflection at a denser medium turns the phase by π; the inside of the first interface is one, for a film denser than air
+        // a reflection at a denser medium turns the phase by π; the inside of the first interface
+        // is one, for a film denser than air
         let phase = base_ior.map(|base| PI + if base < ior { PI } else { 0.0 });
         let round_trip = (r12 * r23).clamp(Vec3::splat(1e-5), Vec3::splat(0.9999));
         let decay = round_trip.map(f32::sqrt);
@@ -130,7 +139,8 @@ pub(crate) const RGB_FROM_XYZ: Mat3 = Mat3::from_cols(
     Vec3::new(-0.498_531_4, 0.041_556, 1.057_225_2),
 );
 
-/// Reflectance of a dielectric interface for unpolarized light, and the cosine on the far side; `eta` is the index there over the index here.
+/// Reflectance of a dielectric interface for unpolarized light, and the cosine on the far side;
+/// `eta` is the index there over the index here.
 pub(crate) fn dielectric(cosine: f32, eta: f32) -> (f32, f32) {
     let cosine = cosine.clamp(0.0, 1.0);
     let sin2_far = (1.0 - cosine * cosine) / (eta * eta);

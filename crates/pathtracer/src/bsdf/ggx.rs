@@ -1,10 +1,18 @@
-//! The GGX microfacet distribution with Smith's height-correlated masking and shadowing, anisotropic.
+//! The GGX microfacet distribution with Smith's height-correlated masking and shadowing,
+//! anisotropic.
 //!
-//! D(h) = 1 / (π α_x α_y (h_x²/α_x² + h_y²/α_y² + h_z²)²), V = G₂ / (4 |o_z| |i_z|) (Walter et al. 2007; Heitz 2014). Directions
-//! are unit vectors in the frame whose z is the shading normal and whose x is the direction of stretch; the outgoing direction o
-//! points to the viewer and has o_z > 0. Normals are sampled as the viewer sees them (Heitz 2018), by the spherical-cap
-//! construction of Dupuy, Benyoub 2023; where only the reflected direction matters, without most of those that reflect below the
-//! horizon (Eto, Tokuyoshi 2023, "Bounded VNDF sampling for Smith–GGX reflections").
+//! ```text
+//! D(h) = 1 / (π α_x α_y (h_x²/α_x² + h_y²/α_y² + h_z²)²)         V = G₂ / (4 |o_z| |i_z|)
+//! ```
+//!
+//! (Walter et al. 2007; Heitz 2014.) Directions are unit vectors in a frame whose z is the shading
+//! normal and whose x is the direction of stretch. The outgoing direction o points to the viewer
+//! and has o_z > 0.
+//!
+//! Normals are sampled as the viewer sees them (Heitz 2018), by the spherical-cap construction of
+//! Dupuy, Benyoub 2023. Where only the reflected direction matters, most normals that reflect below
+//! the horizon are left out (Eto, Tokuyoshi 2023, "Bounded VNDF sampling for Smith–GGX
+//! reflections").
 
 use std::f32::consts::PI;
 
@@ -12,7 +20,8 @@ use glam::{Vec2, Vec3};
 
 use crate::math::sin_cos_turns;
 
-/// Density of microfacet normals per solid angle; the components of `h` avoid the cancellation of 1 − cos².
+/// Density of microfacet normals per solid angle; the components of `h` avoid the cancellation of 1
+/// − cos².
 #[inline]
 pub(crate) fn density(h: Vec3, alpha: Vec2) -> f32 {
     let (x, y) = (h.x / alpha.x, h.y / alpha.y);
@@ -20,7 +29,8 @@ pub(crate) fn density(h: Vec3, alpha: Vec2) -> f32 {
     1.0 / (PI * alpha.x * alpha.y * s * s)
 }
 
-/// √(α_x² v_x² + α_y² v_y² + v_z²), from which all of Smith's terms are made: 1 + 2Λ is this over |v_z|.
+/// √(α_x² v_x² + α_y² v_y² + v_z²), from which all of Smith's terms are made: 1 + 2Λ is this over
+/// |v_z|.
 #[inline]
 fn smith_root(v: Vec3, alpha: Vec2) -> f32 {
     let (x, y) = (alpha.x * v.x, alpha.y * v.y);
@@ -34,13 +44,15 @@ pub(crate) fn visibility(o: Vec3, i: Vec3, alpha: Vec2) -> f32 {
     0.5 / (i_z * smith_root(o, alpha) + o_z * smith_root(i, alpha)).max(f32::MIN_POSITIVE)
 }
 
-/// Density per solid angle of the reflected direction that [`sample_normal`] leads to: G₁(o) D(h) / (4 o_z); above the horizon.
+/// Density per solid angle of the reflected direction that [`sample_normal`] leads to: G₁(o) D(h) /
+/// (4 o_z); above the horizon.
 #[inline]
 pub(crate) fn reflection_pdf(o: Vec3, h: Vec3, alpha: Vec2) -> f32 {
     density(h, alpha) / (2.0 * (o.z + smith_root(o, alpha)))
 }
 
-/// [`density`] times [`visibility`], and the density per solid angle with which [`sample_reflection`] finds `i`.
+/// [`density`] times [`visibility`], and the density per solid angle with which
+/// [`sample_reflection`] finds `i`.
 #[inline]
 pub(crate) fn reflection(o: Vec3, i: Vec3, h: Vec3, alpha: Vec2) -> (f32, f32) {
     let (density, root_o, root_i) = (density(h, alpha), smith_root(o, alpha), smith_root(i, alpha));
@@ -49,7 +61,8 @@ pub(crate) fn reflection(o: Vec3, i: Vec3, h: Vec3, alpha: Vec2) -> (f32, f32) {
     (density * visibility, density / (2.0 * (cap_share(o, alpha) * o.z + root_o)))
 }
 
-/// How far the spherical cap of normals reaches below the equator, as a share of what all visible normals need.
+/// Extent of the sampled spherical cap below the equator, as a share of the extent that holds all
+/// visible normals.
 #[inline]
 fn cap_share(o: Vec3, alpha: Vec2) -> f32 {
     let a = alpha.min_element().min(1.0);

@@ -1,10 +1,17 @@
 //! The rough interface between air and a solid, reflecting and refracting.
 //!
-//! Walter et al. 2007 with exact Fresnel terms: reflection F D V, transmission (1 − F) D G₂ |o·h| J / |o_z| with the Jacobian
-//! J = η² |i·h| / (o·h + η i·h)². It carries radiance/η² ("basic radiance"), which leaves out the factor η² that every solid
-//! multiplies once and divides once. Single scattering loses 1 − E(o, α, η); like Turquin 2019, both parts are divided by the
-//! tabulated albedo E, which makes clear glass lossless. Glass that is stretched or whose reflection a film or
-//! `KHR_materials_specular` changes has another albedo and stays single-scattering.
+//! Walter et al. 2007 with exact Fresnel terms:
+//!
+//! ```text
+//! reflection     F D V
+//! transmission   (1 − F) D G₂ |o·h| J / |o_z|,   J = η² |i·h| / (o·h + η i·h)²
+//! ```
+//!
+//! The path carries radiance/η² ("basic radiance"), so the factor η² that every solid multiplies
+//! once and divides once is left out. Single scattering loses 1 − E(o, α, η). Like Turquin 2019,
+//! both parts are divided by the tabulated albedo E, which makes clear glass lossless. Stretched
+//! glass has another albedo, and so has glass whose reflection a film or `KHR_materials_specular`
+//! changes. Both stay single-scattering.
 
 use std::sync::OnceLock;
 
@@ -17,9 +24,11 @@ use super::table::Table;
 
 /// Indices of refraction closer to 1 than this do not bend light.
 const NO_REFRACTION: f32 = 1e-3;
-/// Nodes of the albedo table over the root of the cosine, perceptual roughness, and the index of refraction.
+/// Nodes of the albedo table over the root of the cosine, perceptual roughness, and the index of
+/// refraction.
 const NODES: [usize; 3] = [24, 16, 16];
-/// The table reaches from the root of the reflectance at normal incidence 0 to this (an index of 4).
+/// The table reaches from the root of the reflectance at normal incidence 0 to this (an index of
+/// 4).
 const LARGEST_ROOT: f32 = 0.6;
 /// Samples per node, a Fibonacci lattice.
 const SAMPLES: u32 = 610;
@@ -33,9 +42,9 @@ pub(crate) struct Glass {
     eta: f32,
     /// Share of the surface, layers above included.
     weight: f32,
-    /// Tint of what is transmitted.
+    /// Tint of the transmitted light.
     tint: Vec3,
-    /// Whether light passes unbent.
+    /// True if light passes unbent.
     straight: bool,
     /// 1/E.
     compensation: f32,
@@ -80,7 +89,8 @@ impl Glass {
         })
     }
 
-    /// Reflectance at a microfacet, the chance with which it is chosen, and the cosine on the far side.
+    /// Reflectance at a microfacet, the chance with which it is chosen, and the cosine on the far
+    /// side.
     fn reflectance(&self, cosine: f32) -> (Vec3, f32, f32) {
         let (bare, far) = fresnel::dielectric(cosine, self.eta);
         let Some(changed) = &self.changed else { return (Vec3::splat(bare), bare, far) };
@@ -99,14 +109,14 @@ impl Glass {
         (fresnel, fresnel.element_sum() * (1.0 / 3.0), far)
     }
 
-    /// f |cos| and density (without the chance of this lobe) for a direction above the surface; `specular` is D V |i_z|,
-    /// `reflection_pdf` the density of reflected directions.
+    /// f |cos| and density (without the chance of this lobe) for a direction above the surface;
+    /// `specular` is D V |i_z|, `reflection_pdf` the density of reflected directions.
     fn reflected(&self, o_h: f32, specular: f32, reflection_pdf: f32) -> (Vec3, f32) {
         let (fresnel, chance, _) = self.reflectance(o_h);
         (fresnel * (self.weight * self.compensation * specular), chance * reflection_pdf)
     }
 
-    /// The same for a direction below.
+    /// [`reflected`](Self::reflected) for a direction below the surface.
     fn transmitted(&self, o: Vec3, i: Vec3, alpha: Vec2) -> (Vec3, f32) {
         const NOTHING: (Vec3, f32) = (Vec3::ZERO, 0.0);
         let Some(h) = (o + self.eta * i).try_normalize() else { return NOTHING };
@@ -124,7 +134,8 @@ impl Glass {
         (value, (1.0 - chance) * ggx::normal_pdf(o, h, alpha) * jacobian)
     }
 
-    /// Reflects or refracts at the microfacet normal `h`: direction and, for a mirror, weight without that of the lobe.
+    /// Reflects or refracts at the microfacet normal `h`: direction and, for a mirror, weight
+    /// without that of the lobe.
     fn scatter(&self, o: Vec3, h: Vec3, u_fresnel: f32) -> (Vec3, Vec3, bool) {
         let cosine = o.dot(h);
         let (fresnel, chance, far) = self.reflectance(cosine);
@@ -184,7 +195,8 @@ impl Lobe for Glass {
     }
 }
 
-/// Albedo of clear glass, trilinear in the root of the cosine, perceptual roughness and the root of |n − 1|/(n + 1).
+/// Albedo of clear glass, trilinear in the root of the cosine, perceptual roughness and the root of
+/// |n − 1|/(n + 1).
 fn albedo(cosine: f32, roughness: f32, ior: f32, front: bool) -> f32 {
     static TABLES: OnceLock<[Table<3, 1>; 2]> = OnceLock::new();
     let table = &TABLES.get_or_init(|| [tabulate(false), tabulate(true)])[usize::from(front)];

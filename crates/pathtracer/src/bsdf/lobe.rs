@@ -1,4 +1,5 @@
-//! What every lobe is to the others: a share of the light, a density to sample, and for layers a shadow on all below.
+//! Interfaces of lobes and layers: a share of the light, a density to sample, and for layers a
+//! shadow on all below.
 
 use std::fmt::Debug;
 
@@ -10,29 +11,33 @@ use super::frame::Frame;
 use super::fresnel::{Film, Fresnel};
 use crate::texture::{Encoding, Slot};
 
-/// Below this α a lobe is a perfect mirror (perceptual roughness 0.032): light sampling could not find it.
+/// Below this α a lobe is a perfect mirror (perceptual roughness 0.032): light sampling could not
+/// find it.
 pub(crate) const MIRROR_ALPHA: f32 = 1e-3;
 
 /// A part of the scattering function, at one point for one outgoing direction.
 pub(crate) trait Lobe {
-    /// Whether the lobe has a frame or a horizon of its own. The others are evaluated only for light on whose side geometric and shading normal agree:
-    /// otherwise it would leak through the surface.
+    /// True if the lobe has a frame or a horizon of its own. The others are evaluated only for
+    /// light on whose side geometric and shading normal agree: otherwise it would leak through the
+    /// surface.
     const OWN_FRAME: bool = false;
-    /// Whether light from behind can be evaluated.
+    /// True if light from behind can be evaluated.
     const TRANSMITS: bool = false;
-    /// Whether light from behind crosses into a solid.
+    /// True if light from behind crosses into a solid.
     const REFRACTS: bool = false;
 
     /// Share of the light that it scatters, about: lobes are chosen in proportion to it.
     fn albedo(&self) -> f32;
 
-    /// Whether it can be evaluated; otherwise it is a mirror.
+    /// True if the lobe can be evaluated; otherwise it is a mirror.
     fn is_rough(&self, facet: &Facet) -> bool;
 
-    /// f |cos|, and the density with which [`sample`](Self::sample) finds the light. Mirrors count as zero.
+    /// f |cos|, and the density with which [`sample`](Self::sample) finds the light. Mirrors count
+    /// as zero.
     fn evaluate(&self, facet: &Facet, light: &Light) -> (Vec3, f32);
 
-    /// A direction for `u` in [0, 1)²; `u_fresnel` chooses between reflection and refraction, `chance` is that of the lobe. `None` when light is absorbed.
+    /// A direction for `u` in [0, 1)²; `u_fresnel` chooses between reflection and refraction,
+    /// `chance` is that of the lobe. `None` when light is absorbed.
     fn sample(&self, facet: &Facet, chance: f32, u: [f32; 2], u_fresnel: f32) -> Option<Sample>;
 
     /// Share of light that passes on its straight way.
@@ -48,28 +53,31 @@ pub(crate) trait Layer: Lobe + Sized {
     /// Parameters at a point.
     type Parameters: Copy + Debug;
 
-    /// Whether the material names the layer, be it of no effect.
+    /// True if the material names the layer, even without effect.
     fn is_named(material: &Material) -> bool;
 
-    /// Whether the layer has an effect somewhere.
+    /// True if the layer has an effect somewhere.
     fn is_seen(material: &Material) -> bool;
 
     /// The layer's textures; `slot` prepares one.
     fn slots(material: &Material, slot: &mut impl FnMut(&Option<TextureUse>, Encoding) -> Option<Slot>) -> Self::Slots;
 
-    /// The parameters at a point, `None` where the layer has no effect. `texel` looks a texture up, and is 1 where there is none.
+    /// The parameters at a point, `None` where the layer has no effect. `texel` looks a texture up,
+    /// and is 1 where there is none.
     fn parameters(
         material: &Material,
         slots: &Self::Slots,
         texel: &impl Fn(&Option<Slot>) -> Vec4,
     ) -> Option<Self::Parameters>;
 
-    /// Share of the light from below that passes towards a viewer at this cosine, for light that the base emits.
+    /// Share of the light from below that passes towards a viewer at this cosine, for light that
+    /// the base emits.
     fn passed(_: &Self::Parameters, _cosine: f32) -> f32 {
         1.0
     }
 
-    /// The lobe below others that leave the share `below`, which becomes the share that this one leaves.
+    /// The lobe below others that leave the share `below`, which becomes the share that this one
+    /// leaves.
     fn new(parameters: &Self::Parameters, surface: &Surface<'_>, below: &mut f32) -> Self;
 }
 
@@ -89,7 +97,7 @@ pub(crate) struct Light {
     /// Towards it, in the scene and in the local frame.
     pub(crate) direction: Vec3,
     pub(crate) i: Vec3,
-    /// Where it comes from above a rough surface.
+    /// The reflecting microfacets, if light comes from above a rough surface.
     pub(crate) reflected: Option<Microfacet>,
 }
 
@@ -113,7 +121,7 @@ pub(crate) enum Sample {
         /// Widens the ray's footprint; 1 for diffuse.
         alpha: f32,
     },
-    /// Of a mirror.
+    /// The only direction of a mirror.
     Mirror {
         /// In the scene.
         direction: Vec3,
@@ -121,7 +129,7 @@ pub(crate) enum Sample {
         up: f32,
         /// f |cos| / density.
         weight: Vec3,
-        /// Whether the surface was crossed into or out of a solid.
+        /// True if the surface was crossed into or out of a solid.
         refracted: bool,
     },
 }
@@ -131,7 +139,7 @@ pub(crate) struct Surface<'a> {
     pub(crate) facet: &'a Facet,
     pub(crate) frame: &'a Frame,
     pub(crate) to_viewer: Vec3,
-    /// Whether the viewer sees the front face.
+    /// True if the viewer sees the front face.
     pub(crate) front: bool,
     pub(crate) color: Vec3,
     pub(crate) metallic: f32,
@@ -142,15 +150,15 @@ pub(crate) struct Surface<'a> {
     /// Perceptual, 0 for a mirror.
     pub(crate) roughness: f32,
     pub(crate) is_stretched: bool,
-    /// Whether microfacets return what single scattering loses.
+    /// True if microfacets return the light that single scattering loses.
     pub(crate) compensated: bool,
     pub(crate) table: Albedo,
     pub(crate) film: Option<Film>,
     pub(crate) specular: f32,
-    /// Of glass, which another index may bend.
+    /// F₀ of glass; another index may bend the light.
     pub(crate) glass_f0: Vec3,
     pub(crate) wave_weight: Vec3,
-    /// Of the dielectric, without its weight.
+    /// Fresnel's term of the dielectric, without its weight.
     pub(crate) dielectric: Fresnel,
     /// The compensation of its reflection, and its albedo with that, 1 at most.
     pub(crate) dielectric_compensation: Vec3,
@@ -158,13 +166,14 @@ pub(crate) struct Surface<'a> {
 }
 
 impl Surface<'_> {
-    /// The factor on a lobe that returns what single scattering loses.
+    /// The factor on a lobe that returns the light that single scattering loses.
     #[inline]
     pub(crate) fn compensation(&self, f0: Vec3) -> Vec3 {
         if self.compensated { self.table.compensation(f0) } else { Vec3::ONE }
     }
 
-    /// Albedo of a reflection before compensation, and the reflectance for that; `rise` is s at the viewer and `mean_rise` that of the table.
+    /// Albedo of a reflection before compensation, and the reflectance for that; `rise` is s at the
+    /// viewer and `mean_rise` that of the table.
     #[inline]
     pub(crate) fn seen(&self, lobe: &Fresnel, rise: f32, mean_rise: f32) -> (Vec3, Vec3) {
         match &self.film {

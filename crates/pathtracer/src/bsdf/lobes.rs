@@ -55,12 +55,12 @@ macro_rules! lobes {
         }
 
         impl Layers {
-            /// Whether a material names any, be it of no effect.
+            /// True if the material names any layer, even without effect.
             pub(crate) fn are_named(material: &Material) -> bool {
                 false $(|| $Layer::is_named(material))*
             }
 
-            /// Whether any has an effect.
+            /// True if any layer has an effect.
             pub(crate) fn are_seen(material: &Material) -> bool {
                 false $(|| $Layer::is_seen(material))*
             }
@@ -97,7 +97,8 @@ macro_rules! lobes {
                 [$(self.$base.as_ref().map_or(0.0, Lobe::albedo),)* $(self.$layer.as_ref().map_or(0.0, Lobe::albedo),)*]
             }
 
-            /// Which are there and can be evaluated, and which of them for light from behind.
+            /// The lobes that can be evaluated, and those among them that transmit light from
+            /// behind.
             #[inline]
             pub(crate) fn rough(&self, facet: &Facet) -> [[bool; LOBES]; 2] {
                 let rough = [
@@ -108,7 +109,7 @@ macro_rules! lobes {
                 [rough, std::array::from_fn(|lobe| rough[lobe] && transmits[lobe])]
             }
 
-            /// Whether light from behind crosses into a solid.
+            /// True if light from behind crosses into a solid.
             #[inline]
             pub(crate) fn refracts(&self) -> bool {
                 false $(|| $Base::REFRACTS && self.$base.is_some())* $(|| $Layer::REFRACTS && self.$layer.is_some())*
@@ -122,7 +123,8 @@ macro_rules! lobes {
                 sum
             }
 
-            /// Adds what the lobes with or without frames of their own scatter, and their densities by the lobes' chances.
+            /// Adds f |cos| of the lobes with or without frames of their own, and their densities
+            /// times the chances of the lobes.
             #[inline]
             pub(crate) fn evaluate<const OWN_FRAME: bool>(
                 &self,

@@ -1,23 +1,31 @@
 //! Scattering at a surface: glTF's metallic-roughness model with its extensions, conserving energy.
 //!
-//! With base colour c, metallic m, transmission t, F the reflectance of [`fresnel`] and K the compensation of [`albedo`]:
+//! With base colour c, metallic m, transmission t, F the reflectance of [`fresnel`] and K the
+//! compensation of [`albedo`]:
 //!
 //! ```text
 //! f     = κ f_coat + (1 − κ E_coat(o)) [σ f_fibres + (1 − max(σ) E_fibres(o)) f_base]
-//! f_base = m K F(c) D V + (1 − m) [K F(f0) D V + (1 − E_d(o)) ((1 − t) c/π + t c T)]          opaque or thin-walled
-//! f_base = m K F(c) D V + (1 − m) [(1 − t) (K F(f0) D V + (1 − E_d(o)) c/π) + t glass]        solid
+//! f_base, opaque or thin-walled:
+//!        = m K F(c) D V + (1 − m) [K F(f0) D V + (1 − E_d(o)) ((1 − t) c/π + t c T)]
+//! f_base, solid:
+//!        = m K F(c) D V + (1 − m) [(1 − t) (K F(f0) D V + (1 − E_d(o)) c/π) + t glass]
 //! ```
 //!
-//! E_d is the albedo of the dielectric's reflection lobe (its largest channel), so that what is not reflected is scattered and a white
-//! dielectric neither gains nor loses (albedo scaling). The clear coat (factor κ, index 1.5, own normal) and the fibres (colour σ, [`sheen`])
-//! scale what lies below them in the same way (`KHR_materials_clearcoat`, `KHR_materials_sheen`). T is the reflection lobe mirrored
-//! to the far side (`KHR_materials_transmission`: thin wall). `glass` is in [`glass`], thin films (`KHR_materials_iridescence`) in
-//! [`fresnel`]. f0 = min(((n − 1)/(n + 1))² colour, 1) specular and f90 = specular (`KHR_materials_specular`); an index of 0 gives
-//! f0 = colour. Anisotropy stretches α of the base's reflection (`KHR_materials_anisotropy`).
+//! E_d is the albedo of the dielectric's reflection lobe (its largest channel). Light that is not
+//! reflected is scattered, so a white dielectric neither gains nor loses energy (albedo scaling).
+//!
+//! * The clear coat (factor κ, index 1.5, own normal) and the fibres (colour σ, [`sheen`]) scale
+//!   all lobes below in the same way (`KHR_materials_clearcoat`, `KHR_materials_sheen`).
+//! * T is the reflection lobe mirrored to the far side (`KHR_materials_transmission`: thin wall).
+//! * `glass` is in [`glass`], thin films (`KHR_materials_iridescence`) are in [`fresnel`].
+//! * f0 = min(((n − 1)/(n + 1))² colour, 1) specular, and f90 = specular
+//!   (`KHR_materials_specular`). An index of 0 gives f0 = colour.
+//! * Anisotropy stretches α of the base's reflection (`KHR_materials_anisotropy`).
 //!
 //! Lobes with α < [`MIRROR_ALPHA`] are perfect mirrors: they can only be sampled, not evaluated.
 //!
-//! Each lobe is one file, with its parameters, its textures, and its share of the light, and a row of the table in [`lobes`].
+//! Each lobe is one file, with its parameters, its textures, and its share of the light, and a row
+//! of the table in [`lobes`].
 
 mod albedo;
 mod appearance;

@@ -27,21 +27,23 @@ pub(crate) struct Scatter {
     pub(crate) weight: Vec3,
     /// Density per solid angle; infinite for a mirror.
     pub(crate) pdf: f32,
-    /// Whether the surface was crossed.
+    /// True if the surface was crossed.
     pub(crate) crossed: bool,
-    /// Whether it was crossed into or out of a solid, not a thin wall.
+    /// True if it was crossed into or out of a solid, not a thin wall.
     pub(crate) refracted: bool,
     /// α of the chosen lobe, 1 for diffuse; widens the ray's footprint.
     pub(crate) alpha: f32,
 }
 
 impl Bsdf {
-    /// `to_viewer` is a unit vector; the normals of `frame` are on the viewer's side. `front` tells whether the viewer sees the front face.
+    /// `to_viewer` is a unit vector; the normals of `frame` are on the viewer's side. `front` is
+    /// true if the viewer sees the front face.
     pub(crate) fn new(appearance: &Appearance, to_viewer: Vec3, frame: &Frame, front: bool) -> Self {
         let Appearance { base, metallic, roughness, ior, transmission, solid, compensated, .. } = *appearance;
         let extras = appearance.extras.as_ref();
         let scene_from_local = local_frame(frame.shading, frame.tangent);
         let o = local_viewer(&scene_from_local, to_viewer);
+        // roughness of the base: a mirror below MIRROR_ALPHA, stretched along the tangent
         let stretch = extras.map_or(0.0, |extras| extras.anisotropy);
         let mirror = roughness * roughness < MIRROR_ALPHA && stretch == 0.0;
         let across = (roughness * roughness).max(MIRROR_ALPHA);
@@ -49,6 +51,7 @@ impl Bsdf {
         let table_roughness = if mirror { 0.0 } else { roughness };
         let table: Albedo = if stretch == 0.0 { albedo(o.z, table_roughness) } else { albedo::stretched(o, alpha) };
         let facet = Facet { scene_from_local, geometric_normal: frame.geometric, o, alpha, mirror };
+        // parameters that lobes share
         let (f0, f90) = dielectric_reflectance(ior, extras);
         let mut surface = Surface {
             facet: &facet,
@@ -72,6 +75,7 @@ impl Bsdf {
             dielectric_compensation: Vec3::ONE,
             dielectric_albedo: Vec3::ZERO,
         };
+        // albedo of the dielectric's reflection, which darkens all below it
         let mean_rise = match ior {
             COMMON_IOR => table.dielectric,
             ..1.0 => table.metal,
@@ -80,6 +84,8 @@ impl Bsdf {
         let (reflected, for_compensation) = surface.seen(&surface.dielectric, dielectric_rise(o.z, ior), mean_rise);
         surface.dielectric_compensation = surface.compensation(for_compensation);
         surface.dielectric_albedo = (reflected * surface.dielectric_compensation).min(Vec3::ONE);
+        // the lobes, chosen with chances in proportion to their albedos; layers lie outside of a
+        // solid
         let seen_from_inside = solid && transmission > 0.0 && !front;
         let layers = extras.filter(|_| !seen_from_inside).map(|extras| &extras.layers);
         let lobes = Lobes::new(&surface, layers);
@@ -100,13 +106,13 @@ impl Bsdf {
         (chance > 0.0 && chance < 1.0 && self.is_smooth()).then_some(self)
     }
 
-    /// Whether any lobe can be evaluated, so that light sampling makes sense.
+    /// True if any lobe can be evaluated, so that light sampling makes sense.
     pub(crate) fn is_smooth(&self) -> bool {
         let [rough, _] = self.lobes.rough(&self.facet);
         self.chances.iter().zip(rough).any(|(&chance, rough)| rough && chance > 0.0)
     }
 
-    /// Whether light from behind can be evaluated.
+    /// True if light from behind can be evaluated.
     pub(crate) fn transmits(&self) -> bool {
         let [_, transmits] = self.lobes.rough(&self.facet);
         self.chances.iter().zip(transmits).any(|(&chance, transmits)| transmits && chance > 0.0)
@@ -117,12 +123,13 @@ impl Bsdf {
         self.lobes.straight(&self.facet)
     }
 
-    /// f |cos| for light from `direction`, and the density with which [`sample`](Self::sample) finds it. Mirrors count as zero.
+    /// f |cos| for light from `direction`, and the density with which [`sample`](Self::sample)
+    /// finds it. Mirrors count as zero.
     pub(crate) fn evaluate(&self, direction: Vec3) -> (Vec3, f32) {
         self.evaluate_above(self.facet.geometric_normal, direction)
     }
 
-    /// The same with another horizon than that of the geometric normal.
+    /// [`evaluate`](Self::evaluate) with another horizon than that of the geometric normal.
     pub(crate) fn evaluate_above(&self, horizon: Vec3, direction: Vec3) -> (Vec3, f32) {
         let Self { facet, lobes, chances } = self;
         let side = direction.dot(horizon);
@@ -149,16 +156,16 @@ impl Bsdf {
         self.lobes.diffuse().map_or(Vec3::ZERO, Diffuse::reflectance)
     }
 
-    /// That lobe's part of [`evaluate`](Self::evaluate).
+    /// The diffuse lobe's part of [`evaluate`](Self::evaluate).
     pub(crate) fn evaluate_diffuse(&self, direction: Vec3) -> Vec3 {
         let i = self.facet.scene_from_local.transpose() * direction;
         let light = Light { direction, i, reflected: None };
         self.lobes.diffuse().map_or(Vec3::ZERO, |lobe| lobe.evaluate(&self.facet, &light).0)
     }
 
-    /// Chooses a direction for `u` in [0, 1)². The first number also chooses the lobe and is stretched over the lobe's share, which
-    /// leaves each lobe a stratified set of its own; `u_fresnel` chooses between reflection and refraction in glass. `None` when light
-    /// is absorbed.
+    /// Samples a direction by `u` in [0, 1)². The first number also chooses the lobe and is then
+    /// stretched over the lobe's share, so that each lobe keeps a stratified set. `u_fresnel`
+    /// chooses between reflection and refraction in glass. Returns `None` when light is absorbed.
     pub(crate) fn sample(&self, u: [f32; 2], u_fresnel: f32) -> Option<Scatter> {
         let mut first = u[0];
         let lobe = choose(&self.chances, &mut first)?;
@@ -187,7 +194,8 @@ fn dielectric_reflectance(ior: f32, extras: Option<&Extras>) -> (Vec3, f32) {
     }
 }
 
-/// Chooses an entry by its chance and stretches `u` over the entry's share. `None` when all chances are 0.
+/// Chooses an entry by its chance and stretches `u` over the entry's share. `None` when all chances
+/// are 0.
 fn choose(chances: &[f32; LOBES], u: &mut f32) -> Option<usize> {
     let last = chances.iter().rposition(|&chance| chance > 0.0)?;
     let mut below = 0.0;

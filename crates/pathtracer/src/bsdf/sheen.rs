@@ -1,10 +1,15 @@
-//! Fibres that stand up from the surface: the "Charlie" sheen of `KHR_materials_sheen` (Estevez, Kulla 2017).
+//! Fibres that stand up from the surface: the "Charlie" sheen of `KHR_materials_sheen` (Estevez,
+//! Kulla 2017).
 //!
-//! f = D V, D(h) = (2 + 1/α) sin^(1/α) θ_h / 2π, V = 1 / ((1 + Λ(o) + Λ(i)) 4 o_z i_z), Λ a fit of theirs; α = roughness².
-//! At grazing views smooth fibres would return up to 1.4 times what arrives; there f is divided by its albedo.
+//! ```text
+//! f = D V,   D(h) = (2 + 1/α) sin^(1/α) θ_h / 2π,   V = 1 / ((1 + Λ(o) + Λ(i)) 4 o_z i_z)
+//! ```
 //!
-//! Half of the samples reflect at a normal of density D cos θ_h, half have density cos/π, which covers what the others find badly:
-//! light from above on rough fibres.
+//! Λ is their fit, α = roughness². At grazing views smooth fibres would return up to 1.4 times the
+//! incident light; there f is divided by its albedo.
+//!
+//! Half of the samples reflect at a normal of density D cos θ_h. The other half has density cos/π,
+//! for light from above on rough fibres, which the first half samples badly.
 
 use std::f32::consts::{FRAC_1_PI, TAU};
 use std::sync::OnceLock;
@@ -175,7 +180,8 @@ impl Fibres {
     }
 }
 
-/// Albedo of white fibres, and the factor on f that keeps it at or below 1, by the cosine and perceptual roughness.
+/// Albedo of white fibres, and the factor on f that keeps it at or below 1, by the cosine and
+/// perceptual roughness.
 fn albedo(cosine: f32, roughness: f32) -> (f32, f32) {
     let raw = raw_albedo(cosine, roughness);
     (raw.min(1.0), 1.0 / raw.max(1.0))

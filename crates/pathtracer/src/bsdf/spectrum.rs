@@ -1,10 +1,13 @@
 //! Light of one wavelength, for glass that disperses (`KHR_materials_dispersion`).
 //!
-//! The three channels are seen as light whose spectra are the non-negative part of linear sRGB's matching functions, each scaled to
-//! a mean of 1, so that white stays white. A path that enters dispersing glass keeps one wavelength, drawn from the mean of the
-//! three, and each of its channels is weighted by its own spectrum over that mean: the expectation over wavelengths is exact.
+//! The three channels are treated as light whose spectra are the non-negative part of linear sRGB's
+//! matching functions. Each spectrum is scaled to a mean of 1, so that white stays white. A path
+//! that enters dispersing glass keeps one wavelength, drawn from the mean of the three spectra.
+//! Each of its channels is weighted by its own spectrum over that mean, so the expectation over
+//! wavelengths is exact.
 //!
-//! n(λ) = n_d + (n_d − 1) (dispersion/20) (523655/λ² − 1.5168), λ in nanometres: Cauchy's equation from Abbe's number.
+//! n(λ) = n_d + (n_d − 1) (dispersion/20) (523655/λ² − 1.5168), λ in nanometres: Cauchy's equation
+//! from Abbe's number.
 
 use std::sync::OnceLock;
 
@@ -69,7 +72,8 @@ fn spectra() -> &'static Spectra {
     })
 }
 
-/// CIE 1931 colour-matching functions, in sums of Gaussians of unequal flanks (Wyman, Sloan, Shirley 2013).
+/// CIE 1931 colour-matching functions, in sums of Gaussians of unequal flanks (Wyman, Sloan,
+/// Shirley 2013).
 fn matching(nanometres: f32) -> Vec3 {
     let lobe = |height: f32, centre: f32, left: f32, right: f32| {
         let t = (nanometres - centre) / if nanometres < centre { left } else { right };

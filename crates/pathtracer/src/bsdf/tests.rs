@@ -8,7 +8,7 @@ use super::coat::Coating;
 use super::lobes::LOBES;
 use super::sheen::Fabric;
 use super::*;
-use crate::matt::Matt;
+use crate::lambert::Lambert;
 use crate::normals::Normals;
 use lumistack_core::seed::Stream;
 use lumistack_testkit::statistics::{FALSE_ALARM_RATE, Mean, assert_counts, z_limit};
@@ -17,7 +17,8 @@ use lumistack_testkit::statistics::{FALSE_ALARM_RATE, Mean, assert_counts, z_lim
 const ENERGY_TOLERANCE: f64 = 4e-3;
 /// The same for clear rough glass, whose table is coarser.
 const GLASS_TOLERANCE: f64 = 1e-2;
-/// Energy that white surfaces may gain by their tables and by the approximate albedos of stretched lobes.
+/// Energy that white surfaces may gain by their tables and by the approximate albedos of stretched
+/// lobes.
 const ENERGY_GAIN: f64 = 0.02;
 /// Cells of the chi-square tests, over cos θ and φ of the whole sphere.
 const CELLS: [usize; 2] = [16, 16];
@@ -85,7 +86,8 @@ fn an_index_of_one_is_a_lambertian() {
     assert!((pdf - i.z * FRAC_1_PI).abs() < 1e-6);
 }
 
-/// Black plastic as smooth as a mirror reflects by Fresnel's equations, written with angles here; over all directions that is 9.18 % at index 1.5.
+/// Black plastic as smooth as a mirror reflects by Fresnel's equations, written with angles here;
+/// over all directions that is 9.18 % at index 1.5.
 #[test]
 fn dielectrics_reflect_by_fresnels_equations() {
     let reflected = |ior: f32, cosine: f32| {
@@ -109,7 +111,8 @@ fn dielectrics_reflect_by_fresnels_equations() {
 
 #[test]
 fn transmission_conserves_energy() {
-    // thin: all of a white wall's light is reflected or passed; solid and smooth: likewise, from both sides
+    // thin: all of a white wall's light is reflected or passed; solid and smooth: likewise, from
+    // both sides
     let thin = Appearance { transmission: 1.0, roughness: 0.4, ..appearance() };
     sampled_albedo(&bsdf(&thin, 0.7), 40_000, 2).assert_is(1.0, ENERGY_TOLERANCE, FALSE_ALARM_RATE);
     let smooth = Appearance { transmission: 1.0, roughness: 0.0, solid: true, ..appearance() };
@@ -119,7 +122,8 @@ fn transmission_conserves_energy() {
     }
 }
 
-/// Clear glass with compensation is lossless from both sides up to the interpolation of its table; without, it may lose, never gain.
+/// Clear glass with compensation is lossless from both sides up to the interpolation of its table;
+/// without, it may lose, never gain.
 #[test]
 fn rough_glass_returns_all_light() {
     for ior in [1.1, 1.33, 1.5, 2.4] {
@@ -176,7 +180,7 @@ fn surfaces() -> Vec<(&'static str, Appearance)> {
     let sheen = Some(Fabric { color: Vec3::new(1.0, 0.7, 0.4), roughness: 0.4 });
     let film = Some(Film { factor: 1.0, ior: 1.5, thickness_nm: 420.0 });
     vec![
-        ("matt", Appearance { ior: 1.0, roughness: 1.0, ..plain }),
+        ("diffuse", Appearance { ior: 1.0, roughness: 1.0, ..plain }),
         ("plastic", plain),
         ("metal", metal),
         ("roughest metal", Appearance { roughness: 1.0, ..metal }),
@@ -207,7 +211,7 @@ fn surfaces() -> Vec<(&'static str, Appearance)> {
                 },
             ),
         ),
-        ("coated matt", with(Appearance { ior: 1.0, ..plain }, Extras { layers: coated, ..extras() })),
+        ("coated diffuse", with(Appearance { ior: 1.0, ..plain }, Extras { layers: coated, ..extras() })),
         ("coated metal", with(metal, Extras { layers: coated, ..extras() })),
         (
             "mirror coat",
@@ -224,8 +228,9 @@ fn surfaces() -> Vec<(&'static str, Appearance)> {
     ]
 }
 
-/// Frames with a stretched direction off the axes: a straight one, one with a tilted shading normal and a coat that leans the other way, and one whose
-/// steep normal map had to be bent for the gloss.
+/// Frames with a stretched direction off the axes. The first is straight. The second has a tilted
+/// shading normal and a coat that leans the other way. The third has a normal map so steep that it
+/// had to be bent for the gloss.
 fn frames() -> [Frame; 3] {
     let tangent = Some(Vec3::new(0.8, 0.6, 0.0));
     let straight = Frame { tangent, ..Frame::flat(Vec3::Z, Vec3::Z) };
@@ -254,7 +259,8 @@ fn sampled_directions_follow_the_density() {
     }
 }
 
-/// The lobes one by one, by switching the others off in the choice: a mixture may hide a fault of a lobe that is rarely chosen.
+/// The lobes one by one, by switching the others off in the choice: a mixture may hide a fault of a
+/// lobe that is rarely chosen.
 #[test]
 fn every_lobe_follows_its_density() {
     for (index, (name, surface)) in surfaces().iter().enumerate() {
@@ -297,7 +303,7 @@ fn lossless_layers_return_all_light() {
     let tolerances = [
         ("stretched metal", 0.02),
         ("stretched plastic", 0.01),
-        ("coated matt", ENERGY_TOLERANCE),
+        ("coated diffuse", ENERGY_TOLERANCE),
         ("coated metal", ENERGY_TOLERANCE),
         ("mirror coat", ENERGY_TOLERANCE),
         ("coated glass", GLASS_TOLERANCE),
@@ -316,7 +322,7 @@ fn lossless_layers_return_all_light() {
     }
 }
 
-/// What is sampled has the weight and density that evaluation gives for its direction.
+/// Each sample has the weight and density that evaluation returns for its direction.
 #[test]
 fn sampling_and_evaluation_agree() {
     for (name, surface) in surfaces() {
@@ -339,8 +345,8 @@ fn sampling_and_evaluation_agree() {
     }
 }
 
-/// Single-scattering microfacets are reciprocal: f(o, i) = f(i, o), where for glass f is divided by the squared index of the side from
-/// which light comes, since it is meant for basic radiance.
+/// Single-scattering microfacets are reciprocal: f(o, i) = f(i, o). For glass f is divided by the
+/// squared index of the side from which light comes, since f is meant for basic radiance.
 #[test]
 fn single_scattering_is_reciprocal() {
     let single = |surface: Appearance| Appearance { compensated: false, ..surface };
@@ -357,7 +363,8 @@ fn single_scattering_is_reciprocal() {
             let mut direction =
                 || Vec3::from_array([(); 3].map(|()| 2.0 * stream.next_f32() - 1.0)).normalize_or(Vec3::Z);
             let (o, i) = (direction(), direction());
-            // f cos on the way there and back; each side's Bsdf has the shading normal on its viewer's side
+            // f cos on the way there and back; each side's Bsdf has the shading normal on its
+            // viewer's side
             let seen = |from: Vec3, to: Vec3| {
                 let side = from.z.signum();
                 let frame = Frame { tangent: frame.tangent, ..Frame::flat(side * Vec3::Z, side * Vec3::Z) };
@@ -368,7 +375,8 @@ fn single_scattering_is_reciprocal() {
                 continue;
             }
             let (there, back) = (seen(o, i), seen(i, o));
-            // opaque surfaces show the same on both sides, so this holds across them too: both are 0
+            // opaque surfaces show the same on both sides, so this holds across them too: both are
+            // 0
             let error = (there - back).abs().max_element();
             assert!(error <= 2e-3 * there.max_element().max(1e-3), "{o} {i}: {there} {back}");
             compared += usize::from(there != Vec3::ZERO);
@@ -384,7 +392,8 @@ fn films_have_their_limits() {
     for cosine in [0.1, 0.5, 1.0] {
         let same = Film { factor: 0.0, ior: 1.8, thickness_nm: 300.0 }.over(bare, Vec3::splat(0.04), cosine);
         assert_eq!(same, bare);
-        // index 1.5 on 1.5: only the upper interface reflects, but for the rest of the clamped round trip
+        // index 1.5 on 1.5: only the upper interface reflects, but for the rest of the clamped
+        // round trip
         let one = Film { factor: 1.0, ior: 1.5, thickness_nm: 500.0 }.over(bare, Vec3::splat(0.04), cosine);
         let schlick = 0.04 + 0.96 * (1.0 - cosine).powi(5);
         assert!((one - schlick).abs().max_element() < 0.03, "{cosine}: {one} against {schlick}");
@@ -397,8 +406,9 @@ fn films_have_their_limits() {
     assert!(quarter.y < 0.01 && quarter.max_element() < 0.03, "{quarter}");
 }
 
-/// White plastic under a film: what the film reflects in its brightest channel dims what lies below in all of them
-/// (`KHR_materials_iridescence`), so that the brightest returns all light and the others lose the difference, no more.
+/// White plastic under a film. The largest channel of the film's reflectance dims all channels of
+/// the lobes below (`KHR_materials_iridescence`). So the brightest channel returns all light, and
+/// the others lose only the difference.
 #[test]
 fn a_film_on_plastic_loses_light_in_weaker_channels_only() {
     for thickness_nm in [200.0, 350.0, 600.0] {
@@ -418,7 +428,8 @@ fn a_film_on_plastic_loses_light_in_weaker_channels_only() {
     }
 }
 
-/// A path's wavelength changes the index and tints what is transmitted, nothing else; on average glass stays white.
+/// A path's wavelength changes the index and tints the transmitted light, nothing else. On average
+/// glass stays white.
 #[test]
 fn dispersion_keeps_white_white() {
     let glass = Appearance { transmission: 1.0, roughness: 0.0, solid: true, ior: 1.5, ..appearance() };
@@ -444,8 +455,8 @@ fn dispersion_keeps_white_white() {
     assert_eq!(appearance().disperse(None, || panic!("drawn for nothing")), None);
 }
 
-/// Chi-square test of [`Bsdf::sample`] against the density of [`Bsdf::evaluate`]; samples that are absorbed, or reflected by a mirror
-/// on top, are one more cell.
+/// Chi-square test of [`Bsdf::sample`] against the density of [`Bsdf::evaluate`]; samples that are
+/// absorbed, or reflected by a mirror on top, are one more cell.
 fn check_density(bsdf: &Bsdf, count: u64, seed: u64) {
     let [rows, cols] = CELLS;
     let local = |z: f32, phi: f32| {
@@ -485,18 +496,19 @@ fn check_density(bsdf: &Bsdf, count: u64, seed: u64) {
     assert_counts(&observed, &expected, FALSE_ALARM_RATE);
 }
 
-/// Without gloss the whole of the model is its matt special case, whatever the gloss's normal is bent to.
+/// Without gloss the model equals its diffuse special case, for every bent normal of the gloss.
 #[test]
-fn diffuse_light_is_that_of_matt_surfaces() {
+fn diffuse_light_is_that_of_lambert_surfaces() {
     let surface = Appearance { ior: 1.0, roughness: 1.0, base: Vec3::new(0.9, 0.5, 0.2), ..appearance() };
     let general = Bsdf::new(&surface, viewer(0.2), &frames()[2], true);
-    let matt = Matt::new(surface.base, Vec3::Z, steep());
+    let lambert = Lambert::new(surface.base, Vec3::Z, steep());
     let (mut stream, mut lit) = (Stream::new(12), 0);
     for _ in 0..2000 {
         let direction = Vec3::from_array([(); 3].map(|()| 2.0 * stream.next_f32() - 1.0)).normalize_or(Vec3::Z);
-        let ((value, pdf), (expected, expected_pdf)) = (general.evaluate(direction), matt.evaluate(direction));
+        let ((value, pdf), (expected, expected_pdf)) = (general.evaluate(direction), lambert.evaluate(direction));
         assert!((value - expected).abs().max_element() < 1e-5, "{direction}: {value} {expected}");
-        // the matt one leaves below its horizon what it will not be asked for
+        // the diffuse special case leaves out the density below its horizon, which is never
+        // requested
         assert!((pdf - expected_pdf).abs() < 1e-5, "{direction}: {pdf} {expected_pdf}");
         lit += usize::from(value != Vec3::ZERO);
     }

@@ -1,4 +1,5 @@
-//! A thin wall: the reflection lobe mirrored to the far side, in the base's colour (`KHR_materials_transmission`).
+//! A thin wall: the reflection lobe mirrored to the far side, in the base's colour
+//! (`KHR_materials_transmission`).
 
 use glam::Vec3;
 
@@ -8,7 +9,7 @@ use super::lobe::{Facet, Light, Lobe, Sample, Surface, mean};
 /// The transmission lobe of a thin wall.
 pub(crate) struct Thin {
     color: Vec3,
-    /// 1/E, which returns what single scattering loses.
+    /// 1/E, which returns the light that single scattering loses.
     scale: f32,
 }
 

@@ -1,18 +1,25 @@
-//! Traversal by a beam: the nearest hits of rays that start and run close together, as the samples of one pixel do.
+//! Traversal by a beam: the nearest hits of rays that start and run close together, as the samples
+//! of one pixel do.
 //!
-//! The rays' points at distance t lie in the box o₀ + t d₀ ..= o₁ + t d₁, where o and d are the least and greatest coordinates of their
-//! origins and directions. That box meets a child's bounds b₀ ..= b₁ along an axis while
+//! The rays' points at distance t lie in the box o₀ + t d₀ ..= o₁ + t d₁. Here o and d are the
+//! least and greatest coordinates of the rays' origins and directions. That box overlaps a child's
+//! bounds b₀ ..= b₁ along an axis while
 //!
 //! ```text
 //! o₁ + t d₁ ≥ b₀   and   o₀ + t d₀ ≤ b₁
 //! ```
 //!
-//! and each of the two bounds t from below or from above, by the sign of d. So a node costs the beam as much as it costs a ray. A block's eight
-//! triangles are tested against the beam as boxes too; those that are left, mostly one or two, against all rays at once, one ray per lane, by the
-//! arithmetic of single rays: hits are the same bit for bit. That takes rays that are longest along the same axis, as neighbours nearly always
-//! are. A beam that spreads over many blocks, as out of focus, is given up and its rays go on alone.
+//! and each of the two inequalities bounds t from below or from above, by the sign of d. So a node
+//! costs the beam as much as it costs a single ray.
 //!
-//! On FlightHelmet (16 samples of a pixel) this took 60 % of the time of blocks tested ray by ray, which was that of single rays.
+//! A block's eight triangles are tested against the beam as boxes too. Those that are left, mostly
+//! one or two, are tested against all rays at once, one ray per lane. The arithmetic is that of
+//! single rays, so hits are the same bit for bit. This requires rays that are longest along the
+//! same axis, as neighbours nearly always are. A beam that spreads over many blocks, as out of
+//! focus, is split into single rays.
+//!
+//! On FlightHelmet (16 samples of a pixel) this took 60 % of the time of single rays. Testing
+//! blocks ray by ray took as long as single rays.
 
 use std::marker::PhantomData;
 
@@ -27,10 +34,12 @@ pub(crate) const BEAM: usize = 16;
 const VECTORS: usize = BEAM / WIDTH;
 /// Fewer rays are traced alone.
 const FEWEST: usize = 3;
-/// Blocks after which the rays go on alone: 6 are 3 % slower in focus, 16 out of focus (FlightHelmet).
+/// Blocks after which the rays go on alone: 6 are 3 % slower in focus, 16 out of focus
+/// (FlightHelmet).
 const MOST_BLOCKS: usize = 10;
 
-/// A bound of t for eight boxes: plane · inverse + shift, `row` being the planes in [`Node::bounds`].
+/// A bound of t for eight boxes: plane · inverse + shift, `row` being the planes in
+/// [`Node::bounds`].
 #[derive(Clone, Copy)]
 struct Bound<V> {
     row: usize,
@@ -47,8 +56,9 @@ struct Beam<V> {
 }
 
 impl Bvh {
-    /// The nearest hit of each of at most [`BEAM`] rays without an end, as [`nearest`](Self::nearest) finds it; `accept` is told which ray
-    /// asks, and may be asked twice.
+    /// Computes the nearest hit of each of at most [`BEAM`] rays without an end, as
+    /// [`nearest`](Self::nearest) does. `accept` gets the index of the ray, and may be called twice
+    /// for a triangle.
     #[inline]
     pub(crate) fn nearest_of_beam(
         &self,
@@ -99,10 +109,11 @@ impl Bvh {
         if !rays.iter().all(|ray| shear.has_axes_of(ray)) {
             return self.alone(rays, hits, stack, accept);
         }
-        // of all rays
+        // the largest t_max of all rays
         let mut t_max = f32::INFINITY;
-        // SAFETY: the caller has the instruction set. Child references point into the arrays they were made with, and no more than
-        // `stack_depth` children are ever postponed, which `build` counts and the assertion above checks.
+        // SAFETY: the caller has the instruction set. Child references point into the arrays they
+        // were made with, and no more than `stack_depth` children are ever postponed, which `build`
+        // counts and the assertion above checks.
         unsafe {
             let beam = Beam::<V>::new(rays, self.extent);
             let mut sheared = Sheared::<V>::new(rays, &shear);
@@ -120,6 +131,7 @@ impl Bvh {
                 let current = next as u32;
                 if current & LEAF == 0 {
                     let node = arrays.nodes.get_unchecked(current as usize);
+                    // postpone the children that the beam enters, the nearest last
                     let (t_near, mut entered) = beam.enters(&node.bounds, t_max);
                     let t_near: [f32; WIDTH] = t_near.to_array();
                     let base = depth;
@@ -142,15 +154,16 @@ impl Bvh {
                     sheared.write(hits);
                     return self.alone(rays, hits, stack, accept);
                 }
+                // test all rays against the triangles whose boxes the beam enters
                 let block = arrays.blocks.get_unchecked((current & !LEAF) as usize);
                 let (_, mut entered) = beam.enters(&bounds::<V>(block), t_max);
-                let mut is_met = false;
+                let mut is_nearer = false;
                 while entered != 0 {
                     let lane = entered.trailing_zeros() as usize;
                     entered &= entered - 1;
-                    is_met |= sheared.meet(block, lane, &mut accept);
+                    is_nearer |= sheared.intersect(block, lane, &mut accept);
                 }
-                if is_met {
+                if is_nearer {
                     t_max = sheared.farthest();
                 }
             }
@@ -173,11 +186,12 @@ impl<F: FnMut(usize, &Hit) -> bool> Kernel for NearestOfBeam<F> {
     }
 }
 
-/// The rays of a beam prepared for the triangle test, one per lane, and the nearest hit of each. All are longest along the same axis.
+/// The rays of a beam prepared for the triangle test, one per lane, and the nearest hit of each.
+/// All are longest along the same axis.
 struct Sheared<V> {
     /// As [`Shear::axes`].
     axes: [usize; 3],
-    /// Of rays, and of vectors with rays.
+    /// Number of rays, and of vectors that hold a ray.
     count: usize,
     vectors: usize,
     /// As [`Shear::origin`] and [`Shear::shear`].
@@ -218,6 +232,7 @@ impl<V: Lanes> Sheared<V> {
     /// `shear` is that of the first ray.
     #[inline(always)]
     unsafe fn new(rays: &[Ray], shear: &Shear) -> Self {
+        // coordinates of the rays in the order of the shear's axes, the longest last
         let axes = shear.axes.map(|row| row / WIDTH);
         let (mut origins, mut directions) = ([[0.0; BEAM]; 3], [[1.0; BEAM]; 3]);
         for (index, ray) in rays.iter().enumerate() {
@@ -227,7 +242,7 @@ impl<V: Lanes> Sheared<V> {
                 directions[row][index] = direction[axis];
             }
         }
-        // lanes without a ray meet nothing
+        // lanes without a ray never hit
         let mut t_max = [-1.0; BEAM];
         t_max[..rays.len()].fill(f32::INFINITY);
         unsafe {
@@ -251,6 +266,7 @@ impl<V: Lanes> Sheared<V> {
                     V::from_array(eight(&directions[1], at)),
                     V::from_array(eight(&directions[2], at)),
                 ];
+                // a shear per lane that turns its ray into the z axis
                 let along = V::splat(1.0).div(z);
                 sheared.shear[vector] = [x.mul(along), y.mul(along), along];
                 sheared.origin[vector] = [
@@ -277,14 +293,16 @@ impl<V: Lanes> Sheared<V> {
         }
     }
 
-    /// Tests all rays against a triangle, as [`Shear::meets`] tests a ray against eight; returns whether some meet it nearer than all before.
+    /// Tests all rays against a triangle, with the arithmetic of the test of one ray against eight
+    /// triangles. Returns true if it becomes the nearest hit of any ray.
     #[inline(always)]
-    unsafe fn meet(&mut self, block: &Block, lane: usize, accept: &mut impl FnMut(usize, &Hit) -> bool) -> bool {
+    unsafe fn intersect(&mut self, block: &Block, lane: usize, accept: &mut impl FnMut(usize, &Hit) -> bool) -> bool {
         unsafe {
             let vertex = |vertex: usize| {
                 let rows = block.vertices[vertex].as_flattened();
                 self.axes.map(|row| *rows.get_unchecked(row + lane))
             };
+            // the triangle's corners in the order of the rays' axes
             let vertices = [vertex(0), vertex(1), vertex(2)];
             let reference = block.references[lane];
             let flags = reference & !INDEX_MASK;
@@ -299,11 +317,11 @@ impl<V: Lanes> Sheared<V> {
                 let t = corners.distance(&edges, self.shear[vector][2]);
                 let Edges { u, v, determinant, inside, .. } = edges;
                 let within = V::both(zero.below(t), t.below(self.t[vector]));
-                let mut met = V::both(inside, within);
+                let mut nearer = V::both(inside, within);
                 if flags & CULL_BACK != 0 {
-                    met = V::both(met, zero.below(determinant));
+                    nearer = V::both(nearer, zero.below(determinant));
                 }
-                let mut bits = V::bits(met);
+                let mut bits = V::bits(nearer);
                 if bits == 0 {
                     continue;
                 }
@@ -316,14 +334,14 @@ impl<V: Lanes> Sheared<V> {
                         let hit = test.hit(at, reference, NO_INSTANCE);
                         agreed[at] = f32::from(u8::from(accept(vector * WIDTH + at, &hit)));
                     }
-                    met = V::both(met, zero.below(V::from_array(&agreed)));
-                    bits = V::bits(met);
+                    nearer = V::both(nearer, zero.below(V::from_array(&agreed)));
+                    bits = V::bits(nearer);
                 }
                 any |= bits != 0;
-                self.t[vector] = t.where_else(met, self.t[vector]);
-                self.u[vector] = u.where_else(met, self.u[vector]);
-                self.v[vector] = v.where_else(met, self.v[vector]);
-                self.determinant[vector] = determinant.where_else(met, self.determinant[vector]);
+                self.t[vector] = t.where_else(nearer, self.t[vector]);
+                self.u[vector] = u.where_else(nearer, self.u[vector]);
+                self.v[vector] = v.where_else(nearer, self.v[vector]);
+                self.determinant[vector] = determinant.where_else(nearer, self.determinant[vector]);
                 while bits != 0 {
                     let at = bits.trailing_zeros() as usize;
                     bits &= bits - 1;
@@ -346,7 +364,7 @@ impl<V: Lanes> Sheared<V> {
         }
     }
 
-    /// Writes what was met.
+    /// Writes the nearest hits.
     #[inline(always)]
     unsafe fn write(&self, hits: &mut [Option<Hit>; BEAM]) {
         for vector in 0..self.vectors {
@@ -369,6 +387,7 @@ impl<V: Lanes> Beam<V> {
     /// `extent`: largest coordinate of the tree's bounds.
     #[inline(always)]
     unsafe fn new(rays: &[Ray], extent: f32) -> Self {
+        // least and greatest coordinates of all rays
         let (mut low, mut high) = ((rays[0].origin, rays[0].direction), (rays[0].origin, rays[0].direction));
         for ray in &rays[1..] {
             low = (low.0.min(ray.origin), low.1.min(ray.direction));
@@ -401,7 +420,8 @@ impl<V: Lanes> Beam<V> {
         beam
     }
 
-    /// Distances from which on some ray may be in eight boxes, and a bit per box that is entered before `t_max`.
+    /// Distances from which on some ray may be in eight boxes, and a bit per box that is entered
+    /// before `t_max`.
     #[inline(always)]
     unsafe fn enters(&self, boxes: &[[f32; WIDTH]; 6], t_max: f32) -> (V, u32) {
         unsafe {
@@ -410,7 +430,8 @@ impl<V: Lanes> Beam<V> {
             for bound in self.near.get_unchecked(..self.near_count) {
                 entry = entry.max(V::from_array(eight(planes, bound.row)).fused_mul_add(bound.inverse, bound.shift));
             }
-            // children that do not exist are entered at infinity, and a beam that spreads to all sides never leaves
+            // children that do not exist are entered at infinity, and a beam that spreads to all
+            // sides never leaves
             let mut exit = V::splat(t_max.min(f32::MAX));
             for bound in self.far.get_unchecked(..self.far_count) {
                 exit = exit.min(V::from_array(eight(planes, bound.row)).fused_mul_add(bound.inverse, bound.shift));

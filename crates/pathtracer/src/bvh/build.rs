@@ -15,14 +15,16 @@ use obvhs::triangle::Triangle;
 use super::plan::Plan;
 use super::tree::{Block, Bvh, EMPTY, INSTANCE, Input, LEAF, Node, Placed, WIDTH};
 
-/// Share of the nodes tried per reinsertion round: obvhs' figure for a slow, good build, and more where it takes no time: all of still-life's
-/// (0.04 s) give 3 to 4 % more rays, all of FlightHelmet's (0.4 s) or half of 15 copies' (4 s more) 1 to 2 %.
+/// Share of the nodes that each round tries to reinsert: the figure of obvhs for a slow, good
+/// build. Small trees get more, where that takes no time. All nodes of still-life (0.04 s) give 3
+/// to 4 % more rays per second. All of FlightHelmet (0.4 s), or half of 15 copies (4 s more), give
+/// 1 to 2 %.
 const REINSERTION_RATIO: f32 = 0.2;
 const REINSERTED_AT_LEAST: f32 = 20_000.0;
 /// obvhs' depth of the narrow search.
 const SEARCH_DEPTH: usize = 2;
-/// Bounds of instances are widened by this share of their largest coordinate, for the rounding of their corners and of rays that
-/// are moved into their space.
+/// Bounds of instances are widened by this share of their largest coordinate, for the rounding of
+/// their corners and of rays that are moved into their space.
 const INSTANCE_WIDENING: f32 = 2e-6;
 
 /// One finished tree.
@@ -45,6 +47,7 @@ impl Bvh {
             stack_depth: 0,
             backend: Backend::best(),
         };
+        // a tree per shared mesh, then a box per instance of it
         let shared: Vec<Tree> = input.shared.iter().map(|range| bvh.add_tree(input, range.clone(), &[])).collect();
         let mut boxes = Vec::with_capacity(input.placements.len());
         for placement in input.placements {
@@ -59,10 +62,11 @@ impl Bvh {
                 extent: extent(&tree.bounds),
             });
         }
+        // the top tree over loose triangles and instances
         let top = bvh.add_tree(input, input.loose.clone(), &boxes);
         bvh.root = top.root;
         bvh.extent = extent(&top.bounds);
-        // an instance postpones its own end besides what its tree postpones
+        // an instance postpones its own end besides the children that its tree postpones
         bvh.stack_depth = top.stack_depth + 1 + shared.iter().map(|tree| tree.stack_depth).max().unwrap_or(0);
         bvh.nodes.shrink_to_fit();
         bvh.nodes = in_large_pages(bvh.nodes);
@@ -71,7 +75,8 @@ impl Bvh {
         bvh
     }
 
-    /// Bounds of a moved tree: those of its root's children, moved one by one, since turned boxes of boxes are large.
+    /// Bounds of a moved tree: those of its root's children, moved one by one, since turned boxes
+    /// of boxes are large.
     fn placed_bounds(&self, tree: &Tree, place: impl Fn(Vec3) -> Vec3) -> Aabb {
         let mut bounds = Aabb::INVALID;
         let mut extend = |min: [f32; 3], max: [f32; 3]| {
@@ -97,12 +102,14 @@ impl Bvh {
     fn add_tree(&mut self, input: &Input<'_>, range: Range<usize>, instances: &[Aabb]) -> Tree {
         let triangles = &input.triangles[range.clone()];
         let flags = &input.flags[range.clone()];
+        // boxes of triangles, large ones cut, and of instances
         let mut boxes: Vec<Aabb> = triangles.iter().map(|t| Aabb::from_points(&t.map(Vec3A::from))).collect();
         let mut primitives: Vec<u32> = (0..boxes.len() as u32).collect();
         let bounds = boxes.iter().chain(instances).fold(Aabb::INVALID, |all, one| all.union(one));
         split_large(&mut boxes, &mut primitives, triangles, flags);
         boxes.extend(instances);
         primitives.extend((0..instances.len()).map(|i| (triangles.len() + i) as u32));
+        // build a binary tree, improve it, and collapse it to wide nodes and blocks
         let mut binary = PlocBuilder::with_capacity(boxes.len()).build(
             PlocSearchDistance::High,
             &boxes,
@@ -128,8 +135,8 @@ impl Bvh {
     }
 }
 
-/// Cuts the boxes of large triangles into smaller ones. Only opaque triangles: a traversal may meet them twice, which no one notices,
-/// while the others are asked for their alpha.
+/// Cuts the boxes of large triangles into smaller ones. Only opaque triangles are cut: a traversal
+/// may test them twice without effect. The alpha of others would be evaluated twice.
 fn split_large(boxes: &mut Vec<Aabb>, primitives: &mut Vec<u32>, triangles: &[[Vec3; 3]], flags: &[u32]) {
     if triangles.is_empty() {
         return;
@@ -172,8 +179,8 @@ struct Collapse<'a> {
 }
 
 impl Collapse<'_> {
-    /// Returns the root and the depth of the traversal stack. An own list of open nodes instead of recursion: obvhs' trees over
-    /// hostile input may be deep.
+    /// Returns the root and the depth of the traversal stack. An own list of open nodes instead of
+    /// recursion: obvhs' trees over hostile input may be deep.
     fn run(&mut self) -> (u32, usize) {
         if self.binary.nodes.is_empty() {
             return (EMPTY, 1);
@@ -186,6 +193,7 @@ impl Collapse<'_> {
         // (binary node, own node to fill, postponed siblings on the way to it)
         let mut open = vec![(0u32, root, 0usize)];
         while let Some((binary_index, node, postponed)) = open.pop() {
+            // every postponed child needs a place on the stack of a traversal
             let children = self.plan.children(self.binary, binary_index);
             let postponed = postponed + children.len() - 1;
             stack_depth = stack_depth.max(postponed + 1);

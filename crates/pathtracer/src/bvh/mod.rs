@@ -1,15 +1,19 @@
-//! Bounding volume hierarchy: an eight-wide tree with eight triangles per leaf block, and instances that share a tree.
+//! Bounding volume hierarchy: an eight-wide tree with eight triangles per leaf block, and instances
+//! that share a tree.
 //!
-//! obvhs builds a binary tree by parallel locally-ordered clustering (Meister, Bittner 2018) and improves it by reinsertion (Meister,
-//! Bittner 2018). That tree is collapsed to eight children, and subtrees of at most eight triangles to blocks in structure-of-arrays form,
-//! so that both the slab test and the triangle test work on a whole vector; which subtrees is chosen by the surface area heuristic.
+//! obvhs builds a binary tree by parallel locally-ordered clustering and improves it by reinsertion
+//! (both Meister, Bittner 2018). That tree is collapsed to eight children per node. Subtrees of at
+//! most eight triangles become blocks in structure-of-arrays form, so that slab test and triangle
+//! test both work on a whole vector. The surface area heuristic chooses these subtrees.
 //!
 //! ```text
 //! top tree, render space ─▶ nodes ─▶ blocks            triangles of meshes that are placed once
-//!                              └───▶ instances ─▶ nodes ─▶ blocks     one tree per mesh that is placed often, in a space of its own
+//!                              └───▶ instances ─▶ nodes ─▶ blocks    meshes that are placed often:
+//!                                                                    a tree in its own space
 //! ```
 //!
-//! Nodes and blocks of all trees lie in the same two arrays. [`build`] makes them, [`traverse`] walks them for a ray and [`beam`] for rays that lie close together.
+//! Nodes and blocks of all trees lie in the same two arrays. [`build`] makes them, [`traverse`]
+//! walks them for a ray and [`beam`] for rays that lie close together.
 
 mod beam;
 mod build;

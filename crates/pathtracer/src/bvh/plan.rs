@@ -1,17 +1,23 @@
-//! Which subtrees of a binary tree become nodes and blocks: those of the least expected cost of a ray (Ylitie, Karras, Laine 2017, "Efficient
-//! incoherent ray traversal on GPUs through compressed wide BVHs", section 3), where a node and a block cost the same: their area.
+//! Chooses the subtrees of a binary tree that become nodes and blocks.
+//!
+//! It minimizes the expected cost of a ray (Ylitie, Karras, Laine 2017, "Efficient incoherent ray
+//! traversal on GPUs through compressed wide BVHs", section 3). A node and a block cost the same:
+//! their area.
 //!
 //! ```text
-//! cost of a subtree as one child    C(n, 1) = area(n) if n fits into a block, else or if less area(n) + min over k of C(first, k) + C(second, 8 − k)
-//! as up to j children               C(n, j) = min over k of C(first, k) + C(second, j − k), or C(n, j − 1)
+//! cost of a subtree as one child
+//!     C(n, 1) = area(n) if n fits into a block
+//!     C(n, 1) = area(n) + min over k of C(first, k) + C(second, 8 − k) otherwise, or if less
+//! as up to j children
+//!     C(n, j) = min over k of C(first, k) + C(second, j − k), or C(n, j − 1)
 //! ```
 
 use obvhs::bvh2::Bvh2;
 
 use super::tree::WIDTH;
 
-/// Per subtree and number of children, less one: how many of them go to the first child of the binary tree. At 0: the same for the eight
-/// children of a node, or [`END`].
+/// Per subtree and number of children, less one: how many of them go to the first child of the
+/// binary tree. At 0: the same for the eight children of a node, or [`END`].
 pub(super) struct Plan(Vec<[u8; WIDTH]>);
 
 /// The subtree is a block or an instance.
@@ -20,7 +26,8 @@ const END: u8 = u8::MAX;
 const FEWER: u8 = 0;
 
 impl Plan {
-    /// `primitives`: triangle of every slot of the binary tree; from `triangles` on they are instances.
+    /// `primitives`: triangle of every slot of the binary tree; from `triangles` on they are
+    /// instances.
     pub(super) fn new(binary: &Bvh2, primitives: &[u32], triangles: usize) -> Self {
         let mut plan = vec![[END; WIDTH]; binary.nodes.len()];
         let mut order = Vec::with_capacity(binary.nodes.len());
@@ -32,7 +39,8 @@ impl Plan {
                 open.extend([node.first_index, node.first_index + 1]);
             }
         }
-        // (number of triangles, costs) of finished subtrees whose parents are not finished: the second child's lies on the first's
+        // (number of triangles, costs) of finished subtrees whose parents are not finished: the
+        // second child's lies on the first's
         let mut finished: Vec<(u32, [f32; WIDTH])> = Vec::new();
         for &index in order.iter().rev() {
             let node = &binary.nodes[index as usize];
@@ -74,7 +82,7 @@ impl Plan {
         Self(plan)
     }
 
-    /// Whether a subtree becomes a block or an instance.
+    /// True if a subtree becomes a block or an instance.
     pub(super) fn is_end(&self, index: u32) -> bool {
         self.0[index as usize][0] == END
     }

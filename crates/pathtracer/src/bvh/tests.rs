@@ -1,4 +1,5 @@
-//! The traversal against every triangle in turn, against its scalar twin, and against flattened instances.
+//! The traversal against every triangle in turn, against its scalar twin, and against flattened
+//! instances.
 
 use glam::{DVec3, Mat3, Quat, Vec3};
 use lumistack_core::seed::Stream;
@@ -9,7 +10,8 @@ use super::tree::*;
 
 /// Distances of the f32 test and the f64 oracle agree to this share of the scene's size.
 const DISTANCE_TOLERANCE: f64 = 2e-5;
-/// Rays that pass an edge closer than this (in barycentric units) may go either way in f32 and are not compared.
+/// Rays that pass an edge closer than this (in barycentric units) may go either way in f32 and are
+/// not compared.
 const EDGE_MARGIN: f64 = 1e-4;
 
 fn build(triangles: &[[Vec3; 3]], flags: &[u32]) -> Bvh {
@@ -30,7 +32,8 @@ fn soup(count: usize, edge: f32, seed: u64) -> Vec<[Vec3; 3]> {
         .collect()
 }
 
-/// Möller, Trumbore 1997 in f64 over all triangles; also returns whether any edge is so near that f32 may differ.
+/// Möller, Trumbore 1997 in f64 over all triangles; also returns whether any edge is so near that
+/// f32 may differ.
 fn oracle(triangles: &[[Vec3; 3]], ray: &Ray) -> (Option<(f64, u32)>, bool) {
     let (o, d) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
     let mut best: Option<(f64, u32)> = None;
@@ -102,7 +105,8 @@ fn traversal_agrees_with_testing_every_triangle() {
 
 #[test]
 fn a_closed_surface_has_no_cracks() {
-    // a finely divided, bumpy sphere seen from inside: every ray must hit, also through vertices and along edges
+    // a finely divided, bumpy sphere seen from inside: every ray must hit, also through vertices
+    // and along edges
     let (rows, cols) = (40, 60);
     let point = |row: usize, col: usize| {
         let (theta, phi) = (
@@ -205,7 +209,7 @@ fn hostile_triangles_are_found_as_by_testing_each() {
         let open = bvh.transmittance(&ray, &mut stack, |_| Vec3::ZERO);
         assert_eq!(open == Vec3::ONE, expected.is_none());
         if let (Some(hit), Some((t, _))) = (hit, expected) {
-            // of coincident triangles either will do; t is in units of a direction of any length
+            // either of coincident triangles will do; t is in units of a direction of any length
             found += 1;
             let error = (f64::from(hit.t) - t).abs() * f64::from(ray.direction.length());
             assert!(error < 10.0 * DISTANCE_TOLERANCE, "{error} {ray:?}");
@@ -330,10 +334,10 @@ fn an_instance_alone_is_a_scene() {
     assert_eq!(empty.transmittance(&ray, &mut empty.stack(), |_| Vec3::ZERO), Vec3::ONE);
 }
 
-/// Beams of every width, along axes and across them, that see some triangles only sometimes: the distances of single rays, bit for bit. Of
-/// coincident triangles either will do.
+/// Beams of every width, along axes and across them, that hit some triangles only sometimes, return
+/// the distances of single rays, bit for bit. Either of coincident triangles will do.
 #[test]
-fn a_beam_meets_what_its_rays_meet_alone() {
+fn a_beam_has_the_hits_of_its_rays() {
     let mut triangles = hostile_soup(13);
     triangles.extend(soup(3000, 0.1, 14));
     let flags: Vec<u32> = (0..triangles.len()).map(|i| [0, CULL_BACK, ALPHA][i % 3]).collect();

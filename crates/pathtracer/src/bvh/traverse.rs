@@ -7,25 +7,41 @@
 //!     instance   move the ray into the instance's space and go on with its tree
 //! ```
 //!
-//! Departures from the simple version: near and far planes are picked by the ray's signs, not by min and max; distances are one fused
-//! multiply-add, b/d − o/d; what is postponed is kept sorted with its distance and dropped when a nearer hit is known; the whole loop
-//! is one function compiled for the instruction set. An unsorted loop serves where any hit will do.
-//! A ray meets few nodes (FlightHelmet: 2.2 nodes and 1.0 blocks), so its preparation counts: what blocks need stays in numbers, and trees
-//! without instances have a loop of their own, whose rays never change (together a fifth to a third more rays per second). A block is
-//! tested to its end whether or not a triangle lies across the ray, since that is a coin toss too (4 to 9 % more scattered and shadow rays),
-//! and a hit becomes a [`Hit`] once, at the end (4 to 12 % more rays).
+//! Departures from the simple version:
 //!
-//! Tried on FlightHelmet, the same as 15 copies (1.4 million triangles) and still-life, on Zen 4, one pinned thread, fastest of rounds in turn:
-//! no branch on whether none, one or two children are met (5 % slower: what is guessed right need not wait for numbers), a branch
-//! on which of two children is nearer (1 to 3 % slower), the triangle test prepared at a ray's first block (primary rays 5 % slower),
-//! the block that stopped the last shadow ray tested before all others (2 % slower: most shadow rays arrive), no prefetch (on 15 copies 10 to 20 % slower) or that of the postponed children alone (0 to 10 % slower there), large pages in place of small ones (helmet: no
-//! difference), boxes of large triangles cut further, by area or by priority (Karras, Aila 2013; up to 10 % more nodes per ray).
+//! * The ray's signs select near and far planes, not min and max. Distances are one fused
+//!   multiply-add, b/d − o/d.
+//! * Postponed children stay sorted by distance, and are dropped when a nearer hit is known. An
+//!   unsorted loop serves where any hit will do.
+//! * The whole loop is one function compiled for the instruction set.
+//! * A ray enters few nodes (FlightHelmet: 2.2 nodes and 1.0 blocks), so its preparation counts.
+//!   The inputs of blocks stay scalars. Trees without instances have a loop of their own, whose
+//!   rays never change. Together this gives a fifth to a third more rays per second.
+//! * A block is tested to its end even if no triangle lies across the ray, since that branch is
+//!   unpredictable (4 to 9 % more scattered and shadow rays).
+//! * A hit becomes a [`Hit`] once, at the end (4 to 12 % more rays).
 //!
-//! The triangle test is the watertight one of Woop, Benthin, Wald 2013 ("Watertight ray/triangle intersection", JCGT 2(1)): shear
-//! the triangle into a space where the ray is the z axis and compare edge functions with zero. Shared edges give exactly opposite
-//! values, so a ray cannot pass between two triangles. The edge functions therefore must not be fused: a·b − c·d with one product
-//! rounded and the other not is not the opposite of c·d − a·b. Boxes are widened by the rounding of the slab test, see
-//! [`SLAB_ROUNDING`].
+//! Tried on FlightHelmet, on 15 copies of it (1.4 million triangles) and on still-life, on Zen 4,
+//! one pinned thread, fastest of rounds in turn:
+//!
+//! * No branch on the number of children entered (none, one or two): 5 % slower, since a predicted
+//!   branch waits for no data.
+//! * A branch on the nearer of two children: 1 to 3 % slower.
+//! * The triangle test prepared at a ray's first block: primary rays 5 % slower.
+//! * The block that stopped the last shadow ray tested first: 2 % slower, since most shadow rays
+//!   arrive.
+//! * No prefetch: 10 to 20 % slower on 15 copies. Prefetch of the postponed children alone: 0 to 10
+//!   % slower there.
+//! * Large pages in place of small ones: no difference on the helmet.
+//! * Boxes of large triangles cut further, by area or by priority (Karras, Aila 2013): up to 10 %
+//!   more nodes per ray.
+//!
+//! The triangle test is the watertight one of Woop, Benthin, Wald 2013 ("Watertight ray/triangle
+//! intersection", JCGT 2(1)). It shears the triangle into a space where the ray is the z axis, and
+//! compares edge functions with zero. Shared edges give exactly opposite values, so a ray cannot
+//! pass between two triangles. The edge functions therefore must not be fused: a·b − c·d with one
+//! product rounded and the other not is not the opposite of c·d − a·b. Boxes are widened by the
+//! rounding of the slab test, see [`SLAB_ROUNDING`].
 
 use std::marker::PhantomData;
 
@@ -38,11 +54,12 @@ use super::tree::{
 
 /// Direction components below this are replaced by it in the slab test, so that 0 · ∞ cannot occur.
 pub(super) const SMALLEST_SLOPE: f32 = 1e-18;
-/// Rounding of b/d − o/d as a share of (|o| + |b|)/|d|: half an epsilon each for 1/d, o/d and the result, and as much again for boxes
-/// of cut triangles, whose corners are rounded.
+/// Rounding of b/d − o/d as a share of (|o| + |b|)/|d|. Each of 1/d, o/d and the result adds half
+/// an epsilon. Boxes of cut triangles, whose corners are rounded, double the sum.
 pub(super) const SLAB_ROUNDING: f32 = 4.0 * f32::EPSILON;
 
-/// Reusable memory for postponed children: the distance's bits above, the child below, so that numbers sort as distances do.
+/// Reusable memory for postponed children: the distance's bits above, the child below, so that
+/// numbers sort as distances do.
 pub(crate) struct Stack(pub(super) Vec<u64>);
 
 /// Above the last entry of an instance; read as a distance it is −∞, so that it is never dropped.
@@ -50,8 +67,8 @@ const END_OF_INSTANCE: u64 = (f32::NEG_INFINITY.to_bits() as u64) << 32 | EMPTY 
 
 /// The longest axis, by whether x is longer than y, x than z and y than z, one bit each.
 const LONGEST: [u8; 8] = [2, 2, 2, 0, 1, 2, 1, 0];
-/// The axes that follow an axis when the ray runs up it and when it runs down it: exchanged, which keeps the winding. Padded: an index
-/// of three bits needs no check.
+/// The axes that follow an axis when the ray runs up it and when it runs down it: exchanged, which
+/// keeps the winding. Padded: an index of three bits needs no check.
 const OTHERS: [[u8; 2]; 8] = [[1, 2], [2, 1], [2, 0], [0, 2], [0, 1], [1, 0], [0, 0], [0, 0]];
 
 /// A ray prepared for the slab test.
@@ -66,7 +83,8 @@ struct Slabs<V> {
     far: [usize; 3],
 }
 
-/// A ray prepared for the triangle test. Numbers, not vectors: a block reads them as it needs them, and rays that meet no block pay little.
+/// A ray prepared for the triangle test. Its fields are scalars, not vectors: a block loads them
+/// when it needs them, and rays that reach no block pay little.
 #[derive(Clone, Copy)]
 pub(super) struct Shear {
     /// Rows of the axes in a block; the last is that along which the ray is longest.
@@ -84,8 +102,10 @@ pub(super) struct Test<V> {
     pub(super) determinant: V,
 }
 
-/// The arrays that a traversal reads. They are a variable of the kernel, as its copy of the ray is: what is reached through a kernel's arguments is read again after every
-/// write to the stack, since the two might overlap as far as the compiler knows (FlightHelmet: 5 % fewer single rays, 2 to 3 % fewer in beams).
+/// The arrays that a traversal reads. They are a local variable of the kernel, as its copy of the
+/// ray is. Otherwise the compiler reloads all data behind a kernel's arguments after every write to
+/// the stack, since the two might alias. That costs 5 % of single rays and 2 to 3 % of beams
+/// (FlightHelmet).
 #[derive(Clone, Copy)]
 pub(super) struct Arrays<'a> {
     pub(super) nodes: &'a [Node],
@@ -93,7 +113,8 @@ pub(super) struct Arrays<'a> {
 }
 
 impl Arrays<'_> {
-    /// Asks for a child's memory, which a ray waits for more than for anything else; sorting its siblings hides a part of that.
+    /// Prefetches a child, whose memory a ray waits for most. Sorting its siblings hides a part of
+    /// that.
     #[inline(always)]
     fn prefetch(&self, child: u32) {
         let base = if child & LEAF == 0 {
@@ -109,9 +130,9 @@ impl Arrays<'_> {
     }
 }
 
-/// A triangle that a ray meets, as the triangle test left it.
+/// A triangle that a ray hits, as the triangle test left it.
 #[derive(Clone, Copy)]
-struct Met {
+struct RawHit {
     u: f32,
     v: f32,
     determinant: f32,
@@ -125,8 +146,8 @@ impl Bvh {
         Stack(vec![0; self.stack_depth + 1])
     }
 
-    /// The nearest hit that `accept` agrees to. It is asked only for triangles with flags other than [`CULL_BACK`], in any order and
-    /// at most once per triangle and instance.
+    /// The nearest hit that `accept` agrees to. It is asked only for triangles with flags other
+    /// than [`CULL_BACK`], in any order and at most once per triangle and instance.
     #[inline]
     pub(crate) fn nearest(&self, ray: &Ray, stack: &mut Stack, accept: impl FnMut(&Hit) -> bool) -> Option<Hit> {
         let mut hit = None;
@@ -134,7 +155,8 @@ impl Bvh {
         hit
     }
 
-    /// [`nearest`](Self::nearest) written to its place: returned, it would be copied in larger pieces than it was written in, for which a processor waits.
+    /// [`nearest`](Self::nearest) written to its place: returned, it would be copied in larger
+    /// pieces than it was written in, for which a processor waits.
     #[inline]
     pub(crate) fn find_nearest(
         &self,
@@ -147,8 +169,9 @@ impl Bvh {
         unsafe { self.backend.call_eight::<Nearest<_>>((self, ray, stack, accept, found)) }
     }
 
-    /// Product of `transmittance` over all triangles that the segment crosses; it is asked only for triangles with flags other than
-    /// [`CULL_BACK`], at most once each; the others are opaque. Stops at zero.
+    /// Product of `transmittance` over all triangles that the segment crosses; it is asked only for
+    /// triangles with flags other than [`CULL_BACK`], at most once each; the others are opaque.
+    /// Stops at zero.
     #[inline]
     pub(crate) fn transmittance(&self, ray: &Ray, stack: &mut Stack, transmittance: impl FnMut(&Hit) -> Vec3) -> Vec3 {
         // SAFETY: the kernel makes no demands
@@ -176,8 +199,9 @@ impl Bvh {
             return None;
         }
         assert!(stack.0.len() > self.stack_depth, "a stack of another tree");
-        // SAFETY: the caller has the instruction set. Child references point into the arrays they were made with, and no more than
-        // `stack_depth` children are ever postponed, which `build` counts and the assertion above checks.
+        // SAFETY: the caller has the instruction set. Child references point into the arrays they
+        // were made with, and no more than `stack_depth` children are ever postponed, which `build`
+        // counts and the assertion above checks.
         unsafe {
             // a copy, as `Arrays` says
             let ray = &{ *ray };
@@ -186,8 +210,8 @@ impl Bvh {
             let mut instance = NO_INSTANCE;
             let (arrays, postponed) = (self.arrays(), stack.0.as_mut_ptr());
             let mut depth = 0;
-            // of the nearest hit: its numbers become a `Hit` once, at the end
-            let mut nearest: Option<Met> = None;
+            // data of the nearest hit, which becomes a `Hit` once, at the end
+            let mut nearest: Option<RawHit> = None;
             let mut t_max = ray.t_max;
             let mut current = self.root;
             // the next of the postponed that is not behind the nearest hit
@@ -195,7 +219,7 @@ impl Bvh {
                 () => {
                     loop {
                         if depth == 0 {
-                            return nearest.map(|met| met.hit(t_max));
+                            return nearest.map(|raw| raw.hit(t_max));
                         }
                         depth -= 1;
                         let entry = *postponed.add(depth);
@@ -207,7 +231,8 @@ impl Bvh {
                 };
             }
             loop {
-                // a loop of its own, so that what nodes need stays in registers rather than what blocks need
+                // a loop of its own, so that the inputs of nodes stay in registers rather than
+                // those of blocks
                 while current & LEAF == 0 {
                     let node = arrays.nodes.get_unchecked(current as usize);
                     let (t_near, mut hits) = slabs.enters(node, t_max);
@@ -233,7 +258,8 @@ impl Bvh {
                             u64::from(t_near.get_unchecked(lane).to_bits()) << 32 | u64::from(child)
                         }};
                     }
-                    // which child is nearer is a coin toss: two and three are sorted without branches
+                    // which child is nearer is a coin toss: two and three are sorted without
+                    // branches
                     let other = next!();
                     let (mut a, mut b) = (one.min(other), one.max(other));
                     if hits == 0 {
@@ -265,7 +291,7 @@ impl Bvh {
                 }
                 if !INSTANCED || current & INSTANCE == 0 {
                     let block = arrays.blocks.get_unchecked((current & !LEAF) as usize);
-                    let (mut hits, test) = shear.meets::<V>(block, t_max);
+                    let (mut hits, test) = shear.intersect::<V>(block, t_max);
                     if hits != 0 {
                         let test = test.store();
                         while hits != 0 {
@@ -273,14 +299,14 @@ impl Bvh {
                             hits &= hits - 1;
                             let t = test.t[lane];
                             if t < t_max {
-                                let met = test.met(lane, block.references[lane], instance);
-                                let agreed = met.reference & !INDEX_MASK == 0 || {
-                                    let hit = met.hit(t);
+                                let raw = test.raw_hit(lane, block.references[lane], instance);
+                                let agreed = raw.reference & !INDEX_MASK == 0 || {
+                                    let hit = raw.hit(t);
                                     hit.is_visible() && (hit.flags & !CULL_BACK == 0 || accept(&hit))
                                 };
                                 if agreed {
                                     t_max = t;
-                                    nearest = Some(met);
+                                    nearest = Some(raw);
                                 }
                             }
                         }
@@ -339,6 +365,7 @@ impl Bvh {
                         current = *postponed.add(depth) as u32;
                         continue;
                     }
+                    // any order will do, so children are not sorted
                     current = *node.children.get_unchecked(hits.trailing_zeros() as usize);
                     hits &= hits - 1;
                     while hits != 0 {
@@ -350,7 +377,7 @@ impl Bvh {
                 }
                 if !INSTANCED || current & INSTANCE == 0 {
                     let block = arrays.blocks.get_unchecked((current & !LEAF) as usize);
-                    let (mut hits, test) = shear.meets::<V>(block, t_max);
+                    let (mut hits, test) = shear.intersect::<V>(block, t_max);
                     if hits != 0 {
                         let test = test.store();
                         while hits != 0 {
@@ -358,6 +385,7 @@ impl Bvh {
                             hits &= hits - 1;
                             let hit = test.hit(lane, block.references[lane], instance);
                             if hit.is_visible() {
+                                // opaque triangles end the segment, others dim the light
                                 if hit.flags & !CULL_BACK == 0 {
                                     return Vec3::ZERO;
                                 }
@@ -464,7 +492,8 @@ impl<V: Lanes> Slabs<V> {
             std::array::from_fn(|axis| SLAB_ROUNDING * (o[axis].abs() + extent) * inverse[axis].abs());
         let sign = |axis: usize| (inverse[axis].to_bits() >> 31) as usize;
         let near = [3 * sign(0) * WIDTH, (1 + 3 * sign(1)) * WIDTH, (2 + 3 * sign(2)) * WIDTH];
-        // written out: a closure would not have the instruction set, and the vector operations in it would become calls
+        // written out: a closure would not have the instruction set, and the vector operations in
+        // it would become calls
         unsafe {
             Self {
                 inverse: [V::splat(inverse[0]), V::splat(inverse[1]), V::splat(inverse[2])],
@@ -490,7 +519,8 @@ impl<V: Lanes> Slabs<V> {
         unsafe { V::from_array(eight(node.bounds.as_flattened(), row)).fused_mul_add(self.inverse[axis], shift) }
     }
 
-    /// Distances at which the ray enters eight boxes, and a bit per box that it enters before `t_max`.
+    /// Distances at which the ray enters eight boxes, and a bit per box that it enters before
+    /// `t_max`.
     #[inline(always)]
     unsafe fn enters(&self, node: &Node, t_max: f32) -> (V, u32) {
         unsafe {
@@ -544,7 +574,7 @@ impl Shear {
         }
     }
 
-    /// Whether a ray is longest along the same axis, in the same direction.
+    /// True if a ray is longest along the same axis, in the same direction.
     #[inline(always)]
     pub(super) fn has_axes_of(&self, ray: &Ray) -> bool {
         let direction = ray.direction.to_array();
@@ -553,9 +583,9 @@ impl Shear {
         z.abs() > x.abs().max(y.abs()) && (z < 0.0) == (self.shear[2] < 0.0)
     }
 
-    /// Tests eight triangles; a bit per triangle that is met at 0 < t < `t_max`.
+    /// Tests eight triangles; returns a bit per triangle that is hit at 0 < t < `t_max`.
     #[inline(always)]
-    pub(super) unsafe fn meets<V: Lanes>(&self, block: &Block, t_max: f32) -> (u32, Test<V>) {
+    pub(super) unsafe fn intersect<V: Lanes>(&self, block: &Block, t_max: f32) -> (u32, Test<V>) {
         unsafe {
             let origin = [V::splat(self.origin[0]), V::splat(self.origin[1]), V::splat(self.origin[2])];
             let shear = [V::splat(self.shear[0]), V::splat(self.shear[1]), V::splat(self.shear[2])];
@@ -586,12 +616,14 @@ impl Shear {
     }
 }
 
-/// A triangle per lane, in the space where the lane's ray starts at the origin and is the z axis; z is not scaled yet.
+/// A triangle per lane, in the space where the lane's ray starts at the origin and is the z axis; z
+/// is not scaled yet.
 ///
 /// Single rays and beams both test by these functions: their hits are the same to the bit.
 pub(super) struct Corners<V>(pub(super) [[V; 3]; 3]);
 
-/// A triangle per lane as seen along the lane's ray: twice the areas that the ray makes with each edge, and whether it passes inside.
+/// A triangle per lane as seen along the lane's ray: twice the areas that the ray makes with each
+/// edge, and whether it passes inside.
 pub(super) struct Edges<V: Lanes> {
     pub(super) u: V,
     pub(super) v: V,
@@ -628,7 +660,7 @@ impl<V: Lanes> Corners<V> {
         }
     }
 
-    /// Where the ray meets the triangle's plane; `along` scales z.
+    /// Distance t of the intersection with the triangle's plane; `along` scales z.
     #[inline(always)]
     pub(super) unsafe fn distance(&self, edges: &Edges<V>, along: V) -> V {
         unsafe {
@@ -657,17 +689,17 @@ impl<V: Lanes> Test<V> {
 impl Test<[f32; WIDTH]> {
     /// One triangle's numbers.
     #[inline(always)]
-    fn met(&self, lane: usize, reference: u32, instance: u32) -> Met {
-        Met { u: self.u[lane], v: self.v[lane], determinant: self.determinant[lane], reference, instance }
+    fn raw_hit(&self, lane: usize, reference: u32, instance: u32) -> RawHit {
+        RawHit { u: self.u[lane], v: self.v[lane], determinant: self.determinant[lane], reference, instance }
     }
 
     #[inline(always)]
     pub(super) fn hit(&self, lane: usize, reference: u32, instance: u32) -> Hit {
-        self.met(lane, reference, instance).hit(self.t[lane])
+        self.raw_hit(lane, reference, instance).hit(self.t[lane])
     }
 }
 
-impl Met {
+impl RawHit {
     #[inline(always)]
     fn hit(&self, t: f32) -> Hit {
         let scale = 1.0 / self.determinant;

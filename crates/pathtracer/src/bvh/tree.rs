@@ -11,17 +11,19 @@ pub(super) const WIDTH: usize = 8;
 pub(super) const LEAF: u32 = 1 << 31;
 /// Marks a child reference, together with [`LEAF`], as an instance.
 pub(super) const INSTANCE: u32 = 1 << 30;
-/// A child that does not exist. Its bounds are empty, so that no ray enters it. On a traversal's stack: the end of an instance.
+/// A child that does not exist. Its bounds are empty, so that no ray enters it. On a traversal's
+/// stack: the end of an instance.
 pub(super) const EMPTY: u32 = u32::MAX;
 /// Bits of a triangle reference that hold its index; the others are flags.
 pub(super) const INDEX_MASK: u32 = (1 << 29) - 1;
-/// The largest number of triangles, each counted once however often its mesh is placed, that references can hold.
+/// The largest number of triangles, each counted once however often its mesh is placed, that
+/// references can hold.
 pub(crate) const MAX_TRIANGLES: usize = INDEX_MASK as usize;
 /// The largest number of instances of shared trees.
 pub(crate) const MAX_INSTANCES: usize = INSTANCE as usize - 1;
 /// The triangle is invisible from behind.
 pub(crate) const CULL_BACK: u32 = 1 << 29;
-/// The triangle has an alpha that must be asked for.
+/// The triangle has an alpha that must be evaluated.
 pub(crate) const ALPHA: u32 = 1 << 30;
 /// Light passes through the triangle on its straight way, tinted.
 pub(crate) const TINT: u32 = 1 << 31;
@@ -41,7 +43,7 @@ impl Ray {
     pub(crate) const ANY: Self = Self { origin: Vec3::ZERO, direction: Vec3::Z, t_max: f32::INFINITY };
 }
 
-/// Where a ray meets a triangle.
+/// A ray's intersection with a triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Hit {
     pub(crate) t: f32,
@@ -50,15 +52,16 @@ pub(crate) struct Hit {
     pub(crate) instance: u32,
     /// Weights of the three vertices; their sum is 1.
     pub(crate) barycentric: [f32; 3],
-    /// Whether the triangle shows its front: winds counter-clockwise as seen from the origin.
+    /// True if the triangle shows its front: it winds counter-clockwise as seen from the origin.
     pub(crate) front: bool,
     /// The flags of the triangle.
     pub(crate) flags: u32,
 }
 
-/// What a tree is built over.
+/// Input of [`Bvh::new`](super::Bvh::new).
 pub(crate) struct Input<'a> {
-    /// Corners of all triangles: those of `loose` in render space, those of each range of `shared` in a space of its own.
+    /// Corners of all triangles: those of `loose` in render space, those of each range of `shared`
+    /// in a space of its own.
     pub(crate) triangles: &'a [[Vec3; 3]],
     /// [`CULL_BACK`], [`ALPHA`] and [`TINT`] of every triangle.
     pub(crate) flags: &'a [u32],
@@ -71,7 +74,7 @@ pub(crate) struct Input<'a> {
 pub(crate) struct Placement {
     /// Index into [`Input::shared`].
     pub(crate) shared: usize,
-    /// What [`Hit::instance`] says.
+    /// Value of [`Hit::instance`] for hits of this instance.
     pub(crate) id: u32,
     pub(crate) render_from_tree: Mat3,
     pub(crate) tree_from_render: Mat3,
@@ -101,8 +104,8 @@ pub(super) struct Node {
     pub(super) children: [u32; WIDTH],
 }
 
-/// Eight triangles, one per lane: `vertices[vertex][axis]`. Unused lanes are points, which no ray hits.
-/// Five cache lines.
+/// Eight triangles, one per lane: `vertices[vertex][axis]`. Unused lanes are points, which no ray
+/// hits. Five cache lines.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
 pub(super) struct Block {

@@ -1,7 +1,8 @@
 //! The filter of a few rows of one view.
 //!
-//! Neighbouring views are first brought into the view's own frame, pixel by pixel; then every window, in the view itself or in one of those, is a
-//! set of shifts of whole pictures. A shift's distances are maps, the patches' sums over them are boxes, and everything runs along rows.
+//! Neighbouring views are first resampled into the view's own frame, pixel by pixel. Then every
+//! window, in the view itself or in a neighbour, is a set of shifts of whole pictures. A shift's
+//! distances are maps, the patches' sums over them are boxes, and everything runs along rows.
 
 use std::ops::Range;
 
@@ -19,8 +20,8 @@ const PLANE_SCALE: f32 = 1.5;
 const ALBEDO_SCALE: f32 = 0.2;
 const GLOSS_SCALE: f32 = 0.2;
 const COVERED_SCALE: f32 = 0.2;
-/// Answers per pixel: colours and guides, with weights from the other half; guides alone; and colours and guides with weights from the half itself,
-/// which is only measured.
+/// Answers per pixel: colours and guides, with weights from the other half; guides alone; and
+/// colours and guides with weights from the half itself, which is only measured.
 pub(super) const ANSWERS: usize = 3;
 
 /// Filtered demodulated radiance of a band, per answer and half: `[row][col][rgb]`.
@@ -96,7 +97,8 @@ impl Block {
         Self { planes, width }
     }
 
-    /// Share of what a pixel shows that another view shows alike: all of it but mirrored light, whose lobe turns with the view by half the angle.
+    /// Share of a pixel's light that is the same in another view: all light except mirrored light,
+    /// whose lobe turns with the view by half the angle.
     fn steady(&self, slope: f32, height: usize, cols: usize, margin: usize) -> Vec<f32> {
         let mut steady = Vec::with_capacity(height * cols);
         for y in 0..height {
@@ -148,6 +150,7 @@ impl Scratch {
         sums: &mut [Sums; ANSWERS],
     ) {
         let (height, cols, width) = (self.height, self.cols, centre.width);
+        // colour distances of both halves, summed along rows of patches
         let wide = cols + 2 * PATCH;
         for y in 0..height + 2 * PATCH {
             let p = (y + margin - PATCH) * width + margin - PATCH;
@@ -175,6 +178,7 @@ impl Scratch {
         for y in 0..height {
             let p = (y + margin) * width + margin;
             let q = (p as isize + shift[0] * width as isize + shift[1]) as usize;
+            // weights from the guides, times the kernel of the patches' colour distances
             guide_row(centre, block, p, q, &steady[y * cols..][..cols], &mut self.guides);
             let range = y * cols..(y + 1) * cols;
             for half in 0..2 {
@@ -196,6 +200,7 @@ impl Scratch {
                     sum_g[x] += w * g[x];
                     sum_b[x] += w * b[x];
                 }
+                // the same weights on their own half, for the estimate of the error
                 let [own_r, own_g, own_b] = [0, 1, 2].map(|c| values(half, c));
                 let weights = &mut own_weights.weights[half][range.clone()];
                 let [sum_r, sum_g, sum_b] = &mut own_weights.values[half];
@@ -207,6 +212,7 @@ impl Scratch {
                     sum_g[x] += w * own_g[x];
                     sum_b[x] += w * own_b[x];
                 }
+                // the answer of the guides alone
                 let weights = &mut guides_alone.weights[other][range.clone()];
                 let [sum_r, sum_g, sum_b] = &mut guides_alone.values[other];
                 let [sum_r, sum_g, sum_b] = [sum_r, sum_g, sum_b].map(|sum| &mut sum[range.clone()]);
@@ -222,7 +228,8 @@ impl Scratch {
     }
 }
 
-/// Weights by the guides of a row of pixels that starts at `p` in one block and at `q` in the other.
+/// Weights by the guides of a row of pixels that starts at `p` in one block and at `q` in the
+/// other.
 fn guide_row(centre: &Block, block: &Block, p: usize, q: usize, steady: &[f32], weights: &mut [f32]) {
     let cols = weights.len();
     let here = |plane: usize| &centre.planes[plane][p..][..cols];
@@ -273,7 +280,8 @@ impl Sums {
                 .map(|i| {
                     let at = (i / cols + margin) * centre.width + margin + i % cols;
                     let weight = self.weights[half][i];
-                    // the sky is free of noise, and nothing else stands for a pixel without weight but itself
+                    // the sky is free of noise, and nothing else stands for a pixel without weight
+                    // but itself
                     let as_is = centre.planes[COVERED][at] <= 0.0 || weight <= 0.0;
                     [0, 1, 2].map(|c| {
                         if as_is { centre.planes[HALVES[half] + c][at] } else { self.values[half][c][i] / weight }

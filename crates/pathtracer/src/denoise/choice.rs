@@ -1,18 +1,21 @@
-//! Which of a pixel's answers is taken.
+//! The choice between a pixel's answers.
 
 use lumistack_core::Tensor;
 
 use super::band::{ANSWERS, Answers};
 use super::frame::{Frame, HALVES, VARIANCE, box_mean};
 
-/// Half the width of the square over which the errors of answers are averaged before they are compared.
+/// Half the width of the square over which the errors of answers are averaged before they are
+/// compared.
 const ERROR_RADIUS: usize = 4;
-/// Difference of errors, in variances of the noise, at which the better answer counts e times as much.
+/// Difference of errors, in variances of the noise, at which the better answer counts e times as
+/// much.
 const SOFTNESS: f32 = 0.03;
-/// What a pixel may become: filtered with colours, filtered by guides alone, as it was.
+/// Candidates for a pixel: filtered with colours, filtered by guides alone, as rendered.
 const CHOICES: usize = 3;
 
-/// Blends the answers by their estimated errors, which leave out the pixel itself: otherwise the choice would follow its noise.
+/// Blends the answers by their estimated errors, which leave out the pixel itself: otherwise the
+/// choice would follow its noise.
 pub(super) fn choose(frame: &Frame, bands: &[Answers]) -> Tensor<3> {
     let count = frame.rows * frame.cols;
     let halves =
@@ -33,10 +36,11 @@ pub(super) fn choose(frame: &Frame, bands: &[Answers]) -> Tensor<3> {
     picture
 }
 
-/// How much of every pixel each answer gives, by the estimated squared errors around it relative to the noise there.
+/// Share of each answer in every pixel, by the estimated squared errors around it relative to the
+/// noise there.
 ///
-/// (F_a − u_b)² holds the error of half of the samples and the noise of the other half, which all answers share; the second term takes off what the
-/// mean of both halves gains.
+/// (F_a − u_b)² holds the error of half of the samples and the noise of the other half, which all
+/// answers share. The second term subtracts the gain of the mean of both halves.
 fn shares(frame: &Frame, halves: &[Vec<[f32; 3]>; 2], answers: [&[Vec<[f32; 3]>; 2]; CHOICES]) -> Vec<[f32; CHOICES]> {
     let count = halves[0].len();
     let (rows, cols) = (frame.rows, frame.cols);

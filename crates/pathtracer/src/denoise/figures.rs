@@ -1,16 +1,19 @@
-//! What a filter did to a view, against pixels that it never saw.
+//! The effect of a filter on a view, measured at pixels that it never used.
 //!
-//! Errors are means of (F − c₁)(F − c₂) over the [checks](crate::Checks), whose noise is independent of the picture F and of each other: their
-//! expectation is the squared error itself, whatever the filter. The change of the mean, F minus the unbiased picture, is the filter's bias as a whole.
+//! Errors are means of (F − c₁)(F − c₂) over the [checks](crate::Checks). The checks' noise is
+//! independent of the picture F and of each other. So the expectation is the squared error itself,
+//! for any filter. The change of the mean, F minus the unbiased picture, is the filter's bias as a
+//! whole.
 
 use lumistack_core::Tensor;
 
 use crate::Checks;
 
-/// Edge of the blocks over which the change of the mean is spread, pixels: wide enough that noise in one says little of the next.
+/// Edge of the blocks over which the change of the mean is spread, pixels: wide enough that noise
+/// in one says little of the next.
 const BLOCK: usize = 16;
 
-/// A mean with what its standard error needs.
+/// A mean with the sums for its standard error.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Estimate {
     sum: f64,
@@ -18,7 +21,7 @@ pub struct Estimate {
     count: f64,
 }
 
-/// What the filter did to one view, in scene-linear radiance, all channels together.
+/// The effect of the filter on one view, in scene-linear radiance, all channels together.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ViewFigures {
     /// Mean of the unbiased picture.
@@ -49,7 +52,7 @@ impl Estimate {
         if self.count < 2.0 { f64::NAN } else { (variance / (self.count - 1.0)).sqrt() }
     }
 
-    /// That of all values of several.
+    /// Estimate from all values of several estimates.
     pub fn joined(parts: impl IntoIterator<Item = Self>) -> Self {
         parts.into_iter().fold(Self::default(), |a, b| Self {
             sum: a.sum + b.sum,
@@ -58,7 +61,7 @@ impl Estimate {
         })
     }
 
-    /// That of all values times a factor.
+    /// Estimate of all values times a factor.
     #[must_use]
     pub fn scaled(self, factor: f64) -> Self {
         Self { sum: factor * self.sum, squares: factor * factor * self.squares, ..self }
@@ -69,16 +72,18 @@ impl Estimate {
         [self.sum, self.squares, self.count]
     }
 
-    /// From what [`parts`](Self::parts) gave.
+    /// The inverse of [`parts`](Self::parts).
     pub fn from_parts([sum, squares, count]: [f64; 3]) -> Self {
         Self { sum, squares, count }
     }
 }
 
-/// Compares a filtered view with the unbiased one that it was made from and with its checks, all `[row][col][rgb]`.
+/// Compares a filtered view with the unbiased one that it was made from and with its checks, all
+/// `[row][col][rgb]`.
 pub fn figures(filtered: &Tensor<3>, unbiased: &Tensor<3>, checks: &Checks) -> ViewFigures {
     let [rows, cols, _] = unbiased.shape();
     let mut figures = ViewFigures::default();
+    // the change of the mean, block by block
     for top in (0..rows).step_by(BLOCK) {
         for left in (0..cols).step_by(BLOCK) {
             let (mut sum, mut count) = (0.0, 0.0);
@@ -95,6 +100,7 @@ pub fn figures(filtered: &Tensor<3>, unbiased: &Tensor<3>, checks: &Checks) -> V
         }
     }
     figures.mean /= unbiased.data().len().max(1) as f64;
+    // squared errors at the checks, before and after the filter
     for check in &checks.list {
         let squared = |picture: &Tensor<3>| {
             let pixel = picture.block([check.row, check.col]);

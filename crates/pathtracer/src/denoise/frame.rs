@@ -7,7 +7,8 @@ use super::view::NoisyView;
 
 /// Least reflectance that radiance is divided by: darker surfaces keep their own contrast.
 const LEAST_ALBEDO: f32 = 0.02;
-/// Half the width of the square over which the variance of a pixel is averaged. One pixel's two halves alone say almost nothing.
+/// Half the width of the square over which the variance of a pixel is averaged. One pixel's two
+/// halves alone say almost nothing.
 const VARIANCE_RADIUS: usize = 2;
 
 /// Number of planes in [`Frame::planes`].
@@ -31,7 +32,7 @@ pub(super) struct Frame {
     pub(super) rows: usize,
     pub(super) cols: usize,
     planes: [Vec<f32>; PLANES],
-    /// What radiance was divided by.
+    /// The divisor of the radiance (demodulation).
     pub(super) modulation: Vec<[f32; 3]>,
     /// Slopes of the view at the centre of the field.
     slope: DVec2,
@@ -51,6 +52,8 @@ impl Frame {
             for col in 0..cols {
                 let i = row * cols + col;
                 let feature = source.features.at(row, col);
+                // demodulation: divide both halves by the albedo, or by 1 where the environment
+                // shows
                 let shown = feature.covered * feature.albedo + Vec3::splat(1.0 - feature.covered);
                 let factor = shown.max(Vec3::splat(LEAST_ALBEDO)).to_array();
                 for (half, first) in source.halves.iter().zip(HALVES) {
@@ -58,6 +61,7 @@ impl Frame {
                     (0..3).for_each(|c| planes[first + c][i] = pixel[c] / factor[c]);
                 }
                 modulation.push(factor);
+                // the place of the pixel's surface in display space, in pixels
                 let point = [geometry.x_mm(col), geometry.y_mm(row)];
                 let slope = grid.slope_at(view, point);
                 let z = f64::from(feature.z_mm);
@@ -96,7 +100,8 @@ impl Frame {
         (self.slope - other.slope).length() as f32
     }
 
-    /// Number of the pixel of `other` that shows what pixel (row, col) shows; `None` where that is nothing or out of the picture.
+    /// Index of the pixel of `other` that shows the surface of pixel (row, col). `None` if this
+    /// pixel has no surface, or if the place is outside of the picture.
     pub(super) fn seen_in(&self, other: &Self, row: usize, col: usize) -> Option<usize> {
         let i = row * self.cols + col;
         if self.planes[COVERED][i] <= 0.0 {

@@ -1,23 +1,41 @@
-//! A filter for noisy views, guided by what they show, over all views of a light field together. It trades noise for bias.
+//! A filter for noisy views, guided by their surfaces, over all views of a light field together. It
+//! trades noise for bias.
 //!
 //! ```text
-//! u = L / albedo                                                                    (textures stay out of it)
-//! F_a(p) = Σ_q w_b(p, q) u_a(q) / Σ_q w_b(p, q),   F_b the other way round,   L' = albedo (F_a + F_b) / 2
-//! w(p, q) = k(colour distance of patches) · k(distance of guides) · (share of light that does not depend on the view)
+//! u = L / albedo                                           (textures stay out of it)
+//! F_a(p) = Σ_q w_b(p, q) u_a(q) / Σ_q w_b(p, q)
+//! F_b(p) = the same with a and b exchanged
+//! L' = albedo (F_a + F_b) / 2
+//! w(p, q) = k(colour distance of patches) · k(distance of guides)
+//!         · (share of light that does not depend on the view)
 //! ```
 //!
-//! a and b are two renders of half of the samples each. The weights of one come from the other, so that they know nothing of the noise that
-//! they average. q runs over a window around p in p's own view, and over small windows in neighbouring views around the place where p's surface
-//! point appears there: a point at depth Z that view s sees at x stands at x + (s − s')·Z in view s' (a line in an epipolar picture). Views thus share
-//! their samples, and agree with one another about what is left of the noise.
+//! a and b are two renders of half of the samples each. The weights of one come from the other, so
+//! that they are independent of the noise that they average.
 //!
-//! Three answers are kept for every pixel (as rendered, guides and colours, guides alone) and weighed by their squared errors, which the halves
-//! tell without bias where the weights of F_a come from a itself: E[(F_a − u_b)²] = E[(F_a − truth)²] + Var(u_b), as F_a and u_b are independent. Such
-//! answers are computed beside those with crossed weights for this purpose alone. Their errors are not those of the result: those are measured
-//! against [pixels that the filter never saw](crate::Checks).
+//! q runs over a window around p in p's own view. It also runs over small windows in neighbouring
+//! views, around the place where p's surface point appears there. A point at depth Z that view s
+//! sees at x stands at x + (s − s')·Z in view s' (a line in an epipolar picture). Views thus share
+//! their samples, and the rest of the noise is alike in all of them.
 //!
-//! Sources: Rousselle, Manzi, Zwicker 2013, "Robust Denoising using Feature and Color Information" (distances, two half buffers); Bitterli et al. 2016,
-//! "Nonlinearly Weighted First-order Regression for Denoising Monte Carlo Renderings" (demodulation, estimates by halves).
+//! Three answers are kept for every pixel: as rendered, guides and colours, guides alone. They are
+//! weighted by their squared errors. The halves estimate these without bias where the weights of
+//! F_a come from a itself, since then F_a and u_b are independent:
+//!
+//! ```text
+//! E[(F_a − u_b)²] = E[(F_a − truth)²] + Var(u_b)
+//! ```
+//!
+//! Such answers are computed beside those with crossed weights for this purpose alone. Their errors
+//! are not those of the result: those are measured against [pixels that the filter never
+//! used](crate::Checks).
+//!
+//! Sources:
+//!
+//! * Rousselle, Manzi, Zwicker 2013, "Robust Denoising using Feature and Color Information":
+//!   distances, two half buffers.
+//! * Bitterli et al. 2016, "Nonlinearly Weighted First-order Regression for Denoising Monte Carlo
+//!   Renderings": demodulation, estimates by halves.
 
 mod band;
 mod choice;

@@ -1,17 +1,21 @@
-//! Light that does not depend on the view, averaged over all views that see the point it comes from.
+//! Light that does not depend on the view, averaged over all views that see the point it comes
+//! from.
 //!
 //! ```text
-//! E = D / ρ_d                                     of the first surface (see SplitView): the same for every view that sees the point
-//! E'(v, p) = Σ_u w E(u, p_u) / Σ_u w              over the views u of a row, then over those of a column
+//! E = D / ρ_d                            of the first surface (see SplitView): view-independent
+//! E'(v, p) = Σ_u w E(u, p_u) / Σ_u w     over the views u of a row, then over those of a column
 //! L' = G + ρ_d E'
 //! ```
 //!
-//! p_u is where view u sees the point of p: a point at depth z moves by (s − s')·z from view to view. w is 1 where u sees the same surface there, told by the
-//! distance of its point from the plane of p's, and falls to 0 where it is another. Nothing is averaged over pixels, so shadows and textures stay as sharp as a
-//! pixel's rounding leaves them: E is taken at the pixel nearest to p_u. What mirrors show, G, stays as it was rendered.
+//! p_u is the place where view u sees the point of p: a point at depth z moves by (s − s')·z from
+//! view to view. The weight w is 1 where u sees the same surface there, and falls to 0 where it
+//! sees another. The distance of u's point from the plane of p's point decides. Nothing is averaged
+//! over pixels, so shadows and textures stay sharp up to a pixel's rounding: E is read at the pixel
+//! nearest to p_u. The mirrored light G stays as rendered.
 //!
-//! So a point that hundreds of views see has the samples of all of them, for the price of one shift and one comparison each. Sharing over rows and columns
-//! one after another takes as many steps as there are rows and columns; in one pass over all views it would take their product.
+//! So a point that hundreds of views see has the samples of all of them, for the price of one shift
+//! and one comparison each. Sharing over rows and columns one after another takes as many steps as
+//! there are rows and columns; in one pass over all views it would take their product.
 
 use glam::{DVec2, Vec3};
 use lumistack_core::{Cancelled, Task, Tensor};
@@ -21,14 +25,15 @@ use rayon::prelude::*;
 
 use crate::SplitView;
 
-/// Distance of a point from the plane of another, in pixels, at which its weight has fallen to about a third.
+/// Distance of a point from the plane of another, in pixels, at which its weight has fallen to
+/// about a third.
 const PLANE_SCALE: f32 = 0.75;
 /// Cosine between normals at which surfaces count as different.
 const LEAST_COSINE: f32 = 0.8;
 /// Least reflectance that radiance is divided by: light of darker surfaces is too noisy for others.
 const LEAST_REFLECTANCE: f32 = 0.02;
 
-/// What the filter needs of a pixel: 20 bytes, since it needs the pixels of all views.
+/// Data of a pixel for the filter: 20 bytes, since it needs the pixels of all views.
 #[derive(Clone, Copy)]
 struct Point {
     /// E of its own samples.
@@ -36,7 +41,7 @@ struct Point {
     z_mm: f32,
     /// In 127ths.
     normal: [i8; 3],
-    /// Whether it scatters light by Lambert's law.
+    /// True if it scatters light by Lambert's law.
     is_lit: bool,
 }
 
@@ -50,7 +55,7 @@ pub struct SharedLight<'a> {
 pub struct ViewLight(Vec<[f32; 3]>);
 
 impl<'a> SharedLight<'a> {
-    /// Of no views yet.
+    /// Starts without any view.
     pub fn new(geometry: &'a FieldGeometry) -> Self {
         Self { geometry, points: Vec::new() }
     }
@@ -147,10 +152,12 @@ fn of_view(geometry: &FieldGeometry, points: &[Vec<Point>], index: usize, partne
     let (mut sums, mut weights) = (vec![Vec3::ZERO; cols], vec![0.0f32; cols]);
     for row in 0..rows {
         let line = &own[row * cols..][..cols];
+        // begin with the view's own light
         for ((sum, weight), point) in sums.iter_mut().zip(&mut weights).zip(line) {
             (*sum, *weight) = (Vec3::from_array(point.light), 1.0);
         }
         for &other in partners.iter().filter(|other| **other != index) {
+            // add the light of every other view that sees the same point
             let turn = (slope_of(index) - slope_of(other)) / pitch;
             let (turn_x, turn_y) = (turn.x as f32, turn.y as f32);
             let seen = &points[other];
@@ -173,7 +180,8 @@ fn of_view(geometry: &FieldGeometry, points: &[Vec<Point>], index: usize, partne
                 if !there.is_lit || normal.dot(there.normal()) < LEAST_COSINE {
                     continue;
                 }
-                // both points on the ray of p but for a pixel's rounding: what parts them is depth
+                // both points lie on the ray of p up to a pixel's rounding, so they differ in depth
+                // alone
                 let off = normal.z * (there.z_mm - point.z_mm) / pitch as f32;
                 let nearness = (1.0 - off * off * (0.25 / (PLANE_SCALE * PLANE_SCALE))).max(0.0);
                 let weight = (nearness * nearness) * (nearness * nearness);

@@ -25,8 +25,9 @@ fn geometry(views: [usize; 2], projection: Projection) -> FieldGeometry {
     }
 }
 
-/// A flat wall parallel to the display; `shade` is its radiance at a point (x, y) of it in millimetres, before noise of standard deviation `noise` per
-/// half. Returns the views and the truth.
+/// A flat wall parallel to the display; `shade` is its radiance at a point (x, y) of it in
+/// millimetres, before noise of standard deviation `noise` per half. Returns the views and the
+/// truth.
 fn wall(
     geometry: &FieldGeometry,
     shade: impl Fn(f64, f64) -> f64,
@@ -109,7 +110,8 @@ fn noise_goes_and_checks_tell_how_much_is_left() {
             after += squared_error(picture, truth) / truths.len() as f64;
         }
         let before = Estimate::joined(told.iter().map(|f| f.mse_before));
-        // the mean of two halves of variance 0.04; four standard errors: a false alarm in one of 16,000
+        // the mean of two halves of variance 0.04; four standard errors: a false alarm in one of
+        // 16,000
         assert!((before.value() - 0.02).abs() < 4.0 * before.error() && before.error() < 0.001, "{before:?}");
         assert!(after < 0.1 * 0.02, "{after}");
         let estimate = Estimate::joined(told.iter().map(|f| f.mse_after));

@@ -9,7 +9,8 @@ use crate::Features;
 pub struct Window {
     /// Pixels on either side in the view itself. Default 5.
     pub radius: usize,
-    /// Views on either side, along both axes of the grid; 0 filters every view for itself. Default 2.
+    /// Views on either side, along both axes of the grid; 0 filters every view for itself. Default
+    /// 2.
     pub views: usize,
     /// Pixels on either side in those views. Default 1.
     pub radius_in_views: usize,
@@ -26,7 +27,7 @@ impl Default for Window {
 pub struct NoisyView {
     /// Radiance `[row][col][rgb]` from half of the samples each, with seeds of their own.
     pub halves: [Tensor<3>; 2],
-    /// What the view shows.
+    /// Guides of the view's first surfaces.
     pub features: Features,
 }
 

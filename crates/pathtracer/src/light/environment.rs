@@ -1,11 +1,14 @@
-//! Light from infinity: an equirectangular map, bilinear, sampled by its magnitude (the length of its colour).
+//! Light from infinity: an equirectangular map, bilinear, sampled by its magnitude (the length of
+//! its colour).
 //!
-//! The map is covered by a grid of cells with constant density in (u, v); a cell's weight is the integral over it of bilinear
-//! magnitude times sin θ. Large maps share a cell between several texels, small ones split their texels, so that the grid is
-//! neither huge nor so coarse that sin θ varies much inside a cell.
+//! The map is covered by a grid of cells with constant density in (u, v). A cell's weight is the
+//! integral over it of bilinear magnitude times sin θ. Large maps share a cell between several
+//! texels, small ones split their texels. So the grid is never huge, and sin θ varies little inside
+//! a cell.
 //!
-//! Only what is brighter than the mean is sampled ("MIS compensation", Karlík et al. 2019): scattered rays find the rest as well or
-//! better, and the heuristic would take most of such samples away again. A sky of one radiance is thus never sampled here.
+//! Only radiance above the mean is sampled ("MIS compensation", Karlík et al. 2019). Scattered rays
+//! find the rest as well or better, and the heuristic would weight most of such samples down. A sky
+//! of one radiance is thus never sampled here.
 
 use std::f32::consts::PI;
 use std::sync::Arc;
@@ -58,7 +61,7 @@ impl EnvironmentLight {
         if whole.constant.is_some() { Some(whole) } else { Self::above(scene, mean).or(Some(whole)) }
     }
 
-    /// Samples what is brighter than a magnitude.
+    /// Prepares sampling of the radiance above a magnitude.
     fn above(scene: &Arc<Scene>, floor: f32) -> Option<Self> {
         let environment = scene.environment?;
         let image = &scene.images[environment.image];
@@ -77,11 +80,13 @@ impl EnvironmentLight {
             sampled_magnitude: 0.0,
             constant: None,
         };
+        // a sky of one radiance is found by scattering, and needs no sampling
         let Pixels::RgbF32(texels) = &image.pixels else { return None };
         if texels.iter().all(|texel| texel == &texels[0]) {
             this.constant = Some(environment.strength * Vec3::from_array(texels[0]));
             return (this.constant != Some(Vec3::ZERO)).then_some(this);
         }
+        // choose a row of cells by its sum, then a cell of the row
         let mut row_weights = Vec::with_capacity(rows.count());
         for row in 0..rows.count() {
             let weights: Vec<f64> = (0..columns.count()).map(|column| this.cell_weight(row, column)).collect();
@@ -94,12 +99,14 @@ impl EnvironmentLight {
         Some(this)
     }
 
-    /// Mean magnitude of what [`sample`](Self::sample) looks for; 0 for a sky of one radiance.
+    /// Mean magnitude of the radiance that [`sample`](Self::sample) draws from; 0 for a sky of one
+    /// radiance.
     pub(crate) fn sampled_magnitude(&self) -> f32 {
         self.sampled_magnitude
     }
 
-    /// Radiance from a direction, and the density per solid angle with which [`sample`](Self::sample) finds it.
+    /// Radiance from a direction, and the density per solid angle with which
+    /// [`sample`](Self::sample) finds it.
     pub(crate) fn evaluate(&self, direction: Vec3) -> (Vec3, f32) {
         if let Some(radiance) = self.constant {
             return (radiance, 0.0);
@@ -142,7 +149,8 @@ impl EnvironmentLight {
         let mut sum = 0.0;
         let ((u0, u1), (v0, v1)) = (self.columns.range(column), self.rows.range(row));
         let (across, down) = (self.columns.joined, self.rows.joined);
-        // corner points of texel-sized parts; the outermost points count half, since neighbours share them
+        // corner points of texel-sized parts; the outermost points count half, since neighbours
+        // share them
         for j in 0..=2 * down {
             let v = v0 + (v1 - v0) * j as f32 / (2 * down) as f32;
             let mut line = 0.0;
@@ -243,7 +251,7 @@ mod tests {
         for (yaw, up, expected) in [(45.0, 45.0, 2.0), (-45.0, 45.0, 1.0), (135.0, 45.0, 3.0), (45.0, -45.0, 6.0)] {
             assert!((sky.evaluate(direction(yaw, up)).0.x - expected).abs() < 1e-4, "{yaw} {up}");
         }
-        // turned a quarter to the left around y: what was at −z is now at −x
+        // turned a quarter to the left around y: −z moves to −x
         let turned = light(4, 2, Quat::from_rotation_y(std::f32::consts::FRAC_PI_2), |x, y| (4 * y + x) as f32);
         assert!((turned.evaluate(direction(45.0 - 90.0, 45.0)).0.x - 2.0).abs() < 1e-4);
     }

@@ -1,5 +1,6 @@
-//! Everything that emits: triangles, the environment, punctual lights. Whether a light is local or shines from infinity is chosen with a
-//! chance that follows power; which local one, by a tree that knows what each may send to the point that is lit ([`tree`]).
+//! All light sources: triangles, the environment, punctual lights. A sample first chooses among all
+//! local lights and each light from infinity, with chances in proportion to power. A tree chooses
+//! among local lights, by a bound of the light that each may send to the receiver ([`tree`]).
 
 mod environment;
 mod punctual;
@@ -22,14 +23,15 @@ use crate::distribution::Distribution;
 use crate::geometry::{Geometry, SurfacePoint};
 use crate::shading::Materials;
 
-/// Part of the choice that is shared equally between the kinds of light that exist, so that a kind of little power that shines
-/// from close by is not starved.
+/// Part of the choice that is shared equally between the kinds of light that exist, so that a kind
+/// of little power that shines from close by is not starved.
 const EQUAL_SHARE: f64 = 0.3;
 /// Points per triangle at which a textured emission is looked at to estimate its power, per edge.
 const POWER_POINTS: usize = 6;
 /// Step between the random numbers that choose a light.
 const DIGIT: f32 = 1.0 / (1u32 << 24) as f32;
-/// Share of its size by which a parallelogram may differ from one, about the rounding of its corners.
+/// Share of its size by which a parallelogram may differ from one, about the rounding of its
+/// corners.
 const PARALLELOGRAM_TOLERANCE: f32 = 1e-6;
 /// Powers of two of [`Parts`] that a choice of lights is made for, more count as the last.
 const PART_POWERS: u32 = 13;
@@ -47,23 +49,23 @@ pub(crate) struct Lights {
     directional: Vec<PunctualLight>,
     /// Over triangles, then points and spots.
     tree: Option<LightTree>,
-    /// Over the tree ([`LOCAL`]), then directional lights, then the environment, rounded to whole parts: one for each power of two of parts; empty in
-    /// the dark.
+    /// Over the tree ([`LOCAL`]), then directional lights, then the environment, rounded to whole
+    /// parts: one for each power of two of parts; empty in the dark.
     choices: Vec<Distribution>,
 }
 
 /// Index of the tree in the choice.
 const LOCAL: usize = 0;
 
-/// A triangle, or two that make a parallelogram of one radiance: lamps mostly are, and one light is quicker to choose and better
-/// stratified than two.
+/// A triangle, or two that make a parallelogram of one radiance: lamps mostly are, and one light is
+/// quicker to choose and better stratified than two.
 struct TriangleLight {
     triangle: u32,
     /// The other half.
     partner: Option<u32>,
     area: f32,
     double_sided: bool,
-    /// Of the triangle, or a corner of the parallelogram and its two neighbours.
+    /// Corners of the triangle, or a corner of the parallelogram and its two neighbours.
     corners: [Vec3; 3],
     normal: Vec3,
     offset: f32,
@@ -73,6 +75,7 @@ struct TriangleLight {
 
 impl Lights {
     pub(crate) fn new(scene: &Arc<Scene>, geometry: &Geometry, materials: &Materials) -> Self {
+        // emitting triangles, and the way back from a hit triangle to its light
         let (triangles, mut emitters) = emitting_triangles(geometry, materials);
         let mut light_of_triangle = Vec::new();
         if !triangles.is_empty() {
@@ -83,6 +86,7 @@ impl Lights {
                 }
             }
         }
+        // punctual lights: local ones join the tree, distant ones are chosen by themselves
         let radius = geometry.space.radius;
         let mut local_power: f64 = emitters.iter().map(|light| f64::from(light.strength * light.sides() * PI)).sum();
         let (mut points, mut directional, mut directional_powers) = (Vec::new(), Vec::new(), Vec::new());
@@ -101,6 +105,8 @@ impl Lights {
                 Some(_) => {}
             }
         }
+        // chances in proportion to power: all local lights together, each distant one, the
+        // environment
         let tree = LightTree::new(&emitters);
         let environment = EnvironmentLight::new(scene);
         let environment_power =
@@ -111,17 +117,18 @@ impl Lights {
         Self { triangles, light_of_triangle, environment, points, directional, tree, choices }
     }
 
-    /// Whether nothing emits.
+    /// True if nothing emits.
     pub(crate) fn is_dark(&self) -> bool {
         self.choices.is_empty() && self.environment.is_none()
     }
 
-    /// Whether [`sample`](Self::sample) ever finds anything.
+    /// True if [`sample`](Self::sample) can return a light.
     pub(crate) fn can_be_sampled(&self) -> bool {
         !self.choices.is_empty()
     }
 
-    /// Radiance from infinity, and the density with which [`sample`](Self::sample) finds its direction.
+    /// Radiance from infinity, and the density with which [`sample`](Self::sample) finds its
+    /// direction.
     pub(crate) fn infinite(&self, direction: Vec3, parts: Parts) -> (Vec3, f32) {
         let Some(environment) = &self.environment else { return (Vec3::ZERO, 0.0) };
         let chance = self.chance(1 + self.directional.len(), parts);
@@ -129,14 +136,14 @@ impl Lights {
         (radiance, chance * pdf)
     }
 
-    /// Whether the choice of a point light or spot depends on the receiver's horizon.
+    /// True if the choice of a point light or spot depends on the receiver's horizon.
     #[inline]
     pub(crate) fn has_horizon(&self) -> bool {
         !self.points.is_empty()
     }
 
-    /// Density per solid angle with which [`sample`](Self::sample) for this receiver finds a point on a triangle, `distance` away and seen
-    /// under this cosine.
+    /// Density per solid angle with which [`sample`](Self::sample) for this receiver finds a point
+    /// on a triangle, `distance` away and seen under this cosine.
     pub(crate) fn triangle_pdf(
         &self,
         triangle: u32,
@@ -156,9 +163,10 @@ impl Lights {
         }
     }
 
-    /// Chooses a light and a point of it, as seen by the receiver. The first number of `u` also chooses the light and is stretched over
-    /// the light's share, which leaves each light a stratified set of its own; `u_fine` adds the digits that this costs it. Of the first numbers of a
-    /// pixel one lies in each of so many `parts` of [0, 1).
+    /// Chooses a light and a point of it, as seen by the receiver. The first number of `u` also
+    /// chooses the light and is stretched over the light's share, so that each light keeps a
+    /// stratified set. `u_fine` adds the digits that this costs. Among the first numbers of a
+    /// pixel's samples, one lies in each of so many `parts` of [0, 1).
     pub(crate) fn sample(
         &self,
         geometry: &Geometry,
@@ -168,6 +176,7 @@ impl Lights {
         u_fine: f32,
         parts: Parts,
     ) -> Option<LightSample> {
+        // choose between the local lights and each light from infinity
         let choice = self.choice(parts)?;
         // mostly there is nothing to choose
         let only_local = choice.probability(LOCAL) == 1.0;
@@ -175,6 +184,7 @@ impl Lights {
         let chance = choice.probability(index);
         let inside = f64::from(inside) + f64::from(u_fine * DIGIT / chance);
         let single = |inside: f64| (inside as f32).min(1.0 - f32::EPSILON);
+        // choose a local light by the tree, and a point of it
         if index == LOCAL {
             let inside = inside.min(1.0 - f64::EPSILON);
             let (light, tree_chance, inside) = self.tree.as_ref()?.sample(receiver, inside, parts_of(chance, parts))?;
@@ -244,7 +254,8 @@ impl TriangleLight {
 }
 
 impl TriangleLight {
-    /// This triangle and the one before it as one light, where they are the halves of a parallelogram and shine alike.
+    /// This triangle and the one before it as one light, where they are the halves of a
+    /// parallelogram and shine alike.
     fn joined(&self, before: &Self, geometry: &Geometry) -> Option<Self> {
         let alike = before.partner.is_none()
             && before.triangle + 1 == self.triangle
@@ -274,7 +285,8 @@ impl TriangleLight {
     }
 }
 
-/// Uniform over a triangle, with little distortion (Heitz 2019, "A low-distortion map between triangle and square").
+/// Uniform over a triangle, with little distortion (Heitz 2019, "A low-distortion map between
+/// triangle and square").
 fn uniform_barycentric([mut x, mut y]: [f32; 2]) -> [f32; 3] {
     if y > x {
         x *= 0.5;
@@ -303,6 +315,7 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
         let index = geometry.material_index(triangle);
         let at = |k: usize| (k as f32 + 0.5) / POWER_POINTS as f32;
         let centre = geometry.point(triangle, [1.0 / 3.0; 3]);
+        // mean radiance, from points over the triangle where it varies
         let varies = material.textures().next().is_some() || material.clearcoat.is_some() || centre.is_colored();
         let uniform = (!varies).then(|| emitted(materials, index, &centre, 1.0));
         let mean = match uniform {
@@ -317,8 +330,9 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
         };
         let area = geometry.area(triangle);
         let strength = area * magnitude(mean);
-        // what light sampling cannot choose is still found by scattering
+        // scattering still finds light that cannot be sampled
         if strength > 0.0 && strength.is_finite() && area.is_normal() {
+            // two halves of a parallelogram become one light
             let corners @ [a, b, c] = geometry.corners(triangle);
             let light = TriangleLight {
                 triangle,
@@ -354,7 +368,8 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
     (lights, emitters)
 }
 
-/// Weights for the choice of a light: by power, mixed with an equal share for each kind that exists.
+/// Weights for the choice of a light: by power, mixed with an equal share for each kind that
+/// exists.
 fn share(kinds: &[Vec<f64>; 3]) -> Vec<f64> {
     let sums = kinds.each_ref().map(|powers| powers.iter().sum::<f64>());
     let total: f64 = sums.iter().sum();
@@ -371,8 +386,8 @@ fn parts_of(chance: f32, parts: Parts) -> Parts {
     (chance * parts as f32 + 0.5) as Parts
 }
 
-/// Weights as chances that are whole numbers of parts, but for those of less than half a part, which the greatest makes room for. Without effect where
-/// too little is left of it.
+/// Weights as chances that are whole numbers of parts, but for those of less than half a part,
+/// which the greatest makes room for. Without effect where too little is left of it.
 fn in_whole_parts(weights: &[f64], parts: Parts) -> Vec<f64> {
     let (sum, parts) = (weights.iter().sum::<f64>(), f64::from(parts));
     if !(sum > 0.0 && sum.is_finite()) {
@@ -401,7 +416,8 @@ mod tests {
 
     use crate::geometry::Sharing;
 
-    /// Emitting meshes: a one-sided rectangle, a triangle, a two-sided kite, a sheared parallelogram.
+    /// Emitting meshes: a one-sided rectangle, a triangle, a two-sided kite, a sheared
+    /// parallelogram.
     fn lit_scene() -> Arc<Scene> {
         let mesh = |corners: &[[f32; 3]], triangles: &[[u32; 3]], material: usize| Mesh {
             positions: corners.iter().map(|&corner| Vec3::from_array(corner)).collect(),
@@ -434,8 +450,9 @@ mod tests {
     /// Cells of a triangle: congruent parts by whole numbers of its weights.
     const PARTS: usize = 4;
 
-    /// Points of lights fall where the density says: chi-square over small parts of every triangle. Scattered rays that hit a light weigh themselves
-    /// against the same density. Four receivers, each with [`FALSE_ALARM_RATE`].
+    /// Points of lights fall where the density says: chi-square over small parts of every triangle.
+    /// Scattered rays that hit a light weigh themselves against the same density. Four receivers,
+    /// each with [`FALSE_ALARM_RATE`].
     #[test]
     fn points_of_lights_follow_their_density() {
         let scene = lit_scene();
@@ -498,8 +515,9 @@ mod tests {
                             return None;
                         }
                         let t = normal.dot(a - receiver.position) / normal.dot(sample.direction);
-                        let met = receiver.position + t * sample.direction;
-                        let weight = |p: Vec3, q: Vec3| (p - met).cross(q - met).dot(normal) / normal.length_squared();
+                        let point = receiver.position + t * sample.direction;
+                        let weight =
+                            |p: Vec3, q: Vec3| (p - point).cross(q - point).dot(normal) / normal.length_squared();
                         let weights = [weight(b, c), weight(c, a), weight(a, b)];
                         let whole = weights.map(|weight| (weight * PARTS as f32).floor());
                         weights.iter().all(|&weight| weight > 0.0).then(|| {
@@ -514,7 +532,8 @@ mod tests {
         }
     }
 
-    /// Red, green and blue light of one strength is chosen alike, and white light by the length of its colour more often.
+    /// Red, green and blue light of one strength is chosen alike, and white light by the length of
+    /// its colour more often.
     #[test]
     fn no_colour_is_starved() {
         let mut parts = Arc::try_unwrap(lit_scene()).ok().unwrap().into_parts();

@@ -1,6 +1,9 @@
-//! Lights without a surface (`KHR_lights_punctual`): intensity over distance squared, spots with the extension's smooth cone; and discs of the
-//! sky: a cone of half angle θ with the irradiance E has the radiance E / (π sin²θ), so a direction drawn evenly from its solid angle
-//! 2π (1 − cos θ) weighs 2 E / (1 + cos θ). Scattered rays never find any of them.
+//! Lights without a surface (`KHR_lights_punctual`): intensity over distance squared, spots with
+//! the extension's smooth cone.
+//!
+//! Distant lights are discs of the sky: a cone of half angle θ with the irradiance E has the
+//! radiance E / (π sin²θ). A direction drawn evenly from its solid angle 2π (1 − cos θ) thus has
+//! the weight 2 E / (1 + cos θ). Scattered rays never find any of these lights.
 
 use std::f64::consts::PI;
 
@@ -15,7 +18,8 @@ use crate::math::sin_cos_turns;
 /// Smallest difference of the cosines of a spot's cones, from the extension's formula.
 const LEAST_CONE_DIFFERENCE: f32 = 1e-3;
 
-/// The light tree takes the cone of a spot for so much wider than it is, against rounding at its edge.
+/// The light tree takes the cone of a spot for so much wider than it is, against rounding at its
+/// edge.
 const SPOT_MARGIN_RAD: f32 = 0.05;
 
 /// A punctual light in render space.
@@ -51,7 +55,7 @@ impl PunctualLight {
         }
     }
 
-    /// What the light tree knows of it; `None` for light from infinity.
+    /// The light's entry in the light tree; `None` for light from infinity.
     pub(crate) fn emitter(&self) -> Option<Emitter> {
         let strength = magnitude(self.intensity);
         let (normal_angle, falloff_angle) = match self.kind {
@@ -71,13 +75,15 @@ impl PunctualLight {
         })
     }
 
-    /// The light as a sample, chosen with this chance; `u` chooses a direction where there are several.
+    /// The light as a sample, chosen with this chance; `u` chooses a direction where there are
+    /// several.
     pub(crate) fn light_sample(&self, from: Vec3, chance: f32, u: [f32; 2]) -> Option<LightSample> {
         let (direction, end, intensity) = self.sample(from, u)?;
         Some(LightSample { direction, end, weight: intensity / chance, inverse_pdf: 0.0 })
     }
 
-    /// Direction to the light, its place (`None` at infinity), and the irradiance it gives to a surface that faces it.
+    /// Direction to the light, its place (`None` at infinity), and the irradiance it gives to a
+    /// surface that faces it.
     fn sample(&self, from: Vec3, u: [f32; 2]) -> Option<(Vec3, Option<Vec3>, Vec3)> {
         match self.kind {
             LightKind::Directional => return Some((-self.direction, None, self.intensity)),

@@ -1,18 +1,28 @@
-//! Chooses among many local lights by what they may send to a point: a binary tree over lights, descended by importance.
+//! Chooses among many local lights by a bound of their light at a point: a binary tree over lights,
+//! descended by importance.
 //!
-//! A node bounds its lights' places by a box, their directions by a cone, and sums their strengths I (radiant intensity along the normal). At each
-//! node the child is chosen with a chance in proportion to a bound of the irradiance that it gives (Conty Estevez, Kulla 2018):
+//! A node bounds its lights' places by a box, their directions by a cone, and sums their strengths
+//! I (radiant intensity along the normal). At each node the child is chosen with a chance in
+//! proportion to a bound of the irradiance that it gives (Conty Estevez, Kulla 2018):
 //!
 //! ```text
 //! I cos θ' max(cos θᵢ', 0) / d²,   θ' = max(0, θ_w − θ_o − θ_b),   θᵢ' = max(0, θ_i − θ_b)
 //! ```
 //!
-//! θ_b is the half angle of the box seen from the point, θ_w that from the cone's axis to the point, θ_o the cone's, θ_i that from the
-//! receiver's normal, less its tilt; d is at least the box's radius. A bound of 0 means that nothing can arrive, so the estimate stays unbiased.
+//! The angles are:
 //!
-//! Of the numbers that a pixel chooses with, one lies in each of n equal parts of [0, 1) ([`Parts`]). Chances are rounded to whole parts where a child
-//! keeps at least one: every sample count is then what its chance says, and a few point lights leave no noise. Rounded chances are chances too: the
-//! estimate stays unbiased.
+//! * θ_b: the half angle of the box seen from the point,
+//! * θ_w: from the cone's axis to the point,
+//! * θ_o: the cone's own,
+//! * θ_i: from the receiver's normal, less its tilt.
+//!
+//! d is at least the box's radius. A bound of 0 means that no light can arrive, so the estimate
+//! stays unbiased.
+//!
+//! Among the numbers that a pixel chooses with, one lies in each of n equal parts of [0, 1)
+//! ([`Parts`]). Chances are rounded to whole parts where a child keeps at least one. Then every
+//! light gets exactly its share of the samples, and a few point lights leave no noise. Rounded
+//! chances are chances too: the estimate stays unbiased.
 
 use std::f32::consts::PI;
 
@@ -25,10 +35,11 @@ const BUCKETS: usize = 12;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Receiver {
     pub(crate) position: Vec3,
-    /// Unit normal of a surface that passes nothing; light comes from its side only. `None` for surfaces that pass light.
+    /// Unit normal of a surface that passes nothing; light comes from its side only. `None` for
+    /// surfaces that pass light.
     pub(crate) normal: Option<Vec3>,
-    /// Cosine and sine of the angle by which light may come from below its horizon all the same, as it does to surfaces that are smoother than their
-    /// triangles.
+    /// Cosine and sine of the angle by which light may come from below its horizon all the same, as
+    /// it does to surfaces that are smoother than their triangles.
     pub(crate) tilt: [f32; 2],
 }
 
@@ -37,7 +48,7 @@ impl Receiver {
     pub(crate) const UPRIGHT: [f32; 2] = [1.0, 0.0];
 }
 
-/// What the tree knows about a light or a set of them.
+/// A light or a set of lights, as a node of the tree holds them.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Emitter {
     pub(crate) min: Vec3,
@@ -49,14 +60,16 @@ pub(crate) struct Emitter {
     pub(crate) normal_angle: f32,
     /// Light leaves within this angle of the normals.
     pub(crate) falloff_angle: f32,
-    /// Whether the opposite of the axis counts too.
+    /// True if the opposite of the axis counts too.
     pub(crate) two_sided: bool,
 }
 
-/// How many equal parts of [0, 1) hold a number each of those that choose; 0 where nothing is known about them.
+/// How many equal parts of [0, 1) hold a number each of those that choose; 0 where nothing is known
+/// about them.
 pub(crate) type Parts = u32;
 
-/// The nearest chance that is a whole number of parts, unless that is none or all of them, and the parts on either side.
+/// The nearest chance that is a whole number of parts, unless that is none or all of them, and the
+/// parts on either side.
 #[inline]
 pub(super) fn whole_parts(chance: f32, parts: Parts) -> (f32, [Parts; 2]) {
     let first = (chance * parts as f32 + 0.5) as Parts;
@@ -97,7 +110,8 @@ impl LightTree {
         Some(tree)
     }
 
-    /// A light for `u` in [0, 1), one of so many parts, its chance, and `u` stretched over its share. `None` where nothing can arrive.
+    /// A light for `u` in [0, 1), one of so many parts, its chance, and `u` stretched over its
+    /// share. `None` where nothing can arrive.
     pub(crate) fn sample(&self, receiver: &Receiver, mut u: f64, mut parts: Parts) -> Option<(usize, f32, f64)> {
         let (mut index, mut chance) = (0, 1.0);
         loop {
@@ -184,7 +198,7 @@ impl Node {
         }
     }
 
-    /// A bound of what arrives at the receiver, up to a factor that is the same for all nodes.
+    /// A bound of the irradiance at the receiver, up to a factor that is the same for all nodes.
     fn importance(&self, receiver: &Receiver) -> f32 {
         let to_receiver = receiver.position - self.centre;
         let distance2 = to_receiver.length_squared();
@@ -210,7 +224,7 @@ impl Node {
             let (cosine, sine) = subtract(cosine, (1.0 - cosine * cosine).max(0.0).sqrt(), cos_box, sin_box);
             subtract(cosine, sine, receiver.tilt[0], receiver.tilt[1]).0.max(0.0)
         });
-        // falloff angles beyond a right angle do not occur, so cos_light is positive here
+        // falloff angles are at most a right angle, so cos_light is positive here
         most * cos_light * cos_receiver
     }
 }
@@ -244,7 +258,8 @@ impl Emitter {
         }
     }
 
-    /// Strength times extent times solid angle: what it costs to have these lights in one node (Conty Estevez, Kulla 2018, equation 1).
+    /// Strength times extent times solid angle: the cost of these lights in one node (Conty
+    /// Estevez, Kulla 2018, equation 1).
     fn cost(&self) -> f32 {
         let size = self.max - self.min;
         let area = size.x * size.y + size.y * size.z + size.z * size.x;
@@ -289,6 +304,7 @@ fn split(lights: &[Emitter], order: &mut [u32]) -> usize {
         if size[axis] <= 0.0 {
             continue;
         }
+        // sort lights into buckets along the axis, and cost each cut between buckets
         let mut buckets: [Option<Emitter>; BUCKETS] = [None; BUCKETS];
         for &index in order.iter() {
             let bucket = &mut buckets[bucket_of(light(index), axis, min, size)];
@@ -308,6 +324,7 @@ fn split(lights: &[Emitter], order: &mut [u32]) -> usize {
             }
         }
     }
+    // partition the lights by the cheapest cut, or in halves where none separates them
     let Some((_, axis, cut)) = best else { return order.len() / 2 };
     let mut middle = 0;
     for k in 0..order.len() {
@@ -365,7 +382,7 @@ mod tests {
         ]
     }
 
-    /// What a light sends to a receiver (unshadowed irradiance, a panel taken as a point at its centre).
+    /// Irradiance at a receiver, unshadowed, with a panel taken as a point at its centre.
     fn irradiance(light: &Emitter, receiver: &Receiver) -> f32 {
         let to_receiver = receiver.position - light.centre();
         let direction = to_receiver.normalize();
@@ -406,7 +423,7 @@ mod tests {
                     }
                 }
                 let mut expected: Vec<f64> = chances.iter().map(|chance| chance * f64::from(draws)).collect();
-                // what is missing led to nodes from which nothing arrives
+                // the missing chance led to nodes from which no light arrives
                 expected.push((1.0 - sum).max(0.0) * f64::from(draws));
                 // a single light that is certain leaves nothing to test
                 if expected.iter().filter(|&&expected| expected > 10.0).count() > 1 {
@@ -416,7 +433,7 @@ mod tests {
         }
     }
 
-    /// A light that sends something can be chosen, whatever the tree above it.
+    /// Every light that reaches the receiver can be chosen, in every tree.
     #[test]
     fn whatever_arrives_can_be_chosen() {
         for seed in 0..20 {
@@ -431,7 +448,8 @@ mod tests {
         }
     }
 
-    /// The second moment of irradiance estimated from one light, Σ E²/p, against that of a choice by power alone: exact, without noise.
+    /// The sum Σ E²/p of irradiance estimated from one light, against that of a choice by power
+    /// alone: exact, without noise.
     #[test]
     fn the_tree_beats_a_choice_by_power() {
         let mut ratios = Vec::new();
@@ -472,7 +490,8 @@ mod tests {
         assert!(geometric > 2.0, "{geometric}");
     }
 
-    /// Of n stratified numbers each light gets n times its chance, whole: exact, where the chances themselves would give one more or less.
+    /// With n stratified numbers each light gets n times its chance, a whole number. Unrounded
+    /// chances would give one more or less.
     #[test]
     fn a_few_lights_get_whole_parts() {
         for parts in [16u32, 64] {

@@ -1,4 +1,5 @@
-//! Rays of a view's samples. Everything that is computed of those samples takes the same rays and the same random numbers.
+//! Rays of a view's samples. Everything that is computed of those samples takes the same rays and
+//! the same random numbers.
 
 use lumistack_core::seed;
 
@@ -27,7 +28,8 @@ impl<'a> ViewSamples<'a> {
         seed::derive(self.seed, &[row as u64, col as u64])
     }
 
-    /// Calls `take` with the rays of a pixel, at most [`BEAM`] at once, and with their random numbers, which follow from `pixel_seed`.
+    /// Calls `take` with the rays of a pixel, at most [`BEAM`] at once, and with their random
+    /// numbers, which follow from `pixel_seed`.
     #[inline]
     pub(super) fn for_each_beam(
         &self,

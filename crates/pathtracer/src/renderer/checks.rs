@@ -1,7 +1,10 @@
-//! A few pixels of a view rendered again, twice, independently of all else: the yardstick of a denoiser.
+//! A few pixels of a view rendered again, twice, independently of all else: the yardstick of a
+//! denoiser.
 //!
 //! ```text
-//! E[(F − c₁)(F − c₂)] = E[(F − truth)²]          for any picture F that knows nothing of c₁ and c₂, whose noises are independent
+//! E[(F − c₁)(F − c₂)] = E[(F − truth)²]
+//!
+//! for any picture F that is independent of c₁ and c₂, whose noises are independent
 //! ```
 //!
 //! One pixel is drawn in every square of [`SPACING`] × [`SPACING`].
@@ -16,7 +19,8 @@ use crate::settings::Settings;
 
 /// Pixels from one check to the next.
 const SPACING: usize = 8;
-/// Streams of random numbers that no view's radiance uses: one chooses the pixels, one renders them.
+/// Streams of random numbers that no view's radiance uses: one chooses the pixels, one renders
+/// them.
 const PLACES: u64 = 0xc4ec_0001;
 const RADIANCE: u64 = 0xc4ec_0002;
 
@@ -26,7 +30,7 @@ pub struct Checks {
     pub(crate) list: Vec<Check>,
 }
 
-/// A pixel and what two independent renders make of it.
+/// A pixel and its radiance in two independent renders.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Check {
     pub(crate) row: usize,
@@ -35,7 +39,8 @@ pub(crate) struct Check {
 }
 
 impl Renderer {
-    /// Renders a sixty-fourth of the pixels of a view twice with `settings`, whose seed is that of the views. Does not advance the progress.
+    /// Renders a sixty-fourth of the pixels of a view twice with `settings`, whose seed is that of
+    /// the views. Does not advance the progress.
     ///
     /// # Errors
     /// As [`render_view`](Self::render_view).
@@ -73,7 +78,7 @@ impl Renderer {
     }
 }
 
-/// Whether a pixel is the one of its square.
+/// True if a pixel is the one that is drawn in its square.
 fn is_drawn(seed: u64, row: usize, col: usize) -> bool {
     let chosen = seed::derive(seed, &[(row / SPACING) as u64, (col / SPACING) as u64]) as usize % (SPACING * SPACING);
     chosen == row % SPACING * SPACING + col % SPACING

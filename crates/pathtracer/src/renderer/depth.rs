@@ -1,10 +1,12 @@
-//! How deep the scene lies: z of what a view's rays meet first, in display space.
+//! Depth of the scene: z of the first hits of a view's rays, in display space.
 //!
 //! ```text
-//! z = ẑ · display_from_scene(o + t d)          millimetres towards the viewer, for the nearest surface at t along the central ray of a pixel
+//! z = ẑ · display_from_scene(o + t d)          in millimetres towards the viewer
+//!
+//! for the nearest hit at t along the central ray of a pixel
 //! ```
 //!
-//! It is the depth of surfaces, not of what is seen in a mirror or through a pane.
+//! It is the depth of surfaces, not of their images in a mirror or through a pane.
 
 use glam::DVec3;
 use lumistack_core::{NoProgress, Task, Tensor};
@@ -15,8 +17,9 @@ use super::{RenderError, Renderer};
 use crate::settings::AngularFilter;
 
 impl Renderer {
-    /// Depth of a view, `view` = [view_y, view_x] of the geometry's grid: z in display space of what the central ray of every pixel meets first,
-    /// millimetres, `[row][col]`; NaN where it meets nothing. Does not advance the progress.
+    /// Depth of a view, `view` = [view_y, view_x] of the geometry's grid: `[row][col]`, in
+    /// millimetres. It is z in display space of the first hit of every pixel's central ray; NaN
+    /// where it hits nothing. Does not advance the progress.
     ///
     /// # Errors
     /// If the geometry or the view is out of range, or when cancelled.
@@ -34,8 +37,8 @@ impl Renderer {
             let ray = rays.central();
             let t = if rays.in_bounds { self.tracer().first_surface(ray, stack) } else { None };
             [t.map_or(f32::NAN, |t| {
-                let met: DVec3 = ray.origin.as_dvec3() + f64::from(t) * ray.direction.as_dvec3();
-                let in_scene = space.centre + met / space.scale;
+                let point: DVec3 = ray.origin.as_dvec3() + f64::from(t) * ray.direction.as_dvec3();
+                let in_scene = space.centre + point / space.scale;
                 window.scene_from_display.inverse_point(in_scene).z as f32
             })]
         })?;
@@ -71,7 +74,7 @@ mod tests {
     }
 
     #[test]
-    fn depth_is_where_rays_meet_planes() {
+    fn depth_is_where_rays_hit_planes() {
         let (warnings, cancel) = (Collector::default(), Cancel::default());
         let task = Task::quiet(&warnings, &cancel);
         let centre = Vec3::new(3.0, -1.0, 7.0);
@@ -92,7 +95,7 @@ mod tests {
             let grid = ViewGrid { projection, slope_x: vec![-0.1, 0.0, 0.2], slope_y: vec![0.1, 0.0] };
             let geometry = FieldGeometry { rows: 11, cols: 21, pitch_mm: 6.0, grid };
             let window = Window { scene_from_display: map, size_mm: geometry.size_mm(), near_mm: None };
-            let (mut met, mut missed) = (0, 0);
+            let (mut surfaces, mut missed) = (0, 0);
             for view in geometry.grid.iter() {
                 let depth = renderer.depth(&window, &geometry, view, task).unwrap();
                 let hits = renderer.hit_mask(&window, &geometry, view, task).unwrap();
@@ -106,14 +109,14 @@ mod tests {
                     assert_eq!(hits.get([row, col]) == 0.0, found.is_nan());
                     if x.abs() < 39.9 && y.abs() < 39.9 {
                         assert!((found - z as f32).abs() < ROUNDED, "{projection:?} {view:?} {row} {col}: {found} {z}");
-                        met += 1;
+                        surfaces += 1;
                     } else if x.abs() > 40.1 || y.abs() > 40.1 {
                         assert!(found.is_nan(), "{projection:?} {view:?} {row} {col}: {found}");
                         missed += 1;
                     }
                 }
             }
-            assert!(met > 300 && missed > 100, "{met} {missed}");
+            assert!(surfaces > 300 && missed > 100, "{surfaces} {missed}");
         }
     }
 }

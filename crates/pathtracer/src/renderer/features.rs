@@ -1,7 +1,7 @@
-//! What a view sees first, without its light: the guides of the denoiser.
+//! First surfaces of a view, without their light: the guides of the denoiser.
 //!
-//! Every number is the mean over the primary rays of a pixel that meet a surface. They carry next to no noise at a few rays per pixel, because
-//! nothing is traced beyond the first hit.
+//! Every number is the mean over the primary rays of a pixel that hit a surface. They have next to
+//! no noise at a few rays per pixel, because paths end at the first hit.
 
 use glam::{DVec3, Vec3};
 use lumistack_core::{NoProgress, Task, Tensor, seed};
@@ -29,15 +29,18 @@ pub struct Features {
 /// The guides of a pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Feature {
-    /// Share of the pixel where a surface is seen, 0..1; the other values are means over that part, and 0 where it is empty.
+    /// Share of the pixel where a surface is seen, 0..1; the other values are means over that part,
+    /// and 0 where it is empty.
     pub covered: f32,
     /// Reflectance, 0..1: base colour plus a dielectric's few percent.
     pub albedo: Vec3,
-    /// Shading normal on the viewer's side, display axes; shorter than 1 where the pixel sees several.
+    /// Shading normal on the viewer's side, display axes; shorter than 1 where the pixel sees
+    /// several.
     pub normal: Vec3,
     /// Depth in display space, millimetres, towards the viewer.
     pub z_mm: f32,
-    /// Share of the reflectance that goes with the viewer's direction (mirrors, metals, glass), 0..1.
+    /// Share of the reflectance that goes with the viewer's direction (mirrors, metals, glass),
+    /// 0..1.
     pub gloss: f32,
     /// Width of that lobe: squared roughness, 0..1.
     pub alpha: f32,
@@ -57,7 +60,8 @@ impl Features {
         [rows, cols]
     }
 
-    /// Guides from values `[row][col][covered, albedo rgb, normal xyz, z_mm, gloss, alpha]`, for tests.
+    /// Guides from values `[row][col][covered, albedo rgb, normal xyz, z_mm, gloss, alpha]`, for
+    /// tests.
     #[cfg(test)]
     pub(crate) fn from_values(values: Tensor<3>) -> Self {
         Self { values }
@@ -65,8 +69,8 @@ impl Features {
 }
 
 impl Renderer {
-    /// Guides of one view from `samples` rays per pixel, over the same pixel and slopes as [`render_view`](Self::render_view). Does not advance
-    /// the progress.
+    /// Guides of one view from `samples` rays per pixel, over the same pixel and slopes as
+    /// [`render_view`](Self::render_view). Does not advance the progress.
     ///
     /// # Errors
     /// As [`render_view`](Self::render_view).
@@ -95,9 +99,11 @@ impl Renderer {
                 let Some((point, normal, appearance)) = self.tracer().first_seen(&ray, rays.cone, &draws, stack) else {
                     continue;
                 };
+                // reflectance, and the share of it that depends on the viewer
                 let reflectance = appearance.base.lerp(Vec3::ONE, DIELECTRIC_SHARE * (1.0 - appearance.metallic));
                 let dielectric = DIELECTRIC_SHARE.max(appearance.transmission);
                 let gloss = appearance.metallic + (1.0 - appearance.metallic) * dielectric;
+                // position and normal in display axes
                 let position = point.as_dvec3() / space.scale + space.centre;
                 let at: DVec3 = window.scene_from_display.inverse_point(position);
                 let n = display_from_scene * normal;
@@ -106,6 +112,7 @@ impl Renderer {
                 let values = [1.0, r, g, b, n.x, n.y, n.z, at.z as f32, gloss, alpha];
                 (0..FEATURES).for_each(|k| sum[k] += values[k]);
             }
+            // means over the hits; the share of hits is a mean over all samples
             let hits = sum[0].max(1.0);
             let mut mean = sum.map(|s| s / hits);
             mean[0] = sum[0] / samples as f32;

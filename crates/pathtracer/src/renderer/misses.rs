@@ -1,4 +1,4 @@
-//! Share of a view's samples that meet no surface: where a background shows.
+//! Share of a view's samples that miss all surfaces: where a background shows.
 
 use lumistack_core::{NoProgress, Task, Tensor};
 use lumistack_display::FieldGeometry;
@@ -8,8 +8,9 @@ use super::{RenderError, Renderer};
 use crate::settings::Settings;
 
 impl Renderer {
-    /// Share 0..1 of the samples of every pixel that meet no surface at first, `[row][col]`: those very rays that
-    /// [`render_view`](Self::render_view) traces with the same settings. Does not advance the progress.
+    /// Share 0..1 of the primary rays of every pixel that miss all surfaces, `[row][col]`. These
+    /// are the very rays that [`render_view`](Self::render_view) traces with the same settings.
+    /// Does not advance the progress.
     ///
     /// # Errors
     /// As [`render_view`](Self::render_view).

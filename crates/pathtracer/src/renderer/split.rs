@@ -1,11 +1,13 @@
 //! Views in two parts: light that the first surface scatters alike to all viewers, and all else.
 //!
 //! ```text
-//! L = D + G,   D: scattered by Lambert's law at the first surface, with the reflectance ρ_d;   E = D / ρ_d does not depend on the view
+//! L = D + G,   D: scattered by Lambert's law at the first surface, with the reflectance ρ_d
+//!             E = D / ρ_d does not depend on the view
 //! ```
 //!
-//! Where a path's light is weighted by the share of the diffuse lobe in the scattering function at its first vertex, the mean of that is D. It is the same light, of the
-//! same rays and random numbers, that [`render_view`](Renderer::render_view) adds up.
+//! Where a path's light is weighted by the share of the diffuse lobe in the scattering function at
+//! its first vertex, the mean of that is D. It is the same light, of the same rays and random
+//! numbers, that [`render_view`](Renderer::render_view) adds up.
 
 use glam::Vec3;
 use lumistack_core::{Task, Tensor};
@@ -20,11 +22,13 @@ use crate::tracer::First;
 
 const VALUES: usize = SplitView::VALUES;
 
-/// A view's light in two parts, with what is known of the surfaces that it comes from: means over the samples of every pixel.
+/// A view's light in two parts, with data of the surfaces that it comes from: means over the
+/// samples of every pixel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SplitView {
-    /// `[row][col][diffuse rgb, other rgb, reflectance rgb, normal x y z, z_mm]`. The normal has display axes, z_mm is depth in display space towards the viewer;
-    /// both are 0 where no surface is seen.
+    /// `[row][col][diffuse rgb, other rgb, reflectance rgb, normal x y z, z_mm]`. The normal has
+    /// display axes, z_mm is depth in display space towards the viewer; both are 0 where no surface
+    /// is seen.
     values: Tensor<3>,
 }
 
@@ -47,7 +51,8 @@ impl SplitView {
         (values.shape()[2] == VALUES).then_some(Self { values })
     }
 
-    /// `[row][col][diffuse rgb, other rgb, reflectance rgb, normal xyz, z_mm]`: radiance, display axes, millimetres.
+    /// `[row][col][diffuse rgb, other rgb, reflectance rgb, normal xyz, z_mm]`: radiance, display
+    /// axes, millimetres.
     pub fn values(&self) -> &Tensor<3> {
         &self.values
     }
@@ -81,7 +86,8 @@ impl SplitView {
 }
 
 impl Renderer {
-    /// One view in two parts, by the samples of [`render_view`](Self::render_view) with the same settings. Advances the progress as that does.
+    /// One view in two parts, by the samples of [`render_view`](Self::render_view) with the same
+    /// settings. Advances the progress as that does.
     ///
     /// # Errors
     /// As [`render_view`](Self::render_view).
@@ -108,11 +114,13 @@ impl Renderer {
                     if !(sample.is_finite() && first.diffuse.is_finite()) {
                         continue;
                     }
+                    // a limit dims both parts alike
                     let dimmed = settings.clamp.map_or(sample, |limit| clamped.dim(sample, limit));
                     let kept = if dimmed == sample { 1.0 } else { dimmed.max_element() / sample.max_element() };
                     finite += 1;
                     all += dimmed;
                     diffuse += kept * first.diffuse;
+                    // the first surface, in display axes
                     if first.is_there {
                         seen += 1;
                         reflectance += first.reflectance;
@@ -122,6 +130,7 @@ impl Renderer {
                     }
                 }
             });
+            // light is a mean over all samples, normal and depth over those with a surface
             let (share, count) = (1.0 / finite.max(1) as f32, 1.0 / seen.max(1) as f32);
             let (diffuse, all) = (share * diffuse, share * all);
             let [other, reflectance, normal] =

@@ -12,8 +12,8 @@ use lumistack_testkit::statistics::Mean;
 /// A window of this many millimetres is as wide in scene units: display space is scene space.
 pub const WINDOW_MM: f64 = 2.0;
 
-/// Matt surface without any gloss: an index of refraction of 1 reflects nothing.
-pub fn matt(albedo: f32) -> Material {
+/// Lambert's law without any gloss: an index of refraction of 1 reflects nothing.
+pub fn diffuse(albedo: f32) -> Material {
     Material {
         base_color: Vec4::new(albedo, albedo, albedo, 1.0),
         metallic: 0.0,
@@ -26,7 +26,7 @@ pub fn matt(albedo: f32) -> Material {
 
 /// Black surface that emits the same radiance to both sides.
 pub fn glowing(radiance: Vec3) -> Material {
-    Material { emission: radiance, ..matt(0.0) }
+    Material { emission: radiance, ..diffuse(0.0) }
 }
 
 /// A scene under construction.

@@ -1,6 +1,7 @@
-//! The denoiser on rendered views, against long renders: what it tells of itself is true, means stay, edges stay.
+//! The denoiser on rendered views, against long renders: its own figures are true, means stay,
+//! edges stay.
 
-use crate::common::{Builder, WINDOW_MM, glowing, matt, rectangle, window};
+use crate::common::{Builder, WINDOW_MM, diffuse, glowing, rectangle, window};
 use glam::{Quat, Vec3, Vec4};
 use lumistack_core::{Cancel, Collector, Task, Tensor};
 use lumistack_display::{FieldGeometry, Projection, ViewGrid};
@@ -13,18 +14,19 @@ const SIZE: usize = 64;
 const POLE: usize = 16;
 const COLOUR: usize = 44;
 
-/// A corner of a room: a back wall of two colours, a floor, and a pole before the wall, lit by a lamp and a dim sky.
+/// A corner of a room: a back wall of two colours, a floor, and a pole before the wall, lit by a
+/// lamp and a dim sky.
 fn room() -> Renderer {
     let x = |col: usize| WINDOW_MM as f32 * (col as f32 / SIZE as f32 - 0.5);
     let mut builder = Builder::default();
     let wall = |left: f32, right: f32| {
         rectangle(Vec3::new(0.5 * (left + right), 0.0, -0.4), 0.5 * (right - left) * Vec3::X, 2.0 * Vec3::Y)
     };
-    builder.add(wall(-2.0, x(COLOUR)), matt(0.2));
-    builder.add(wall(x(COLOUR), 2.0), matt(0.8));
-    builder.add(rectangle(Vec3::new(0.0, -0.7, 0.0), 2.0 * Vec3::X, 0.6 * Vec3::NEG_Z), matt(0.5));
+    builder.add(wall(-2.0, x(COLOUR)), diffuse(0.2));
+    builder.add(wall(x(COLOUR), 2.0), diffuse(0.8));
+    builder.add(rectangle(Vec3::new(0.0, -0.7, 0.0), 2.0 * Vec3::X, 0.6 * Vec3::NEG_Z), diffuse(0.5));
     let pole = rectangle(Vec3::new(x(POLE) - 0.1, 0.2, 0.0), 0.1 * Vec3::X, 0.5 * Vec3::Y);
-    builder.add(pole, matt(0.7));
+    builder.add(pole, diffuse(0.7));
     // faces down and forwards, above the picture
     let turn = Quat::from_rotation_x(0.6);
     builder.add(
@@ -86,7 +88,8 @@ fn the_report_is_true_and_means_and_edges_stay() {
         after += error(picture);
         let truth = 0.5 * (mean(&a) + mean(&b));
         assert!((mean(picture) / truth - 1.0).abs() < 0.01, "{} instead of {truth}", mean(picture));
-        // either side of both edges of the middle view, where they stand between two columns, and the columns beside
+        // either side of both edges of the middle view, where they stand between two columns, and
+        // the columns beside
         for col in [POLE - 2, POLE - 1, POLE, POLE + 1, COLOUR - 2, COLOUR - 1, COLOUR, COLOUR + 1] {
             let (found, truth) = (column(picture, col), 0.5 * (column(&a, col) + column(&b, col)));
             assert!((found / truth - 1.0).abs() < 0.08, "view {view:?}, column {col}: {found} instead of {truth}");
@@ -102,7 +105,8 @@ fn the_report_is_true_and_means_and_edges_stay() {
     assert!(told_after.error() < 0.2 * before, "{told_after:?}");
 }
 
-/// Both parts of a view add up to the view itself; matt surfaces have one part, mirrors the other.
+/// Both parts of a view add up to the view itself. Diffuse surfaces have one part, mirrors the
+/// other.
 #[test]
 fn parts_add_up_to_the_view() {
     let (collector, cancel) = (Collector::default(), Cancel::default());
@@ -111,7 +115,7 @@ fn parts_add_up_to_the_view() {
     let metal = Material { metallic: 1.0, roughness: 0.4, ..Material::default() };
     let plastic =
         Material { base_color: Vec4::new(0.8, 0.3, 0.1, 1.0), metallic: 0.0, roughness: 0.3, ..Material::default() };
-    for (material, least, most) in [(matt(0.6), 1.0, 1.0), (metal, 0.0, 0.0), (plastic, 0.5, 0.98)] {
+    for (material, least, most) in [(diffuse(0.6), 1.0, 1.0), (metal, 0.0, 0.0), (plastic, 0.5, 0.98)] {
         let mut builder = Builder::default();
         builder.add(rectangle(Vec3::new(0.0, 0.0, -0.3), 4.0 * Vec3::X, 4.0 * Vec3::Y), material);
         builder.add(rectangle(Vec3::new(0.4, 2.5, 1.2), 0.5 * Vec3::X, 0.5 * Vec3::Z), glowing(Vec3::splat(9.0)));
@@ -129,7 +133,7 @@ fn parts_add_up_to_the_view() {
     }
 }
 
-/// What the views of a room share lowers the error of every one; means and edges stay.
+/// Light that the views of a room share lowers the error of every one; means and edges stay.
 #[test]
 fn shared_light_has_the_samples_of_all_views() {
     let (collector, cancel) = (Collector::default(), Cancel::default());
@@ -170,7 +174,8 @@ fn shared_light_has_the_samples_of_all_views() {
         }
     }
     println!("{before} {after}");
-    // of 35 views; what stays is the noise of edges inside of pixels, and of what few views see
+    // 35 views; the noise of edges inside of pixels stays, and so does that of points that few
+    // views see
     assert!(after < 0.35 * before, "{before} {after}");
     // no other view, nothing to share
     let alone = geometry.with_grid(ViewGrid::single(Projection::Oblique, [0.0; 2]));

@@ -1,6 +1,6 @@
 //! Guides of the denoiser on scenes whose first hits are known.
 
-use crate::common::{Builder, matt, one_view, rectangle, window};
+use crate::common::{Builder, diffuse, one_view, rectangle, window};
 use glam::{Quat, Vec3, Vec4};
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_pathtracer::{AngularFilter, Feature, Features};
@@ -17,10 +17,10 @@ fn features(builder: &Builder, size: usize, slope: [f64; 2]) -> Features {
 fn depth_normal_and_reflectance_are_those_of_the_first_surface() {
     let mut builder = Builder::default();
     let turn = Quat::from_rotation_y(0.4);
-    let metal = Material { base_color: Vec4::new(0.9, 0.6, 0.3, 1.0), metallic: 1.0, roughness: 0.5, ..matt(0.5) };
+    let metal = Material { base_color: Vec4::new(0.9, 0.6, 0.3, 1.0), metallic: 1.0, roughness: 0.5, ..diffuse(0.5) };
     builder.add(rectangle(Vec3::new(0.0, 0.0, -0.2), turn * (4.0 * Vec3::X), 4.0 * Vec3::Y), metal);
     // never seen
-    builder.add(rectangle(Vec3::new(0.0, 0.0, -3.0), 9.0 * Vec3::X, 9.0 * Vec3::Y), matt(0.1));
+    builder.add(rectangle(Vec3::new(0.0, 0.0, -3.0), 9.0 * Vec3::X, 9.0 * Vec3::Y), diffuse(0.1));
     let (size, slope) = (16, [0.25, -0.1]);
     let found = features(&builder, size, slope);
     let geometry = one_view(size, slope);
@@ -34,7 +34,8 @@ fn depth_normal_and_reflectance_are_those_of_the_first_surface() {
             // (x + s z, y, z) lies on the plane through (0, 0, −0.2) with that normal
             let [nx, nz] = [f64::from(normal.x), f64::from(normal.z)];
             let z = (-0.2 * nz - geometry.x_mm(col) * nx) / (nz + slope[0] * nx);
-            // rays are spread over the pixel: the mean of 16 stratified ones stands off its centre by a small part of it
+            // rays are spread over the pixel: the mean of 16 stratified ones stands off its centre
+            // by a small part of it
             assert!((f64::from(z_mm) - z).abs() < 0.2 * geometry.pitch_mm, "{z_mm} {z}");
         }
     }
@@ -46,8 +47,10 @@ fn a_pixel_at_an_edge_tells_its_share() {
     // the right half of the window, and a quarter of one more column of pixels
     let size = 8;
     let pitch = 2.0 / size as f32;
-    builder
-        .add(rectangle(Vec3::new(0.5 - 0.125 * pitch, 0.0, 0.0), (0.5 + 0.125 * pitch) * Vec3::X, Vec3::Y), matt(0.3));
+    builder.add(
+        rectangle(Vec3::new(0.5 - 0.125 * pitch, 0.0, 0.0), (0.5 + 0.125 * pitch) * Vec3::X, Vec3::Y),
+        diffuse(0.3),
+    );
     let found = features(&builder, size, [0.0; 2]);
     for row in 0..size {
         let share = |col| found.at(row, col).covered;

@@ -1,7 +1,7 @@
 //! Closed scenes whose radiance is known exactly.
 
 use crate::common::{
-    self, Builder, cube, glowing, long_paths, matt, mean_of, one_view, render, sphere, window, window_at,
+    self, Builder, cube, diffuse, glowing, long_paths, mean_of, one_view, render, sphere, window, window_at,
 };
 use glam::{DVec3, Vec3, Vec4};
 use lumistack_pathtracer::Settings;
@@ -12,16 +12,18 @@ use lumistack_testkit::statistics::FALSE_ALARM_RATE;
 const ROUNDING: f64 = 2e-4;
 /// Energy that microfacet surfaces may miss: the interpolation error of the albedo table.
 const ALBEDO_TABLE: f64 = 5e-3;
-/// The same on a sphere of triangles, where the shading normal leans away from the surface and light from below it is lost.
+/// The same on a sphere of triangles, where the shading normal leans away from the surface and
+/// light from below it is lost.
 const TRIANGLES: f64 = 1e-2;
 
-/// Inside a closed room whose matt walls of albedo ρ all emit L, every point radiates L + ρL + ρ²L + ... = L/(1 − ρ).
+/// Inside a closed room whose diffuse walls of albedo ρ all emit L, every point radiates L + ρL +
+/// ρ²L + ... = L/(1 − ρ).
 #[test]
 fn a_closed_room_radiates_the_geometric_series() {
     for albedo in [0.0, 0.5, 0.8] {
         let mut scene = Builder::default();
         for wall in cube(Vec3::ZERO, 1.0) {
-            scene.add(wall, Material { emission: Vec3::new(1.0, 0.5, 0.25), ..matt(albedo) });
+            scene.add(wall, Material { emission: Vec3::new(1.0, 0.5, 0.25), ..diffuse(albedo) });
         }
         // the near wall must not hide the room: its back face is invisible
         for material in &mut scene.parts.materials {
@@ -44,7 +46,7 @@ fn a_closed_room_radiates_the_geometric_series() {
 #[test]
 fn the_limit_on_bounces_cuts_the_series() {
     let mut scene = Builder::default();
-    scene.add(sphere(Vec3::ZERO, 1.5, 24), Material { emission: Vec3::ONE, ..matt(0.5) });
+    scene.add(sphere(Vec3::ZERO, 1.5, 24), Material { emission: Vec3::ONE, ..diffuse(0.5) });
     scene.parts.materials[0].double_sided = false;
     scene.parts.meshes[0].triangles.iter_mut().for_each(|t| t.swap(1, 2));
     scene.parts.meshes[0].normals.iter_mut().for_each(|n| *n = -*n);
@@ -61,10 +63,10 @@ fn the_limit_on_bounces_cuts_the_series() {
 /// Where all light is the same and nothing is absorbed, everything looks like the background.
 #[test]
 fn lossless_spheres_are_invisible_in_a_uniform_environment() {
-    let white = Material { base_color: Vec4::ONE, ..matt(1.0) };
+    let white = Material { base_color: Vec4::ONE, ..diffuse(1.0) };
     let metal = |roughness| Material { metallic: 1.0, roughness, ..white.clone() };
     let cases = [
-        ("matt", white.clone(), ROUNDING),
+        ("diffuse", white.clone(), ROUNDING),
         ("white plastic", Material { ior: 1.5, roughness: 0.3, ..white.clone() }, TRIANGLES),
         ("mirror", metal(0.0), ROUNDING),
         ("metal 0.2", metal(0.2), TRIANGLES),
@@ -83,13 +85,14 @@ fn lossless_spheres_are_invisible_in_a_uniform_environment() {
     }
 }
 
-/// A flat white metal without curvature or shading normals returns what the environment sends, at every roughness.
+/// A flat white metal without curvature or shading normals returns all light of the environment, at
+/// every roughness.
 #[test]
 fn a_flat_white_metal_is_invisible_at_every_roughness() {
     for roughness in [0.05, 0.2, 0.4, 0.6, 0.8, 1.0] {
         for slope in [0.0, 1.0, 3.0] {
             let mut scene = Builder::default();
-            let metal = Material { metallic: 1.0, roughness, ..matt(1.0) };
+            let metal = Material { metallic: 1.0, roughness, ..diffuse(1.0) };
             scene.add(common::rectangle(Vec3::ZERO, 3.0 * Vec3::X, 3.0 * Vec3::Y), metal).sky(&[1.0]);
             let radiance = render(&scene.renderer(), &window(), &one_view(32, [slope, 0.0]), &long_paths(64));
             mean_of(&radiance, 0).assert_is(1.0, ALBEDO_TABLE, FALSE_ALARM_RATE);
@@ -101,7 +104,7 @@ fn a_flat_white_metal_is_invisible_at_every_roughness() {
 #[test]
 fn an_absorbing_sphere_is_visible() {
     let mut scene = Builder::default();
-    scene.add(sphere(Vec3::ZERO, 0.9, 32), matt(0.9)).sky(&[0.7]);
+    scene.add(sphere(Vec3::ZERO, 0.9, 32), diffuse(0.9)).sky(&[0.7]);
     let mean = mean_of(&render(&scene.renderer(), &window(), &one_view(32, [0.0, 0.0]), &long_paths(16)), 1);
     assert!(mean.z(0.7, 0.7 * TRIANGLES) > 20.0, "{mean:?}");
     scene.parts.materials[0] = glowing(Vec3::ZERO);
@@ -110,11 +113,11 @@ fn an_absorbing_sphere_is_visible() {
     black.assert_is(0.7 * (1.0 - std::f64::consts::PI * 0.81 / 4.0), 5e-3, 0.5);
 }
 
-/// Layers that absorb nothing are as invisible as what they cover: coats with and without roughness, stretched metal, rough glass, and
-/// glass that disperses.
+/// Layers that absorb nothing are as invisible as the surface below. These are coats with and
+/// without roughness, stretched metal, rough glass, and glass that disperses.
 #[test]
 fn lossless_layers_are_invisible_in_a_uniform_environment() {
-    let white = Material { base_color: Vec4::ONE, ..matt(1.0) };
+    let white = Material { base_color: Vec4::ONE, ..diffuse(1.0) };
     let coat = |roughness| Some(Clearcoat { factor: 1.0, roughness, ..Clearcoat::default() });
     let glass = Material { transmission: 1.0, ior: 1.5, roughness: 0.0, solid: true, ..white.clone() };
     let stretched = Some(Anisotropy { strength: 0.7, ..Anisotropy::default() });
@@ -141,7 +144,7 @@ fn lossless_layers_are_invisible_in_a_uniform_environment() {
     }
 }
 
-/// A coat covers what a surface emits: the clear coat of index 1.5 passes 1 − 0.04 straight up.
+/// A coat dims the emission below it: the clear coat of index 1.5 passes 1 − 0.04 straight up.
 #[test]
 fn a_coat_dims_emission() {
     let mut scene = Builder::default();

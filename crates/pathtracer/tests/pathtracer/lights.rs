@@ -1,9 +1,10 @@
-//! Every kind of light against its closed form, on a matt plane of albedo ρ at z = 0 seen from the front: L = ρ E / π.
+//! Every kind of light against its closed form, on a diffuse plane of albedo ρ at z = 0 seen from
+//! the front: L = ρ E / π.
 
 use std::f64::consts::PI;
 
 use crate::common::{
-    self, Builder, glowing, long_paths, matt, mean_of, one_view, rectangle, render, window, window_at,
+    self, Builder, diffuse, glowing, long_paths, mean_of, one_view, rectangle, render, window, window_at,
 };
 use glam::{DVec3, Vec3};
 use lumistack_core::Tensor;
@@ -17,7 +18,7 @@ const ROUNDING: f64 = 2e-5;
 
 fn plane() -> Builder {
     let mut scene = Builder::default();
-    scene.add(rectangle(Vec3::ZERO, 3.0 * Vec3::X, 3.0 * Vec3::Y), matt(ALBEDO));
+    scene.add(rectangle(Vec3::ZERO, 3.0 * Vec3::X, 3.0 * Vec3::Y), diffuse(ALBEDO));
     scene
 }
 
@@ -43,7 +44,8 @@ fn over_window(size: usize, f: impl Fn(f64, f64) -> f64) -> Vec<f64> {
         .collect()
 }
 
-/// Asserts that every pixel is the expected value up to a relative tolerance, for light without variance other than the pixel's area.
+/// Asserts that every pixel is the expected value up to a relative tolerance, for light without
+/// variance other than the pixel's area.
 fn assert_pixels(radiance: &Tensor<3>, expected: &[f64], relative: f64) {
     for (pixel, expected) in radiance.data().chunks(3).zip(expected) {
         let found = f64::from(pixel[0]);
@@ -51,7 +53,8 @@ fn assert_pixels(radiance: &Tensor<3>, expected: &[f64], relative: f64) {
     }
 }
 
-/// Samples in a pixel sample its gradient too; with 64 stratified ones the rest is below this share.
+/// Samples in a pixel sample its gradient too; with 64 stratified ones the rest is below this
+/// share.
 const PIXEL_AREA: f64 = 1e-2;
 
 #[test]
@@ -103,8 +106,9 @@ fn a_directional_light_gives_its_irradiance_times_the_cosine() {
     assert!(radiance.data().iter().all(|&v| v == 0.0));
 }
 
-/// A disc of the sky that faces a plane squarely gives it the irradiance that it is said to have, however wide; one that is turned aside and wholly above
-/// the horizon gives the cosine's share (the projected solid angle of a cone is π sin²θ cos of its axis).
+/// A disc of the sky that faces a plane squarely has the irradiance of its definition, at any
+/// width. One that is turned aside and wholly above the horizon has the cosine's share: the
+/// projected solid angle of a cone is π sin²θ times the cosine of its axis.
 #[test]
 fn a_distant_light_gives_its_irradiance_times_the_cosine_of_its_centre() {
     for (half_angle_rad, direction) in
@@ -118,8 +122,15 @@ fn a_distant_light_gives_its_irradiance_times_the_cosine_of_its_centre() {
     }
 }
 
-/// Irradiance at the origin from a square of half width w at height h, parallel to the plane and centred above it: E = 4 L s atan s,
-/// s = w/√(w² + h²), which is π L times four form factors of a corner (Siegel, Howell, "Thermal Radiation Heat Transfer").
+/// Irradiance at the origin from a square of half width w at height h, parallel to the plane and
+/// centred above it:
+///
+/// ```text
+/// E = 4 L s atan s,   s = w/√(w² + h²)
+/// ```
+///
+/// This is π L times four form factors of a corner (Siegel, Howell, "Thermal Radiation Heat
+/// Transfer").
 fn irradiance_below_square(radiance: f64, half_width: f64, height: f64) -> f64 {
     let s = half_width / half_width.hypot(height);
     4.0 * radiance * s * s.atan()
@@ -133,7 +144,8 @@ fn a_square_light_has_its_form_factor() {
         let light = rectangle(Vec3::new(0.0, 0.0, height), -half_width * Vec3::X, half_width * Vec3::Y);
         scene.add(light, Material { double_sided: false, ..glowing(Vec3::splat(3.0)) });
         let renderer = scene.renderer();
-        // the light's back is invisible, so the view looks through it; the window is a speck below its centre
+        // the light's back is invisible, so the view looks through it; the window is a speck below
+        // its centre
         let window = window_at(DVec3::ZERO, 1e-3);
         let radiance = render(&renderer, &window, &one_view(32, [0.0, 0.0]), &long_paths(64));
         let irradiance = irradiance_below_square(3.0, f64::from(half_width), f64::from(height));
@@ -167,10 +179,11 @@ fn an_emission_texture_shines_where_it_is_bright() {
     mean_of(&radiance, 0).assert_is(expected, 1e-3 * expected, FALSE_ALARM_RATE);
 }
 
-/// A matt plane under a sky that changes with height: E = ∫ L cos dω.
+/// A diffuse plane under a sky that changes with height: E = ∫ L cos dω.
 #[test]
 fn environment_light_agrees_with_its_integral() {
-    // the plane faces +z; the sky is 1 above the horizon y = 0 and 0 below it, so half of the plane's hemisphere shines
+    // the plane faces +z; the sky is 1 above the horizon y = 0 and 0 below it, so half of the
+    // plane's hemisphere shines
     let mut scene = plane();
     let rows: Vec<f32> = (0..512).map(|row| if row < 256 { 1.0 } else { 0.0 }).collect();
     scene.sky(&rows);
@@ -179,11 +192,11 @@ fn environment_light_agrees_with_its_integral() {
     mean_of(&radiance, 0).assert_is(expected, 2e-3 * expected, FALSE_ALARM_RATE);
 }
 
-/// The same surroundings once as an environment and once as glowing walls must look the same on a glossy plane; the two weigh light
-/// sampling against scattering quite differently.
+/// The same surroundings once as an environment and once as glowing walls must look the same on a
+/// glossy plane; the two weigh light sampling against scattering quite differently.
 #[test]
 fn sampling_lights_and_sampling_the_surface_agree() {
-    let metal = Material { metallic: 1.0, roughness: 0.4, ..matt(0.8) };
+    let metal = Material { metallic: 1.0, roughness: 0.4, ..diffuse(0.8) };
     let mut by_environment = Builder::default();
     by_environment.add(rectangle(Vec3::ZERO, 3.0 * Vec3::X, 3.0 * Vec3::Y), metal.clone()).sky(&[2.0, 2.0]);
     let mut by_triangles = Builder::default();
@@ -201,12 +214,12 @@ fn sampling_lights_and_sampling_the_surface_agree() {
     assert!(environment.value > 1.0);
 }
 
-/// The estimate has the same mean whatever the number of samples.
+/// The estimate has the same mean for any number of samples.
 #[test]
 fn the_mean_does_not_depend_on_the_number_of_samples() {
     let mut scene = plane();
     scene.sky(&[0.2, 1.0, 3.0]);
-    scene.add(common::sphere(Vec3::new(0.3, 0.0, 0.5), 0.4, 16), Material { ior: 1.5, roughness: 0.3, ..matt(0.7) });
+    scene.add(common::sphere(Vec3::new(0.3, 0.0, 0.5), 0.4, 16), Material { ior: 1.5, roughness: 0.3, ..diffuse(0.7) });
     scene.parts.lights.push(point_light(Vec3::new(-0.5, 0.5, 1.0), LightKind::Point, Vec3::NEG_Z));
     let renderer = scene.renderer();
     // the scene varies between pixels, so each pixel is compared with itself
@@ -221,7 +234,8 @@ fn the_mean_does_not_depend_on_the_number_of_samples() {
     }
 }
 
-/// Hundreds of points, spots and panels above a plane: every pixel against the sum over all of them.
+/// Hundreds of points, spots and panels above a plane: every pixel against the sum over all of
+/// them.
 #[test]
 fn hundreds_of_lights_add_up() {
     let mut scene = plane();
@@ -285,8 +299,9 @@ fn hundreds_of_lights_add_up() {
     assert!(relative.iter().all(|error| error.abs() < 0.25), "one light of 300 per path: {relative:?}");
 }
 
-/// On a sphere of few triangles the edge between light and dark is the sphere's, not that of triangles. A point of a chord has the interpolated normal
-/// P/|P|, so L = ρ E max(P·d, 0) / (π |P|), and |P| lies between the radius and its part at the middle of the largest triangle.
+/// On a sphere of few triangles the edge between light and dark is the sphere's, not that of
+/// triangles. A point of a chord has the interpolated normal P/|P|, so L = ρ E max(P·d, 0) / (π
+/// |P|), and |P| lies between the radius and its part at the middle of the largest triangle.
 #[test]
 fn hard_light_ends_where_the_smooth_surface_turns_away() {
     let (radius, divisions, irradiance) = (0.9f64, 12usize, 2.0f64);
@@ -306,7 +321,7 @@ fn hard_light_ends_where_the_smooth_surface_turns_away() {
     };
     for lights in [vec![sun], vec![at(0.25), at(0.75)]] {
         let mut scene = Builder::default();
-        scene.add(common::sphere(Vec3::ZERO, radius as f32, divisions), matt(ALBEDO));
+        scene.add(common::sphere(Vec3::ZERO, radius as f32, divisions), diffuse(ALBEDO));
         scene.parts.lights = lights;
         let size = 96;
         let radiance = render(&scene.renderer(), &window(), &one_view(size, [0.0, 0.0]), &long_paths(64));

@@ -1,4 +1,7 @@
-//! The renderer against what is known of light. One program for all files, which share the processors; `cargo test -p lumistack-pathtracer --test pathtracer denoise::` runs the tests of one.
+//! The renderer against closed forms and long renders.
+//!
+//! All files are one program, so that they share the processors.
+//! `cargo test -p lumistack-pathtracer --test pathtracer denoise::` runs the tests of one file.
 
 mod common;
 mod denoise;

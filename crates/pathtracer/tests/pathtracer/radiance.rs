@@ -1,6 +1,7 @@
-//! What goes with a view's radiance: the share of a pixel without a surface, and the variance of its mean.
+//! Companions of a view's radiance: the share of a pixel without a surface, and the variance of its
+//! mean.
 
-use crate::common::{Builder, matt, one_view, rectangle, sphere, window};
+use crate::common::{Builder, diffuse, one_view, rectangle, sphere, window};
 use glam::Vec3;
 use lumistack_core::{Cancel, Collector, Task, Tensor};
 use lumistack_pathtracer::{AngularFilter, Renderer, Settings};
@@ -8,16 +9,17 @@ use lumistack_pathtracer::{AngularFilter, Renderer, Settings};
 /// Relative rounding of f32 sums.
 const ROUNDING: f32 = 1e-5;
 
-/// Two balls of which the one behind shows beside the other, under a sky of one radiance, which no lamp can be told from.
+/// Two balls of which the one behind shows beside the other, under a sky of one radiance.
 fn balls(sky: f32) -> Renderer {
     let mut scene = Builder::default();
-    scene.add(sphere(Vec3::new(0.2, 0.1, 0.0), 0.6, 12), matt(0.7));
-    scene.add(sphere(Vec3::new(-0.5, -0.2, -2.0), 0.5, 12), matt(0.3));
+    scene.add(sphere(Vec3::new(0.2, 0.1, 0.0), 0.6, 12), diffuse(0.7));
+    scene.add(sphere(Vec3::new(-0.5, -0.2, -2.0), 0.5, 12), diffuse(0.3));
     scene.sky(&[sky]);
     scene.renderer()
 }
 
-/// With the environment hidden, each pixel lacks exactly its share of the background: L = L_hidden + m · L_sky.
+/// With the environment hidden, each pixel lacks exactly its share of the background:
+/// L = L_hidden + m · L_sky.
 #[test]
 fn hiding_the_environment_takes_its_share_away_and_no_light() {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
@@ -42,8 +44,8 @@ fn hiding_the_environment_takes_its_share_away_and_no_light() {
     }
 }
 
-/// The variance that one render reports against that of many: the samples' own is an upper bound, since they are stratified, and no loose one where
-/// light is random.
+/// The variance that one render reports against that of many: the samples' own is an upper bound,
+/// since they are stratified, and no loose one where light is random.
 #[test]
 fn the_reported_variance_is_that_of_the_mean() {
     const RENDERS: usize = 200;
@@ -51,8 +53,8 @@ fn the_reported_variance_is_that_of_the_mean() {
     let task = Task::quiet(&warnings, &cancel);
     // a floor under a bright part of the sky: much noise, of which stratification takes a part
     let mut scene = Builder::default();
-    scene.add(rectangle(Vec3::ZERO, 3.0 * Vec3::X, 3.0 * Vec3::Y), matt(0.8));
-    scene.add(sphere(Vec3::new(0.0, 0.0, 0.6), 0.4, 12), matt(0.8));
+    scene.add(rectangle(Vec3::ZERO, 3.0 * Vec3::X, 3.0 * Vec3::Y), diffuse(0.8));
+    scene.add(sphere(Vec3::new(0.0, 0.0, 0.6), 0.4, 12), diffuse(0.8));
     scene.sky(&[9.0, 0.2, 0.1, 0.1]);
     let renderer = scene.renderer();
     let geometry = one_view(8, [0.0, 0.0]);

@@ -1,6 +1,7 @@
-//! What first hits pass: all before a near plane, lamps that are not seen, and the environment behind a backdrop. Light is the same with and without.
+//! Scenery that primary rays pass: all before a near plane, lamps that are not seen, and the
+//! environment behind a backdrop. Light is the same with and without.
 
-use crate::common::{Builder, WINDOW_MM, glowing, long_paths, matt, mean_of, one_view, rectangle, render, window};
+use crate::common::{Builder, WINDOW_MM, diffuse, glowing, long_paths, mean_of, one_view, rectangle, render, window};
 use glam::{Vec3, Vec4};
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{FieldGeometry, Projection, ViewGrid};
@@ -52,12 +53,13 @@ fn nothing_before_the_near_plane_is_seen() {
     }
 }
 
-/// A wall under a lamp that fills the half space before it, and the viewer too: radiance ρ L, and L in a mirror.
+/// A wall under a lamp that fills the half space before it, and the viewer too: radiance ρ L, and L
+/// in a mirror.
 #[test]
 fn a_lamp_that_is_not_seen_lights_as_ever() {
     let (albedo, radiance) = (0.8, 2.5);
-    let mirror = Material { base_color: Vec4::ONE, metallic: 1.0, roughness: 0.0, ..matt(1.0) };
-    for (wall, expected) in [(matt(albedo), f64::from(albedo * radiance)), (mirror, f64::from(radiance))] {
+    let mirror = Material { base_color: Vec4::ONE, metallic: 1.0, roughness: 0.0, ..diffuse(1.0) };
+    for (wall, expected) in [(diffuse(albedo), f64::from(albedo * radiance)), (mirror, f64::from(radiance))] {
         for lamp in [Lamp::Unseen, Lamp::Seen, Lamp::No] {
             let mut scene = Builder::default();
             scene.add(rectangle(Vec3::ZERO, 2.0 * Vec3::X, 2.0 * Vec3::Y), wall.clone());
@@ -79,18 +81,19 @@ fn a_lamp_that_is_not_seen_lights_as_ever() {
     }
     let seen = |lamp| {
         let mut scene = Builder::default();
-        scene.add(rectangle(Vec3::ZERO, Vec3::X, Vec3::Y), matt(0.5));
+        scene.add(rectangle(Vec3::ZERO, Vec3::X, Vec3::Y), diffuse(0.5));
         scene.add(rectangle(Vec3::Z, 50.0 * Vec3::X, 50.0 * Vec3::Y), Material { lamp, ..glowing(Vec3::ONE) });
         let (collector, cancel) = (Collector::default(), Cancel::default());
         scene.parts.validate(Task::quiet(&collector, &cancel)).unwrap()
     };
-    // framing goes by what is seen
+    // framing uses the bounds of seen surfaces
     assert_eq!(seen(Lamp::Unseen).seen_bounds().max, Vec3::new(1.0, 1.0, 0.0));
     assert_eq!(seen(Lamp::Seen).seen_bounds(), seen(Lamp::Seen).bounds());
     assert_eq!(seen(Lamp::Unseen).bounds().max, Vec3::new(50.0, 50.0, 1.0));
 }
 
-/// A sky of radiance 1 behind a backdrop of 1/4: surfaces, mirrors and what refracts see the sky, the viewer sees the backdrop, through panes as well.
+/// A sky of radiance 1 behind a backdrop of 1/4: surfaces, mirrors and refracted rays see the sky.
+/// The viewer sees the backdrop, through panes as well.
 #[test]
 fn a_backdrop_is_seen_and_lights_nothing() {
     let backdrop = 0.25;
@@ -107,10 +110,10 @@ fn a_backdrop_is_seen_and_lights_nothing() {
         let values: Vec<f64> = cells.map(|(row, col)| f64::from(image.get([row, col, 0]))).collect();
         values.iter().sum::<f64>() / values.len() as f64
     };
-    let mirror = Material { base_color: Vec4::ONE, metallic: 1.0, roughness: 0.0, ..matt(1.0) };
-    let veil = Material { base_color: Vec4::new(0.0, 0.0, 0.0, 0.4), alpha_mode: AlphaMode::Blend, ..matt(0.0) };
+    let mirror = Material { base_color: Vec4::ONE, metallic: 1.0, roughness: 0.0, ..diffuse(1.0) };
+    let veil = Material { base_color: Vec4::new(0.0, 0.0, 0.0, 0.4), alpha_mode: AlphaMode::Blend, ..diffuse(0.0) };
     // the share of light that passes a veil of 0.4 is 0.6
-    let cases = [(matt(0.6), 0.6, 0.6), (mirror, 1.0, 1.0), (veil, 0.6, 0.6 * backdrop)];
+    let cases = [(diffuse(0.6), 0.6, 0.6), (mirror, 1.0, 1.0), (veil, 0.6, 0.6 * backdrop)];
     for (material, before_sky, before_ground) in cases {
         for (ground, right, left) in [(None, 1.0, before_sky), (Some(backdrop), backdrop, before_ground)] {
             let image = render_of(material.clone(), ground);
@@ -121,7 +124,7 @@ fn a_backdrop_is_seen_and_lights_nothing() {
     }
     // glass as thin as a pane lets the viewer see through; its reflection is the sky's
     let pane =
-        Material { base_color: Vec4::ONE, metallic: 0.0, roughness: 0.0, transmission: 1.0, ior: 1.5, ..matt(1.0) };
+        Material { base_color: Vec4::ONE, metallic: 0.0, roughness: 0.0, transmission: 1.0, ior: 1.5, ..diffuse(1.0) };
     let through = mean(&render_of(pane, Some(backdrop)), 0..SIZE / 2);
     // a pane reflects 2 R / (1 + R) of R = 0.04 at most
     assert!(through > f64::from(backdrop) && through < 0.35, "{through}");

@@ -1,6 +1,7 @@
-//! Where things appear in the views: parallax, orientation, occlusion, both projections, filters; and the same bytes on any number of threads.
+//! Where things appear in the views: parallax, orientation, occlusion, both projections, filters;
+//! and the same bytes on any number of threads.
 
-use crate::common::{self, Builder, WINDOW_MM, glowing, matt, one_view, rectangle, render, render_view, window};
+use crate::common::{self, Builder, WINDOW_MM, diffuse, glowing, one_view, rectangle, render, render_view, window};
 use glam::{Affine3A, DVec3, Quat, Vec3, Vec4};
 use lumistack_core::{Cancel, Collector, Task, Tensor};
 use lumistack_display::{FieldGeometry, Projection, ViewGrid};
@@ -50,8 +51,8 @@ fn card(centre: Vec3, half: f32, radiance: Vec3) -> Builder {
     scene
 }
 
-/// The ray of slope s through (x, y) of the display reaches the viewer from x + z s: a card at z appears at x_card − z s, on either side of
-/// the display, and rows count down.
+/// The ray of slope s through (x, y) of the display reaches the viewer from x + z s. So a card at z
+/// appears at x_card − z s, on either side of the display, and rows count down.
 #[test]
 fn a_card_appears_where_its_rays_cross_the_display() {
     for (x, y, z) in [(0.2, 0.3, 0.5), (-0.2, 0.1, -0.6), (0.1, -0.3, 0.0)] {
@@ -86,7 +87,8 @@ fn perspective_views_meet_at_the_eye() {
     }
 }
 
-/// Views at scaled slopes: everything moves that much less from view to view, as if it lay at the scaled depth, and the view from straight ahead has the same bytes.
+/// Views at scaled slopes: everything moves that much less from view to view, as if it lay at the
+/// scaled depth. The view from straight ahead has the same bytes.
 #[test]
 fn scaled_slopes_scale_parallax_and_leave_the_middle_alone() {
     let factor = 0.4;
@@ -109,7 +111,7 @@ fn scaled_slopes_scale_parallax_and_leave_the_middle_alone() {
                     (part - factor * whole).abs() < 2.0 * CENTROID_TOLERANCE * PITCH,
                     "{projection:?} {whole} {part}"
                 );
-                // what a card at the depth shown does
+                // a card at the shown depth moves as much
                 let shown = geometry.disparity_px(projection.scaled_depth(z.into(), factor), grid.slope_x[x]);
                 assert!((part / PITCH + shown).abs() < 2.0 * CENTROID_TOLERANCE, "{projection:?} {part} {shown}");
             }
@@ -117,7 +119,7 @@ fn scaled_slopes_scale_parallax_and_leave_the_middle_alone() {
     }
 }
 
-/// What lies behind the eye is not seen; oblique views have no eye and see it.
+/// Objects behind the eye are not seen; oblique views have no eye and see them.
 #[test]
 fn perspective_views_do_not_see_behind_the_eye() {
     let renderer = card(Vec3::new(0.0, 0.0, 2.0), 0.5, Vec3::ONE).renderer();
@@ -129,7 +131,8 @@ fn perspective_views_do_not_see_behind_the_eye() {
 
 #[test]
 fn the_window_maps_display_to_scene() {
-    // the window is turned by a quarter around y, moved far away and scaled; a card 100 units before it in its own frame
+    // the window is turned by a quarter around y, moved far away and scaled; a card 100 units
+    // before it in its own frame
     let centre = DVec3::new(1e4, -2e3, 5e3);
     let scale = 250.0;
     let window = Window::given(centre, DVec3::NEG_X, DVec3::Y, scale * WINDOW_MM, [WINDOW_MM, WINDOW_MM]).unwrap();
@@ -167,7 +170,7 @@ fn quadrants(builder: &mut Builder) -> TextureUse {
 fn textures_are_neither_mirrored_nor_flipped() {
     let mut scene = Builder::default();
     let picture = quadrants(&mut scene);
-    let material = Material { unlit: true, base_color_texture: Some(picture), base_color: Vec4::ONE, ..matt(1.0) };
+    let material = Material { unlit: true, base_color_texture: Some(picture), base_color: Vec4::ONE, ..diffuse(1.0) };
     scene.add(rectangle(Vec3::ZERO, Vec3::X, Vec3::Y), material);
     let image = render(&scene.renderer(), &window(), &one_view(8, [0.0, 0.0]), &SAMPLES);
     assert_eq!(image.block([1, 1]), [1.0, 0.0, 0.0], "top left is red");
@@ -184,7 +187,7 @@ fn masked_and_blended_surfaces_let_light_through() {
         unlit: true,
         base_color_texture: Some(picture),
         alpha_mode: AlphaMode::Mask { cutoff: 0.5 },
-        ..matt(1.0)
+        ..diffuse(1.0)
     };
     scene.add(rectangle(Vec3::ZERO, Vec3::X, Vec3::Y), material);
     let geometry = one_view(8, [0.0, 0.0]);
@@ -196,17 +199,18 @@ fn masked_and_blended_surfaces_let_light_through() {
     let many = Settings { samples: 256, ..SAMPLES };
     let image = render(&scene.renderer(), &window(), &geometry, &many);
     let alpha = 100.0 / 255.0;
-    // stratified: the share of samples that meet the surface is exact to one of 256
+    // stratified: the share of samples that hit the surface is exact to one of 256
     assert!((image.get([6, 6, 0]) - (alpha + (1.0 - alpha) * 0.5)).abs() < 1.0 / 256.0, "{}", image.get([6, 6, 0]));
 }
 
-/// Surfaces that cover one another decide independently in every pixel: noise must vanish with more samples.
+/// Surfaces that cover one another decide independently in every pixel: noise must vanish with more
+/// samples.
 #[test]
 fn layers_of_blended_surfaces_converge() {
     let mut scene = card(Vec3::new(0.0, 0.0, -0.5), 2.0, Vec3::Z);
     for (z, color, alpha) in [(0.0, Vec3::Y, 0.5), (0.3, Vec3::X, 0.4)] {
         let material =
-            Material { base_color: color.extend(alpha), unlit: true, alpha_mode: AlphaMode::Blend, ..matt(1.0) };
+            Material { base_color: color.extend(alpha), unlit: true, alpha_mode: AlphaMode::Blend, ..diffuse(1.0) };
         scene.add(rectangle(Vec3::new(0.0, 0.0, z), 2.0 * Vec3::X, 2.0 * Vec3::Y), material);
     }
     let many = Settings { samples: 4096, ..SAMPLES };
@@ -219,16 +223,16 @@ fn layers_of_blended_surfaces_converge() {
     }
 }
 
-/// The share of light that a blended surface lets pass reaches what lies behind it.
+/// The transmitted share of light reaches the surfaces behind a blended surface.
 #[test]
 fn blended_surfaces_cast_partial_shadows() {
     use lumistack_scene::{Light, LightKind};
     let lit = |alpha: Option<f32>| {
         let mut scene = Builder::default();
-        scene.add(rectangle(Vec3::new(0.0, 0.0, -0.5), 2.0 * Vec3::X, 2.0 * Vec3::Y), matt(0.5));
+        scene.add(rectangle(Vec3::new(0.0, 0.0, -0.5), 2.0 * Vec3::X, 2.0 * Vec3::Y), diffuse(0.5));
         if let Some(alpha) = alpha {
             // above the plane and beside the view, in the way of the slanted light
-            let mut veil = matt(0.0);
+            let mut veil = diffuse(0.0);
             veil.base_color.w = alpha;
             veil.alpha_mode = AlphaMode::Blend;
             scene.add(rectangle(Vec3::new(3.0, 0.0, 0.5), 1.5 * Vec3::X, 3.0 * Vec3::Y), veil);
@@ -246,7 +250,8 @@ fn blended_surfaces_cast_partial_shadows() {
     assert!((lit(Some(0.25)) / open - 0.75).abs() < 1e-5 && lit(Some(1.0)) == 0.0);
 }
 
-/// A normal map whose picture is lit from its upper left must look so on every placement: turned, mirrored, scaled unevenly.
+/// A normal map whose picture is lit from its upper left must look so on every placement: turned,
+/// mirrored, scaled unevenly.
 #[test]
 fn normal_maps_keep_their_relief() {
     use lumistack_scene::{Light, LightKind};
@@ -267,7 +272,7 @@ fn normal_maps_keep_their_relief() {
             filter: Filter::Linear,
         });
         let map = TextureUse { texture: 0, uv_set: 0, texture_from_mesh: glam::Affine2::IDENTITY };
-        scene.add(rectangle(Vec3::ZERO, Vec3::X, Vec3::Y), Material { normal_texture: Some(map), ..matt(1.0) });
+        scene.add(rectangle(Vec3::ZERO, Vec3::X, Vec3::Y), Material { normal_texture: Some(map), ..diffuse(1.0) });
         scene.parts.instances[0].scene_from_mesh = placement;
         let picture_right = placement.transform_vector3(Vec3::X).normalize();
         let mut lit_from = |direction: Vec3| {
@@ -280,17 +285,18 @@ fn normal_maps_keep_their_relief() {
             render(&scene.renderer(), &window(), &one_view(4, [0.0, 0.0]), &SAMPLES).get([1, 1, 0])
         };
         let from_right = lit_from(picture_right + Vec3::Z);
-        // but for what bumps of 45° shadow of light at 45°: 2 / (1 + √(9/8))
+        // bumps of 45° shadow light at 45°: 2 / (1 + √(9/8))
         assert!((from_right - 0.971).abs() < 0.01, "{name}: the relief faces this light, {from_right}");
         let from_left = lit_from(-picture_right + Vec3::Z);
         assert!(from_left < 0.01, "{name}: and is edge-on to this one, {from_left}");
     }
 }
 
-/// A matt surface is as bright from all sides, however steep its normal map: gloss alone has its normals bent towards the viewer. Light
-/// is weakened by the bumps that it falls past: by 2 cos θ / (cos θ + √(cos² θ + α² sin² θ)) with α² = tan² 45° / 8.
+/// A diffuse surface is equally bright from all sides, with any normal map: only gloss has its
+/// normals bent towards the viewer. The bumps that light passes weaken it by 2 cos θ / (cos θ +
+/// √(cos² θ + α² sin² θ)) with α² = tan² 45° / 8.
 #[test]
-fn matt_normal_maps_do_not_depend_on_the_viewer() {
+fn diffuse_normal_maps_do_not_depend_on_the_viewer() {
     use lumistack_scene::{Light, LightKind};
     let mut scene = Builder::default();
     scene.parts.images.push(Image {
@@ -301,7 +307,7 @@ fn matt_normal_maps_do_not_depend_on_the_viewer() {
     });
     scene.parts.textures.push(Texture { image: 0, wrap_u: Wrap::Repeat, wrap_v: Wrap::Repeat, filter: Filter::Linear });
     let map = TextureUse { texture: 0, uv_set: 0, texture_from_mesh: glam::Affine2::IDENTITY };
-    scene.add(rectangle(Vec3::ZERO, Vec3::X, Vec3::Y), Material { normal_texture: Some(map), ..matt(1.0) });
+    scene.add(rectangle(Vec3::ZERO, Vec3::X, Vec3::Y), Material { normal_texture: Some(map), ..diffuse(1.0) });
     for (light, expected) in [(Vec3::Z, 0.707), (Vec3::new(-0.5, 0.0, 1.0), 0.314), (Vec3::new(2.0, 0.0, 1.0), 0.853)] {
         scene.parts.lights = vec![Light {
             position: Vec3::ZERO,
@@ -333,7 +339,8 @@ fn single_sided_backs_are_invisible_and_mirrored_copies_keep_their_front() {
 
 #[test]
 fn a_fine_texture_is_filtered_to_its_mean() {
-    // a checkerboard of 512 × 512 texels seen by 4 × 4 pixels: each pixel is near the mean even with one sample
+    // a checkerboard of 512 × 512 texels seen by 4 × 4 pixels: each pixel is near the mean even
+    // with one sample
     let mut scene = Builder::default();
     let size = 512;
     let texels =
@@ -343,7 +350,7 @@ fn a_fine_texture_is_filtered_to_its_mean() {
     let picture = TextureUse { texture: 0, uv_set: 0, texture_from_mesh: glam::Affine2::IDENTITY };
     scene.add(
         rectangle(Vec3::ZERO, Vec3::X, Vec3::Y),
-        Material { unlit: true, base_color_texture: Some(picture), ..matt(1.0) },
+        Material { unlit: true, base_color_texture: Some(picture), ..diffuse(1.0) },
     );
     for slope in [[0.0, 0.0], [0.8, -0.3]] {
         let one = Settings { samples: 1, ..SAMPLES };
@@ -353,7 +360,8 @@ fn a_fine_texture_is_filtered_to_its_mean() {
     }
 }
 
-/// A card off the display plane is blurred by its parallax over the bin: a box of width z·Δs, while one on the plane stays sharp.
+/// A card off the display plane is blurred by its parallax over the bin: a box of width z·Δs, while
+/// one on the plane stays sharp.
 #[test]
 fn the_angular_filter_blurs_what_is_off_the_plane() {
     let grid = ViewGrid { projection: Projection::Oblique, slope_x: vec![-0.4, 0.0, 0.4], slope_y: vec![0.0] };
@@ -373,8 +381,9 @@ fn the_angular_filter_blurs_what_is_off_the_plane() {
     }
 }
 
-/// A lens focused on the display plane blurs the edge of a card at depth z over a disc of diameter z times the lens: its profile is the share of a disc on
-/// one side of a chord, 1/2 + (u√(1 − u²) + asin u)/π at u radii from the middle.
+/// A lens focused on the display plane blurs the edge of a card at depth z over a disc of diameter
+/// z times the lens. The profile is the share of a disc on one side of a chord: 1/2 + (u√(1 − u²) +
+/// asin u)/π at u radii from the middle.
 #[test]
 fn a_lens_blurs_with_a_disc() {
     let geometry = one_view(SIZE, [0.0, 0.0]);
@@ -396,7 +405,8 @@ fn a_lens_blurs_with_a_disc() {
             }
             let expected = (profile(x - 0.5 * PITCH) + 4.0 * profile(x) + profile(x + 0.5 * PITCH)) / 6.0;
             let found = f64::from(image.get([SIZE / 2, col, 0]));
-            // 256 stratified samples of a share: far below one standard deviation of independent ones, 0.03
+            // 256 stratified samples of a share: far below one standard deviation of independent
+            // ones, 0.03
             assert!((found - expected).abs() < 0.03, "z {z}, {x} from the rim: {found} instead of {expected}");
         }
     }
@@ -405,12 +415,13 @@ fn a_lens_blurs_with_a_disc() {
 fn busy_scene() -> Renderer {
     let mut scene = Builder::default();
     let picture = quadrants(&mut scene);
-    let floor = Material { base_color_texture: Some(picture), ..matt(0.8) };
+    let floor = Material { base_color_texture: Some(picture), ..diffuse(0.8) };
     scene.add(rectangle(Vec3::new(0.0, -0.6, 0.0), 2.0 * Vec3::X, 2.0 * Vec3::NEG_Z), floor);
-    scene.add(common::sphere(Vec3::new(-0.3, 0.0, 0.2), 0.5, 20), Material { ior: 1.5, roughness: 0.2, ..matt(0.5) });
+    scene
+        .add(common::sphere(Vec3::new(-0.3, 0.0, 0.2), 0.5, 20), Material { ior: 1.5, roughness: 0.2, ..diffuse(0.5) });
     scene.add(
         common::sphere(Vec3::new(0.6, 0.0, -0.3), 0.4, 20),
-        Material { metallic: 1.0, roughness: 0.1, ..matt(0.9) },
+        Material { metallic: 1.0, roughness: 0.1, ..diffuse(0.9) },
     );
     scene.add(rectangle(Vec3::new(0.0, 2.0, 0.0), 0.5 * Vec3::X, 0.5 * Vec3::Z), glowing(Vec3::splat(4.0)));
     scene.sky(&[0.5, 0.2]).renderer()
@@ -435,9 +446,10 @@ fn the_same_bytes_come_out_on_one_and_two_threads() {
 
 #[test]
 fn views_are_decorrelated() {
-    // two views of the same slope: same expectation, different noise; a matt scene, whose noise has no heavy tails
+    // two views of the same slope: same expectation, different noise; a diffuse scene, whose noise
+    // has no heavy tails
     let mut scene = Builder::default();
-    scene.add(rectangle(Vec3::new(0.0, 0.0, -0.5), 3.0 * Vec3::X, 3.0 * Vec3::Y), matt(0.7)).sky(&[1.0, 0.2]);
+    scene.add(rectangle(Vec3::new(0.0, 0.0, -0.5), 3.0 * Vec3::X, 3.0 * Vec3::Y), diffuse(0.7)).sky(&[1.0, 0.2]);
     let renderer = scene.renderer();
     let size = 64;
     let grid = ViewGrid { projection: Projection::Oblique, slope_x: vec![0.1, 0.1], slope_y: vec![0.0] };
@@ -493,7 +505,7 @@ fn wrong_requests_are_refused() {
 #[test]
 fn a_scene_without_light_is_reported() {
     let mut scene = Builder::default();
-    scene.add(rectangle(Vec3::ZERO, Vec3::X, Vec3::Y), matt(0.5));
+    scene.add(rectangle(Vec3::ZERO, Vec3::X, Vec3::Y), diffuse(0.5));
     let (collector, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&collector, &cancel);
     let scene = std::sync::Arc::new(scene.parts.clone().validate(task).unwrap());
@@ -503,7 +515,8 @@ fn a_scene_without_light_is_reported() {
 
 #[test]
 fn samples_that_overflow_are_counted_and_left_out() {
-    // so bright that the sum of emitted and reflected light is beyond f32; what one ray sees directly is not
+    // so bright that the sum of emitted and reflected light overflows f32; directly seen emission
+    // does not
     let mut scene = card(Vec3::new(0.0, 0.0, -0.5), 1.0, Vec3::splat(3e38));
     scene.parts.materials[0].base_color = Vec4::ONE;
     scene.add(rectangle(Vec3::new(0.0, -0.9, 0.0), Vec3::X, Vec3::NEG_Z), glowing(Vec3::splat(3e38)));
@@ -515,18 +528,19 @@ fn samples_that_overflow_are_counted_and_left_out() {
 
 #[test]
 fn extreme_scenes_stay_finite() {
-    // huge and tiny scales, far from the origin, light on the surface itself, black and white, roughness 0
+    // huge and tiny scales, far from the origin, light on the surface itself, black and white,
+    // roughness 0
     for (scale, at) in [(1e-6, 0.0), (1e6, 0.0), (1.0, 1e4)] {
         let mut scene = Builder::default();
         let place = |v: Vec3| (scale * v.as_dvec3() + DVec3::splat(at)).as_vec3();
         let unit = scale as f32;
         scene.add(
             common::sphere(place(Vec3::ZERO), 0.5 * unit, 12),
-            Material { metallic: 1.0, roughness: 0.0, ..matt(1.0) },
+            Material { metallic: 1.0, roughness: 0.0, ..diffuse(1.0) },
         );
         scene.add(
             rectangle(place(Vec3::new(0.0, -0.5, 0.0)), 2.0 * unit * Vec3::X, 2.0 * unit * Vec3::NEG_Z),
-            matt(1.0),
+            diffuse(1.0),
         );
         scene.sky(&[1.0]);
         scene.parts.environment.as_mut().unwrap().scene_from_environment = Quat::from_rotation_x(1.0);
@@ -541,7 +555,8 @@ fn extreme_scenes_stay_finite() {
     }
 }
 
-/// A limit dims what is brighter and says how much light that costs; without one nothing is dimmed.
+/// A limit dims brighter samples and reports the light that it removes; without one nothing is
+/// dimmed.
 #[test]
 fn a_clamp_is_reported() {
     let mut scene = Builder::default();

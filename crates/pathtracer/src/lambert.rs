@@ -1,4 +1,5 @@
-//! Lambert's law alone, f = c/π: what [`Bsdf`](crate::bsdf::Bsdf) is for materials that reflect and transmit nothing, at a fraction of the cost.
+//! Lambert's law alone, f = c/π. It replaces [`Bsdf`](crate::bsdf::Bsdf) for materials without
+//! specular reflection and transmission, at a fraction of the cost.
 
 use std::f32::consts::FRAC_1_PI;
 
@@ -8,22 +9,22 @@ use lumistack_scene::Material;
 use crate::bsdf::{Layers, Scatter};
 use crate::normals::Normals;
 
-/// A matt point.
-pub(crate) struct Matt {
+/// A point that scatters by Lambert's law alone.
+pub(crate) struct Lambert {
     albedo: Vec3,
     /// Geometric normal on the viewer's side.
     geometric: Vec3,
     normals: Normals,
 }
 
-/// Whether a material is matt whatever its textures say.
-pub(crate) fn is_matt(material: &Material) -> bool {
+/// True if a material scatters by Lambert's law alone, with any texels of its textures.
+pub(crate) fn is_lambertian(material: &Material) -> bool {
     let no_gloss = material.ior == 1.0 || material.specular == 0.0 && material.specular_texture.is_none();
     let no_layers = !Layers::are_named(material) && material.iridescence.is_none();
     material.metallic == 0.0 && material.transmission == 0.0 && no_gloss && no_layers
 }
 
-impl Matt {
+impl Lambert {
     #[inline]
     pub(crate) fn new(albedo: Vec3, geometric: Vec3, normals: Normals) -> Self {
         Self { albedo, geometric, normals }
@@ -52,8 +53,8 @@ impl Matt {
         }
     }
 
-    /// A scattered direction, from one of [`cosine_directions`](crate::bsdf::cosine_directions) around the z axis; `None` when it is below the surface
-    /// or nothing is reflected.
+    /// A scattered direction, from one of [`cosine_directions`](crate::bsdf::cosine_directions)
+    /// around the z axis; `None` when it is below the surface or nothing is reflected.
     #[inline]
     pub(crate) fn sample(&self, local: Vec3) -> Option<Scatter> {
         let (tangent, bitangent) = self.normals.mapped.any_orthonormal_pair();

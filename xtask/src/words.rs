@@ -1,0 +1,284 @@
+//! Plain words as a check: comments, docs and messages of errors follow `docs/GLOSSARY.md`.
+//!
+//! * No word of the glossary's column "not".
+//! * At most 30 words a sentence.
+//! * No sentence begins with What, Whether or Of.
+//! * At most 1 `what` in 1000 words of a folder.
+//! * A line that holds nothing but a comment has at most 100 columns.
+//!
+//! Folders of [`CLEAN`] must keep them; `cargo xtask words --all` reports all others.
+
+use std::collections::BTreeMap;
+
+use crate::prose::{Block, blocks, sentences, words};
+use crate::tools::{Outcome, command, output_of, root};
+
+/// Folders and files that keep every rule. A folder joins this list once its prose is rewritten.
+#[rustfmt::skip]
+const CLEAN: &[&str] = &[
+    "crates/core",
+    "crates/design",
+    "crates/display",
+    "crates/field-io",
+    "crates/files",
+    "crates/fingerprint",
+    "crates/gltf",
+    "crates/pathtracer",
+    "crates/plot",
+    "crates/report",
+    "crates/scene",
+    "crates/simd",
+    "crates/testkit",
+    "docs/GLOSSARY.md",
+    "docs/GLTF.md",
+    "docs/ZONE.md",
+    "xtask/src/prose.rs",
+    "xtask/src/words.rs",
+];
+
+/// A sentence of more words must be read twice. The style guide says 25.
+const LONGEST_SENTENCE: usize = 30;
+
+/// The widest line that holds nothing but a comment, in characters.
+const WIDEST_COMMENT: usize = 100;
+
+/// First words that hide a sentence's subject.
+const NO_BEGINNING: [&str; 3] = ["what", "whether", "of"];
+
+/// Endings of files that have prose.
+const READ: [&str; 5] = ["rs", "ts", "py", "wgsl", "md"];
+
+/// Where the banned words stand.
+const GLOSSARY: &str = "docs/GLOSSARY.md";
+
+/// A banned phrase and the glossary's term for the thing.
+struct Banned {
+    phrase: Vec<String>,
+    instead: String,
+}
+
+/// Counts of one crate.
+#[derive(Default)]
+struct Sum {
+    words: usize,
+    /// Where each `what` stands, as `path:line`.
+    whats: Vec<String>,
+    problems: usize,
+}
+
+/// Checks every file of [`CLEAN`]; with `all` reports every other file too, without failing for it.
+pub fn check(all: bool) -> Outcome {
+    let files = output_of(command("git").args(["ls-files", "--cached", "--others", "--exclude-standard"]))
+        .ok_or("git ls-files failed")?;
+    let banned = banned_words(&read(GLOSSARY)?);
+
+    // Read every file once, in the order of git, and count per crate and per clean folder.
+    let mut crates = BTreeMap::<String, Sum>::new();
+    let mut folders = BTreeMap::<&str, Sum>::new();
+    let mut failed = 0;
+    for path in files.lines().filter(|path| READ.iter().any(|ending| path.ends_with(&format!(".{ending}")))) {
+        let clean = CLEAN.iter().find(|folder| is_within(path, folder));
+        if !(all || clean.is_some()) {
+            continue;
+        }
+        let (problems, sum) = problems_of(path, &read(path)?, &banned);
+        for problem in &problems {
+            println!("{path}:{problem}");
+        }
+        if let Some(folder) = clean {
+            failed += problems.len();
+            folders.entry(folder).or_default().add(&sum);
+        }
+        crates.entry(crate_of(path)).or_default().add(&sum);
+    }
+
+    println!("{:>8} {:>16} {:>8}  crate", "words", "what per 1000", "problems");
+    for (name, sum) in &crates {
+        println!("{:8} {:16.1} {:8}  {name}", sum.words, sum.per_thousand(), sum.problems);
+    }
+    // A short folder may use `what` once.
+    let wordy = folders.iter().filter(|(_, sum)| sum.whats.len() > 1 && sum.per_thousand() > 1.0);
+    for (name, sum) in wordy {
+        failed += 1;
+        println!("{name}: \"what\" more than once in 1000 words: {}", sum.whats.join(", "));
+    }
+    match failed {
+        0 => Ok(()),
+        count => Err(format!("words: {count} problems in clean folders; docs/GLOSSARY.md has the terms")),
+    }
+}
+
+impl Sum {
+    fn add(&mut self, other: &Sum) {
+        self.words += other.words;
+        self.whats.extend_from_slice(&other.whats);
+        self.problems += other.problems;
+    }
+
+    fn per_thousand(&self) -> f64 {
+        1000.0 * self.whats.len() as f64 / self.words.max(1) as f64
+    }
+}
+
+fn read(path: &str) -> Outcome<String> {
+    std::fs::read_to_string(root().join(path)).map_err(|error| format!("{path}: {error}"))
+}
+
+fn is_within(path: &str, folder: &str) -> bool {
+    path.strip_prefix(folder).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
+}
+
+/// Returns the crate or top folder of a file: `crates/core`, `docs`; `.` for the root's files.
+fn crate_of(path: &str) -> String {
+    let parts: Vec<&str> = path.split('/').collect();
+    match parts.as_slice() {
+        [top @ ("crates" | "plugins" | "examples"), name, _, ..] => format!("{top}/{name}"),
+        [top, _, ..] => (*top).to_owned(),
+        _ => ".".to_owned(),
+    }
+}
+
+/// Reads the last column of the glossary's tables.
+///
+/// Words in italics have right uses too, so no check finds them.
+fn banned_words(glossary: &str) -> Vec<Banned> {
+    let mut banned = Vec::new();
+    let mut in_table = false;
+    for line in glossary.lines() {
+        let cells: Vec<&str> = line.trim().trim_matches('|').split('|').map(str::trim).collect();
+        let [term, _, _, not] = cells.as_slice() else {
+            in_table = false;
+            continue;
+        };
+        if *not == "not" {
+            in_table = true;
+        } else if in_table {
+            let phrases = not.split(',').map(str::trim).filter(|phrase| !phrase.contains('*'));
+            let phrases = phrases.map(words).filter(|phrase| !phrase.is_empty());
+            let instead = term.replace('*', "");
+            banned.extend(phrases.map(|phrase| Banned { phrase, instead: instead.clone() }));
+        }
+    }
+    banned
+}
+
+/// Finds the problems of a file, each as "line: problem", and counts its words.
+fn problems_of(path: &str, text: &str, banned: &[Banned]) -> (Vec<String>, Sum) {
+    let mut found: Vec<(usize, String)> = Vec::new();
+    let mut sum = Sum::default();
+    for block in blocks(path, text) {
+        sum.words += words(&block.text).len();
+        // The glossary's own tables hold the banned words.
+        if path == GLOSSARY && is_row(text, &block) {
+            continue;
+        }
+        problems_of_block(path, &block, banned, &mut found, &mut sum);
+    }
+    if !path.ends_with(".md") {
+        found.extend(wide_comments(path, text));
+    }
+    found.sort();
+    sum.problems = found.len();
+    (found.into_iter().map(|(line, problem)| format!("{line}: {problem}")).collect(), sum)
+}
+
+fn is_row(text: &str, block: &Block) -> bool {
+    text.lines().nth(block.line - 1).is_some_and(|line| line.starts_with('|'))
+}
+
+fn problems_of_block(path: &str, block: &Block, banned: &[Banned], found: &mut Vec<(usize, String)>, sum: &mut Sum) {
+    for sentence in sentences(block) {
+        let words = words(sentence.text);
+        let whats = words.iter().filter(|word| *word == "what");
+        sum.whats.extend(whats.map(|_| format!("{path}:{}", sentence.line)));
+        if words.len() > LONGEST_SENTENCE {
+            found.push((sentence.line, format!("a sentence of {} words, over {LONGEST_SENTENCE}", words.len())));
+        }
+        if let Some(first) = words.first().filter(|first| NO_BEGINNING.contains(&first.as_str())) {
+            found.push((sentence.line, format!("a sentence begins with \"{first}\"")));
+        }
+        for Banned { phrase, instead } in banned {
+            if words.windows(phrase.len()).any(|window| window == phrase) {
+                found.push((sentence.line, format!("\"{}\": the glossary has {instead}", phrase.join(" "))));
+            }
+        }
+    }
+}
+
+/// Lines that hold nothing but a comment and are too wide. Addresses and rows of tables cannot be
+/// broken, so they may.
+fn wide_comments(path: &str, text: &str) -> impl Iterator<Item = (usize, String)> {
+    // a line that begins with `*` is a product in Rust, and a comment in TypeScript
+    let marks: &[&str] = match path.rsplit_once('.') {
+        Some((_, "py")) => &["# "],
+        Some((_, "ts")) => &["//", "* "],
+        _ => &["//"],
+    };
+    text.lines().enumerate().filter_map(move |(index, line)| {
+        let trimmed = line.trim_start();
+        let is_comment = marks.iter().any(|mark| trimmed.starts_with(mark));
+        let text = trimmed.trim_start_matches(['/', '!', '#', '*', ' ']);
+        let unbreakable = text.starts_with('|') || trimmed.contains("://");
+        let width = line.chars().count();
+        let wide = is_comment && width > WIDEST_COMMENT && !unbreakable;
+        wide.then(|| (index + 1, format!("a comment line of {width} columns, over {WIDEST_COMMENT}")))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GLOSSARY_TEXT: &str = "\
+| term | meaning | unit, symbol | not |
+|---|---|---|---|
+| **hit** | a ray's nearest intersection | | met, *meeting* |
+| exposure and tone curve | maps radiance to 0..1 | | the look |
+";
+
+    fn problems(text: &str) -> Vec<String> {
+        problems_of("a.rs", text, &banned_words(GLOSSARY_TEXT)).0
+    }
+
+    #[test]
+    fn banned_words_are_found_in_comments_alone() {
+        assert_eq!(problems("// the triangle that is met\nlet met = 1;\n"), ["1: \"met\": the glossary has hit"]);
+        let across = problems("/// Applies the\n/// look.\nfn look() {}\n");
+        assert_eq!(across, ["1: \"the look\": the glossary has exposure and tone curve"]);
+        assert!(problems("// the meeting of `met` and metre\n").is_empty());
+    }
+
+    #[test]
+    fn long_sentences_and_beginnings_are_found() {
+        let long = format!("// Short one. Word\n{}// end.\n", "// and word\n".repeat(15));
+        assert_eq!(problems(&long), ["1: a sentence of 32 words, over 30"]);
+        let beginnings = problems("/// Fine.\n/// What it does.\n/// Whether it does.\n/// Of all, one.\n");
+        assert_eq!(beginnings.len(), 3);
+        assert_eq!(beginnings[0], "2: a sentence begins with \"what\"");
+    }
+
+    #[test]
+    fn wide_comments_are_found_and_addresses_may_be_wide() {
+        let line = format!("    // {}\n", "a".repeat(94));
+        assert_eq!(problems(&line), ["1: a comment line of 101 columns, over 100"]);
+        assert!(problems(&format!("/// | {} |\n", "a".repeat(94))).is_empty());
+        assert!(problems(&format!("// https://{}\n", "a".repeat(94))).is_empty());
+        assert!(problems(&format!("let a = \"{}\";\n", "a".repeat(94))).is_empty());
+    }
+
+    #[test]
+    fn every_clean_folder_exists() {
+        for folder in CLEAN {
+            assert!(root().join(folder).exists(), "{folder} is in the list and not in the repository");
+        }
+    }
+
+    #[test]
+    fn files_belong_to_their_crate() {
+        assert_eq!(crate_of("crates/core/src/lib.rs"), "crates/core");
+        assert_eq!(crate_of("docs/plugins/a.md"), "docs");
+        assert_eq!(crate_of("README.md"), ".");
+        assert!(is_within("crates/core/src/lib.rs", "crates/core"));
+        assert!(!is_within("crates/core-x/src/lib.rs", "crates/core"));
+    }
+}
