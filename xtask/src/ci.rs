@@ -15,6 +15,7 @@ use crate::site;
 use crate::tools::{self, EVERYTHING, Outcome, cargo, command, output_of, run};
 use crate::usd;
 use crate::web;
+use crate::words;
 use crate::workflows;
 
 /// The Rust version whose lints we have seen. A newer compiler may know lints that nobody has answered yet, so there they only warn.

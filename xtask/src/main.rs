@@ -16,11 +16,13 @@ mod package;
 mod panels;
 mod plugins;
 mod portable;
+mod prose;
 mod python;
 mod site;
 mod tools;
 mod usd;
 mod web;
+mod words;
 mod workflows;
 
 use std::process::ExitCode;

@@ -410,7 +410,7 @@ fn value_label(rows: &[Row]) -> String {
 
 fn title(part: &[Row], others: &[Axis]) -> String {
     let told: Vec<String> =
-        part.first().map_or(Vec::new(), |row| others.iter().map(|axis| axis.title(&row.design)).collect());
+        part.first().map_or(Vec::new(), |row| others.iter().map(|axis| axis.told(&row.design)).collect());
     if told.is_empty() { "All designs".into() } else { told.join(", ") }
 }
 
@@ -445,7 +445,7 @@ fn curves_of(all: &[Row], part: &[Row], x: Axis, by: Option<Axis>, others: &[Axi
             own.clone().map(|row| [x.number(&row.design), row.quality_db().min(plot::CAP_DB)]).collect();
         points.sort_by(|a, b| a[0].total_cmp(&b[0]));
         let first = own.clone().next();
-        let name = by.zip(first).map_or(String::new(), |(by, row)| by.title(&row.design));
+        let name = by.zip(first).map_or(String::new(), |(by, row)| by.told(&row.design));
         Curve { name, points, colour: place % COLOURS.len(), dashed: place >= COLOURS.len(), dots: true }
     });
     let lowest = all.iter().map(|row| row.quality_db()).fold(f64::MAX, f64::min);

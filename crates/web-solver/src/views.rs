@@ -90,7 +90,13 @@ impl Views {
         let traced = geometry.with_grid(geometry.grid.scaled(placement.depth_scale));
         let count = geometry.grid.iter().count();
         let render = settings.render();
-        let paths = render.settings(SEED, render.samples_of_view(count), false, placement.depth_scale, display.angular_footprint());
+        let paths = render.settings(
+            SEED,
+            render.samples_of_view(count),
+            false,
+            placement.depth_scale,
+            display.angular_footprint(),
+        );
         Ok(Self {
             denoise: if held.is_traced() { Settings::denoise(display) } else { Denoise::Off },
             held,

@@ -8,8 +8,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::error::PipelineError;
-use crate::path_text::PathText;
 use crate::presets;
+use lumistack_core::path_text::PathText;
 
 /// Which display, and what to change about it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]

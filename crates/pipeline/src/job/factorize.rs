@@ -7,7 +7,7 @@ use lumistack_factorizer::{StartKind, solver_names};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::path_text::PathText;
+use lumistack_core::path_text::PathText;
 
 /// Factorizer settings.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]

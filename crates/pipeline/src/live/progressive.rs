@@ -10,12 +10,12 @@ use lumistack_core::{Task, Tensor};
 use lumistack_display::LightField;
 use lumistack_pathtracer::denoise::SharedLight;
 use lumistack_pathtracer::{Renderer, SplitView};
+use lumistack_shot::{put_before, slopes};
 use lumistack_splats::Space;
 
 use crate::error::{PipelineError, render_error};
 use crate::job::{Background, Denoise};
 use crate::stage::fields::{FieldJob, Shot};
-use crate::stage::ingest::renderer::{put_before, slopes};
 
 /// Paths by which it is found out where a background is seen.
 const MISSED_SAMPLES: u32 = 4;
@@ -63,7 +63,7 @@ impl Progressive {
         let places: Vec<[usize; 2]> = views.iter().map(|view| view.place).collect();
         renderer.splat_views(shot.window(), &of.traced, &slopes(&of.traced, &places), task, |number, seen| {
             views[number].splats = seen.light.into_data();
-            Ok(())
+            Ok::<(), PipelineError>(())
         })?;
         if shot.job.light.background != Background::Environment {
             let settings = lumistack_pathtracer::Settings { samples: MISSED_SAMPLES, ..of.settings };

@@ -16,6 +16,7 @@ use lumistack_display::{Display, FieldGeometry, LightField};
 use lumistack_factorizer::Settings;
 use lumistack_live::Target;
 use lumistack_plugin_host::Registry;
+use lumistack_shot::{Look, Placement, expose_over};
 use lumistack_splats::Space;
 use serde_json::{Value, json};
 
@@ -23,12 +24,10 @@ use super::progressive::Progressive;
 use crate::error::{PipelineError, display_error};
 use crate::job::{Background, Job, ReportJob, SequenceJob};
 use crate::plan::times::Times;
-use crate::stage::expose::expose_over;
 use crate::stage::factorize::solver_settings;
 use crate::stage::fields::Shot;
 use crate::stage::ingest::{self, Ingested};
-use crate::stage::look::Look;
-use crate::stage::place::{self, Placement};
+use crate::stage::place;
 use crate::stage::{EXPOSE, INGEST, PLACE, TRACE, field, read};
 
 /// Views that are chosen for a display that has a choice, at most.
@@ -165,7 +164,8 @@ impl Studio {
         let Some((_, placement)) = self.placement else { return Ok(None) };
         let footprint = display.angular_footprint();
         let job = self.job.clone();
-        let shot = Shot { job: &job, ingested: &ingested, placement: &placement, geometry: &geometry, footprint };
+        let (geometry, samples) = (&geometry, None);
+        let shot = Shot { job: &job, ingested: &ingested, placement: &placement, geometry, footprint, samples };
         let key_of_views = json!([key_of_scene, format!("{placement:?} {geometry:?}"), (TRACE.reads)(&job)]);
         let (of_light, of_patterns) = ((EXPOSE.reads)(&job), json!([display.to_toml(), job.factorize]));
         let key = json!([key_of_views, of_light, of_patterns]);

@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use lumistack_core::tone::ToneCurve;
 use lumistack_core::path_text::PathText;
+use lumistack_core::tone::ToneCurve;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 

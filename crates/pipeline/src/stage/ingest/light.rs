@@ -4,8 +4,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use glam::{Quat, Vec3};
-use lumistack_field_io::picture::Picture;
 use lumistack_core::Task;
+use lumistack_field_io::picture::Picture;
 use lumistack_scene::{Image, Pixels, Scene, SceneParts};
 use lumistack_shot::edited;
 use lumistack_shot::light::set_environment;
