@@ -17,15 +17,12 @@ use crate::tools::{Outcome, command, output_of, root};
 #[rustfmt::skip]
 const CLEAN: &[&str] = &[
     "crates/core",
-    "crates/design",
     "crates/display",
-    "crates/field-io",
     "crates/files",
     "crates/fingerprint",
     "crates/gltf",
     "crates/pathtracer",
     "crates/plot",
-    "crates/report",
     "crates/scene",
     "crates/simd",
     "crates/testkit",

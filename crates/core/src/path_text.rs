@@ -1,7 +1,8 @@
 //! Paths in TOML and JSON, which hold Unicode only, while names on disk may be any bytes.
 //!
-//! A path that is UTF-8 is a text. Any other is a table `{ percent = "m%F6bel.glb" }`, in which `%` and two hexadecimal digits stand for a byte, so
-//! that a job that was written leads to the same file when it is read back. Paths that are only told are written with U+FFFD for what is no text.
+//! A path that is UTF-8 is a text. Any other is a table `{ percent = "m%F6bel.glb" }`, in which
+//! `%` and two hexadecimal digits stand for a byte. So a job that was written leads to the same
+//! file when it is read back. Paths that are only shown have U+FFFD in place of other bytes.
 
 use std::path::{Path, PathBuf};
 
@@ -29,7 +30,8 @@ pub mod optional {
     }
 }
 
-/// `#[serde(with = "lumistack_core::path_text::hashed")]` of paths that are opened again, each with a hash of its content.
+/// `#[serde(with = "lumistack_core::path_text::hashed")]` of paths that are opened again, each
+/// with a hash of its content.
 pub mod hashed {
     use super::*;
 
@@ -45,7 +47,7 @@ pub mod hashed {
     }
 }
 
-/// `#[serde(serialize_with = "lumistack_core::path_text::told")]` of a path that is only told.
+/// `#[serde(serialize_with = "lumistack_core::path_text::told")]` of a path that is only shown.
 pub fn told<S: Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_str(&path.to_string_lossy())
 }
@@ -135,7 +137,7 @@ pub enum PathText {
     },
 }
 
-/// Whether a value is the default, so that it needs not be written.
+/// Returns true for a default, which needs not be written.
 pub fn is_default<T: Default + PartialEq>(value: &T) -> bool {
     *value == T::default()
 }

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Lens, Panel, Transfer};
 
-/// What lights the layers.
+/// The light behind the layers.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase", tag = "kind")]
 #[allow(clippy::large_enum_variant, reason = "a display has one")]
@@ -92,7 +92,7 @@ impl LensletBacklight {
     }
 }
 
-/// What a ray reads beyond a lenslet's angular bins.
+/// The emission that a ray reads outside of a lenslet's angular bins.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum OutsideBins {

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Whether the colours of a frame are shown together or one after another.
+/// Order in time of the colours of a frame: together, or one after another.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum ColourSequence {
@@ -25,7 +25,8 @@ impl ColourSequence {
     }
 }
 
-/// Which colour each of a frame's three refreshes shows where colours follow one another: a text such as `"rgb"`.
+/// Which colour each of a frame's three refreshes shows where colours follow one another: a text
+/// such as `"rgb"`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(try_from = "String", into = "String")]
 #[schemars(extend("enum" = ["rgb", "rbg", "grb", "gbr", "brg", "bgr"]))]

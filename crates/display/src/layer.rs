@@ -73,7 +73,7 @@ fn default_peak() -> f64 {
     1.0
 }
 
-/// Whether a mask pixel has three values or one.
+/// Values of a mask pixel: three, or one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum LayerColour {

@@ -15,7 +15,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::Sampling;
 
-/// One physical panel. In a browser nothing looks at its numbers, and to read them would take a twentieth of the page: there all is default.
+/// One physical panel. In a browser all values are defaults: nothing uses them there, and reading
+/// them would take a twentieth of the page.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 #[cfg_attr(not(target_arch = "wasm32"), derive(Deserialize), serde(deny_unknown_fields))]
 pub struct Panel {
@@ -63,7 +64,8 @@ pub enum Flip {
     Vertical,
 }
 
-/// A lens array as built, where it differs from what the patterns were made for. In a browser all is default, as in [`Panel`].
+/// A lens array as built, where it differs from the one that the patterns were made for. In a
+/// browser all values are defaults, as in [`Panel`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 #[cfg_attr(not(target_arch = "wasm32"), derive(Deserialize), serde(deny_unknown_fields))]
 pub struct Lens {

@@ -14,7 +14,7 @@ pub enum Sampling {
     Bilinear,
 }
 
-/// What a ray reads that leaves a layer.
+/// The transmittance that a ray reads where it leaves a layer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Missing {

@@ -76,7 +76,7 @@ impl StackIndex {
     /// The version that is written.
     pub const VERSION: u32 = 1;
 
-    /// Of the patterns of a display.
+    /// The index of the patterns of a display.
     pub fn of(display: &Display, stack: &LayerStack) -> Self {
         let digits = (display.layers.len() - 1).to_string().len();
         let layer = |(n, layer): (usize, &Layer)| LayerEntry {

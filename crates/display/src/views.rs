@@ -104,7 +104,7 @@ impl JsonSchema for Views {
     }
 }
 
-/// The three forms, told apart by their kinds, so that an error names the place inside of one.
+/// The three forms, distinguished by their kinds, so that an error names the place inside of one.
 struct Form;
 
 impl<'de> Visitor<'de> for Form {

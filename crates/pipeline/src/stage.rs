@@ -15,6 +15,7 @@ pub(crate) mod layers;
 pub(crate) mod measure;
 pub(crate) mod node;
 pub(crate) mod output;
+pub(crate) mod paths;
 pub(crate) mod place;
 pub(crate) mod read;
 pub(crate) mod report;

@@ -9,7 +9,8 @@ use lumistack_core::Task;
 
 use crate::{AlphaMode, Bounds, Instance, Lamp, LightKind, Material, Mesh, Pixels, SceneError, SceneParts, TextureUse};
 
-/// Splats that a scene may have, copies counted: small files can ask for any number by placing a cloud often.
+/// Splats that a scene may have, copies counted: a small file can reach any number by placing a
+/// cloud often.
 const MOST_SPLATS: usize = 1 << 27;
 
 /// A scene whose indices, numbers and transforms have been checked. Read it like [`SceneParts`].
@@ -371,7 +372,7 @@ impl SceneParts {
     }
 }
 
-/// Whether a placement has an inverse that floats can hold.
+/// Returns true if a placement has an inverse that floats can hold.
 fn is_invertible(map: &Affine3A) -> bool {
     let determinant = map.matrix3.determinant();
     determinant != 0.0 && determinant.is_finite() && Mat3A::inverse(&map.matrix3).is_finite()

@@ -73,7 +73,7 @@ impl SplitView {
         radiance
     }
 
-    /// Whether a sample of each pixel hits a surface, row by row.
+    /// Returns for each pixel, row by row, if a sample of it hits a surface.
     pub fn surfaces(&self) -> impl Iterator<Item = bool> {
         self.values.data().chunks_exact(VALUES).map(|values| values[9..12].iter().any(|normal| *normal != 0.0))
     }

@@ -10,7 +10,7 @@ use lumistack_shot::{Placement, put_before, seeded};
 use lumistack_splats::Space;
 
 use super::ingest::Ingested;
-use super::samples::Samples;
+use super::paths::Samples;
 use crate::error::{PipelineError, field_error, render_error};
 use crate::job::{Background, Denoise, Job};
 use crate::store::code;

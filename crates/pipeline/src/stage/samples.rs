@@ -30,10 +30,10 @@ use lumistack_pathtracer::{AngularFilter, Settings, SplitView};
 use lumistack_scene::Window;
 use lumistack_shot::{Look, Placement};
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 
 use super::factorize::Solve;
 use super::fields::Shot;
+use super::paths::Samples;
 use super::score;
 use crate::error::{PipelineError, display_error, render_error};
 use crate::job::{Background, Denoise, Engine, FactorizeJob, Job};
@@ -41,15 +41,6 @@ use crate::stage::ingest::Ingested;
 use crate::store::code;
 use crate::store::stamps::remembered;
 
-/// Share of a display's squared error that noise may add: 0.25 dB.
-const NOISE_SHARE: f64 = 0.06;
-/// Squared errors below this one are not worth a path: 50 dB.
-const LEAST_ERROR: f64 = 1e-5;
-/// Paths per pixel of all views together, at most.
-const MOST_PATHS: usize = 3200;
-/// Numbers of paths that are chosen. Few numbers keep rendered views valid when a display changes
-/// a little.
-const CHOICES: [u32; 12] = [1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64];
 /// Parts of the picture, at most, and the share of its area that they cover, at most.
 const PARTS: usize = 6;
 const MOST_AREA: f64 = 0.25;
@@ -65,37 +56,6 @@ const REFERENCE_PATHS: u32 = 4;
 const WHOLE: f32 = 0.999;
 /// Stream of random numbers that no view's radiance uses.
 const STREAM: u64 = 0x5a3b_0001;
-
-/// What was measured, and the choice that follows.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Samples {
-    /// Paths per pixel and view, ≥ 1.
-    pub(crate) per_view: u32,
-    /// V: mean squared error in the seen pictures from the noise of one path per pixel and view.
-    pub(crate) noise: f64,
-    /// D: mean squared error of the seen pictures without noise.
-    pub(crate) error: f64,
-    /// Whether more paths were needed than are allowed.
-    pub(crate) limited: bool,
-}
-
-impl Samples {
-    fn new(noise: f64, error: f64, views: usize) -> Self {
-        let needed = noise / (NOISE_SHARE * error.max(LEAST_ERROR));
-        let most = ((MOST_PATHS / views.max(1)) as u32).max(1);
-        let enough = CHOICES.into_iter().find(|&choice| f64::from(choice) >= needed);
-        let choice = enough.unwrap_or(CHOICES[CHOICES.len() - 1]);
-        Self { per_view: choice.min(most), noise, error, limited: enough.is_none_or(|enough| enough > most) }
-    }
-
-    /// For the report: why the number was chosen.
-    pub(crate) fn reason(&self) -> String {
-        let share = 100.0 * self.noise / f64::from(self.per_view) / self.error.max(LEAST_ERROR);
-        let limit =
-            if self.limited { format!("; more than {MOST_PATHS} of all views are not taken") } else { String::new() };
-        format!("noise adds about {share:.1} % to the display's own squared error{limit}")
-    }
-}
 
 /// The number of paths per pixel and view, where the job leaves it open. It is measured once and
 /// kept in a folder of the cache.
@@ -397,21 +357,6 @@ mod tests {
     use lumistack_scene::Similarity;
 
     use super::*;
-
-    #[test]
-    fn paths_follow_from_noise_and_error_within_limits() {
-        let choose = |noise, error, views| Samples::new(noise, error, views);
-        // without noise one path is enough, however good the display is
-        assert_eq!((choose(0.0, 1e-3, 169).per_view, choose(0.0, 0.0, 169).limited), (1, false));
-        // n = V / (η D) = 5, and the next number that is chosen
-        assert_eq!(choose(4.9 * NOISE_SHARE * 2e-3, 2e-3, 169).per_view, 6);
-        // errors that nobody sees ask for nothing
-        assert_eq!(choose(2.9 * NOISE_SHARE * LEAST_ERROR, -1e-7, 169).per_view, 3);
-        let limited = choose(1.0, 1e-3, 169);
-        assert_eq!((limited.per_view, limited.limited), (18, true));
-        assert_eq!(choose(1.0, 1e-3, 4000).per_view, 1);
-        assert!(limited.reason().contains("3200"), "{}", limited.reason());
-    }
 
     #[test]
     fn rays_of_parts_are_rays_of_the_picture() {

@@ -18,7 +18,7 @@ use crate::stage::factorize::Solved;
 use crate::stage::field::Field;
 use crate::stage::flicker::TimeError;
 use crate::stage::ingest::Ingested;
-use crate::stage::samples::Samples;
+use crate::stage::paths::Samples;
 use crate::stage::score::References;
 use crate::stage::trace::Traced;
 use crate::store::lock::Owned;

@@ -15,7 +15,7 @@ use crate::plan::steps::Kind;
 use crate::stage::field::{Field, check_geometry};
 use crate::stage::fields::{Block, Shot};
 use crate::stage::ingest::Ingested;
-use crate::stage::samples::Samples;
+use crate::stage::paths::Samples;
 use crate::stage::score::References;
 use crate::stage::{denoise, expose, ingest, place, read, samples, score, source, trace};
 use crate::store::settings::{write_display, write_job};
