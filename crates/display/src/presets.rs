@@ -4,7 +4,7 @@ macro_rules! presets {
     ($($name:literal),* $(,)?) => {
         /// Name and text of every preset.
         pub const PRESETS: &[(&str, &str)] =
-            &[$(($name, include_str!(concat!("../../../scenes/displays/", $name, ".toml")))),*];
+            &[$(($name, include_str!(concat!("../displays/", $name, ".toml")))),*];
     };
 }
 
