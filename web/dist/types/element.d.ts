@@ -54,6 +54,11 @@ export declare class LumistackViewer extends HTMLElement {
     screenshot(): Promise<Blob>;
     /** Shows what is among the files (path → file): a preview, a quilt, the views of a light field. */
     open(files: ReadonlyMap<string, File>): Promise<void>;
+    /**
+     * Shows patterns that are being computed: `json` is their preview, `codes` holds all its pictures in the preview's order, [row][col][rgb] each. Those of the
+     * preview on show take the place of the former at once.
+     */
+    showStack(json: string, codes: Uint8Array<ArrayBuffer>): Promise<void>;
     /** Other patterns for the preview on show, a PNG for every file that it names: all of them take effect at once. */
     renew(files: readonly ArrayBuffer[]): Promise<void>;
     connectedCallback(): void;
