@@ -150,7 +150,7 @@ mod tests {
         let schema = job(&Registry::built_in().unwrap());
         let at = |pointer: &str| schema.pointer(pointer).unwrap_or_else(|| panic!("{pointer}"));
         assert_eq!(at("/additionalProperties"), false);
-        assert_eq!(at("/definitions/RenderJob/properties/zone_samples/default"), 800);
+        assert_eq!(at("/definitions/RenderJob/properties/max_bounces/default"), 6);
         assert!(at("/definitions/DisplayJob/properties/preset/enum").as_array().unwrap().len() > 10);
         assert_eq!(at("/required"), &json!(["display"]));
         let outputs = at("/definitions/OutputJob/allOf").as_array().unwrap();

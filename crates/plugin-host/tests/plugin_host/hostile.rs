@@ -109,7 +109,7 @@ fn what_ends_the_process_is_named_and_the_other_outputs_are_written() {
         ("open:segfault", "ended by signal 11 (segmentation fault)", "it was opened"),
         ("open:exit", "ended itself with exit code 0", "it was opened"),
         ("finish:abort", "ended by signal 6 (abort)", "it finished"),
-        ("submit:say and abort", "ended by signal 6 (abort)", "it wrote `a.txt`; the last it said: out of ink"),
+        ("submit:say and abort", "ended by signal 6 (abort)", "it wrote `a.txt`; the last it printed: out of ink"),
         ("submit:scribble", "broke off its connection to the program", "it wrote `a.txt`"),
         ("submit:close all", "broke off its connection to the program", "it wrote `a.txt`"),
         ("submit:fork and abort", "ended by signal 6 (abort)", "it wrote `a.txt`"),

@@ -170,5 +170,5 @@ fn copies_of_copies_are_counted_before_they_are_made() {
     let chain = header["instances"][0]["chain"].as_array_mut().unwrap();
     chain.extend(vec![link; 60]);
     let error = load(&file(&header, &data)).unwrap().unwrap_err().to_string();
-    assert!(error.starts_with("sample: /a: expected at most 67108864 placed meshes"), "{error}");
+    assert!(error.starts_with("sample: /a: expected at most 67108864 placed shapes"), "{error}");
 }
