@@ -9,7 +9,7 @@ use tempfile::TempDir;
 macro_rules! files {
     ($($path:literal),* $(,)?) => {
         /// Path below the page's folder, and content.
-        const FILES: &[(&str, &[u8])] = &[$(($path, include_bytes!(concat!("../../../web/dist/", $path)))),*];
+        const FILES: &[(&str, &[u8])] = &[$(($path, include_bytes!(concat!("../dist/", $path)))),*];
     };
 }
 

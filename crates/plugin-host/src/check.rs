@@ -64,7 +64,7 @@ mod tests {
         let registry = Registry::built_in().unwrap();
         let (warnings, cancel) = (Collector::default(), Cancel::default());
         let task = Task::quiet(&warnings, &cancel);
-        let text = include_str!("../../../scenes/displays/fig7-uniform.toml");
+        let (_, text) = lumistack_display::PRESETS.iter().find(|(name, _)| *name == "fig7-uniform").unwrap();
         let display = Display::from_toml(text).unwrap().with_resolution([40, 25]);
         let check = |id: &str, params: Value, display: &Display| {
             check_output(&registry, id, &params, display, Port::LayerStack, task).map_err(|error| error.to_string())

@@ -27,7 +27,7 @@ use super::desk::lock;
 use crate::server::Feed;
 
 /// The script by which the page follows.
-const SCRIPT: &str = include_str!("../../../../web/dist/live.js");
+const SCRIPT: &str = include_str!("../../dist/live.js");
 /// How long a question waits for an answer.
 const PATIENCE: Duration = Duration::from_secs(5);
 /// How often it looks whether all is over.
