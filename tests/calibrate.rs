@@ -168,7 +168,7 @@ fn masks_for_other_panels_are_warned_about_and_made_to_fit() {
                 text.starts_with("layer 0 covers 40 × 30 pixels, and output HEADLESS-1 has 320 × 240"),
                 "{text}"
             ),
-            _ => assert!(text.starts_with("fit: a panel pixel stands for 0.5000 mm"), "{text}"),
+            _ => assert!(text.starts_with("fit: one panel pixel is taken as 0.5000 mm"), "{text}"),
         }
         for (name, [cols, rows], _) in SWAY {
             let mut rgb = Vec::new();
