@@ -41,6 +41,8 @@ pub use job::{
     Near, NodeJob, OutputJob, PoseJob, RenderJob, ReportJob, SearchJob, SequenceJob, SourceJob, SweepJob, Tone,
     WindowFrom, WindowJob,
 };
+#[cfg(feature = "gpu")]
+pub use lumistack_factorizer_gpu::{Adapter as GpuAdapter, adapters as gpu_adapters};
 pub use lumistack_plugin_host::{Asked, OutputData, PresentContext, Registry, Told, present};
 #[cfg(feature = "dynamic")]
 pub use lumistack_plugin_host::{Launcher, plugin_child};

@@ -11,6 +11,8 @@ use serde::{Deserialize, Serialize};
 pub struct FactorizeJob {
     /// Name of the solver.
     pub solver: String,
+    /// Where: `auto`, `cpu`, `gpu` or `gpu:NAME`.
+    pub device: String,
     /// Full updates. Without it 16 of as many views as the display wants: the score over the zone stands still before that (still life, 13 × 13 views: within
     /// 0.03 dB of 50 from the 12th on). 50 of views that a display or job fixes.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -58,6 +60,7 @@ impl Default for FactorizeJob {
     fn default() -> Self {
         Self {
             solver: lumistack_factorizer::AUTO.into(),
+            device: "auto".into(),
             iterations: None,
             start: lumistack_factorizer::AUTO.into(),
             coarse_levels: None,
