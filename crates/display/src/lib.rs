@@ -36,6 +36,7 @@ mod stack;
 mod support;
 #[cfg(test)]
 mod tests;
+mod tile;
 mod time;
 mod transfer;
 mod variation;
@@ -66,6 +67,7 @@ pub use response::Response;
 pub use sampling::{Missing, Sampling};
 pub use score::{Score, ViewScore, score, view_error};
 pub use stack::{LayerStack, StackError};
+pub use tile::{Region, Tile, TilePart, Tiling};
 pub use transfer::{Channels, Transfer};
 pub use variation::Variation;
 pub use views::Views;

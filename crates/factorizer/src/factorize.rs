@@ -3,12 +3,12 @@
 use std::sync::Arc;
 
 use lumistack_core::Task;
-use lumistack_display::{Display, FieldGeometry, LayerStack};
+use lumistack_display::{Display, FieldGeometry, LayerStack, RayMap, Tile};
 
 use crate::coarse::Coarse;
 use crate::engine::{Engine, Patterns};
 use crate::method::{Iterated, Method};
-use crate::plan::Plan;
+use crate::plan::{Cut, Plan};
 use crate::prepared::Prepared;
 use crate::quantize::{has_levels, reoptimize, round_to_levels};
 use crate::solver::AUTO;
@@ -124,9 +124,40 @@ pub fn factorize(
     task: Task,
     on_iteration: &mut dyn FnMut(&Iteration),
 ) -> Result<Factorization, FactorizeError> {
+    solve((problem, Plan::new(problem)?), settings, warm, task, on_iteration)
+}
+
+/// Factorizes a [`Tile`] of a larger problem: `problem` is that of the tile, [`Tile::display`] and [`Tile::light_field`], and `whole` is where the rays of all meet
+/// the display. With `fixed` border patterns, those of `warm` around the tile's free pixels stay as they are; else all that the tile holds is solved.
+/// A start of the settings is that of the whole display, as far as the tile holds it.
+///
+/// # Errors
+/// As [`factorize`], and [`FactorizeError::NoRays`] where no ray of the tile counts.
+pub fn factorize_tile(
+    problem: &Problem,
+    (tile, whole): (&Tile, &RayMap),
+    settings: &Settings,
+    (warm, fixed): (Option<&LayerStack>, bool),
+    task: Task,
+    on_iteration: &mut dyn FnMut(&Iteration),
+) -> Result<Factorization, FactorizeError> {
+    let place = tile.parts.iter().zip(&tile.whole);
+    let place = place.map(|(part, whole)| [[part.held.rows.start, part.held.cols.start], *whole]).collect();
+    let free = fixed.then(|| tile.parts.iter().map(|part| part.free.within(&part.held)).collect());
+    let plan = Plan::of_tile(problem, &tile.map(whole), Cut { place, free })?;
+    solve((problem, plan), settings, warm, task, on_iteration)
+}
+
+fn solve(
+    (problem, plan): (&Problem, Plan),
+    settings: &Settings,
+    warm: Option<&LayerStack>,
+    task: Task,
+    on_iteration: &mut dyn FnMut(&Iteration),
+) -> Result<Factorization, FactorizeError> {
     let settings = &settings.resolved();
     let method = method(&settings.solver)?;
-    let (plan, display) = (Arc::new(Plan::new(problem)?), problem.display);
+    let (plan, display) = (Arc::new(plan), problem.display);
     if let Some(warm) = warm {
         warm.check(display)?;
         if display.frames > 1 && frames_are_equal(warm) {

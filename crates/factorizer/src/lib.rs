@@ -56,7 +56,7 @@ mod vector;
 mod tests;
 
 pub use block_exact::{BlockExact, Extrapolated};
-pub use factorize::{Factorization, Iteration, LevelsLoss, Settings, factorize, warm_start_pays};
+pub use factorize::{Factorization, Iteration, LevelsLoss, Settings, factorize, factorize_tile, warm_start_pays};
 pub use memory::held_bytes;
 pub use multiplicative::Multiplicative;
 pub use problem::{FactorizeError, Problem};

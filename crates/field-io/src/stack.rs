@@ -9,10 +9,10 @@ use lumistack_files::{Folder, Refusal};
 use serde::{Deserialize, Serialize};
 
 use crate::index::{check_schema, parse_json, read_index, write_json};
-use crate::{FieldError, atomic, npy};
+use crate::{FieldError, atomic, mapped, npy};
 
-const INDEX: &str = "stack.json";
-const EMISSION: &str = "emission.npy";
+pub(crate) const INDEX: &str = "stack.json";
+pub(crate) const EMISSION: &str = "emission.npy";
 const SCHEMA: &str = "lumistack/stack";
 const VERSION: u32 = 1;
 /// Most layers and frames of one stack; more means that the index is damaged.
@@ -86,7 +86,7 @@ pub struct BacklightEntry {
 /// If the stack does not fit the display, or the files cannot be written.
 pub fn write_stack(folder: &Path, display: &Display, stack: &LayerStack) -> Result<(), FieldError> {
     stack.check(display).map_err(|source| FieldError::Stack { path: folder.to_path_buf(), source })?;
-    let index = index_of(display, stack);
+    let index = index_of(display, stack.frames(), stack.brightness);
     atomic::create_folder(folder)?;
     atomic::remove(&folder.join(INDEX))?;
     for (entry, layer) in index.layers.iter().zip(&stack.layers) {
@@ -136,7 +136,8 @@ pub fn read_stack_index(folder: &Path) -> Result<StackIndex, FieldError> {
     Ok(index)
 }
 
-/// Reads a stack.
+/// Reads a stack. Arrays of a gigabyte and more stay in their files, which the system reads where values are asked for; such a file must not be changed in its
+/// place meanwhile, only replaced.
 ///
 /// # Errors
 /// If a file is missing, damaged or of another shape than the index says, or a value is not in 0..1.
@@ -157,7 +158,7 @@ pub fn read_stack(folder: &Path) -> Result<LayerStack, FieldError> {
     Ok(LayerStack { layers, emission, brightness: index.brightness })
 }
 
-fn index_of(display: &Display, stack: &LayerStack) -> StackIndex {
+pub(crate) fn index_of(display: &Display, frames: usize, brightness: f64) -> StackIndex {
     let digits = (display.layers.len() - 1).to_string().len();
     let layer = |(n, layer): (usize, &lumistack_display::Layer)| LayerEntry {
         file: format!("layer_{n:0digits$}.npy"),
@@ -185,8 +186,8 @@ fn index_of(display: &Display, stack: &LayerStack) -> StackIndex {
         layer_axes: LayerStack::LAYER_AXES.map(String::from).to_vec(),
         emission_axes: LayerStack::EMISSION_AXES.map(String::from).to_vec(),
         linear: true,
-        frames: stack.frames(),
-        brightness: stack.brightness,
+        frames,
+        brightness,
         layers: display.layers.iter().enumerate().map(layer).collect(),
         backlight,
     }
@@ -206,11 +207,15 @@ fn read_part<const N: usize>(
             format!("{:?}", file.shape()),
         ));
     }
-    let (_, data) = npy::read(path)?;
-    if let Some(index) = data.iter().position(|value| !(0.0..=1.0).contains(value)) {
+    let part = match file.lent(mapped::FROM) {
+        Some(values) => Tensor::lent(axes, expected, values),
+        None => Tensor::from_vec(axes, expected, npy::read(path)?.1),
+    };
+    let part =
+        part.map_err(|error| FieldError::malformed(path, "shape", format!("{expected:?}"), error.to_string()))?;
+    if let Some(index) = part.data().iter().position(|value| !(0.0..=1.0).contains(value)) {
         let place = format!("value {index} in row-major order");
-        return Err(FieldError::malformed(path, place, "a number in 0..1", data[index].to_string()));
+        return Err(FieldError::malformed(path, place, "a number in 0..1", part.data()[index].to_string()));
     }
-    Tensor::from_vec(axes, expected, data)
-        .map_err(|error| FieldError::malformed(path, "shape", format!("{expected:?}"), error.to_string()))
+    Ok(part)
 }

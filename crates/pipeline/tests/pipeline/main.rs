@@ -3,4 +3,5 @@
 mod compose;
 mod farm;
 mod splats;
+mod tiles;
 mod usd;
