@@ -160,7 +160,8 @@ fn solve(
     let (plan, display) = (Arc::new(plan), problem.display);
     if let Some(warm) = warm {
         warm.check(display)?;
-        if display.frames > 1 && frames_are_equal(warm) {
+        // a part of patterns that others go on with may well be the same in all frames
+        if display.frames > 1 && plan.free(0).is_none() && frames_are_equal(warm) {
             task.warn("warm start", "all frames are equal and will stay equal: more frames than one have no effect");
         }
     }
