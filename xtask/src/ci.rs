@@ -7,6 +7,7 @@ use std::time::Instant;
 use crate::blender;
 use crate::deny;
 use crate::layers::{self, PORTABLE};
+use crate::package;
 use crate::panels;
 use crate::plugins;
 use crate::python;
@@ -47,7 +48,7 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
     let python = beside(
         || {
             let mut python = PathBuf::new();
-            steps.step("fetch (beside the next four)", || {
+            steps.step("fetch (beside the next five)", || {
                 python = fetch()?;
                 Ok(())
             })?;
@@ -55,6 +56,7 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
         },
         || {
             steps.step("dependencies", deny::in_ci)?;
+            steps.step("packages", package::check)?;
             steps.step("clippy", || {
                 let mut arguments = [&["clippy", "--all-targets", "--quiet"], &EVERYTHING[..]].concat();
                 if strict {
