@@ -79,6 +79,12 @@ pub(crate) struct RenderArgs {
     /// several times
     #[arg(long, value_name = "NAME|N|SET=VARIANT")]
     pub(crate) variant: Vec<String>,
+    /// Opposite corners of a box, scene units: splats whose centres lie outside are left out
+    #[arg(long, value_name = "X0,Y0,Z0,X1,Y1,Z1", allow_hyphen_values = true)]
+    pub(crate) crop_box: Option<Numbers<6>>,
+    /// Centre and radius of a sphere, scene units: splats whose centres lie outside are left out
+    #[arg(long, value_name = "X,Y,Z,R", allow_hyphen_values = true)]
+    pub(crate) crop_sphere: Option<Numbers<4>>,
     /// Environment map (Radiance HDR or EXR) instead of the scene's
     #[arg(long, value_name = "FILE")]
     pub(crate) environment: Option<PathBuf>,
@@ -352,6 +358,10 @@ pub(crate) fn change_render(job: &mut Job, args: &RenderArgs) {
     if args.animation.is_some() {
         job.pose.animation.clone_from(&args.animation);
     }
+    if let Some(Numbers([x0, y0, z0, x1, y1, z1])) = args.crop_box {
+        job.pose.crop_box = Some([[x0, y0, z0], [x1, y1, z1]]);
+    }
+    job.pose.crop_sphere = args.crop_sphere.map(|sphere| sphere.0).or(job.pose.crop_sphere);
     let is_usd = job.scene.as_deref().is_some_and(is_usd);
     if is_usd && !args.variant.is_empty() {
         job.pose.variants.clone_from(&args.variant);

@@ -125,6 +125,13 @@ pub struct PoseJob {
     /// USD's variants: `set=variant` on every prim that has them, `/prim{set=variant}` on one.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub variants: Vec<String>,
+    /// Opposite corners of a box, scene units: splats whose centres lie outside are left out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub crop_box: Option<[[f64; 3]; 2]>,
+    /// Centre and radius of a sphere, `[x, y, z, r]` in scene units: splats whose centres lie
+    /// outside are left out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub crop_sphere: Option<[f64; 4]>,
 }
 
 /// Report.
@@ -320,6 +327,15 @@ impl Job {
         }
         if self.pose != PoseJob::default() && self.scene.is_none() {
             return fail("pose", "a scene to pose", "none".into());
+        }
+        if let Some(corners) =
+            self.pose.crop_box.filter(|corners| !corners.as_flattened().iter().all(|x| x.is_finite()))
+        {
+            return fail("pose.crop_box", "two finite corners", format!("{corners:?}"));
+        }
+        let is_sphere = |sphere: &[f64; 4]| sphere.iter().all(|x| x.is_finite()) && sphere[3] > 0.0;
+        if let Some(sphere) = self.pose.crop_sphere.filter(|sphere| !is_sphere(sphere)) {
+            return fail("pose.crop_sphere", "a finite centre and a radius above 0", format!("{sphere:?}"));
         }
         if let Some(time_s) = self.pose.time_s.filter(|time_s| !time_s.is_finite()) {
             return fail("pose.time_s", "a finite time", time_s.to_string());

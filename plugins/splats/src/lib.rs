@@ -6,16 +6,11 @@
 //! | `.spz` | versions 1 to 4 |
 //! | `.sog`, `meta.json` | SOG, packed or as a folder; versions 1 and 2 |
 //!
-//! Harmonics to degree 3. A capture has no agreed upward axis: `up` says it where the format's own is wrong. Splats outside `crop_box` and `crop_sphere`, in the
-//! axes of the scene that comes out, are left out.
-
-mod crop;
+//! Harmonics to degree 3. A capture has no agreed upward axis: `up` says it where the format's own is wrong.
 
 use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::{Assets, Host, ImporterPlugin, Param, PluginError, Schema, export_plugin};
 use lumistack_splats::read::{Axes, Found, read};
-
-use crate::crop::Crop;
 
 /// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
@@ -29,8 +24,6 @@ pub struct Splats;
 pub struct SplatsParams {
     up: Up,
     scale: f64,
-    crop_box: String,
-    crop_sphere: String,
 }
 
 /// Which axis of the file points upwards.
@@ -83,31 +76,19 @@ impl ImporterPlugin for Splats {
                 "Which axis of the file points upwards.",
             ),
             Param::float("scale", 1.0, 1e-9..=1e9, "Size of the file's unit.").unit("scene units"),
-            Param::text(
-                "crop_box",
-                "",
-                "Corners of a box, x0,y0,z0,x1,y1,z1 in scene units: splats whose centres lie outside are left out.",
-            ),
-            Param::text(
-                "crop_sphere",
-                "",
-                "Centre and radius of a sphere, x,y,z,r in scene units: splats whose centres lie outside are left out.",
-            ),
         ])
     }
 
     fn import(host: &Host, params: SplatsParams, file: &str, assets: &Assets<'_>) -> Result<Vec<u8>, PluginError> {
         let failed = |error: String| PluginError::Failed(format!("{file}: {error}"));
-        let crop = Crop::parse(&params.crop_box, &params.crop_sphere).map_err(failed)?;
         let bytes = assets.read(file)?;
         host.check_cancelled()?;
         let beside = |name: &str| assets.read(name).map_err(|error| error.to_string());
-        let Found { mut cloud, axes, left_out } = read(&bytes, &beside).map_err(|error| failed(error.to_string()))?;
+        let Found { cloud, axes, left_out } = read(&bytes, &beside).map_err(|error| failed(error.to_string()))?;
         drop(bytes);
         left_out.iter().for_each(|message| host.warn(&format!("{file}: {message}")));
         host.check_cancelled()?;
         let rotation = params.up.rotation(axes);
-        crop.apply(&mut cloud, |point| params.scale as f32 * (rotation * point));
         if cloud.is_empty() {
             return Err(failed("expected splats, found none".into()));
         }

@@ -1,5 +1,6 @@
 //! Scene file to a lit [`Scene`] and the [`Window`] through which the display looks at it.
 
+mod crop;
 mod from_splats;
 mod light;
 
@@ -211,6 +212,8 @@ fn lit(
     light_job: &LightJob,
     task: Task<'_>,
 ) -> Result<Ingested, PipelineError> {
+    // what is left out gives no light either
+    scene = crop::cropped(scene, pose, task)?;
     if let Some(environment) = &light_job.environment {
         files.push((environment.clone(), hash(&read(environment)?)));
         scene = lumistack_shot::edited(scene, task, |parts| {
@@ -235,7 +238,7 @@ fn load_gltf(
     registry: &Registry,
     task: Task<'_>,
 ) -> Result<Read, PipelineError> {
-    let PoseJob { time_s, animation, variant, variants } = pose.clone();
+    let PoseJob { time_s, animation, variant, variants, .. } = pose.clone();
     if let Some(variants) = variants.first() {
         let expected = "none, since only USD has variant sets; glTF's material variants are `pose.variant`";
         return Err(PipelineError::value(path, "pose.variants", expected, variants));
@@ -259,7 +262,7 @@ fn load_gltf(
 }
 
 fn load_usd(path: &Path, pose: &PoseJob, task: Task<'_>) -> Result<Read, PipelineError> {
-    let PoseJob { time_s, animation, variant, variants } = pose.clone();
+    let PoseJob { time_s, animation, variant, variants, .. } = pose.clone();
     if let Some(animation) = animation {
         return Err(PipelineError::value(path, "pose.animation", "none, since USD has one timeline", animation));
     }
@@ -283,7 +286,7 @@ fn load_blend(
     cache_dir: Option<&Path>,
     task: Task<'_>,
 ) -> Result<(Read, BlendContents), PipelineError> {
-    let PoseJob { time_s, animation, variant, variants } = pose.clone();
+    let PoseJob { time_s, animation, variant, variants, .. } = pose.clone();
     let given = [("animation", animation), ("variant", variant), ("variants", variants.into_iter().next())];
     if let Some((key, found)) = given.into_iter().find_map(|(key, given)| Some((key, given?))) {
         let expected = "none: of a .blend file the scene is taken as Blender shows it, at `pose.time_s`";

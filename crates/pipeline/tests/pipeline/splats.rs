@@ -221,3 +221,25 @@ fn with_wall(document: &[u8], material: serde_json::Value) -> Vec<u8> {
     }
     file
 }
+
+#[test]
+fn a_crop_is_applied_to_splats_of_any_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut capture = ball(Vec3::ZERO, 1.0, [0.9, 0.5, 0.2]);
+    let second = ball(Vec3::new(5.0, 0.0, 0.0), 1.0, [0.1, 0.2, 0.9]);
+    capture.positions.extend(second.positions);
+    capture.rotations.extend(second.rotations);
+    capture.scales.extend(second.scales);
+    capture.opacities.extend(second.opacities);
+    capture.harmonics.extend(second.harmonics);
+    std::fs::write(folder.path().join("a.glb"), glb(&capture, [0.0, 0.0, 0.0, 1.0], 1.0).unwrap()).unwrap();
+    let job = job(folder.path(), "a.glb", "[pose]\ncrop_sphere = [0.0, 0.0, 0.0, 2.0]\n[light]\ntone = \"linear\"\n");
+    let dir = folder.path().join("run");
+    run_quietly(&job, &dir);
+    // the window frames what is left, so its middle is the first ball's
+    assert_near(middle(&dir, [15, 24]), [0.9, 0.5, 0.2].map(srgb));
+
+    let wrong = Job::load(&folder.path().join("job.toml")).unwrap().with("pose.crop_sphere", [0.0; 4].into());
+    let error = wrong.unwrap_err().to_string();
+    assert!(error.contains("pose.crop_sphere: expected a finite centre and a radius above 0"), "{error}");
+}
