@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::tools::{self, Outcome, command, install, output_of, run};
 
 /// What builds and checks the package, as pip takes it.
-const TOOLS: [&str; 8] = [
+const TOOLS: [&str; 10] = [
     "--only-binary=:all:",
     "maturin==1.16.*",
     "pytest==9.*",
@@ -14,6 +14,8 @@ const TOOLS: [&str; 8] = [
     "openjd-cli==0.8.*",
     "opencue-pyoutline==1.*",
     "jsonschema==4.*",
+    "s3fs",
+    "moto[server]==5.*",
 ];
 
 /// What notebooks have, as pip takes them: the package's arrays and plots go there.
@@ -47,7 +49,7 @@ pub fn fetch(python: &Path) -> Outcome {
         return Err(format!("the package is for Python {}.{} and newer", OLDEST.0, OLDEST.1));
     }
     let needed = [
-        ("maturin, pytest, mypy, distributed, openjd.cli, outline, jsonschema", &TOOLS[..]),
+        ("maturin, pytest, mypy, distributed, openjd.cli, outline, jsonschema, s3fs, moto", &TOOLS[..]),
         ("matplotlib, xarray, PIL", &NOTEBOOKS),
     ];
     for (modules, packages) in needed {

@@ -131,6 +131,12 @@ struct EngineArgs {
     /// Talk to a scheduler on another machine without TLS: whoever reaches it can run anything on its workers
     #[arg(long)]
     insecure: bool,
+    /// Object store through which workers exchange files where they share no folder, such as s3://bucket/shots
+    #[arg(long, value_name = "URL")]
+    store: Option<String>,
+    /// Folder of this machine whose files go to the store too, such as the scene's; may be given several times
+    #[arg(long, value_name = "DIR", requires = "store")]
+    send: Vec<PathBuf>,
 }
 
 #[derive(Debug, Default, clap::Args)]
@@ -441,6 +447,8 @@ fn engine(
     add("--tls-ca", text(&args.tls_ca));
     add("--tls-cert", text(&args.tls_cert));
     add("--tls-key", text(&args.tls_key));
+    add("--store", args.store.clone());
+    args.send.iter().for_each(|folder| add("--send", Some(folder.to_string_lossy().into_owned())));
     args.map.iter().for_each(|map| add("--map", Some(map.word())));
     if args.insecure {
         command.arg("--insecure");

@@ -37,6 +37,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--tls-cert")
     parser.add_argument("--tls-key")
     parser.add_argument("--insecure", action="store_true")
+    parser.add_argument("--store", metavar="URL")
+    parser.add_argument("--send", action="append", default=[], metavar="FOLDER")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args(arguments)
     tell = (lambda event: print(json.dumps(event), flush=True)) if given.json else (lambda event: print(_told(event), file=sys.stderr, flush=True))
@@ -57,6 +59,8 @@ def main(arguments: list[str] | None = None) -> int:
             tls=tls,
             insecure=given.insecure,
             program=program,
+            store=given.store,
+            send=given.send,
             tell=tell,
         )
     except FarmError as error:

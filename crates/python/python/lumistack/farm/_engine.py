@@ -18,7 +18,7 @@ from queue import Empty, SimpleQueue
 from typing import Any
 from urllib.parse import urlsplit
 
-from lumistack.farm import _work
+from lumistack.farm import _store, _work
 
 # How often a unit may fail before it is given up.
 MOST_FAILURES = 3
@@ -115,23 +115,31 @@ def execute(
     insecure: bool = False,
     program: Sequence[str] | None = None,
     worker_program: Sequence[str] | None = None,
+    store: str | None = None,
+    send: Sequence[str | os.PathLike[str]] = (),
     tell: Tell = quiet,
 ) -> Outcome:
     """Executes the units of a plan.
 
     `address`: of a Dask scheduler; without one, and without a `client` of Dask, so many `workers` of this machine are started. `threads`: of a unit; default: the
     worker's share of its machine. `maps`: texts "/here=/there". `tls`: files of authority, certificate and key. `worker_program`: words that start lumistack on
-    workers; default: the package of the worker's Python.
+    workers; default: the package of the worker's Python. `store`: an object store by which workers exchange files, such as "s3://bucket/shots", where they share
+    no folder; `send`: folders of this machine whose files go there too, those of the scene for instance.
 
     Raises FarmError when units were given up or no worker can be used; what is finished is kept.
     """
     if address is not None:
         check_address(address, tls is not None, insecure)
     on_workers = list(worker_program) if worker_program else (list(program) if program and address is None and client is None else None)
+    if send and store is None:
+        raise FarmError("expected `send` beside a `store`, found no store")
     start = time.monotonic()
     with connected(address, client, workers, tls) as dask:
         engine = Engine(dask, planned, list(maps), threads, on_workers, tell)
-        outcome = engine.execute()
+        if store is None:
+            outcome = engine.execute()
+        else:
+            outcome = engine.execute_through(store, [Path(folder).absolute() for folder in send])
     outcome.seconds = time.monotonic() - start
     return outcome
 
@@ -238,7 +246,30 @@ class Engine:
         self.losses: dict[str, int] = {}
         self.checked: dict[str, str | None] = {}
         self.attempts = 0
-        self.store: str | None = None
+        self.unwritable: str | None = None
+        self.plan = str(planned["id"])
+        self.store: _store.Run | None = None
+        self.sent: list[str] = []
+
+    def execute_through(self, url: str, sent: list[Path]) -> Outcome:
+        """Executes the units by way of an object store, and brings what they wrote into the run folder here, also where some failed."""
+        last = list(self.units)[-1:]
+        try:
+            for folder in sent:
+                if not folder.is_dir():
+                    raise FarmError(f"{folder}: expected a folder to send, found none")
+            self.store, self.sent = _store.Run(url, self.plan), [str(folder) for folder in sent]
+            self.store.begin(self.here, sent)
+            # what an earlier call left there
+            found = [unit for unit in self.units if unit not in last and unit not in self.done and self.store.is_done(unit)]
+            self.done.update(found)
+            self.outcome.before += len(found)
+            try:
+                return self.execute()
+            finally:
+                self.store.collect(self.here, [*found, *self.outcome.done])
+        except _store.StoreError as error:
+            raise FarmError(str(error)) from error
 
     def execute(self) -> Outcome:
         if self.dask.dashboard_link and _has("bokeh"):
@@ -285,7 +316,8 @@ class Engine:
         return usable
 
     def look_at(self, addresses: list[str]) -> None:
-        found = self.dask.run(_work.probe, self.program, self.folder, workers=addresses, on_error="return")
+        store = None if self.store is None else {"url": self.store.store.url, "plan": self.plan}
+        found = self.dask.run(_work.probe, self.program, self.folder, store, workers=addresses, on_error="return")
         for address in addresses:
             text = found.get(address) if isinstance(found, dict) else None
             if _json(text) is None:
@@ -304,6 +336,10 @@ class Engine:
         if about["code"] != self.code:
             theirs, ours = f"{about.get('version')} ({about['code']})", f"{self.version} ({self.code})"
             return f"it has lumistack {theirs}, and the run was planned by {ours}; install the same build"
+        if "store" in about:
+            return f"it cannot use the store: {about['store']}"
+        if self.store is not None and not about.get("folder"):
+            return f"it does not see what this machine wrote to {self.store.store.url}: expected one store for all"
         if not about.get("folder"):
             return f"it does not see {self.folder}: share the folder with it, or say where it lies there (--map /here=/there)"
         return None
@@ -329,7 +365,7 @@ class Engine:
                 future.cancel()
 
     def submit(self) -> None:
-        if self.store is not None:
+        if self.unwritable is not None:
             return
         ready = self.ready()
         if not ready:
@@ -352,6 +388,7 @@ class Engine:
                 unit.id,
                 self.maps,
                 self.threads,
+                self.of_store(unit),
                 key=f"lumistack-{os.getpid()}-{self.attempts}-{unit.id}",
                 priority=unit.to_end_seconds,
                 pure=False,
@@ -362,6 +399,21 @@ class Engine:
             if not everyone:
                 self.bound[future] = usable
             future.add_done_callback(self.ended.put)
+
+    def of_store(self, unit: Unit) -> dict[str, Any] | None:
+        """What a worker must know to execute a unit through a store: all units that it depends on, at once or not."""
+        if self.store is None:
+            return None
+        needs: dict[str, None] = {}
+        waiting = list(unit.inputs)
+        while waiting:
+            name = waiting.pop()
+            if name not in needs:
+                needs[name] = None
+                waiting += self.units[name].inputs
+        # in the order of the plan: of a file that several units write, the last one's counts
+        ordered = [name for name in self.units if name in needs]
+        return {"url": self.store.store.url, "plan": self.plan, "needs": ordered, "sent": self.sent}
 
     def memory_of(self, usable: list[str]) -> float:
         """The most memory that one of the workers offers, bytes; 0 where one offers none."""
@@ -409,7 +461,7 @@ class Engine:
         if self.failures[unit] >= MOST_FAILURES:
             if of_store:
                 # no other unit will fare better
-                self.store = message
+                self.unwritable = message
             self.give_up(unit, message)
 
     def give_up(self, unit: str, message: str) -> None:
@@ -421,8 +473,9 @@ class Engine:
         if not outcome.failed:
             return outcome
         kept = f"{len(self.done)} of {len(self.units)} units are done and kept; the same command goes on from them"
-        if self.store is not None:
-            raise FarmError(f"the run folder cannot be written: {self.store}; {kept}")
+        if self.unwritable is not None:
+            place = "the run folder cannot be written" if self.store is None else "the store cannot be used"
+            raise FarmError(f"{place}: {self.unwritable}; {kept}")
         causes: dict[str, list[str]] = {}
         for unit, message in outcome.failed.items():
             causes.setdefault(message, []).append(unit)

@@ -9,6 +9,8 @@ import sys
 import threading
 from typing import Any
 
+from lumistack.farm import _store
+
 # How often a unit that runs looks whether it is still wanted, seconds.
 LOOK_SECONDS = 0.2
 # How long a unit may take to stop, seconds.
@@ -35,10 +37,16 @@ def _answer(text: str, event: str) -> dict[str, Any] | None:
     return None
 
 
-def probe(words: list[str] | None, folder: str) -> str:
-    """Version and code of the program on this worker, and whether it sees the run folder."""
+def probe(words: list[str] | None, folder: str, store: dict[str, Any] | None = None) -> str:
+    """Version and code of the program on this worker, and whether it sees the run folder or the store."""
     about: dict[str, Any] = {"host": os.uname().nodename if hasattr(os, "uname") else "", "process": os.getpid()}
-    about["folder"] = os.path.isdir(folder)
+    if store is None:
+        about["folder"] = os.path.isdir(folder)
+    else:
+        try:
+            about["folder"] = _store.Run(store["url"], store["plan"]).has_begun()
+        except _store.StoreError as error:
+            about["store"] = str(error)
     try:
         found = subprocess.run([*_program(words), "--json", "farm", "code"], capture_output=True, text=True, timeout=120)
         answer = _answer(found.stdout, "code")
@@ -83,8 +91,27 @@ def _threads(given: int | None) -> int:
     return max(1, (os.cpu_count() or 1) // max(1, of_worker))
 
 
-def execute(words: list[str] | None, folder: str, unit: str, maps: list[str], threads: int | None) -> str:
-    """Executes a unit. Never raises: how it ended is in the text."""
+def execute(
+    words: list[str] | None, folder: str, unit: str, maps: list[str], threads: int | None, store: dict[str, Any] | None = None
+) -> str:
+    """Executes a unit. Never raises: how it ended is in the text.
+
+    `store`: the object store that stands for a shared folder: its `url`, the id of the `plan`, the units that this one `needs`, and the folders that were `sent`.
+    """
+    if store is None:
+        return _execute(words, folder, unit, maps, threads)
+    try:
+        mirror = _store.Mirror.of(store["url"], store["plan"])
+        found = mirror.take(store["needs"], store["sent"])
+        text = _execute(words, str(mirror.folder), unit, [*maps, *found], threads)
+        if json.loads(text)["outcome"] == "done":
+            mirror.publish(unit)
+    except (_store.StoreError, OSError) as error:
+        return json.dumps({"id": unit, "outcome": "store", "message": str(error), "worker": _address()})
+    return text
+
+
+def _execute(words: list[str] | None, folder: str, unit: str, maps: list[str], threads: int | None) -> str:
     line = [*_program(words), "--json", "--threads", str(_threads(threads)), "farm", "unit", "--attached"]
     for pair in maps:
         line += ["--map", pair]
