@@ -14,11 +14,11 @@
 //! Between iterations the patterns are extrapolated along the way they came, with restart when the objective rises (Ang and Gillis, "Accelerating
 //! nonnegative matrix factorization algorithms using extrapolation", Neural Computation 31, 2019).
 
-use lumistack_core::{Cancel, Cancelled};
+use lumistack_core::Cancel;
 use lumistack_display::{Formation, LayerStack};
 
-use crate::engine::Engine;
-use crate::line::Outcome;
+use crate::device::Updater;
+use crate::engine::Processor;
 use crate::method::{Iterated, Method};
 use crate::prepared::Prepared;
 use crate::step::Rule;
@@ -42,13 +42,13 @@ impl Solver for BlockExact {
     }
 
     fn start<'a>(&self, problem: &Problem<'a>, start: LayerStack) -> Result<Box<dyn Run + 'a>, FactorizeError> {
-        Ok(self.begin(Prepared::new(problem, start)?)?)
+        Ok(self.begin(Prepared::new(problem, start, &Processor)?)?)
     }
 }
 
 impl Method for BlockExact {
     fn begin(&self, prepared: Prepared) -> Result<Box<dyn Iterated>, FactorizeError> {
-        Ok(Box::new(BlockExactRun::new(prepared, None)))
+        Ok(Box::new(BlockExactRun::new(prepared, None)?))
     }
 }
 
@@ -66,13 +66,13 @@ impl Solver for Extrapolated {
     }
 
     fn start<'a>(&self, problem: &Problem<'a>, start: LayerStack) -> Result<Box<dyn Run + 'a>, FactorizeError> {
-        Ok(self.begin(Prepared::new(problem, start)?)?)
+        Ok(self.begin(Prepared::new(problem, start, &Processor)?)?)
     }
 }
 
 impl Method for Extrapolated {
     fn begin(&self, prepared: Prepared) -> Result<Box<dyn Iterated>, FactorizeError> {
-        Ok(Box::new(BlockExactRun::new(prepared, Some(Extrapolation::default()))))
+        Ok(Box::new(BlockExactRun::new(prepared, Some(Extrapolation::default()))?))
     }
 }
 
@@ -111,66 +111,77 @@ impl Extrapolation {
     }
 }
 
+/// The patterns where the last steps ended, seen by `look`.
+fn at_latest<T>(state: &mut dyn Updater, look: impl FnOnce(&mut dyn Updater) -> T) -> T {
+    state.swap_latest();
+    let seen = look(state);
+    state.swap_latest();
+    seen
+}
+
 /// State of a run.
 struct BlockExactRun {
-    engine: Engine,
+    state: Box<dyn Updater>,
     extrapolation: Option<Extrapolation>,
     seen: Option<Objective>,
 }
 
 impl BlockExactRun {
-    fn new(prepared: Prepared, extrapolation: Option<Extrapolation>) -> Self {
+    fn new(prepared: Prepared, extrapolation: Option<Extrapolation>) -> Result<Self, FactorizeError> {
         // sin² bends too much for extrapolation, and enough for the local curvature to be worth its check
         let bold = prepared.display.formation == Formation::Polarization;
-        let mut engine = prepared.engine(0.0);
-        engine.bold = bold;
-        Self { engine, extrapolation: extrapolation.filter(|_| !bold), seen: None }
+        let state = prepared.begin(0.0, bold)?;
+        Ok(Self { state, extrapolation: extrapolation.filter(|_| !bold), seen: None })
     }
 }
 
 impl Run for BlockExactRun {
-    fn step(&mut self, cancel: &Cancel) -> Result<(), Cancelled> {
-        self.engine.cancel = cancel.clone();
+    fn step(&mut self, cancel: &Cancel) -> Result<(), FactorizeError> {
+        self.state.heed(cancel);
         let beyond = self.extrapolation.map(|extrapolation| extrapolation.factor);
-        let mut outcome = Outcome::default();
-        let last = self.engine.factor_count() - 1;
+        let last = self.state.plan().factor_count() - 1;
         for n in 0..=last {
-            outcome = self.engine.update(n, Rule::Block { sweeps: SWEEPS }, beyond);
+            self.state.update(n, Rule::Block { sweeps: SWEEPS }, beyond);
             cancel.check()?;
         }
-        self.seen = self.engine.seen(last, outcome);
+        let outcome = self.state.outcome();
+        self.seen = self.state.seen(last, outcome);
         if let Some(extrapolation) = &mut self.extrapolation {
-            let error = if self.engine.sees_all_rays(last) {
+            let error = if self.state.plan().sees_all_rays(last) {
                 outcome.error - outcome.gain
             } else {
-                self.engine.objective().value
+                self.state.objective().value
             };
             if extrapolation.observe(error) {
-                self.engine.return_to_latest();
+                self.state.return_to_latest();
                 self.seen = None;
             }
         }
-        Ok(())
+        self.state.check()
     }
 
     fn objective(&mut self) -> Objective {
-        self.engine.at_latest(|engine| engine.objective())
+        at_latest(&mut *self.state, |state| state.objective())
     }
 
     fn unsettled(&mut self) -> f64 {
-        self.engine.at_latest(Engine::unsettled)
+        at_latest(&mut *self.state, |state| state.unsettled())
     }
 
     fn settle(&mut self) -> f64 {
-        self.engine.at_latest(Engine::settle)
+        at_latest(&mut *self.state, |state| state.settle())
     }
 
     fn rays(&self) -> u64 {
-        self.engine.rays()
+        self.state.plan().rays
+    }
+
+    fn check(&self) -> Result<(), FactorizeError> {
+        self.state.check()
     }
 
     fn download(&mut self) -> LayerStack {
-        self.engine.at_latest(|engine| engine.download())
+        at_latest(&mut *self.state, |state| state.download())
     }
 }
 
@@ -179,8 +190,8 @@ impl Iterated for BlockExactRun {
         self.seen
     }
 
-    fn finish(mut self: Box<Self>) -> Engine {
-        self.engine.swap_latest();
-        self.engine
+    fn finish(mut self: Box<Self>) -> Box<dyn Updater> {
+        self.state.swap_latest();
+        self.state
     }
 }

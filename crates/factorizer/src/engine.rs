@@ -2,25 +2,33 @@
 
 use std::sync::Arc;
 
-use lumistack_core::pages::prefer_large_pages;
 use lumistack_core::{Cancel, Tensor};
-use lumistack_display::{Backlight, Display, LayerStack, Response};
+use lumistack_display::{Display, LayerStack, Response};
 
 use crate::aligned::Aligned;
+use crate::device::{Begin, Executor, Updater, stack_of};
 use crate::errors::{ErrorFunctions, ErrorSum, RowErrors};
 use crate::factor::{Factor, Layout};
 use crate::gather::{self, GatherFunctions, GatherLine};
 use crate::line::{LineOf, LineStep, Outcome, StepFunctions};
 use crate::plan::Plan;
+use crate::prepared::ranges_of;
 use crate::respond::{self, Pulled, StepLine};
 use crate::scratch::Scratch;
 use crate::spread::{self, SpreadBand, SpreadFunctions};
 use crate::step::{Block, Levels, Rule};
 use crate::sums::SumLine;
-use crate::{Objective, bands, coarse, unlit};
+use crate::{FactorizeError, bands, unlit};
 
-/// Which part of the objective an update must leave for the rest to be known from its gain, whose terms are f32.
-const LEAST_LEFT: f64 = 0.01;
+/// This machine's processor.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Processor;
+
+impl Executor for Processor {
+    fn begin(&self, begin: Begin) -> Result<Box<dyn Updater>, FactorizeError> {
+        Ok(Box::new(Engine::begin(begin)))
+    }
+}
 
 /// Patterns under way.
 pub(crate) struct Engine {
@@ -41,35 +49,16 @@ pub(crate) struct Engine {
     fast: bool,
     /// Asked before every line; where it is set, what is left stays as it is.
     pub(crate) cancel: Cancel,
-    /// Where L̃ is not linear in a factor: whether updates try the curvature at the present point before the bound that holds everywhere.
-    pub(crate) bold: bool,
-    rays: u64,
-}
-
-/// Where patterns come from.
-#[derive(Clone)]
-pub(crate) enum Patterns<'a> {
-    Stack(LayerStack),
-    /// A solution at half the resolution.
-    Coarse(&'a Engine),
+    bold: bool,
+    outcome: Outcome,
+    /// What rays read of a factor, and what is stored of it, as it was.
+    kept: Option<(Aligned, Option<Aligned>)>,
 }
 
 impl Engine {
-    /// Values of the start, and of all patterns later, stay within the hardware's box and at `floor` or above.
-    pub(crate) fn begin(plan: Arc<Plan>, display: &Display, floor: f32, patterns: &Patterns) -> Self {
-        let mut ranges = ranges_of(display);
-        ranges.iter_mut().for_each(|[low, high]| *low = low.max(floor).min(*high));
-        let layouts = plan.maps.iter().map(|map| &map.layout).zip(&ranges);
-        let factors: Vec<_> = match patterns {
-            Patterns::Stack(stack) => {
-                let tensors = stack.layers.iter().map(|t| t.data()).chain(stack.emission.iter().map(|t| t.data()));
-                layouts.zip(tensors).map(|((layout, range), values)| Factor::upload(layout, values, *range)).collect()
-            }
-            Patterns::Coarse(engine) => {
-                layouts.zip(engine.own()).map(|((layout, range), own)| coarse::refine(own, layout, *range)).collect()
-            }
-        };
-        Self::with_factors(plan, display, ranges, factors)
+    pub(crate) fn begin(begin: Begin) -> Self {
+        let Begin { plan, display, ranges, factors, bold } = begin;
+        Self { bold, ..Self::with_factors(plan, &display, ranges, factors) }
     }
 
     fn with_factors(plan: Arc<Plan>, display: &Display, ranges: Vec<[f32; 2]>, mut factors: Vec<Factor>) -> Self {
@@ -93,7 +82,8 @@ impl Engine {
             fast: true,
             cancel: Cancel::default(),
             bold: false,
-            rays: plan.rays(),
+            outcome: Outcome::default(),
+            kept: None,
             plan,
             factors,
         }
@@ -131,7 +121,7 @@ impl Engine {
     }
 
     /// What is stored of every factor.
-    fn own(&self) -> impl Iterator<Item = &Factor> {
+    pub(crate) fn own(&self) -> impl Iterator<Item = &Factor> {
         self.factors.iter().zip(&self.stored).map(|(met, stored)| stored.as_ref().map_or(met, |(_, stored)| stored))
     }
 
@@ -148,53 +138,22 @@ impl Engine {
         self.fast = fast;
     }
 
+    /// From scratch.
+    #[cfg(test)]
+    pub(crate) fn new(problem: &crate::Problem, start: LayerStack, floor: f32) -> Result<Self, FactorizeError> {
+        let prepared = crate::prepared::Prepared::new(problem, start, &Processor)?;
+        Ok(Self::begin(prepared.to_begin(floor, false)))
+    }
+
     /// What sums of weighted errors are to be multiplied by.
     #[cfg(test)]
     pub(crate) fn weight_scale(&self) -> f64 {
         self.plan.target.weight_scale
     }
 
-    /// Number of factors: layers and backlight.
-    pub(crate) fn factor_count(&self) -> usize {
-        self.factors.len()
-    }
-
-    /// Number of rays with w > 0 that meet the display.
-    pub(crate) fn rays(&self) -> u64 {
-        self.rays
-    }
-
     /// Whether the fast kernel updates factor `n`.
     pub(crate) fn is_fast(&self, n: usize) -> bool {
         self.fast && self.plan.is_product() && self.plan.maps[n].shifted
-    }
-
-    /// Whether the outcome of updating factor `n` covers all rays.
-    pub(crate) fn sees_all_rays(&self, n: usize) -> bool {
-        self.plan.maps[n].complete
-    }
-
-    /// Updates factor `n` from the present state of all. With `beyond`, rays then read the point that lies so much further along the way from
-    /// the step before.
-    ///
-    /// The local curvature is a guess that pays: where the objective rises all the same, the update is taken back and done by the bound.
-    pub(crate) fn update(&mut self, n: usize, rule: Rule, beyond: Option<f32>) -> Outcome {
-        if !self.bold || self.plan.is_bounded(n) || rule == Rule::Probe {
-            return self.update_by(n, rule, beyond, false);
-        }
-        let weighted = |engine: &Self| engine.objective().value / engine.plan.target.weight_scale;
-        let (met, stored) = (self.factors[n].values.clone(), self.stored[n].as_ref().map(|(_, f)| f.values.clone()));
-        let before = weighted(self);
-        let outcome = self.update_by(n, rule, None, true);
-        let after = weighted(self);
-        if after > before {
-            self.factors[n].values = met;
-            if let (Some((_, factor)), Some(values)) = (&mut self.stored[n], stored) {
-                factor.values = values;
-            }
-            return self.update_by(n, rule, None, false);
-        }
-        Outcome { error: outcome.error, gain: before - after }
     }
 
     fn update_by(&mut self, n: usize, rule: Rule, beyond: Option<f32>, local: bool) -> Outcome {
@@ -332,71 +291,47 @@ impl Engine {
         }
         lines.iter().fold(Outcome::default(), |sum, line| sum.merged(line.outcome))
     }
+}
 
-    /// Exchanges the patterns for where the last steps ended, or back.
-    pub(crate) fn swap_latest(&mut self) {
-        let own = self.factors.iter_mut().zip(&mut self.stored);
-        for ((met, stored), latest) in own.zip(&mut self.latest) {
-            match stored {
-                None => std::mem::swap(&mut met.values, latest),
-                Some((response, stored)) => {
-                    std::mem::swap(&mut stored.values, latest);
-                    respond::respond(response, stored, &mut met.values);
-                }
-            }
+impl Updater for Engine {
+    fn plan(&self) -> &Arc<Plan> {
+        &self.plan
+    }
+
+    fn display(&self) -> &Display {
+        &self.display
+    }
+
+    fn bold(&self) -> bool {
+        self.bold
+    }
+
+    fn heed(&mut self, cancel: &Cancel) {
+        self.cancel = cancel.clone();
+    }
+
+    fn apply(&mut self, n: usize, rule: Rule, beyond: Option<f32>, local: bool) {
+        self.outcome = self.update_by(n, rule, beyond, local);
+    }
+
+    fn outcome(&mut self) -> Outcome {
+        self.outcome
+    }
+
+    fn keep(&mut self, n: usize) {
+        let stored = self.stored[n].as_ref().map(|(_, factor)| factor.values.clone());
+        self.kept = Some((self.factors[n].values.clone(), stored));
+    }
+
+    fn take_back(&mut self, n: usize) {
+        let Some((met, stored)) = self.kept.take() else { return };
+        self.factors[n].values = met;
+        if let (Some((_, factor)), Some(values)) = (&mut self.stored[n], stored) {
+            factor.values = values;
         }
     }
 
-    /// The patterns where the last steps ended, seen by `look`.
-    pub(crate) fn at_latest<T>(&mut self, look: impl FnOnce(&mut Self) -> T) -> T {
-        self.swap_latest();
-        let seen = look(self);
-        self.swap_latest();
-        seen
-    }
-
-    /// Drops what lies beyond where the last steps ended.
-    pub(crate) fn return_to_latest(&mut self) {
-        self.swap_latest();
-        let own = self.factors.iter().zip(&self.stored);
-        let own = own.map(|(met, stored)| stored.as_ref().map_or(met, |(_, stored)| stored));
-        self.latest.iter_mut().zip(own).for_each(|(latest, factor)| latest.copy_from_slice(&factor.values));
-    }
-
-    /// The objective after an update of factor `n` with this outcome, where that is known: every ray that counts reads one pixel of the factor, whose
-    /// steps are exact, and all count alike.
-    pub(crate) fn seen(&self, n: usize, outcome: Outcome) -> Option<Objective> {
-        let (plan, map) = (&self.plan, &self.plan.maps[n]);
-        let exact = plan.is_product() && map.nearest && map.complete && self.stored[n].is_none();
-        // where next to nothing is left, that is rounding
-        let left = outcome.error - outcome.gain;
-        let known = exact && plan.target.is_uniform() && left > LEAST_LEFT * outcome.error;
-        known.then(|| self.objective_of(left, None))
-    }
-
-    /// Root mean square, over all values, of the change of the emission that an exact coordinate step within the box would still make: 0 at a
-    /// first-order (KKT) point.
-    pub(crate) fn unsettled(&mut self) -> f64 {
-        self.over_all(Rule::Probe)
-    }
-
-    /// The same, and each value that next to no light reaches becomes the darkest. Only where layers attenuate: elsewhere no value is darkness.
-    pub(crate) fn settle(&mut self) -> f64 {
-        self.over_all(if self.plan.is_product() { Rule::Settle } else { Rule::Probe })
-    }
-
-    fn over_all(&mut self, rule: Rule) -> f64 {
-        let (mut sum, mut count) = (0.0, 0);
-        for n in 0..self.factors.len() {
-            sum += self.update(n, rule, None).gain;
-            let layout = &self.plan.maps[n].layout;
-            count += self.plan.target.channels * layout.lines() * layout.cols() * layout.frames;
-        }
-        (sum / count as f64).sqrt()
-    }
-
-    /// The objective of what rays read.
-    pub(crate) fn objective(&self) -> Objective {
+    fn errors(&mut self) -> ErrorSum {
         let (plan, factors) = (&self.plan, &self.factors);
         let functions = ErrorFunctions::new(plan);
         let sums = bands::map(
@@ -410,25 +345,41 @@ impl Engine {
                 RowErrors { plan, factors, channel, row, functions: &functions, scratch }.sum()
             },
         );
-        let total = sums.iter().fold(ErrorSum::default(), |total, sum| total.merged(*sum));
-        self.objective_of(total.weighted, Some(total.plain))
+        sums.iter().fold(ErrorSum::default(), |total, sum| total.merged(*sum))
     }
 
-    /// From Σ w e², weights relative to the largest, and Σ e² where that is another sum.
-    fn objective_of(&self, weighted: f64, plain: Option<f64>) -> Objective {
-        let target = &self.plan.target;
-        let mean = plain.unwrap_or(weighted) / (target.channels as u64 * self.rays) as f64;
-        Objective {
-            value: target.weight_scale * weighted,
-            psnr_view: -10.0 * mean.log10() + 20.0 * self.display.brightness.log10(),
+    fn swap_latest(&mut self) {
+        let own = self.factors.iter_mut().zip(&mut self.stored);
+        for ((met, stored), latest) in own.zip(&mut self.latest) {
+            match stored {
+                None => std::mem::swap(&mut met.values, latest),
+                Some((response, stored)) => {
+                    std::mem::swap(&mut stored.values, latest);
+                    respond::respond(response, stored, &mut met.values);
+                }
+            }
         }
     }
 
-    /// [`download`](Self::download) into the memory of what [`swap_latest`](Self::swap_latest) exchanged, where there is any: new memory costs more than
-    /// what is written there.
-    pub(crate) fn into_stack(mut self) -> LayerStack {
+    fn return_to_latest(&mut self) {
+        self.swap_latest();
+        let own = self.factors.iter().zip(&self.stored);
+        let own = own.map(|(met, stored)| stored.as_ref().map_or(met, |(_, stored)| stored));
+        self.latest.iter_mut().zip(own).for_each(|(latest, factor)| latest.copy_from_slice(&factor.values));
+    }
+
+    fn check(&self) -> Result<(), FactorizeError> {
+        Ok(())
+    }
+
+    fn download(&mut self) -> LayerStack {
+        stack_of(&self.display, self.own())
+    }
+
+    /// Into the memory of what [`swap_latest`](Self::swap_latest) exchanged, where there is any: new memory costs more than what is written there.
+    fn into_stack(mut self: Box<Self>) -> Result<LayerStack, FactorizeError> {
         if self.latest.is_empty() {
-            return self.download();
+            return Ok(self.download());
         }
         let mut stack = LayerStack::filled(&self.display, 0.0);
         let mut latest = std::mem::take(&mut self.latest).into_iter();
@@ -442,19 +393,12 @@ impl Engine {
             *emission = lent(emission, own, latest);
         }
         drop(own);
-        stack
+        Ok(stack)
     }
 
-    /// The patterns that are stored.
-    pub(crate) fn download(&self) -> LayerStack {
-        // zeros that nobody has touched are no memory yet
-        let mut stack = LayerStack::filled(&self.display, 0.0);
-        let layers = stack.layers.iter_mut().map(|layer| layer.data_mut());
-        for (factor, tensor) in self.own().zip(layers.chain(stack.emission.iter_mut().map(|e| e.data_mut()))) {
-            prefer_large_pages(tensor);
-            factor.download(tensor);
-        }
-        stack
+    fn into_factors(self: Box<Self>) -> Result<Vec<Factor>, FactorizeError> {
+        let own = self.factors.into_iter().zip(self.stored);
+        Ok(own.map(|(met, stored)| stored.map_or(met, |(_, stored)| stored)).collect())
     }
 }
 
@@ -476,15 +420,6 @@ fn lent<const N: usize>(tensor: &Tensor<N>, own: &Factor, mut values: Aligned) -
     own.download(&mut values[..len]);
     let lent = Tensor::lent(tensor.axes(), tensor.shape(), Arc::new(Reused { values, len }));
     lent.unwrap_or_else(|_| tensor.clone())
-}
-
-/// The boxes of a display's values: layers, then the backlight.
-fn ranges_of(display: &Display) -> Vec<[f32; 2]> {
-    let mut ranges: Vec<[f32; 2]> = display.layers.iter().map(|layer| layer.range()).collect();
-    if let Backlight::Lenslets(lenslets) = &display.backlight {
-        ranges.push(lenslets.range());
-    }
-    ranges
 }
 
 /// One line of the factor under update.

@@ -11,11 +11,11 @@ use crate::vector::{mask, sum};
 
 /// Error sums of some rays.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct ErrorSum {
+pub struct ErrorSum {
     /// Σ w (βL − L̃)², weights relative to the largest.
-    pub(crate) weighted: f64,
+    pub weighted: f64,
     /// Σ (βL − L̃)² over rays with w > 0.
-    pub(crate) plain: f64,
+    pub plain: f64,
 }
 
 impl ErrorSum {

@@ -14,7 +14,7 @@ pub(crate) const PAD: usize = 16;
 
 /// Sizes of a factor.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Layout {
+pub struct Layout {
     /// Angular bins [vertical, horizontal]; [1, 1] for a layer.
     pub(crate) bins: [usize; 2],
     /// Rows and columns within one bin.
@@ -60,7 +60,7 @@ impl Layout {
 
 /// Values of one factor.
 #[derive(Clone, Debug)]
-pub(crate) struct Factor {
+pub struct Factor {
     pub(crate) layout: Layout,
     pub(crate) values: Aligned,
 }

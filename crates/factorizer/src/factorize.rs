@@ -2,14 +2,16 @@
 
 use std::sync::Arc;
 
-use lumistack_core::{Cancel, Cancelled, Task};
+use lumistack_core::{Cancel, Task};
 use lumistack_display::{Display, FieldGeometry, LayerStack};
 
 use crate::coarse::Coarse;
-use crate::engine::{Engine, Patterns};
+use crate::device::{Executor, Updater};
+use crate::engine::{Engine, Processor};
+use crate::factor::Factor;
 use crate::method::{Iterated, Method};
 use crate::plan::Plan;
-use crate::prepared::Prepared;
+use crate::prepared::{Patterns, Prepared};
 use crate::quantize::{has_levels, reoptimize, round_to_levels};
 use crate::solver::AUTO;
 use crate::solvers::method;
@@ -127,10 +129,25 @@ pub fn factorize(
     task: Task,
     on_iteration: &mut dyn FnMut(&Iteration),
 ) -> Result<Factorization, FactorizeError> {
+    factorize_on(&Processor, problem, settings, warm, task, on_iteration)
+}
+
+/// [`factorize`] by another executor. Patterns for panels of few bits are re-optimized on the processor.
+///
+/// # Errors
+/// As [`factorize`], and where the device cannot do this or is lost.
+pub fn factorize_on(
+    executor: &dyn Executor,
+    problem: &Problem,
+    settings: &Settings,
+    warm: Option<&LayerStack>,
+    task: Task,
+    on_iteration: &mut dyn FnMut(&Iteration),
+) -> Result<Factorization, FactorizeError> {
     let settings = &settings.resolved();
     let display = problem.display;
-    let (plan, mut run) = begun(problem, settings, warm, task)?;
-    let prepared = |patterns| Prepared { plan: plan.clone(), display, patterns };
+    let (plan, mut run) = begun(executor, problem, settings, warm, task)?;
+    let prepared = |patterns| Prepared { plan: plan.clone(), display, patterns, executor };
     let (mut history, mut unsettled) = (Vec::new(), 0.0);
     task.progress.begin("factorize", u64::from(settings.iterations), "iterations");
     let mut iterate = || -> Result<(), FactorizeError> {
@@ -147,6 +164,7 @@ pub fn factorize(
             if iteration == settings.iterations || iteration % settings.report_every.max(1) == 0 {
                 let seen = run.seen().filter(|_| iteration < settings.iterations);
                 let objective = seen.unwrap_or_else(|| run.objective());
+                run.check()?;
                 let entry = Iteration { iteration, objective: objective.value, psnr_view: objective.psnr_view };
                 note = format!("{:.2} dB", entry.psnr_view);
                 on_iteration(&entry);
@@ -161,9 +179,12 @@ pub fn factorize(
     let result = iterate();
     task.progress.end();
     result?;
-    let (mut stack, mut levels) = (run.finish().into_stack(), None);
+    let (mut stack, mut levels) = (run.finish().into_stack()?, None);
     if settings.levels && has_levels(problem) {
-        let psnr_view = |stack: &LayerStack| prepared(Patterns::Stack(stack.clone())).engine(0.0).objective().psnr_view;
+        let psnr_view = |stack: &LayerStack| {
+            let patterns = Patterns::Stack(stack.clone());
+            Engine::begin(prepared(patterns).to_begin(0.0, false)).objective().psnr_view
+        };
         let continuous = psnr_view(&stack);
         let rounded = psnr_view(&round_to_levels(problem, &stack));
         stack = reoptimize(prepared(Patterns::Stack(stack)), task)?;
@@ -174,6 +195,7 @@ pub fn factorize(
 
 /// The plan of a problem and a run on it, begun at `warm` patterns or at what the settings choose.
 fn begun(
+    executor: &dyn Executor,
     problem: &Problem,
     settings: &Settings,
     warm: Option<&LayerStack>,
@@ -189,9 +211,9 @@ fn begun(
                 task.warn("warm start", message);
             }
             let start = if settings.iterations > 0 { unlit::lifted(warm) } else { warm.clone() };
-            method.begin(Prepared { plan: plan.clone(), display, patterns: Patterns::Stack(start) })?
+            method.begin(Prepared { plan: plan.clone(), display, patterns: Patterns::Stack(start), executor })?
         }
-        None => begin(method, &plan, (display, problem.target.geometry()), settings, task)?,
+        None => begin(executor, method, &plan, (display, problem.target.geometry()), settings, task)?,
     };
     if run.rays() == 0 {
         return Err(FactorizeError::NoRays);
@@ -214,14 +236,14 @@ impl Ongoing {
         warm: Option<&LayerStack>,
         task: Task,
     ) -> Result<Self, FactorizeError> {
-        begun(problem, &settings.resolved(), warm, task).map(|(_, run)| Self(run))
+        begun(&Processor, problem, &settings.resolved(), warm, task).map(|(_, run)| Self(run))
     }
 
     /// One iteration.
     ///
     /// # Errors
     /// When cancelled.
-    pub fn step(&mut self, cancel: &Cancel) -> Result<(), Cancelled> {
+    pub fn step(&mut self, cancel: &Cancel) -> Result<(), FactorizeError> {
         self.0.step(cancel)
     }
 
@@ -236,10 +258,13 @@ impl Ongoing {
     }
 
     /// Ends the run as [`factorize`] does, and returns its patterns and their objective.
-    pub fn finish(mut self) -> (LayerStack, Objective) {
+    ///
+    /// # Errors
+    /// When the patterns cannot be read back.
+    pub fn finish(mut self) -> Result<(LayerStack, Objective), FactorizeError> {
         self.0.settle();
         let objective = self.0.objective();
-        (self.0.finish().into_stack(), objective)
+        Ok((self.0.finish().into_stack()?, objective))
     }
 }
 
@@ -265,8 +290,9 @@ pub fn warm_start_pays(
     warm.check(display)?;
     // the same rule for both: the first steps of different rules do not compare
     let rule = method(&Settings { solver: warm_solver.into(), ..Settings::default() }.resolved().solver)?;
-    let mut from_fresh = begin(rule, &plan, (display, problem.target.geometry()), fresh, task)?;
-    let mut from_warm = rule.begin(Prepared { plan, display, patterns: Patterns::Stack(unlit::lifted(warm)) })?;
+    let mut from_fresh = begin(&Processor, rule, &plan, (display, problem.target.geometry()), fresh, task)?;
+    let mut from_warm =
+        rule.begin(Prepared { plan, display, patterns: Patterns::Stack(unlit::lifted(warm)), executor: &Processor })?;
     if from_warm.objective().value <= from_fresh.objective().value {
         return Ok(true);
     }
@@ -280,35 +306,39 @@ const AHEAD_DB: f64 = 1.0;
 
 /// Begins a run without a warm start.
 fn begin(
+    executor: &dyn Executor,
     method: &dyn Method,
     plan: &Arc<Plan>,
     (display, geometry): (&Display, &FieldGeometry),
     settings: &Settings,
     task: Task,
 ) -> Result<Box<dyn Iterated>, FactorizeError> {
-    let coarse = solve_coarse(plan, (display, geometry), settings, settings.coarse_levels.unwrap_or(0), task)?;
+    let coarse =
+        solve_coarse(executor, plan, (display, geometry), settings, settings.coarse_levels.unwrap_or(0), task)?;
     let patterns = match &coarse {
-        Some(engine) => Patterns::Coarse(engine),
+        Some(factors) => Patterns::Coarse(factors),
         None => Patterns::Stack(start_patterns(plan, display, settings.start.unwrap_or_default(), settings.seed)),
     };
-    method.begin(Prepared { plan: plan.clone(), display, patterns })
+    method.begin(Prepared { plan: plan.clone(), display, patterns, executor })
 }
 
 /// What a few iterations reach at half the resolution, begun at a quarter, and so on for every level; `None` where there is no level left.
 fn solve_coarse(
+    executor: &dyn Executor,
     plan: &Plan,
     (display, geometry): (&Display, &FieldGeometry),
     settings: &Settings,
     levels: u32,
     task: Task,
-) -> Result<Option<Engine>, FactorizeError> {
+) -> Result<Option<Vec<Factor>>, FactorizeError> {
     let Some(coarse) = (levels > 0).then(|| Coarse::of(display, geometry, plan)).flatten() else { return Ok(None) };
     let settings = &Settings { coarse_levels: Some(levels - 1), ..settings.clone() };
-    let mut run = begin(method(&settings.solver)?, &coarse.plan, (&coarse.display, &coarse.geometry), settings, task)?;
+    let parts = (&coarse.display, &coarse.geometry);
+    let mut run = begin(executor, method(&settings.solver)?, &coarse.plan, parts, settings, task)?;
     for _ in 0..settings.coarse_iterations {
         run.step(task.cancel)?;
     }
-    Ok(Some(run.finish()))
+    Ok(Some(run.finish().into_factors()?))
 }
 
 /// Whether every layer and the backlight show the same in all frames.

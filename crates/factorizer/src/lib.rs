@@ -20,6 +20,7 @@ mod bands;
 mod block_exact;
 mod buffers;
 mod coarse;
+pub mod device;
 mod engine;
 mod errors;
 mod expand;
@@ -56,15 +57,16 @@ mod vector;
 mod tests;
 
 pub use block_exact::{BlockExact, Extrapolated};
+pub use engine::Processor;
 pub use factorize::{
-    Factorization, Iteration, LevelsLoss, Ongoing, Settings, ZONE_ITERATIONS, factorize, warm_start_pays,
+    Factorization, Iteration, LevelsLoss, Ongoing, Settings, ZONE_ITERATIONS, factorize, factorize_on, warm_start_pays,
 };
 pub use memory::held_bytes;
 pub use multiplicative::Multiplicative;
 pub use problem::{FactorizeError, Problem};
 pub use quantize::{has_levels, reoptimize_on_levels, round_to_levels};
 pub use solver::{AUTO, Objective, Run, Solver};
-pub use solvers::{solver, solver_names, solvers};
+pub use solvers::{solver, solver_names, solvers, start_on};
 pub use start::{FLOOR, StartKind, random_start};
 pub use stream::{ChannelRun, Estimate};
 pub use target::LentTarget;

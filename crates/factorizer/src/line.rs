@@ -15,11 +15,11 @@ pub(crate) struct LineOf {
 
 /// What an update saw and gained, weights relative to the largest.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Outcome {
+pub struct Outcome {
     /// Σ w e² over the rays through the line, before the step; rays that several pixels share count by their share.
-    pub(crate) error: f64,
+    pub error: f64,
     /// By how much the step lowers Σ w e², at least; 0 where the rule does not know. What [`Rule::Probe`] and [`Rule::Settle`] return.
-    pub(crate) gain: f64,
+    pub gain: f64,
 }
 
 impl Outcome {

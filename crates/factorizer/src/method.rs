@@ -1,7 +1,7 @@
 //! Solvers and runs as this crate sees them: on problems that are prepared once for several.
 
 use crate::FactorizeError;
-use crate::engine::Engine;
+use crate::device::Updater;
 use crate::prepared::Prepared;
 use crate::solver::{Objective, Run, Solver};
 
@@ -18,5 +18,5 @@ pub(crate) trait Iterated: Run {
     fn seen(&self) -> Option<Objective>;
 
     /// The patterns, where they are.
-    fn finish(self: Box<Self>) -> Engine;
+    fn finish(self: Box<Self>) -> Box<dyn Updater>;
 }

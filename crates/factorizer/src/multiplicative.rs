@@ -10,10 +10,11 @@
 //! box, whose lower end is at least [`FLOOR`], so the objective never rises, for real weights w ≥ 0 and for bilinear sampling too, where each
 //! sum carries the sample's weight. A pixel without a weighted ray, or whose denominator is 0 (below f32's normal range), is left alone.
 
-use lumistack_core::{Cancel, Cancelled};
+use lumistack_core::Cancel;
 use lumistack_display::{Formation, LayerStack};
 
-use crate::engine::Engine;
+use crate::device::Updater;
+use crate::engine::Processor;
 use crate::method::{Iterated, Method};
 use crate::prepared::Prepared;
 use crate::step::Rule;
@@ -33,7 +34,7 @@ impl Solver for Multiplicative {
     }
 
     fn start<'a>(&self, problem: &Problem<'a>, start: LayerStack) -> Result<Box<dyn Run + 'a>, FactorizeError> {
-        Ok(self.begin(Prepared::new(problem, start)?)?)
+        Ok(self.begin(Prepared::new(problem, start, &Processor)?)?)
     }
 }
 
@@ -45,43 +46,47 @@ impl Method for Multiplicative {
                 why: "layers that rotate polarization make no nonnegative product",
             });
         }
-        Ok(Box::new(MultiplicativeRun { engine: prepared.engine(FLOOR) }))
+        Ok(Box::new(MultiplicativeRun { state: prepared.begin(FLOOR, false)? }))
     }
 }
 
 /// State of a run.
 struct MultiplicativeRun {
-    engine: Engine,
+    state: Box<dyn Updater>,
 }
 
 impl Run for MultiplicativeRun {
-    fn step(&mut self, cancel: &Cancel) -> Result<(), Cancelled> {
-        self.engine.cancel = cancel.clone();
-        for n in 0..self.engine.factor_count() {
-            self.engine.update(n, Rule::Multiplicative, None);
+    fn step(&mut self, cancel: &Cancel) -> Result<(), FactorizeError> {
+        self.state.heed(cancel);
+        for n in 0..self.state.plan().factor_count() {
+            self.state.update(n, Rule::Multiplicative, None);
             cancel.check()?;
         }
-        Ok(())
+        self.state.check()
     }
 
     fn objective(&mut self) -> Objective {
-        self.engine.objective()
+        self.state.objective()
     }
 
     fn unsettled(&mut self) -> f64 {
-        self.engine.unsettled()
+        self.state.unsettled()
     }
 
     fn settle(&mut self) -> f64 {
-        self.engine.settle()
+        self.state.settle()
     }
 
     fn rays(&self) -> u64 {
-        self.engine.rays()
+        self.state.plan().rays
+    }
+
+    fn check(&self) -> Result<(), FactorizeError> {
+        self.state.check()
     }
 
     fn download(&mut self) -> LayerStack {
-        self.engine.download()
+        self.state.download()
     }
 }
 
@@ -91,7 +96,7 @@ impl Iterated for MultiplicativeRun {
         None
     }
 
-    fn finish(self: Box<Self>) -> Engine {
-        self.engine
+    fn finish(self: Box<Self>) -> Box<dyn Updater> {
+        self.state
     }
 }

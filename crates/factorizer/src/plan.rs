@@ -16,7 +16,7 @@ use crate::target::Target;
 
 /// Everything about a problem that does not change between steps.
 #[derive(Clone, Debug)]
-pub(crate) struct Plan {
+pub struct Plan {
     /// View rows and view columns.
     pub(crate) views: [usize; 2],
     /// Field rows.
@@ -40,6 +40,8 @@ pub(crate) struct Plan {
     /// Per view row: whether a field row's rays count.
     pub(crate) valid_rows: Vec<Vec<bool>>,
     pub(crate) target: Target,
+    /// Number of rays that count.
+    pub(crate) rays: u64,
     /// The instruction set for all kernels of the run.
     pub(crate) backend: Backend,
     pub(crate) row: RowFunctions,
@@ -80,7 +82,7 @@ impl Plan {
             .collect();
         let formation = display.formation;
         let shifted = formation == Formation::Attenuating && maps.iter().all(|map| map.shifted);
-        Self {
+        let mut plan = Self {
             views,
             rows,
             cols,
@@ -93,9 +95,12 @@ impl Plan {
             runs,
             valid_rows,
             target,
+            rays: 0,
             backend: Backend::best(),
             row: RowFunctions::new(Backend::best()),
-        }
+        };
+        plan.rays = plan.count_rays();
+        plan
     }
 
     /// Chooses the instruction set.
@@ -105,18 +110,27 @@ impl Plan {
         self.row = RowFunctions::new(backend);
     }
 
+    /// Number of factors: layers and backlight.
+    pub fn factor_count(&self) -> usize {
+        self.maps.len()
+    }
+
+    /// Whether the outcome of updating factor `n` covers all rays.
+    pub(crate) fn sees_all_rays(&self, n: usize) -> bool {
+        self.maps[n].complete
+    }
+
     /// Whether layers attenuate.
     pub(crate) fn is_product(&self) -> bool {
         self.formation == Formation::Attenuating
     }
 
     /// Whether L̃ is linear in the values of factor `n`, so that its Gram matrix bounds the curvature.
-    pub(crate) fn is_bounded(&self, n: usize) -> bool {
+    pub fn is_bounded(&self, n: usize) -> bool {
         self.formation != Formation::Polarization || n >= self.layers
     }
 
-    /// Number of rays that count.
-    pub(crate) fn rays(&self) -> u64 {
+    fn count_rays(&self) -> u64 {
         let mut count = 0;
         for (view_y, rows) in self.valid_rows.iter().enumerate() {
             for row in (0..self.rows).filter(|&row| rows[row]) {

@@ -119,6 +119,14 @@ pub enum FactorizeError {
         /// The reason.
         why: &'static str,
     },
+    /// A device cannot do this solve, or no longer answers.
+    #[error("device {device}: {why}")]
+    Device {
+        /// Its name.
+        device: String,
+        /// The reason.
+        why: String,
+    },
     /// Somebody asked to stop.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),

@@ -8,7 +8,8 @@
 use lumistack_core::Task;
 use lumistack_display::{Display, LayerStack};
 
-use crate::engine::Engine;
+use crate::device::Updater;
+use crate::engine::{Engine, Processor};
 use crate::prepared::Prepared;
 use crate::step::{Freedom, Levels, Rule};
 use crate::{FactorizeError, Problem};
@@ -43,14 +44,14 @@ fn round(display: &Display, stack: &LayerStack) -> LayerStack {
 /// # Errors
 /// If the problem or the stack are unusable, or when cancelled.
 pub fn reoptimize_on_levels(problem: &Problem, stack: LayerStack, task: Task) -> Result<LayerStack, FactorizeError> {
-    reoptimize(Prepared::new(problem, stack)?, task)
+    reoptimize(Prepared::new(problem, stack, &Processor)?, task)
 }
 
-/// [`reoptimize_on_levels`] on what is prepared.
+/// [`reoptimize_on_levels`] on what is prepared, whatever its executor: on the processor.
 pub(crate) fn reoptimize(prepared: Prepared, task: Task) -> Result<LayerStack, FactorizeError> {
     let display = prepared.display;
     let (frames, layers) = (display.frames, &display.layers);
-    let mut engine = prepared.engine(0.0);
+    let mut engine = Engine::begin(prepared.to_begin(0.0, false));
     engine.cancel = task.cancel.clone();
     let few: Vec<usize> = (0..layers.len()).filter(|&n| layers[n].bits.is_some()).collect();
     for &n in &few {
@@ -58,7 +59,7 @@ pub(crate) fn reoptimize(prepared: Prepared, task: Task) -> Result<LayerStack, F
         engine.levels[n] = values.map(|values| Levels { values, frames: vec![Freedom::Free; frames] });
     }
     let rule = Rule::Block { sweeps: SWEEPS };
-    let steps = few.len() * frames + LAST_ROUNDS as usize * engine.factor_count();
+    let steps = few.len() * frames + LAST_ROUNDS as usize * engine.plan().factor_count();
     task.progress.begin("quantize", steps as u64, "masks");
     let update = |engine: &mut Engine, n: usize| -> Result<(), FactorizeError> {
         engine.update(n, rule, None);
@@ -76,7 +77,7 @@ pub(crate) fn reoptimize(prepared: Prepared, task: Task) -> Result<LayerStack, F
             }
         }
         for _ in 0..LAST_ROUNDS {
-            (0..engine.factor_count()).try_for_each(|n| update(&mut engine, n))?;
+            (0..engine.plan().factor_count()).try_for_each(|n| update(&mut engine, n))?;
         }
         Ok(())
     };

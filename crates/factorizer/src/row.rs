@@ -4,10 +4,12 @@ use std::ops::Range;
 
 use crate::factor::PAD;
 
-/// One padded row of L.
+/// One row of L.
 #[derive(Clone, Copy)]
-pub(crate) enum Row<'a> {
+pub enum Row<'a> {
+    /// Half floats.
     Half(&'a [u16]),
+    /// Floats.
     Float(&'a [f32]),
 }
 

@@ -1,6 +1,6 @@
 //! What every solver offers: start on a problem, step, report the objective, hand the patterns back.
 
-use lumistack_core::{Cancel, Cancelled};
+use lumistack_core::Cancel;
 use lumistack_display::LayerStack;
 
 use crate::problem::{FactorizeError, Problem};
@@ -28,8 +28,9 @@ pub trait Run {
     /// One iteration: every factor once.
     ///
     /// # Errors
-    /// When cancelled, which is asked for every line of a factor; the patterns so far remain usable.
-    fn step(&mut self, cancel: &Cancel) -> Result<(), Cancelled>;
+    /// When cancelled, which is asked for every line of a factor (of a device: for every factor); the patterns so far remain usable. When the device is
+    /// lost; the patterns are lost with it.
+    fn step(&mut self, cancel: &Cancel) -> Result<(), FactorizeError>;
 
     /// The objective of the present patterns.
     fn objective(&mut self) -> Objective;
@@ -48,6 +49,12 @@ pub trait Run {
 
     /// Number of rays with w > 0 that meet the display.
     fn rays(&self) -> u64;
+
+    /// Whether the patterns are still there, and so whether the objective and the patterns last returned were theirs: a device may be lost.
+    ///
+    /// # Errors
+    /// If they are not.
+    fn check(&self) -> Result<(), FactorizeError>;
 
     /// The present patterns.
     fn download(&mut self) -> LayerStack;

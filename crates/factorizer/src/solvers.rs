@@ -1,10 +1,14 @@
 //! The list of solvers.
 
 use crate::block_exact::{BlockExact, Extrapolated};
+use lumistack_display::LayerStack;
+
+use crate::device::Executor;
 use crate::method::Method;
 use crate::multiplicative::Multiplicative;
-use crate::problem::FactorizeError;
-use crate::solver::{AUTO, Solver};
+use crate::prepared::Prepared;
+use crate::problem::{FactorizeError, Problem};
+use crate::solver::{AUTO, Run, Solver};
 
 /// All of them.
 static METHODS: [&dyn Method; 3] = [&Multiplicative, &BlockExact, &Extrapolated];
@@ -25,6 +29,19 @@ pub fn solver_names() -> impl Iterator<Item = &'static str> {
 /// If there is none; the error lists all names.
 pub fn solver(name: &str) -> Result<&'static dyn Solver, FactorizeError> {
     method(name).map(|method| method as &dyn Solver)
+}
+
+/// [`Solver::start`] of the solver of a name, by an executor.
+///
+/// # Errors
+/// As [`solver`] and [`Solver::start`], and where the executor cannot do this.
+pub fn start_on(
+    executor: &dyn Executor,
+    name: &str,
+    problem: &Problem,
+    start: LayerStack,
+) -> Result<Box<dyn Run>, FactorizeError> {
+    Ok(method(name)?.begin(Prepared::new(problem, start, executor)?)?)
 }
 
 /// [`solver`], as this crate sees it.

@@ -20,7 +20,7 @@ use crate::vector::{Vector, load as get, store as put};
 
 /// How a pixel's M values follow from its sums.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Rule {
+pub enum Rule {
     /// f ← clamp(f·n/d): the paper's rule (eq. 16). n = r + d is summed apart: values may shrink by orders of magnitude in one step, and keep
     /// their relative precision.
     Multiplicative,
@@ -31,7 +31,7 @@ pub(crate) enum Rule {
     },
     /// Nothing moves: the gain is Σ δᵀδ G_mm over the coordinate steps δ that could be made, the squared change of the emission.
     Probe,
-    /// The same gain; values that next to no light reaches become the darkest, see [`Block::darken`].
+    /// The same gain; values that next to no light reaches become the darkest, see [`crate::Run::settle`].
     Settle,
 }
 

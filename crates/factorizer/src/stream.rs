@@ -8,6 +8,7 @@ use lumistack_core::seed::{Stream, derive};
 use lumistack_core::{Cancel, Cancelled};
 use lumistack_display::{Backlight, Display, FieldGeometry, Formation};
 
+use crate::device::Updater;
 use crate::engine::Engine;
 use crate::factor::PAD;
 use crate::line::LineOf;
@@ -96,7 +97,7 @@ impl ChannelRun {
     /// When cancelled, which is asked for every line.
     pub fn step(&mut self, cancel: &Cancel) -> Result<(), Cancelled> {
         self.engine.cancel = cancel.clone();
-        for n in 0..self.engine.factor_count() {
+        for n in 0..self.engine.plan().factor_count() {
             self.engine.update(n, Rule::Block { sweeps: SWEEPS }, None);
             cancel.check()?;
         }
@@ -109,13 +110,13 @@ impl ChannelRun {
     }
 
     /// The objective of the present patterns.
-    pub fn objective(&self) -> Objective {
+    pub fn objective(&mut self) -> Objective {
         self.engine.objective()
     }
 
     /// Number of rays that meet the display.
     pub fn rays(&self) -> u64 {
-        self.engine.rays()
+        self.engine.plan().rays
     }
 
     /// Row `line` of layer `n` in frame `frame`; the backlight follows the layers, its lines ordered `[bin_y][lenslet_row]` and its columns

@@ -21,7 +21,7 @@ const LIFTED: f32 = 1e-4;
 pub(crate) fn limits(plan: &Plan, n: usize) -> Vec<f32> {
     let map = &plan.maps[n];
     let stride = map.layout.stride;
-    let share = ((UNLIT * f64::from(plan.target.brightness)).powi(2)) as f32;
+    let share = share(plan);
     let mut limits = vec![0.0f32; map.layout.lines() * stride];
     bands::for_each_chunk(
         &mut limits,
@@ -50,6 +50,11 @@ pub(crate) fn limits(plan: &Plan, n: usize) -> Vec<f32> {
         },
     );
     limits
+}
+
+/// Σ w a_m² relative to Σ w over a pixel's rays.
+pub(crate) fn share(plan: &Plan) -> f32 {
+    ((UNLIT * f64::from(plan.target.brightness)).powi(2)) as f32
 }
 
 /// Patterns to start from: no value is so dark that layers behind each other hold each other there.

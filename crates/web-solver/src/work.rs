@@ -225,7 +225,7 @@ impl Work {
             Piece::Finish => {
                 let (Some(run), Some(target)) = (self.run.take(), &self.target) else { return Ok(()) };
                 let problem = Problem { display: &self.display, target, weights: &Weights::Uniform };
-                let (mut stack, objective) = run.finish();
+                let (mut stack, objective) = run.finish()?;
                 self.psnr = objective.psnr_view;
                 if has_levels(&problem) {
                     stack = reoptimize_on_levels(&problem, stack, task)?;

@@ -7,6 +7,7 @@ use lumistack_core::{Cancel, Collector, Progress, Task, Tensor};
 use lumistack_display::{LayerStack, Sampling, Weights};
 
 use super::problems::{Kind, Owned, display, random};
+use crate::device::Updater;
 use crate::engine::Engine;
 use crate::step::Rule;
 use crate::{ChannelRun, Factorization, FactorizeError, Settings, factorize};
@@ -237,7 +238,7 @@ fn one_lent_channel_is_solved_like_a_channel_of_the_whole() {
     assert!((first.psnr_view - whole.objective().psnr_view).abs() < 1e-9);
     for _ in 0..3 {
         channel.step(&Cancel::default()).unwrap();
-        (0..whole.factor_count()).for_each(|n| {
+        (0..whole.plan().factor_count()).for_each(|n| {
             whole.update(n, Rule::Block { sweeps: 2 }, None);
         });
     }

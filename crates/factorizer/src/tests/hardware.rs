@@ -4,6 +4,7 @@ use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{Display, EyeBox, Formation, LayerColour, LayerStack, LightField, Sampling, Weights, score};
 
 use super::fields::{display, light_field};
+use crate::device::Updater;
 use crate::engine::Engine;
 use crate::{Factorization, Problem, Settings, factorize};
 

@@ -5,6 +5,7 @@ use lumistack_display::{LayerStack, RayMap};
 use lumistack_simd::Backend;
 
 use super::problems::{Kind, Owned, display, random};
+use crate::device::Updater;
 use crate::engine::Engine;
 use crate::{Settings, StartKind, factorize, random_start};
 
@@ -106,7 +107,7 @@ fn the_end_of_a_run_costs_nothing_and_is_the_same_by_every_kernel() {
     for (set, fast) in Backend::available().iter().flat_map(|backend| [(*backend, false), (*backend, true)]) {
         let mut engine = Engine::new(&problem, stack.clone(), 0.0).unwrap();
         for _ in 0..10 {
-            (0..engine.factor_count()).for_each(|n| {
+            (0..engine.plan().factor_count()).for_each(|n| {
                 engine.update(n, crate::step::Rule::Block { sweeps: 4 }, None);
             });
         }
@@ -134,7 +135,7 @@ fn settling_moves_nothing_that_light_reaches_whatever_the_display() {
             let owned = random(kind, seed);
             let problem = owned.problem();
             let mut engine = Engine::new(&problem, random_start(&owned.display, seed), 0.0).unwrap();
-            (0..engine.factor_count()).for_each(|n| {
+            (0..engine.plan().factor_count()).for_each(|n| {
                 engine.update(n, crate::step::Rule::Block { sweeps: 4 }, None);
             });
             let before = engine.objective();

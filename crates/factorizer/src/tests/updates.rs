@@ -6,7 +6,8 @@ use lumistack_simd::Backend;
 
 use super::oracle::Oracle;
 use super::problems::{Kind, random};
-use crate::engine::Engine;
+use crate::device::Updater;
+use crate::engine::{Engine, Processor};
 use crate::prepared::Prepared;
 use crate::solvers::method;
 use crate::step::Rule;
@@ -60,7 +61,7 @@ fn one_update_agrees_with_the_oracle_on_every_kind_of_problem() {
                     let mut oracle = Oracle::new(&problem, &start, floor);
                     let mut engine = Engine::new(&problem, start.clone(), floor).unwrap();
                     engine.use_kernel(set, fast);
-                    for n in 0..engine.factor_count() {
+                    for n in 0..engine.plan().factor_count() {
                         let influence = oracle.update(n, sweeps);
                         engine.update(n, rule, None);
                         let stack = engine.download();
@@ -91,7 +92,7 @@ fn plain_problems_take_the_fast_path_and_mixed_ones_do_not() {
     let fast = |kind, seed| {
         let owned = random(kind, seed);
         let engine = Engine::new(&owned.problem(), random_start(&owned.display, 0), FLOOR).unwrap();
-        (0..engine.factor_count()).all(|n| engine.is_fast(n))
+        (0..engine.plan().factor_count()).all(|n| engine.is_fast(n))
     };
     for kind in [Kind::Plain, Kind::EightLayers, Kind::ViewWeights, Kind::RayWeights, Kind::Wide] {
         assert!(SEEDS.iter().all(|seed| fast(kind, *seed)), "{kind:?}");
@@ -118,13 +119,14 @@ fn the_objective_never_rises_and_falls_by_what_the_step_says_at_least() {
                 let first = oracle.objective();
                 let mut before = first;
                 for step in 0..6 {
-                    for n in 0..engine.factor_count() {
-                        let outcome = engine.update(n, rule, None);
+                    for n in 0..engine.plan().factor_count() {
+                        engine.update(n, rule, None);
+                        let outcome = engine.outcome();
                         oracle.upload(&engine.download());
                         let after = oracle.objective();
                         let what = format!("{rule:?} {kind:?} {seed}, step {step}, factor {n}");
                         assert!(after <= before * (1.0 + RISE_RELATIVE) + slack, "{what}: {before} to {after}");
-                        if engine.sees_all_rays(n) {
+                        if engine.plan().sees_all_rays(n) {
                             let seen = outcome.error * scale;
                             assert!(
                                 (seen - before).abs() <= ERROR_SEEN * before + rounding,
@@ -170,7 +172,7 @@ fn the_objective_and_the_psnr_are_those_of_the_oracle_and_of_the_forward_model()
             for (set, fast) in kernels() {
                 let mut engine = Engine::new(&problem, start.clone(), FLOOR).unwrap();
                 engine.use_kernel(set, fast);
-                assert_eq!(engine.rays(), oracle.ray_count() as u64, "{kind:?} {seed}");
+                assert_eq!(engine.plan().rays, oracle.ray_count() as u64, "{kind:?} {seed}");
                 let (found, expected) = (engine.objective(), oracle.objective());
                 let slack = OBJECTIVE_PER_VALUE * 3.0 * oracle.ray_count() as f64;
                 assert!((found.value - expected).abs() <= OBJECTIVE_TOLERANCE * expected + slack, "{kind:?} {seed}");
@@ -188,7 +190,7 @@ fn the_objective_that_a_step_finds_on_its_way_is_that_of_its_end() {
     for kind in Kind::ALL {
         for seed in SEEDS {
             let owned = random(kind, seed);
-            let prepared = Prepared::new(&owned.problem(), random_start(&owned.display, seed)).unwrap();
+            let prepared = Prepared::new(&owned.problem(), random_start(&owned.display, seed), &Processor).unwrap();
             let mut run = method("block-exact").unwrap().begin(prepared).unwrap();
             for _ in 0..3 {
                 run.step(&Cancel::default()).unwrap();
