@@ -25,6 +25,10 @@ cargo xtask bench [what]
                 reference figures
       --quick        50 iterations at most
       --json FILE    also as JSON
+  gpu           the paper's case with 12 frames on a graphics processor, or an adapter in software where there is none: updates per second
+                beside the processor, bytes and arithmetic against what the adapter does at most
+      --quick        a sixteenth of the pixels
+      NAME           an adapter whose name contains this
   stream        a display whose target does not fit into memory: 3840×2160 pixels, 9×9 views, 3 layers, 12 frames
   outputs       memory of the outputs `images` and `web_simulator` with 4 and with 12 frames of three 4K layers
   render [scene.gltf]   the path tracer on two cores: rays per second of the tree beside Embree, and one view of diffuse
@@ -82,6 +86,10 @@ pub fn run(arguments: &[&str]) -> Option<Outcome> {
         [] => factorize(&["--no-peers"])?.and_then(|()| bench_render::render(&["--no-peers"]).unwrap_or(Ok(()))),
         ["factorize", options @ ..] => factorize(options)?,
         ["convergence", options @ ..] => convergence(options)?,
+        ["gpu", options @ ..] => {
+            let options: Vec<String> = options.iter().map(ToString::to_string).collect();
+            example("lumistack-factorizer-gpu", "bench_gpu", &options)
+        }
         ["stream"] => example("lumistack-factorizer", "stream", &[]),
         ["agreement"] => agreement("64").and(bench_render::agree("4096")),
         ["agreement", "--quick"] => agreement("16").and(bench_render::agree("1024")),

@@ -1,0 +1,5 @@
+//! The fingerprint of this crate's sources.
+
+fn main() {
+    lumistack_fingerprint::emit(&[]);
+}

@@ -1,0 +1,105 @@
+//! Updates per second of an adapter on the paper's main case, beside the processor, and against what the adapter can do at most.
+//!
+//! Per update and colour channel, with F factors and M frames: operations per ray F (M (F−2) + 2M + M(M+1)/2) block-exact and F M (F+1) multiplicative
+//! (multiply-adds); bytes F times the target and all factors once, and every factor written. The paper's two Quadro cards made about 10 updates a second.
+
+#[path = "../../factorizer/examples/bench_factorize/scene.rs"]
+mod scene;
+
+use std::error::Error;
+use std::time::Instant;
+
+use lumistack_core::Cancel;
+use lumistack_display::{Display, LayerStack, Weights};
+use lumistack_factorizer::{Problem, Solver, random_start, solver};
+use lumistack_factorizer_gpu::{Device, adapters};
+
+/// Width of the display, millimetres.
+const WIDTH_MM: f64 = 473.76;
+const FRAMES: usize = 12;
+
+/// Seconds of the first update, from the start on, and of one more.
+fn time(
+    solver: &dyn Solver,
+    problem: &Problem,
+    start: &LayerStack,
+    updates: usize,
+) -> Result<[f64; 2], Box<dyn Error>> {
+    let begun = Instant::now();
+    let mut run = solver.start(problem, start.clone())?;
+    run.step(&Cancel::default())?;
+    // waits for the device
+    run.objective();
+    let first = begun.elapsed().as_secs_f64();
+    let begun = Instant::now();
+    for _ in 0..updates {
+        run.step(&Cancel::default())?;
+    }
+    run.objective();
+    run.check()?;
+    Ok([first, begun.elapsed().as_secs_f64() / updates as f64])
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let mut arguments: Vec<String> = std::env::args().skip(1).collect();
+    let quick = arguments.iter().any(|argument| argument == "--quick");
+    arguments.retain(|argument| argument != "--quick");
+    let name = arguments.first().map(String::as_str);
+    for adapter in adapters() {
+        println!("{} ({}, {}, {})", adapter.name, adapter.kind, adapter.backend, adapter.driver);
+    }
+    let device = match Device::open(name) {
+        Err(error) if name.is_none() => {
+            println!("{error}");
+            Device::open(Some(""))?
+        }
+        device => device?,
+    };
+    let adapter = device.adapter();
+    if !adapter.is_hardware {
+        println!("no graphics processor: what follows is the processor itself, by a driver in software");
+    }
+    let limits = device.measured_limits();
+    println!(
+        "on {}: copies {:.1} GB/s, {:.1} G multiply-adds/s",
+        adapter.name,
+        limits.bytes_per_s / 1e9,
+        limits.multiply_adds_per_s / 1e9
+    );
+    let resolution = if quick { [210, 131] } else { [840, 525] };
+    let pitch_mm = WIDTH_MM / resolution[0] as f64;
+    let display = Display::uniform(resolution, pitch_mm, [5; 2], [20.0; 2], &[-40.0, 0.0, 40.0], FRAMES);
+    let display = Display { brightness: 0.2, ..display };
+    let target = scene::light_field(&display)?;
+    let problem = Problem { display: &display, target: &target, weights: &Weights::Uniform };
+    let start = random_start(&display, 1);
+    let (factors, frames) = (3.0, FRAMES as f64);
+    let values = 3.0 * (resolution[0] * resolution[1]) as f64;
+    let rays = 25.0 * values;
+    println!("{}×{} pixels, 5×5 views, 3 layers, {FRAMES} frames", resolution[0], resolution[1]);
+    let bytes = factors * (2.0 * rays + 4.0 * frames * factors * values + 4.0 * frames * values);
+    for (name, per_ray) in [
+        ("multiplicative", factors * frames * (factors + 1.0)),
+        ("extrapolated", factors * (frames * (factors - 2.0) + 2.0 * frames + frames * (frames + 1.0) / 2.0)),
+    ] {
+        let updates = if quick { 2 } else { 10 };
+        let [first, each] = time(&device.solver(name)?, &problem, &start, updates)?;
+        let [cpu_first, cpu_each] = time(solver(name)?, &problem, &start, updates)?;
+        let least = (bytes / limits.bytes_per_s).max(per_ray * rays / limits.multiply_adds_per_s);
+        println!(
+            "{name}: {:.2} updates/s, the first after {first:.2} s; at the device's limits {:.2}",
+            1.0 / each,
+            1.0 / least
+        );
+        println!(
+            "  {:.0} MB and {:.2} G multiply-adds an update: {:.1} GB/s, {:.1} G/s, {:.0} % of the nearer limit",
+            bytes / 1e6,
+            per_ray * rays / 1e9,
+            bytes / each / 1e9,
+            per_ray * rays / each / 1e9,
+            100.0 * least / each
+        );
+        println!("  processor: {:.2} updates/s, the first after {cpu_first:.2} s", 1.0 / cpu_each);
+    }
+    Ok(())
+}

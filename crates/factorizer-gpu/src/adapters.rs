@@ -1,0 +1,78 @@
+//! Which adapters this machine has, and which of them a solver takes.
+
+use wgpu::{Backends, DeviceType};
+
+/// An adapter.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Adapter {
+    /// The driver's name for it.
+    pub name: String,
+    /// Interface by which it is reached.
+    pub backend: String,
+    /// `discrete`, `integrated`, `virtual`, `software` or `other`.
+    pub kind: &'static str,
+    /// The driver and its version.
+    pub driver: String,
+    /// Bytes of the largest buffer and of the largest part of one that a shader can read.
+    pub buffer_bytes: [u64; 2],
+    /// Whether it has subgroups, and arithmetic with 16 bits.
+    pub subgroups_and_halves: [bool; 2],
+    /// Whether it is a graphics processor, so that `auto` takes it.
+    pub is_hardware: bool,
+}
+
+/// All adapters, those that `auto` prefers first.
+pub fn adapters() -> Vec<Adapter> {
+    found().iter().map(|(adapter, _)| adapter.clone()).collect()
+}
+
+fn found() -> Vec<(Adapter, wgpu::Adapter)> {
+    // interfaces with compute shaders
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
+    let mut all: Vec<_> = pollster::block_on(instance.enumerate_adapters(Backends::PRIMARY))
+        .into_iter()
+        .map(|adapter| (described(&adapter), adapter))
+        .collect();
+    let rank = |kind: &str| ["discrete", "integrated", "virtual", "other"].iter().position(|k| *k == kind).unwrap_or(4);
+    all.sort_by_key(|(adapter, _)| rank(adapter.kind));
+    all
+}
+
+fn described(adapter: &wgpu::Adapter) -> Adapter {
+    let (info, limits, features) = (adapter.get_info(), adapter.limits(), adapter.features());
+    let kind = match info.device_type {
+        DeviceType::DiscreteGpu => "discrete",
+        DeviceType::IntegratedGpu => "integrated",
+        DeviceType::VirtualGpu => "virtual",
+        DeviceType::Cpu => "software",
+        DeviceType::Other => "other",
+    };
+    Adapter {
+        name: info.name,
+        backend: format!("{:?}", info.backend).to_lowercase(),
+        kind,
+        driver: [info.driver, info.driver_info].join(" ").trim().to_owned(),
+        buffer_bytes: [limits.max_buffer_size, limits.max_storage_buffer_binding_size],
+        subgroups_and_halves: [wgpu::Features::SUBGROUP, wgpu::Features::SHADER_F16].map(|f| features.contains(f)),
+        is_hardware: ["discrete", "integrated", "virtual"].contains(&kind),
+    }
+}
+
+/// The first graphics processor, or the first adapter of any kind whose name contains `name`, whatever its case.
+///
+/// # Errors
+/// If there is none; the error lists those that there are.
+pub(crate) fn choose(name: Option<&str>) -> Result<(Adapter, wgpu::Adapter), String> {
+    let mut all = found();
+    let fits = |adapter: &Adapter| match name {
+        Some(name) => adapter.name.to_lowercase().contains(&name.to_lowercase()),
+        None => adapter.is_hardware,
+    };
+    let Some(at) = all.iter().position(|(adapter, _)| fits(adapter)) else {
+        let names: Vec<_> = all.iter().map(|(a, _)| format!("{} ({}, {})", a.name, a.kind, a.backend)).collect();
+        let found = if names.is_empty() { "none with Vulkan, Metal or Direct3D 12".into() } else { names.join("; ") };
+        let expected = name.map_or("a graphics processor".into(), |name| format!("an adapter named like `{name}`"));
+        return Err(format!("expected {expected}, found {found}"));
+    };
+    Ok(all.swap_remove(at))
+}

@@ -1,0 +1,107 @@
+//! Work in bands of lines, so that all that a dispatch reads fits into the device's bindings.
+//!
+//! Buffers hold whole channels. A dispatch binds windows of them: the lines that it writes, the field rows whose rays meet these, and the lines of other
+//! factors that those rays read. A band whose windows are too large is halved.
+
+use std::ops::Range;
+
+use crate::tables::Tables;
+
+/// What one dispatch works on; ranges are in words of a channel's buffers.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Band {
+    /// Lines, or field rows.
+    pub(crate) lines: Range<usize>,
+    pub(crate) own: Range<u64>,
+    pub(crate) target: Range<u64>,
+    pub(crate) weights: Range<u64>,
+    pub(crate) factors: Vec<Range<u64>>,
+}
+
+/// Words of a line of each buffer, and the limits.
+pub(crate) struct Cut<'a> {
+    pub(crate) tables: &'a Tables,
+    /// Per factor.
+    pub(crate) line_words: Vec<u64>,
+    /// Of a field row, all views.
+    pub(crate) target_words: u64,
+    pub(crate) weight_words: u64,
+    /// Bytes of a binding.
+    pub(crate) limit: u64,
+    /// Bytes of which offsets are multiples.
+    pub(crate) align: u64,
+    /// Workgroups along an axis.
+    pub(crate) groups: usize,
+}
+
+impl Cut<'_> {
+    /// Bands of all lines of a factor, or `None` where a single line is too much.
+    pub(crate) fn of_factor(&self, n: usize, lines: usize) -> Option<Vec<Band>> {
+        self.cut(Some(n), 0..lines)
+    }
+
+    /// Bands of all field rows.
+    pub(crate) fn of_rows(&self, rows: usize) -> Option<Vec<Band>> {
+        self.cut(None, 0..rows)
+    }
+
+    fn cut(&self, own: Option<usize>, lines: Range<usize>) -> Option<Vec<Band>> {
+        if lines.len() <= self.groups
+            && let Some(band) = self.band(own, lines.clone())
+        {
+            return Some(vec![band]);
+        }
+        if lines.len() < 2 {
+            return None;
+        }
+        let half = lines.start + lines.len() / 2;
+        let mut bands = self.cut(own, lines.start..half)?;
+        bands.extend(self.cut(own, half..lines.end)?);
+        Some(bands)
+    }
+
+    fn band(&self, own: Option<usize>, lines: Range<usize>) -> Option<Band> {
+        let rows = match own {
+            Some(n) => span(&self.tables.factors[n].rows_of_line[lines.clone()]),
+            None => lines.clone(),
+        };
+        let factors = self.tables.factors.iter().enumerate().map(|(k, tables)| {
+            let mut read = span(&tables.lines_of_row[rows.clone()]);
+            if Some(k) == own {
+                read =
+                    if read.is_empty() { lines.clone() } else { read.start.min(lines.start)..read.end.max(lines.end) };
+            }
+            // shaders look somewhere even where every ray misses
+            if read.is_empty() {
+                read = 0..1;
+            }
+            self.window(read, self.line_words[k])
+        });
+        Some(Band {
+            own: match own {
+                Some(n) => self.window(lines.clone(), self.line_words[n])?,
+                None => 0..1,
+            },
+            factors: factors.collect::<Option<_>>()?,
+            target: self.window(rows.start..rows.end.max(rows.start + 1), self.target_words)?,
+            weights: self.window(rows.start..rows.end.max(rows.start + 1), self.weight_words)?,
+            lines,
+        })
+    }
+
+    /// The words of some lines, from an aligned place on; `None` where they are too many.
+    fn window(&self, lines: Range<usize>, words: u64) -> Option<Range<u64>> {
+        let align = self.align.div_ceil(4);
+        let start = lines.start as u64 * words / align * align;
+        let end = lines.end as u64 * words;
+        (4 * (end - start) <= self.limit).then_some(start..end.max(start + 1))
+    }
+}
+
+/// The range that spans some.
+fn span(ranges: &[Option<[usize; 2]>]) -> Range<usize> {
+    let all = ranges.iter().flatten();
+    let first = all.clone().map(|range| range[0]).min();
+    let last = all.map(|range| range[1]).max();
+    first.zip(last).map_or(0..0, |(first, last)| first..last + 1)
+}

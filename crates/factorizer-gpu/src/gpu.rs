@@ -1,0 +1,206 @@
+//! An open device: buffers, programs, and what went wrong.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use lumistack_factorizer::FactorizeError;
+
+use crate::adapters::{self, Adapter};
+use crate::text::{FIRST_FACTOR, Program};
+
+/// Bytes that are written or read at a time.
+pub(crate) const CHUNK: u64 = 32 << 20;
+
+/// An open device.
+pub struct Gpu {
+    adapter: Adapter,
+    pub(crate) device: wgpu::Device,
+    pub(crate) queue: wgpu::Queue,
+    pub(crate) limits: wgpu::Limits,
+    programs: Mutex<HashMap<String, wgpu::ComputePipeline>>,
+    failure: Arc<Mutex<Option<String>>>,
+}
+
+impl Gpu {
+    /// Opens the first graphics processor, or the first adapter of any kind whose name contains `name`.
+    ///
+    /// # Errors
+    /// [`FactorizeError::Device`] if there is none, or it does not open.
+    pub fn open(name: Option<&str>) -> Result<Self, FactorizeError> {
+        let failed = |device: &str, why: String| FactorizeError::Device { device: device.into(), why };
+        let (adapter, found) = adapters::choose(name).map_err(|why| failed(name.unwrap_or("gpu"), why))?;
+        let limits = found.limits();
+        let descriptor =
+            wgpu::DeviceDescriptor { label: Some("factorizer"), required_limits: limits.clone(), ..Default::default() };
+        let (device, queue) = pollster::block_on(found.request_device(&descriptor))
+            .map_err(|error| failed(&adapter.name, error.to_string()))?;
+        let failure = Arc::new(Mutex::new(None));
+        let note = |failure: &Arc<Mutex<Option<String>>>| {
+            let failure = failure.clone();
+            move |why: String| {
+                failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(why);
+            }
+        };
+        let (heard, lost) = (note(&failure), note(&failure));
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| heard(error.to_string())));
+        device.set_device_lost_callback(move |reason, message| {
+            if reason != wgpu::DeviceLostReason::Destroyed || !message.is_empty() {
+                lost(format!("the device was lost: {message}"));
+            }
+        });
+        Ok(Self { adapter, device, queue, limits, programs: Mutex::default(), failure })
+    }
+
+    /// The adapter that was opened.
+    pub fn adapter(&self) -> &Adapter {
+        &self.adapter
+    }
+
+    /// Binds no more than so many bytes at a time, so that larger problems are cut into bands: for tests.
+    #[must_use]
+    pub fn with_binding_bytes(mut self, bytes: u64) -> Self {
+        self.limits.max_storage_buffer_binding_size = self.limits.max_storage_buffer_binding_size.min(bytes);
+        self
+    }
+
+    /// Gives the device up, as a driver does that was reset: for tests.
+    pub fn lose(&self) {
+        self.device.destroy();
+        self.note("the device was lost".into());
+    }
+
+    pub(crate) fn note(&self, why: String) {
+        self.failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(why);
+    }
+
+    pub(crate) fn error(&self, why: String) -> FactorizeError {
+        FactorizeError::Device { device: self.adapter.name.clone(), why }
+    }
+
+    /// Whether everything went well so far.
+    pub(crate) fn check(&self) -> Result<(), FactorizeError> {
+        let failure = self.failure.lock().unwrap_or_else(PoisonError::into_inner);
+        failure.as_ref().map_or(Ok(()), |why| Err(self.error(why.clone())))
+    }
+
+    /// A buffer of so many words, at least one.
+    pub(crate) fn buffer(&self, words: u64) -> wgpu::Buffer {
+        let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC;
+        self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: None,
+            size: 4 * words.max(4),
+            usage,
+            mapped_at_creation: false,
+        })
+    }
+
+    /// Waits until all that was submitted is done.
+    pub(crate) fn wait(&self) {
+        if let Err(error) = self.device.poll(wgpu::PollType::wait_indefinitely()) {
+            self.note(error.to_string());
+        }
+    }
+
+    /// Writes words to a buffer, a part at a time: what is in flight lies in memory once more.
+    pub(crate) fn write<T: Copy>(&self, buffer: &wgpu::Buffer, words: &[T], bytes: impl Fn(&[T]) -> Vec<u8>) {
+        let per_chunk = (CHUNK / 4) as usize;
+        for (index, part) in words.chunks(per_chunk).enumerate() {
+            self.queue.write_buffer(buffer, index as u64 * CHUNK, &bytes(part));
+            if words.len() > per_chunk {
+                self.queue.submit([]);
+                self.wait();
+            }
+        }
+    }
+
+    /// Reads floats; zeros where the device is lost.
+    pub(crate) fn read(&self, buffer: &wgpu::Buffer, count: usize) -> Vec<f32> {
+        let mut floats = Vec::with_capacity(count);
+        let bytes = 4 * count as u64;
+        let staging = self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("read back"),
+            size: bytes.min(CHUNK).max(4),
+            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        for start in (0..bytes).step_by(CHUNK as usize) {
+            let len = (bytes - start).min(CHUNK);
+            let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            encoder.copy_buffer_to_buffer(buffer, start, &staging, 0, len);
+            self.queue.submit([encoder.finish()]);
+            let (tell, told) = std::sync::mpsc::channel();
+            staging.map_async(wgpu::MapMode::Read, 0..len, move |result| drop(tell.send(result)));
+            self.wait();
+            let mapped = told.try_recv().map_err(|_| "the device does not answer".to_owned());
+            match mapped.and_then(|result| result.map_err(|error| error.to_string())) {
+                Ok(()) => match staging.get_mapped_range(0..len) {
+                    Ok(view) => {
+                        let words = view.as_chunks::<4>().0;
+                        floats.extend(words.iter().map(|word| f32::from_le_bytes(*word)));
+                    }
+                    Err(error) => self.note(error.to_string()),
+                },
+                Err(error) => self.note(error),
+            }
+            staging.unmap();
+        }
+        floats.resize(count, 0.0);
+        floats
+    }
+
+    /// The bindings of all programs for so many factors.
+    pub(crate) fn layout(&self, factors: usize) -> wgpu::BindGroupLayout {
+        let binding = |binding: usize| {
+            let ty = match binding {
+                0 => wgpu::BufferBindingType::Uniform,
+                4..=6 => wgpu::BufferBindingType::Storage { read_only: false },
+                _ => wgpu::BufferBindingType::Storage { read_only: true },
+            };
+            wgpu::BindGroupLayoutEntry {
+                binding: binding as u32,
+                visibility: wgpu::ShaderStages::COMPUTE,
+                ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None },
+                count: None,
+            }
+        };
+        let entries: Vec<_> = (0..FIRST_FACTOR + factors).map(binding).collect();
+        self.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &entries })
+    }
+
+    /// The program as the device runs it; compiled once.
+    pub(crate) fn program(&self, program: &Program, layout: &wgpu::BindGroupLayout) -> wgpu::ComputePipeline {
+        let text = program.text();
+        let mut programs = self.programs.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(known) = programs.get(&text) {
+            return known.clone();
+        }
+        let module = self.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some("factorizer"),
+            source: wgpu::ShaderSource::Wgsl(text.as_str().into()),
+        });
+        let made = self.pipeline(&module, layout, "main");
+        programs.insert(text, made.clone());
+        made
+    }
+
+    pub(crate) fn pipeline(
+        &self,
+        module: &wgpu::ShaderModule,
+        layout: &wgpu::BindGroupLayout,
+        entry: &str,
+    ) -> wgpu::ComputePipeline {
+        let layout = self.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: None,
+            bind_group_layouts: &[Some(layout)],
+            immediate_size: 0,
+        });
+        self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: None,
+            layout: Some(&layout),
+            module,
+            entry_point: Some(entry),
+            compilation_options: Default::default(),
+            cache: None,
+        })
+    }
+}

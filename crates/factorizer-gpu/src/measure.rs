@@ -1,0 +1,75 @@
+//! What a device can do at most, measured: what an update is compared with.
+
+use std::time::Instant;
+
+use crate::gpu::Gpu;
+
+/// Limits of a device.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limits {
+    /// Bytes read and written per second by a kernel that copies.
+    pub bytes_per_s: f64,
+    /// Multiply-adds of single floats per second.
+    pub multiply_adds_per_s: f64,
+}
+
+/// Multiply-adds of a thread of `multiply_add`.
+const MULTIPLY_ADDS: f64 = 8.0 * 4.0 * 64.0;
+/// Threads, of 16 bytes each.
+const THREADS: u64 = 1 << 21;
+const ROUNDS: usize = 5;
+
+pub(crate) fn limits(gpu: &Gpu) -> Limits {
+    let fits = gpu.limits.max_storage_buffer_binding_size.min(gpu.limits.max_buffer_size) / 16;
+    let threads = THREADS.min(fits / 64 * 64);
+    let [from, to] = [0; 2].map(|_| gpu.buffer(4 * threads));
+    let entry = |binding: u32, read_only: bool| wgpu::BindGroupLayoutEntry {
+        binding,
+        visibility: wgpu::ShaderStages::COMPUTE,
+        ty: wgpu::BindingType::Buffer {
+            ty: wgpu::BufferBindingType::Storage { read_only },
+            has_dynamic_offset: false,
+            min_binding_size: None,
+        },
+        count: None,
+    };
+    let entries = [entry(0, true), entry(1, false)];
+    let layout =
+        gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &entries });
+    let entries = [&from, &to].map(wgpu::Buffer::as_entire_binding);
+    let mut binding = 0..;
+    let entries =
+        entries.map(|resource| wgpu::BindGroupEntry { binding: binding.next().unwrap_or_default(), resource });
+    let group =
+        gpu.device.create_bind_group(&wgpu::BindGroupDescriptor { label: None, layout: &layout, entries: &entries });
+    let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: Some("limits"),
+        source: wgpu::ShaderSource::Wgsl(include_str!("shaders/measure.wgsl").into()),
+    });
+    let groups = (threads / 64) as u32;
+    let across = groups.min(1 << 12);
+    let fastest = |entry: &str| {
+        let pipeline = gpu.pipeline(&module, &layout, entry);
+        let once = || {
+            let start = Instant::now();
+            let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            {
+                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+                pass.set_pipeline(&pipeline);
+                pass.set_bind_group(0, &group, &[]);
+                pass.dispatch_workgroups(across, groups / across, 1);
+            }
+            gpu.queue.submit([encoder.finish()]);
+            gpu.wait();
+            start.elapsed().as_secs_f64()
+        };
+        // the first one compiles
+        once();
+        (0..ROUNDS).map(|_| once()).fold(f64::INFINITY, f64::min)
+    };
+    let done = f64::from(groups / across * across) * 64.0;
+    Limits {
+        bytes_per_s: 32.0 * done / fastest("copy"),
+        multiply_adds_per_s: MULTIPLY_ADDS * done / fastest("multiply_add"),
+    }
+}

@@ -1,0 +1,149 @@
+// How rays read factors, the target and weights; the twin of expand.rs and rows.rs.
+//
+// One channel: factors are [line][frame][column], the target is [field row][view][field column], both cut to the window that a dispatch needs.
+// Tables say which line and column a ray reads; they are [view row][field row] and [view column][field column].
+
+struct Params {
+    views_y: u32,
+    views_x: u32,
+    rows: u32,
+    cols: u32,
+    // first line (or field row) of this dispatch, and how many
+    first: u32,
+    count: u32,
+    own_cols: u32,
+    // first words of the windows
+    out_base: u32,
+    target_base: u32,
+    weights_base: u32,
+    // where outcomes go, and how many of them lie in a line
+    sums_base: u32,
+    groups_x: u32,
+    // of the tables: rays through the own factor's lines and columns, and which rows and columns count
+    own_lines: u32,
+    own_columns: u32,
+    stored_lines: u32,
+    counted_rows: u32,
+    counted_cols: u32,
+    sweeps: u32,
+    brightness: f32,
+    low: f32,
+    high: f32,
+    beyond: f32,
+    unlit: f32,
+//@ factors
+    cols_{k}: u32,
+    base_{k}: u32,
+    y_{k}: u32,
+    x_{k}: u32,
+//@ end
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> tables: array<u32>;
+@group(0) @binding(2) var<storage, read> radiance: array<u32>;
+@group(0) @binding(3) var<storage, read> roots: array<f32>;
+@group(0) @binding(4) var<storage, read_write> stepped: array<f32>;
+@group(0) @binding(5) var<storage, read_write> latest: array<f32>;
+@group(0) @binding(6) var<storage, read_write> sums: array<vec2<f32>>;
+//@ factors
+@group(0) @binding({binding}) var<storage, read> values_{k}: array<f32>;
+//@ end
+
+const MISSED: u32 = 0xffffffffu;
+
+// Two neighbouring lines or columns, as offsets into a factor's window, and the weight of the second.
+struct Tap {
+    first: u32,
+    second: u32,
+    t: f32,
+    hit: bool,
+}
+
+fn tap(at: u32, mixed: bool, length: u32, base: u32) -> Tap {
+    if (mixed) {
+        let first = tables[3u * at];
+        if (first == MISSED) {
+            return Tap(0u, 0u, 0.0, false);
+        }
+        return Tap(first * length - base, tables[3u * at + 1u] * length - base, bitcast<f32>(tables[3u * at + 2u]), true);
+    }
+    let first = tables[at];
+    if (first == MISSED) {
+        return Tap(0u, 0u, 0.0, false);
+    }
+    return Tap(first * length - base, 0u, 0.0, true);
+}
+
+//@ factors
+fn line_{k}(view_y: u32, row: u32) -> Tap {
+    return tap(params.y_{k} + view_y * params.rows + row, MIXED_{k}, FRAMES * params.cols_{k}, params.base_{k});
+}
+
+fn column_{k}(view_x: u32, col: u32) -> Tap {
+    return tap(params.x_{k} + view_x * params.cols + col, MIXED_{k}, 1u, 0u);
+}
+
+fn read_{k}(line: Tap, column: Tap, frame: u32) -> f32 {
+    let at = frame * params.cols_{k};
+    var value = values_{k}[line.first + at + column.first];
+    if (MIXED_{k}) {
+        let right = values_{k}[line.first + at + column.second];
+        let below = values_{k}[line.second + at + column.first];
+        let across = values_{k}[line.second + at + column.second];
+        // lines first, then columns, as the processor does
+        value = mix(mix(value, below, line.t), mix(right, across, line.t), column.t);
+    }
+    return select(OUTSIDE_{k}, value, line.hit && column.hit);
+}
+
+//@ end
+// βL of a ray.
+fn wanted_of(view: u32, row: u32, col: u32) -> f32 {
+    let line = row * params.views_y * params.views_x + view;
+    if (HALF) {
+        let word = radiance[line * ((params.cols + 1u) / 2u) + col / 2u - params.target_base];
+        return params.brightness * unpack2x16float(word)[col % 2u];
+    }
+    return params.brightness * bitcast<f32>(radiance[line * params.cols + col - params.target_base]);
+}
+
+// √w of a ray.
+fn root_of(view: u32, row: u32, col: u32) -> f32 {
+    if (!WEIGHTED) {
+        return 1.0;
+    }
+    return roots[(row * params.views_y * params.views_x + view) * params.cols + col - params.weights_base];
+}
+
+// sin and cos of (π/2) s. The built-in functions may be wrong by 5e-4.
+fn wave(s: f32) -> vec2<f32> {
+    let turns = round(s);
+    let x = (s - turns) * 1.57079632679490;
+    let y = x * x;
+    let sine = x * (1.0 + y * (-1.0 / 6.0 + y * (1.0 / 120.0 + y * (-1.0 / 5040.0 + y * (1.0 / 362880.0)))));
+    let cosine = 1.0 + y * (-0.5 + y * (1.0 / 24.0 + y * (-1.0 / 720.0 + y * (1.0 / 40320.0))));
+    switch (u32(i32(turns) & 3)) {
+        case 0u: { return vec2<f32>(sine, cosine); }
+        case 1u: { return vec2<f32>(cosine, -sine); }
+        case 2u: { return vec2<f32>(-sine, -cosine); }
+        default: { return vec2<f32>(-cosine, sine); }
+    }
+}
+
+var<workgroup> parts: array<vec2<f32>, 64>;
+
+// Adds up what the threads of a workgroup found.
+fn reduce(index: u32, group: vec3<u32>, found: vec2<f32>) {
+    parts[index] = found;
+    workgroupBarrier();
+    for (var half = 32u; half > 0u; half >>= 1u) {
+        if (index < half) {
+            parts[index] += parts[index + half];
+        }
+        workgroupBarrier();
+    }
+    if (index == 0u) {
+        sums[params.sums_base + group.y * params.groups_x + group.x] = parts[0];
+    }
+}

@@ -1,0 +1,27 @@
+// Layers rotate polarization: emission b sin²((π/2) s) of the sum s of all layers, a_m = b (π/2) sin(π s) for a layer, sin²((π/2) s) for the backlight b.
+//@ frames
+var turn{m} = 0.0;
+var light{m} = 1.0;
+//@ if own
+//@ if backlight
+light{m} = own{m};
+//@ end
+//@ if !backlight
+turn{m} = own{m};
+//@ end
+//@ end
+//@ layers
+turn{m} += read_{k}(line_of_{k}, column_of_{k}, {m}u);
+//@ end
+//@ lights
+light{m} = read_{k}(line_of_{k}, column_of_{k}, {m}u);
+//@ end
+let wave{m} = wave(turn{m});
+emitted += light{m} * wave{m}.x * wave{m}.x;
+//@ if backlight
+let a{m} = wave{m}.x * wave{m}.x;
+//@ end
+//@ if !backlight
+let a{m} = light{m} * 3.14159265358979 * wave{m}.x * wave{m}.y;
+//@ end
+//@ end

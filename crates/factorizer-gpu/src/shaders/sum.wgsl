@@ -1,0 +1,10 @@
+// Layers emit: a_m = 1.
+//@ frames
+let a{m} = 1.0;
+//@ if own
+emitted += own{m};
+//@ end
+//@ others
+emitted += read_{k}(line_of_{k}, column_of_{k}, {m}u);
+//@ end
+//@ end

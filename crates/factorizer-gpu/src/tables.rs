@@ -1,0 +1,127 @@
+//! The tables of a problem as one list of words, in the order in which shaders read them.
+
+use lumistack_display::Tap;
+use lumistack_factorizer::device::Plan;
+
+/// A tap that misses.
+const MISSED: u32 = u32::MAX;
+
+/// All tables, and where each begins.
+pub(crate) struct Tables {
+    pub(crate) words: Vec<u32>,
+    /// `[view row][field row]`, whether its rays count.
+    pub(crate) counted_rows: u32,
+    /// `[view column][field column]`, whether its rays count.
+    pub(crate) counted_cols: u32,
+    pub(crate) factors: Vec<FactorTables>,
+}
+
+/// Tables of one factor.
+pub(crate) struct FactorTables {
+    /// `[view row][field row]` lines, in taps.
+    pub(crate) y: u32,
+    /// `[view column][field column]` columns, in taps.
+    pub(crate) x: u32,
+    /// `[view row][line]`: where the field rows that read the line begin, and end.
+    pub(crate) own_lines: u32,
+    /// `[view column][column]`: where the field columns that read the column begin, and end.
+    pub(crate) own_columns: u32,
+    /// Per line, the first and last field row that read it from any view.
+    pub(crate) rows_of_line: Vec<Option<[usize; 2]>>,
+    /// Per field row, the first and last line that it reads from any view.
+    pub(crate) lines_of_row: Vec<Option<[usize; 2]>>,
+}
+
+impl Tables {
+    pub(crate) fn new(plan: &Plan) -> Self {
+        let ([views_y, views_x], [rows, cols]) = (plan.views(), plan.field());
+        let mut words = Vec::new();
+        let counted_rows = 0;
+        for view_y in 0..views_y {
+            words.extend((0..rows).map(|row| u32::from(plan.counts_row(view_y, row))));
+        }
+        let counted_cols = words.len() as u32;
+        for view_x in 0..views_x {
+            let at = words.len();
+            words.resize(at + cols, 0);
+            for range in plan.counted_columns(view_x) {
+                words[at + range.start..at + range.end].fill(1);
+            }
+        }
+        let mut tables = Self { words, counted_rows, counted_cols, factors: Vec::new() };
+        for n in 0..plan.factor_count() {
+            let factor = tables.add(plan, n);
+            tables.factors.push(factor);
+        }
+        tables
+    }
+
+    fn add(&mut self, plan: &Plan, n: usize) -> FactorTables {
+        let ([views_y, views_x], [rows, cols]) = (plan.views(), plan.field());
+        let [lines, own_cols] = plan.size(n);
+        let mixed = !plan.is_nearest(n);
+        let (mut rows_of_line, mut lines_of_row) = (vec![None; lines], vec![None; rows]);
+        let y = self.taps(views_y, rows, mixed, |view, row| plan.line(n, view, row));
+        let x = self.taps(views_x, cols, mixed, |view, col| plan.column(n, view, col));
+        let own_lines = self.readers(views_y, lines, |view| {
+            let counted = (0..rows).filter(|&row| plan.counts_row(view, row));
+            counted.filter_map(|row| Some((row, plan.line(n, view, row)?))).collect()
+        });
+        let own_columns = self.readers(views_x, own_cols, |view| {
+            let counted = plan.counted_columns(view).iter().flat_map(Clone::clone);
+            counted.filter_map(|col| Some((col, plan.column(n, view, col)?))).collect()
+        });
+        for (view, row) in (0..views_y).flat_map(|view| (0..rows).map(move |row| (view, row))) {
+            let Some(tap) = plan.line(n, view, row) else { continue };
+            for line in [tap.first, tap.second] {
+                widen(&mut lines_of_row[row], line as usize);
+                widen(&mut rows_of_line[line as usize], row);
+            }
+        }
+        FactorTables { y, x, own_lines, own_columns, rows_of_line, lines_of_row }
+    }
+
+    /// Taps of all views and places: one word each, or three where two neighbours are mixed.
+    fn taps(&mut self, views: usize, count: usize, mixed: bool, tap: impl Fn(usize, usize) -> Option<Tap>) -> u32 {
+        // shaders count in taps
+        let width = if mixed { 3 } else { 1 };
+        self.words.resize(self.words.len().next_multiple_of(width), 0);
+        let at = self.words.len() / width;
+        for (view, i) in (0..views).flat_map(|view| (0..count).map(move |i| (view, i))) {
+            let tap = tap(view, i);
+            self.words.push(tap.map_or(MISSED, |tap| tap.first));
+            if mixed {
+                self.words.push(tap.map_or(MISSED, |tap| tap.second));
+                self.words.push(tap.map_or(0, |tap| tap.t.to_bits()));
+            }
+        }
+        at as u32
+    }
+
+    /// For every view and place of a factor, the rays that read it with their shares, listed after the table of where they begin.
+    fn readers(&mut self, views: usize, places: usize, taps: impl Fn(usize) -> Vec<(usize, Tap)>) -> u32 {
+        let at = self.words.len();
+        self.words.resize(at + views * (places + 1), 0);
+        for view in 0..views {
+            let mut readers = vec![Vec::new(); places];
+            for (ray, tap) in taps(view) {
+                for (place, share) in [(tap.first, 1.0 - tap.t), (tap.second, tap.t)] {
+                    if share > 0.0 {
+                        readers[place as usize].push((ray as u32, share));
+                    }
+                }
+            }
+            for (place, rays) in readers.iter().enumerate() {
+                self.words[at + view * (places + 1) + place] = self.words.len() as u32;
+                self.words.extend(rays.iter().flat_map(|&(ray, share)| [ray, share.to_bits()]));
+            }
+            self.words[at + view * (places + 1) + places] = self.words.len() as u32;
+        }
+        at as u32
+    }
+}
+
+fn widen(range: &mut Option<[usize; 2]>, to: usize) {
+    let [first, last] = range.unwrap_or([to, to]);
+    *range = Some([first.min(to), last.max(to)]);
+}

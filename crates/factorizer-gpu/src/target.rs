@@ -1,0 +1,83 @@
+//! The target and the weights on a device: `[field row][view][field column]`, the target a buffer per channel.
+
+use lumistack_factorizer::device::{Plan, Row};
+
+use crate::gpu::{CHUNK, Gpu};
+
+/// Target and weights.
+pub(crate) struct Target {
+    pub(crate) channels: Vec<wgpu::Buffer>,
+    /// √w, if not all are 1.
+    pub(crate) weights: Option<wgpu::Buffer>,
+    /// Words of a field row, all views.
+    pub(crate) row_words: u64,
+    pub(crate) weight_words: u64,
+}
+
+impl Target {
+    /// Words of a field row of the target and of the weights.
+    fn words(plan: &Plan) -> [u64; 2] {
+        let ([views_y, views_x], [_, cols]) = (plan.views(), plan.field());
+        let views = (views_y * views_x) as u64;
+        let row = if plan.has_half_target() { cols.div_ceil(2) } else { cols } as u64;
+        let weighted = plan.weights_row([0, 0], 0).is_some();
+        [views * row, if weighted { views * cols as u64 } else { 0 }]
+    }
+
+    /// Words of the largest buffer.
+    pub(crate) fn largest(plan: &Plan) -> u64 {
+        let [row, weights] = Self::words(plan);
+        row.max(weights) * plan.field()[0] as u64
+    }
+
+    pub(crate) fn upload(gpu: &Gpu, plan: &Plan) -> Self {
+        let ([_, views_x], [rows, cols]) = (plan.views(), plan.field());
+        let [row_words, weight_words] = Self::words(plan);
+        let views = plan.views()[0] * views_x;
+        let half_words = cols.div_ceil(2);
+        let of_row = |channel: usize, row: usize, to: &mut Vec<u8>| {
+            for view in 0..views {
+                match plan.target_row(channel, [view / views_x, view % views_x], row) {
+                    Row::Half(values) => {
+                        let end = to.len() + 4 * half_words;
+                        to.extend(values.iter().flat_map(|value| value.to_le_bytes()));
+                        to.resize(end, 0);
+                    }
+                    Row::Float(values) => to.extend(values.iter().flat_map(|value| value.to_le_bytes())),
+                }
+            }
+        };
+        let channels = (0..plan.channels()).map(|channel| {
+            let buffer = gpu.buffer(row_words * rows as u64);
+            by_rows(gpu, &buffer, rows, row_words, |row, to| of_row(channel, row, to));
+            buffer
+        });
+        let channels = channels.collect();
+        let weights = (weight_words > 0).then(|| {
+            let buffer = gpu.buffer(weight_words * rows as u64);
+            by_rows(gpu, &buffer, rows, weight_words, |row, to| {
+                for view in 0..views {
+                    let roots = plan.weights_row([view / views_x, view % views_x], row).unwrap_or_default();
+                    to.extend(roots.iter().flat_map(|root| root.to_le_bytes()));
+                }
+            });
+            buffer
+        });
+        Self { channels, weights, row_words, weight_words }
+    }
+}
+
+/// Writes a buffer some rows at a time, so that no second copy of it lies in memory.
+fn by_rows(gpu: &Gpu, buffer: &wgpu::Buffer, rows: usize, words: u64, fill: impl Fn(usize, &mut Vec<u8>)) {
+    let together = (CHUNK / (4 * words)).max(1) as usize;
+    let mut bytes = Vec::new();
+    for first in (0..rows).step_by(together) {
+        bytes.clear();
+        (first..(first + together).min(rows)).for_each(|row| fill(row, &mut bytes));
+        gpu.queue.write_buffer(buffer, 4 * words * first as u64, &bytes);
+        if together < rows {
+            gpu.queue.submit([]);
+            gpu.wait();
+        }
+    }
+}

@@ -1,0 +1,79 @@
+//! Values of one factor on a device: a buffer per channel, `[line][frame][column]`.
+
+use lumistack_factorizer::device::{Factor, Plan};
+
+use crate::gpu::Gpu;
+
+/// Buffers of one factor, per channel.
+pub(crate) struct Values {
+    /// What rays read.
+    pub(crate) current: Vec<wgpu::Buffer>,
+    /// Where an update writes; after it, the values before.
+    pub(crate) next: Vec<wgpu::Buffer>,
+    /// Where the last steps ended, while the patterns go beyond them.
+    pub(crate) latest: Option<Vec<wgpu::Buffer>>,
+    words: u64,
+}
+
+impl Values {
+    pub(crate) fn upload(gpu: &Gpu, plan: &Plan, n: usize, factor: &Factor) -> Self {
+        let ([lines, cols], frames) = (plan.size(n), plan.frames());
+        let words = (lines * frames * cols) as u64;
+        let buffers = || (0..plan.channels()).map(|_| gpu.buffer(words)).collect();
+        let (current, next): (Vec<_>, Vec<_>) = (buffers(), buffers());
+        for (channel, buffer) in current.iter().enumerate() {
+            let rows = (0..lines).flat_map(|line| (0..frames).map(move |frame| (line, frame)));
+            let values: Vec<f32> =
+                rows.flat_map(|(line, frame)| factor.values(channel, line, frame)).copied().collect();
+            gpu.write(buffer, &values, |part| part.iter().flat_map(|value| value.to_le_bytes()).collect());
+        }
+        Self { current, next, latest: None, words }
+    }
+
+    /// Words of a channel.
+    pub(crate) fn words(&self) -> u64 {
+        self.words
+    }
+
+    /// Values on this machine.
+    pub(crate) fn download(&self, gpu: &Gpu, plan: &Plan, n: usize) -> Factor {
+        let ([lines, cols], frames) = (plan.size(n), plan.frames());
+        let mut factor = Factor::of(plan, n);
+        for (channel, buffer) in self.current.iter().enumerate() {
+            let values = gpu.read(buffer, lines * frames * cols);
+            for (index, row) in values.chunks_exact(cols).enumerate() {
+                factor.values_mut(channel, index / frames, index % frames).copy_from_slice(row);
+            }
+        }
+        factor
+    }
+
+    /// Notes that the last steps ended here.
+    pub(crate) fn begin_latest(&mut self, gpu: &Gpu) {
+        if self.latest.is_none() {
+            self.latest = Some(self.current.iter().map(|_| gpu.buffer(self.words)).collect());
+            self.copy_to_latest(gpu);
+        }
+    }
+
+    /// Copies the values to where the last steps ended.
+    pub(crate) fn copy_to_latest(&self, gpu: &Gpu) {
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        for (from, to) in self.current.iter().zip(self.latest.iter().flatten()) {
+            encoder.copy_buffer_to_buffer(from, 0, to, 0, 4 * self.words);
+        }
+        gpu.queue.submit([encoder.finish()]);
+    }
+
+    /// Exchanges the values for where the last steps ended.
+    pub(crate) fn swap_latest(&mut self) {
+        if let Some(latest) = &mut self.latest {
+            std::mem::swap(&mut self.current, latest);
+        }
+    }
+
+    /// Exchanges the values for those that the last update wrote or found.
+    pub(crate) fn swap_next(&mut self) {
+        std::mem::swap(&mut self.current, &mut self.next);
+    }
+}
