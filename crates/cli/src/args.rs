@@ -99,6 +99,8 @@ pub(crate) enum Command {
         #[arg(value_name = "ID")]
         ids: Vec<String>,
     },
+    /// The graphics processors that could solve, and which of them `--device auto` takes
+    Devices,
     /// The displays that come with the program
     Displays,
     /// A display file for your own panels, and its calibration

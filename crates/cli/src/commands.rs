@@ -56,6 +56,7 @@ pub(crate) fn run(args: Args, line: &str, cancel: &Cancel) -> Result<(), Pipelin
         Command::Info(info) => info::print(&info, &registry_for_work()?, args.json, task),
         Command::Plugins { ids } => info::print_plugins(&ids, &registry()?, args.json),
         Command::Display { what } => crate::display::display_command(&what, args.json),
+        Command::Devices => crate::devices::run(args.json),
         Command::Displays => info::print_displays(args.json),
         Command::Doctor => crate::doctor::run(&registry()?, args.json, cancel),
         Command::Setup { what: Setup::Usd { materialx, python } } => {

@@ -78,6 +78,7 @@ fn look(registry: &Registry, cancel: &Cancel) -> Result<Vec<Finding>, PipelineEr
         ("USD files", reader(lumistack_usd::openusd(cancel), python)?),
         (".blend files", reader(lumistack_usd::blender(cancel), blender)?),
         ("denoiser oidn", denoiser()),
+        ("graphics", graphics()),
         ("panels", panels()),
     ];
     Ok(found.into_iter().map(|(what, found)| Finding { what, found }).collect())
@@ -173,6 +174,22 @@ fn denoiser() -> Found {
             let help = "`pip install pyoidn`, or name the program `oidnDenoise` in LUMISTACK_OIDN; the other filters need nothing";
             Found::Missing("Open Image Denoise is not on PATH".into(), help.into())
         }
+    }
+}
+
+/// Graphics processors that could solve.
+fn graphics() -> Found {
+    let adapters = match crate::devices::found() {
+        Ok(adapters) => adapters,
+        Err(why) => return Found::Missing(why, "the processor solves instead: docs/GPU.md".into()),
+    };
+    let lines: Vec<String> = adapters.iter().map(crate::devices::line).collect();
+    match adapters.iter().any(|adapter| adapter.is_hardware) {
+        true => Found::Good(lines.join("\n")),
+        false => Found::Missing(
+            if lines.is_empty() { "no adapter with Vulkan, Metal or Direct3D 12".into() } else { lines.join("\n") },
+            "the processor solves instead: docs/GPU.md".into(),
+        ),
     }
 }
 

@@ -139,6 +139,9 @@ pub(crate) struct FactorizeArgs {
     pub(crate) iterations: Option<u32>,
     #[arg(long, value_name = "NAME", help = format!("Solver: {}", either(solver_names())))]
     pub(crate) solver: Option<String>,
+    /// Where: auto, cpu, gpu or gpu:NAME, as `lumistack devices` lists them [default: auto, a graphics processor if there is one]
+    #[arg(long, value_name = "DEVICE")]
+    pub(crate) device: Option<String>,
     #[arg(long, value_name = "NAME", help = format!("Starting values: {}", either(StartKind::names())))]
     pub(crate) start: Option<String>,
     /// A `layers` folder to start from
@@ -381,6 +384,9 @@ pub(crate) fn change_factorize(job: &mut Job, args: &FactorizeArgs) {
     factorize.iterations = args.iterations.or(factorize.iterations);
     if let Some(solver) = &args.solver {
         factorize.solver = solver.clone();
+    }
+    if let Some(device) = &args.device {
+        factorize.device = device.clone();
     }
     if let Some(start) = &args.start {
         factorize.start = start.clone();

@@ -7,6 +7,7 @@ mod args;
 mod commands;
 mod compare;
 mod console;
+mod devices;
 mod display;
 mod doctor;
 mod farm;

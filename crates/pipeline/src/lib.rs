@@ -43,6 +43,8 @@ pub use job::{
     WindowFrom, WindowJob, ZoneSamples,
 };
 pub use live::{LiveFolder, Studio};
+#[cfg(feature = "gpu")]
+pub use lumistack_factorizer_gpu::{Adapter as GpuAdapter, adapters as gpu_adapters};
 pub use lumistack_plugin_host::{Asked, OutputData, PresentContext, Registry, Told, present};
 #[cfg(feature = "dynamic")]
 pub use lumistack_plugin_host::{Launcher, plugin_child};

@@ -5,6 +5,7 @@
 pub(crate) mod denoise;
 pub(crate) mod depth;
 pub(crate) mod design;
+pub(crate) mod device;
 pub(crate) mod expose;
 pub(crate) mod factorize;
 pub(crate) mod field;

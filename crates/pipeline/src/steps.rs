@@ -14,6 +14,7 @@ use serde_json::{Map, Value};
 
 use crate::error::{PipelineError, display_error, field_error, host_error};
 use crate::job::{FactorizeJob, Job, ReportJob};
+use crate::stage::device::at_site;
 use crate::stage::factorize::Solve;
 use crate::stage::field::{array_weights, eye_weights, warn_of_depth};
 use crate::stage::fields::{Block, Shot};
@@ -146,7 +147,8 @@ pub fn factorize_field(
         task.warn("light field", beyond.message(read::OFFER_OF_PYTHON));
     }
     let Problem { display, target, weights } = *problem;
-    Solve { job, seed, display, target, weights }.factorize(warm, task, on_iteration)
+    let solve = Solve { job, seed, display, target, weights };
+    at_site(&job.device, task, |site| solve.factorize(site, warm, task, on_iteration))
 }
 
 /// Writes with an output plugin into `out_dir`; gives the files, relative to it.

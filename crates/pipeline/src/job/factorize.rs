@@ -16,6 +16,8 @@ pub struct FactorizeJob {
     /// Name of the solver.
     #[schemars(extend("enum" = solver_names().collect::<Vec<_>>()))]
     pub solver: String,
+    /// Where: `auto`, `cpu`, `gpu` or `gpu:NAME`.
+    pub device: String,
     /// Full updates. Without it 16 of as many views as the display wants: the score over the zone stands still before that (still life, 13 × 13 views: within
     /// 0.03 dB of 50 from the 12th on). 50 of views that a display or job fixes.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -66,6 +68,7 @@ impl Default for FactorizeJob {
     fn default() -> Self {
         Self {
             solver: lumistack_factorizer::AUTO.into(),
+            device: "auto".into(),
             iterations: None,
             start: lumistack_factorizer::AUTO.into(),
             coarse_levels: None,

@@ -10,6 +10,7 @@ use lumistack_factorizer::{AUTO, Factorization, Problem, StartKind};
 use lumistack_report::{Iteration, Solution};
 use serde::{Deserialize, Serialize};
 
+use super::device::{self, Site, at_site};
 use super::field::add_weights;
 use crate::error::{PipelineError, factorize_error, field_error};
 use crate::job::FactorizeJob;
@@ -37,7 +38,7 @@ pub(crate) struct Solve<'a> {
 }
 
 impl Solve<'_> {
-    fn key(&self, warm: Option<&LayerStack>) -> String {
+    fn key(&self, warm: Option<&LayerStack>, site: &Site) -> String {
         let Self { job, seed, display, target, weights } = *self;
         let mut key = KeyBuilder::new("factorize", code::PATTERNS);
         key.add("display", display.without_panels().to_toml().as_bytes())
@@ -49,6 +50,7 @@ impl Solve<'_> {
         if let Some(warm) = warm {
             add_stack(&mut key, warm);
         }
+        site.add_to(&mut key);
         key.finish()
     }
 
@@ -58,16 +60,19 @@ impl Solve<'_> {
     /// When the settings make no sense, the solver fails, or when cancelled.
     pub(crate) fn factorize(
         &self,
+        site: &Site,
         warm: Option<&LayerStack>,
         task: Task<'_>,
         on_iteration: &mut dyn FnMut(&lumistack_factorizer::Iteration),
     ) -> Result<Factorization, PipelineError> {
         let settings = solver_settings(self.job, self.seed)?;
         let problem = Problem { display: self.display, target: self.target, weights: self.weights };
-        lumistack_factorizer::factorize(&problem, &settings, warm, task, on_iteration).map_err(factorize_error)
+        lumistack_factorizer::factorize_on(site.executor(), &problem, &settings, warm, task, on_iteration)
+            .map_err(factorize_error)
     }
 
-    /// Whether `warm` patterns are a better start for this than none, with the solver that goes on from them.
+    /// Whether `warm` patterns are a better start for this than none, with the solver that goes on from them. On the processor, wherever the work is done
+    /// then: the choice is the same on all machines.
     ///
     /// # Errors
     /// As [`factorize`](Self::factorize).
@@ -150,15 +155,17 @@ impl Kept {
 /// When the settings make no sense, the solver fails, a file cannot be written, or when cancelled.
 pub(crate) fn run(solve: Solve<'_>, stamps: &Stamps, task: Task<'_>) -> Result<(Solved, bool), PipelineError> {
     let warm = warm_stack(solve.job, solve.display)?;
-    take_up("factorize", &solve.key(warm.as_ref()), solve.display, stamps, || {
-        let (start, mut steps) = (Instant::now(), Vec::new());
-        let factorization = solve.factorize(warm.as_ref(), task, &mut |step| {
-            let seconds = start.elapsed().as_secs_f64();
-            let psnr_view = step.psnr_view.is_finite().then_some(step.psnr_view);
-            steps.push(Step { iteration: step.iteration, objective: step.objective, psnr_view, seconds });
-        })?;
-        let kept = Kept::of(&factorization, steps, warm.is_some());
-        Ok((factorization.stack, Some(kept)))
+    at_site(&solve.job.device, task, |site| {
+        take_up("factorize", &solve.key(warm.as_ref(), site), solve.display, stamps, || {
+            let (start, mut steps) = (Instant::now(), Vec::new());
+            let factorization = solve.factorize(site, warm.as_ref(), task, &mut |step| {
+                let seconds = start.elapsed().as_secs_f64();
+                let psnr_view = step.psnr_view.is_finite().then_some(step.psnr_view);
+                steps.push(Step { iteration: step.iteration, objective: step.objective, psnr_view, seconds });
+            })?;
+            let kept = Kept::of(&factorization, steps, warm.is_some());
+            Ok((factorization.stack, Some(kept)))
+        })
     })
 }
 
@@ -259,6 +266,7 @@ fn warm_stack(job: &FactorizeJob, display: &Display) -> Result<Option<LayerStack
 /// When there is no such solver or start.
 pub(crate) fn check(job: &FactorizeJob) -> Result<(), PipelineError> {
     start_kind(&job.start)?;
+    device::check(&job.device)?;
     lumistack_factorizer::solver(&job.solver).map(drop).map_err(PipelineError::Factorize)
 }
 

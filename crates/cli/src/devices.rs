@@ -1,0 +1,77 @@
+//! `lumistack devices`: the graphics processors that could solve.
+
+use lumistack_pipeline::PipelineError;
+use serde_json::json;
+
+use crate::console::say;
+
+/// An adapter.
+#[cfg_attr(not(feature = "gpu"), allow(dead_code, reason = "without the feature none is listed"))]
+pub(crate) struct Adapter {
+    pub(crate) name: String,
+    backend: String,
+    kind: String,
+    driver: String,
+    /// Largest buffer, and largest part of one that a shader reads at once.
+    buffer_bytes: [u64; 2],
+    pub(crate) is_hardware: bool,
+}
+
+/// All adapters, or why none is looked for.
+#[cfg(feature = "gpu")]
+pub(crate) fn found() -> Result<Vec<Adapter>, String> {
+    let of = |adapter: lumistack_pipeline::GpuAdapter| Adapter {
+        name: adapter.name,
+        backend: adapter.backend,
+        kind: adapter.kind.into(),
+        driver: adapter.driver,
+        buffer_bytes: adapter.buffer_bytes,
+        is_hardware: adapter.is_hardware,
+    };
+    Ok(lumistack_pipeline::gpu_adapters().into_iter().map(of).collect())
+}
+
+/// All adapters, or why none is looked for.
+#[cfg(not(feature = "gpu"))]
+pub(crate) fn found() -> Result<Vec<Adapter>, String> {
+    Err("this program is built without the feature `gpu`".into())
+}
+
+/// An adapter for people.
+pub(crate) fn line(adapter: &Adapter) -> String {
+    let Adapter { name, backend, kind, driver, buffer_bytes, .. } = adapter;
+    let [buffer, binding] = buffer_bytes.map(|bytes| bytes >> 20);
+    format!("{name}, {kind}, {backend}, {driver}; buffers of {buffer} MiB, {binding} MiB of them at once")
+}
+
+/// Lists them.
+///
+/// # Errors
+/// None; commands have the same signature.
+pub(crate) fn run(as_json: bool) -> Result<(), PipelineError> {
+    let adapters = found();
+    let listed = adapters.as_deref().unwrap_or_default();
+    let first = listed.iter().position(|adapter| adapter.is_hardware);
+    if as_json {
+        let of = |(index, a): (usize, &Adapter)| {
+            json!({
+                "name": a.name, "backend": a.backend, "kind": a.kind, "driver": a.driver,
+                "buffer_bytes": a.buffer_bytes[0], "binding_bytes": a.buffer_bytes[1], "auto": first == Some(index),
+            })
+        };
+        let devices: Vec<_> = listed.iter().enumerate().map(of).collect();
+        say!("{}", json!({ "event": "devices", "devices": devices, "note": adapters.as_ref().err() }));
+        return Ok(());
+    }
+    for (index, adapter) in listed.iter().enumerate() {
+        say!("{} {}", if first == Some(index) { "*" } else { " " }, line(adapter));
+    }
+    match (&adapters, first) {
+        (Err(why), _) => say!("cpu: {why}; the processor solves"),
+        (Ok(_), None) => {
+            say!("no graphics processor with Vulkan, Metal or Direct3D 12: `--device auto` takes the processor")
+        }
+        (Ok(_), Some(_)) => say!("* is what `--device auto` takes"),
+    }
+    Ok(())
+}

@@ -1,0 +1,131 @@
+//! Where patterns are solved: on the processor, or on a graphics processor in a build with the feature `gpu`.
+
+use lumistack_core::Task;
+use lumistack_factorizer::device::Executor;
+use lumistack_factorizer::{FactorizeError, Processor};
+
+use crate::error::PipelineError;
+use crate::store::key::KeyBuilder;
+
+/// An open place to solve at.
+pub(crate) enum Site {
+    Processor,
+    #[cfg(feature = "gpu")]
+    Device {
+        device: lumistack_factorizer_gpu::Device,
+        /// Whether nobody asked for it, so that the processor will do as well.
+        optional: bool,
+    },
+}
+
+impl Site {
+    /// The one that a job names: `auto`, `cpu`, `gpu` or `gpu:NAME`.
+    ///
+    /// # Errors
+    /// When it is none of these, or the device is not there.
+    pub(crate) fn of(device: &str) -> Result<Self, PipelineError> {
+        check(device)?;
+        #[cfg(feature = "gpu")]
+        {
+            use lumistack_factorizer_gpu::Device;
+            let name = device.strip_prefix("gpu:");
+            match device {
+                "cpu" => {}
+                // most machines have none that is worth it
+                "auto" => {
+                    if let Ok(device) = Device::open(None) {
+                        return Ok(Self::Device { device, optional: true });
+                    }
+                }
+                _ => {
+                    let device = Device::open(name).map_err(PipelineError::Factorize)?;
+                    return Ok(Self::Device { device, optional: false });
+                }
+            }
+        }
+        Ok(Self::Processor)
+    }
+
+    pub(crate) fn executor(&self) -> &dyn Executor {
+        match self {
+            Self::Processor => &Processor,
+            #[cfg(feature = "gpu")]
+            Self::Device { device, .. } => device,
+        }
+    }
+
+    /// Whether the processor may take over.
+    fn is_optional(&self) -> bool {
+        match self {
+            Self::Processor => false,
+            #[cfg(feature = "gpu")]
+            Self::Device { optional, .. } => *optional,
+        }
+    }
+
+    /// Adds what the results depend on beside the processor's code: a device rounds in its own way.
+    pub(crate) fn add_to(&self, key: &mut KeyBuilder) {
+        match self {
+            // keys of results of the processor are the same in every build
+            Self::Processor => _ = key,
+            #[cfg(feature = "gpu")]
+            Self::Device { device, .. } => {
+                let adapter = device.adapter();
+                let parts = (lumistack_factorizer_gpu::FINGERPRINT, &adapter.name, &adapter.backend, &adapter.driver);
+                key.add_json("device", &parts);
+            }
+        }
+    }
+}
+
+/// Works at the site of a job; where that is a device that nobody asked for, and it cannot do this or is lost, on the processor, with a note.
+///
+/// # Errors
+/// Those of the work, and of [`Site::of`].
+pub(crate) fn at_site<T>(
+    device: &str,
+    task: Task<'_>,
+    mut work: impl FnMut(&Site) -> Result<T, PipelineError>,
+) -> Result<T, PipelineError> {
+    let site = Site::of(device)?;
+    match work(&site) {
+        Err(PipelineError::Factorize(error @ FactorizeError::Device { .. })) if site.is_optional() => {
+            task.warn("device", format!("{error}; solving on the processor instead"));
+            work(&Site::Processor)
+        }
+        result => result,
+    }
+}
+
+/// Checks the words of a job, without looking for the device.
+///
+/// # Errors
+/// When they name no kind of device, or one that this build has no code for.
+pub(crate) fn check(device: &str) -> Result<(), PipelineError> {
+    let is_gpu = device == "gpu" || device.strip_prefix("gpu:").is_some_and(|name| !name.is_empty());
+    if is_gpu && !cfg!(feature = "gpu") {
+        let expected = "`auto` or `cpu`: this program is built without the feature `gpu`";
+        return Err(PipelineError::job("factorize.device", expected, format!("`{device}`")));
+    }
+    if is_gpu || device == "auto" || device == "cpu" {
+        return Ok(());
+    }
+    Err(PipelineError::job("factorize.device", "`auto`, `cpu`, `gpu` or `gpu:NAME`", format!("`{device}`")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_that_name_no_device_are_refused() {
+        for good in ["auto", "cpu"] {
+            check(good).unwrap();
+        }
+        assert!(matches!(Site::of("cpu").unwrap(), Site::Processor));
+        for bad in ["", "gpu:", "GPU", "cuda"] {
+            assert!(check(bad).unwrap_err().to_string().contains("factorize.device"), "{bad}");
+        }
+        assert_eq!(check("gpu:llvmpipe").is_ok(), cfg!(feature = "gpu"));
+    }
+}
