@@ -30,11 +30,6 @@ impl Values {
         Self { current, next, latest: None, words }
     }
 
-    /// Words of a channel.
-    pub(crate) fn words(&self) -> u64 {
-        self.words
-    }
-
     /// Values on this machine.
     pub(crate) fn download(&self, gpu: &Gpu, plan: &Plan, n: usize) -> Factor {
         let ([lines, cols], frames) = (plan.size(n), plan.frames());
