@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use lumistack_core::pages::prefer_large_pages;
 use lumistack_core::{Cancel, Tensor};
-use lumistack_display::{Backlight, Display, LayerStack, Response};
+use lumistack_display::{Backlight, Display, LayerStack, Region, Response};
 
 use crate::aligned::Aligned;
 use crate::errors::{ErrorFunctions, ErrorSum, RowErrors};
@@ -171,7 +171,7 @@ impl Engine {
 
     /// Whether the outcome of updating factor `n` covers all rays.
     pub(crate) fn sees_all_rays(&self, n: usize) -> bool {
-        self.plan.maps[n].complete
+        self.plan.maps[n].complete && self.plan.free(n).is_none()
     }
 
     /// Updates factor `n` from the present state of all. With `beyond`, rays then read the point that lies so much further along the way from
@@ -205,6 +205,7 @@ impl Engine {
             return self.update_stored(n, rule, beyond, local);
         }
         let in_place = self.is_fast(n);
+        let fixed = self.plan.free(n).is_some().then(|| self.factors[n].values.clone());
         let mut values = std::mem::take(&mut self.factors[n].values);
         if !in_place {
             // rays through one line read others: those keep their old values until all are done
@@ -216,6 +217,12 @@ impl Engine {
             self.factors[n].values = std::mem::replace(&mut values, next);
         }
         let outcome = self.update_lines(n, rule, beyond, local, &mut values, None);
+        if let (Some(fixed), Some(free)) = (&fixed, self.plan.free(n)) {
+            put_back(&self.plan.maps[n].layout, free, fixed, &mut values);
+            if beyond.is_some() {
+                put_back(&self.plan.maps[n].layout, free, fixed, &mut self.latest[n]);
+            }
+        }
         let before = std::mem::replace(&mut self.factors[n].values, values);
         if !in_place {
             self.spare = before;
@@ -234,6 +241,7 @@ impl Engine {
         let pulled = Pulled::back(response, &layout, rule.sums(), &sums);
         let limits = (rule == Rule::Settle).then(|| unlit::limits(&self.plan, n));
         let steps = Steps::new(&layout, rule, self.ranges[n], self.levels[n].as_ref(), limits);
+        let fixed = self.plan.free(n).map(|free| (free, stored.values.clone()));
         let latest = beyond.map(|_| &mut self.latest[n]);
         let mut lines = lines_of(&layout, &mut stored.values, beyond.zip(latest), None);
         let functions = steps.functions(&self.plan, layout.frames);
@@ -252,6 +260,12 @@ impl Engine {
             },
         );
         let gain: f64 = lines.iter().map(|line| line.outcome.gain).sum();
+        if let Some((free, fixed)) = &fixed {
+            put_back(&layout, free, fixed, &mut stored.values);
+            if beyond.is_some() {
+                put_back(&layout, free, fixed, &mut self.latest[n]);
+            }
+        }
         // tied channels are one unknown, stepped three times alike
         let gain = if response.is_tied() { gain / 3.0 } else { gain };
         respond::respond(response, stored, &mut self.factors[n].values);
@@ -270,6 +284,7 @@ impl Engine {
         let (plan, factors, fast) = (&self.plan, &self.factors, self.is_fast(n));
         let layout = &plan.maps[n].layout;
         let latest = beyond.map(|_| &mut self.latest[n]);
+        let with_sums = sums.is_some();
         let mut lines = lines_of(layout, values, beyond.zip(latest), sums);
         let line_of = |index: usize| LineOf {
             factor: n,
@@ -281,7 +296,10 @@ impl Engine {
             (rule == Rule::Settle && lines.iter().all(|line| line.sums.is_none())).then(|| unlit::limits(plan, n));
         let steps = Steps::new(layout, rule, self.ranges[n], self.levels[n].as_ref(), limits);
         let cancel = &self.cancel;
-        let is_line = |at: &LineOf| at.line < layout.lines() && !cancel.is_cancelled();
+        let rows = plan.free(n).map(|free| &free.rows);
+        // what another step takes is of all lines
+        let may_change = |line: usize| with_sums || rows.is_none_or(|rows| rows.contains(&(line % layout.size[0])));
+        let is_line = |at: &LineOf| at.line < layout.lines() && may_change(at.line) && !cancel.is_cancelled();
         let functions = steps.functions(plan, layout.frames);
         if fast {
             let functions = GatherFunctions::new(plan.backend, rule, layout.frames, factors.len() - 1, functions);
@@ -367,7 +385,7 @@ impl Engine {
     /// steps are exact, and all count alike.
     pub(crate) fn seen(&self, n: usize, outcome: Outcome) -> Option<Objective> {
         let (plan, map) = (&self.plan, &self.plan.maps[n]);
-        let exact = plan.is_product() && map.nearest && map.complete && self.stored[n].is_none();
+        let exact = plan.is_product() && map.nearest && self.sees_all_rays(n) && self.stored[n].is_none();
         // where next to nothing is left, that is rounding
         let left = outcome.error - outcome.gain;
         let known = exact && plan.target.is_uniform() && left > LEAST_LEFT * outcome.error;
@@ -476,6 +494,30 @@ fn lent<const N: usize>(tensor: &Tensor<N>, own: &Factor, mut values: Aligned) -
     own.download(&mut values[..len]);
     let lent = Tensor::lent(tensor.axes(), tensor.shape(), Arc::new(Reused { values, len }));
     lent.unwrap_or_else(|_| tensor.clone())
+}
+
+/// Puts values back that may not change: those of all pixels that are not free.
+fn put_back(layout: &Layout, free: &Region, fixed: &[f32], values: &mut [f32]) {
+    let ([rows, cols], line_len) = (layout.size, layout.line_len());
+    bands::for_each_chunk(
+        values,
+        line_len,
+        || (),
+        |(), index, line| {
+            let fixed = &fixed[index * line_len..][..line_len];
+            let at = index % layout.stored_lines();
+            if at == layout.lines() || !free.rows.contains(&(at % rows)) {
+                line.copy_from_slice(fixed);
+                return;
+            }
+            for bin in 0..layout.frames * layout.bins[1] {
+                let first = bin / layout.bins[1] * layout.stride + layout.pad + bin % layout.bins[1] * cols;
+                for side in [first..first + free.cols.start, first + free.cols.end..first + cols] {
+                    line[side.clone()].copy_from_slice(&fixed[side]);
+                }
+            }
+        },
+    );
 }
 
 /// The boxes of a display's values: layers, then the backlight.

@@ -57,7 +57,8 @@ mod tests;
 
 pub use block_exact::{BlockExact, Extrapolated};
 pub use factorize::{
-    Factorization, Iteration, LevelsLoss, Ongoing, Settings, ZONE_ITERATIONS, factorize, warm_start_pays,
+    Factorization, Iteration, LevelsLoss, Ongoing, Settings, ZONE_ITERATIONS, factorize, factorize_tile,
+    warm_start_pays,
 };
 pub use memory::held_bytes;
 pub use multiplicative::Multiplicative;

@@ -2,12 +2,13 @@
 
 use std::path::PathBuf;
 
+use lumistack_core::path_text::PathText;
 use lumistack_display::EyeBox;
 use lumistack_factorizer::{StartKind, solver_names};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use lumistack_core::path_text::PathText;
+use crate::error::PipelineError;
 
 /// Factorizer settings.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -30,6 +31,11 @@ pub struct FactorizeJob {
     pub coarse_iterations: u32,
     /// Whether patterns of layers with few `bits` are re-optimized on the levels that the panel can show.
     pub levels: bool,
+    /// [columns, rows] of tiles in which the display is solved, one after another or by many machines; without it as few as keep a tile within `tile_mib`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tiles: Option<[usize; 2]>,
+    /// Memory that solving a tile may take, MiB.
+    pub tile_mib: u64,
     /// A `layers` folder to start from instead.
     #[serde(skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
@@ -71,6 +77,8 @@ impl Default for FactorizeJob {
             coarse_levels: None,
             coarse_iterations: lumistack_factorizer::Settings::default().coarse_iterations,
             levels: true,
+            tiles: None,
+            tile_mib: 8192,
             warm_start: None,
             weights: None,
             eye_floor: 0.05,
@@ -83,6 +91,21 @@ impl FactorizeJob {
     /// Full updates.
     pub fn iterations(&self) -> u32 {
         self.iterations.unwrap_or(lumistack_factorizer::Settings::default().iterations)
+    }
+
+    /// # Errors
+    /// Where numbers of tiles make no sense.
+    pub(crate) fn check_tiles(&self) -> Result<(), PipelineError> {
+        let fail = |key: &str, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
+        match self.tiles {
+            Some(tiles) if tiles.iter().any(|count| !(1..=1000).contains(count)) => {
+                fail("factorize.tiles", "[columns, rows], each 1 to 1000", format!("{tiles:?}"))
+            }
+            _ if !(1..=1 << 24).contains(&self.tile_mib) => {
+                fail("factorize.tile_mib", "1 to 16777216", self.tile_mib.to_string())
+            }
+            _ => Ok(()),
+        }
     }
 
     /// The expected eyes as the display model takes them.
