@@ -215,7 +215,8 @@ fn begun(
     let run = match warm {
         Some(warm) => {
             warm.check(display)?;
-            if display.frames > 1 && frames_are_equal(warm) {
+            // a part of patterns that others go on with may be the same in all frames
+            if display.frames > 1 && plan.free(0).is_none() && frames_are_equal(warm) {
                 let message = "all frames are equal and will stay equal: more frames than one have no effect";
                 task.warn("warm start", message);
             }

@@ -174,6 +174,7 @@ pub(crate) mod tests {
             inputs: inputs.iter().map(|id| id.to_string()).collect(),
             steps: vec![id.into()],
             block: id.ends_with("-of-2").then(|| [usize::from(id.ends_with("2-of-2")) + 1, 2]),
+            round: None,
             writes: Vec::new(),
             seconds,
             memory_bytes: 100 << 20,
