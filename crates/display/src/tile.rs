@@ -102,8 +102,10 @@ impl Tiling {
     pub fn around(&self, number: usize) -> Vec<usize> {
         let tile = self.tile(number);
         let meets = |other: &usize| {
-            let other = self.tile(*other);
-            tile.parts.iter().zip(&other.parts).any(|(part, other)| !part.held.common(&other.own).is_empty())
+            let of_other = self.tile(*other);
+            let meets = |(part, other): (&TilePart, &TilePart)| !part.held.common(&other.own).is_empty();
+            // a tile of few pixels may have none of its own
+            *other == number || tile.parts.iter().zip(&of_other.parts).any(meets)
         };
         (0..self.count()).filter(meets).collect()
     }

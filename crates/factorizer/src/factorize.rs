@@ -131,8 +131,8 @@ pub fn factorize(
 }
 
 /// Factorizes a [`Tile`] of a larger problem: `problem` is that of the tile, [`Tile::display`] and [`Tile::light_field`], and `whole` is where the rays of all meet
-/// the display. With `fixed` border patterns, those of `warm` around the tile's free pixels stay as they are; else all that the tile holds is solved.
-/// A start of the settings is that of the whole display, as far as the tile holds it.
+/// the display. With `fixed` border patterns, those of `warm` around the tile's free pixels stay as they are, their black
+/// lifted as that of every warm start; else all that the tile holds is solved. A start of the settings is that of the whole display, as far as the tile holds it.
 ///
 /// # Errors
 /// As [`factorize`], and [`FactorizeError::NoRays`] where no ray of the tile counts.
