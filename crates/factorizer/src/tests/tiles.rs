@@ -143,7 +143,8 @@ fn what_a_tile_gains_with_fixed_borders_the_whole_gains() {
             let mut fixed = solved.stack.clone();
             fixed.paste(&held, &start.cut(&free_within(&tile)), &free);
             assert!(differ(&fixed, &start) < 1e-6, "{kind:?}: a border has changed");
-            let whole: Vec<_> = tile.whole.iter().map(|&[rows, cols]| Region { rows: 0..rows, cols: 0..cols }).collect();
+            let whole: Vec<_> =
+                tile.whole.iter().map(|&[rows, cols]| Region { rows: 0..rows, cols: 0..cols }).collect();
             stack.paste(&whole, &solved.stack, &held);
             let gain = before - objective(&problem, &stack);
             let [first, last] = [solved.history[0], solved.history[solved.history.len() - 1]].map(|at| at.objective);
