@@ -105,7 +105,7 @@ pub fn run(arguments: &[&str]) -> Option<Outcome> {
         ["live", "--quick"] => live(&["--quick"]),
         ["film", size @ ..] if matches!(size.len(), 0 | 2) => {
             let size: Vec<String> = size.iter().map(|word| (*word).to_owned()).collect();
-            example("lumistack-pipeline", "bench_film", &size)
+            example("lumistack-plugin-host", "bench_film", &size)
         }
         ["zone", options @ ..] => bench_zone::run(options)?,
         ["web"] => web::bench(),

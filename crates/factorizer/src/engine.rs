@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use lumistack_core::pages::prefer_large_pages;
 use lumistack_core::{Cancel, Tensor};
-use lumistack_display::{Backlight, Display, LayerStack, Region, Response};
+use lumistack_display::{Backlight, Display, LayerStack, Response};
 
 use crate::aligned::Aligned;
 use crate::errors::{ErrorFunctions, ErrorSum, RowErrors};
@@ -205,7 +205,6 @@ impl Engine {
             return self.update_stored(n, rule, beyond, local);
         }
         let in_place = self.is_fast(n);
-        let fixed = self.plan.free(n).is_some().then(|| self.factors[n].values.clone());
         let mut values = std::mem::take(&mut self.factors[n].values);
         if !in_place {
             // rays through one line read others: those keep their old values until all are done
@@ -217,12 +216,6 @@ impl Engine {
             self.factors[n].values = std::mem::replace(&mut values, next);
         }
         let outcome = self.update_lines(n, rule, beyond, local, &mut values, None);
-        if let (Some(fixed), Some(free)) = (&fixed, self.plan.free(n)) {
-            put_back(&self.plan.maps[n].layout, free, fixed, &mut values);
-            if beyond.is_some() {
-                put_back(&self.plan.maps[n].layout, free, fixed, &mut self.latest[n]);
-            }
-        }
         let before = std::mem::replace(&mut self.factors[n].values, values);
         if !in_place {
             self.spare = before;
@@ -240,8 +233,7 @@ impl Engine {
         let Some((response, stored)) = &mut self.stored[n] else { return seen };
         let pulled = Pulled::back(response, &layout, rule.sums(), &sums);
         let limits = (rule == Rule::Settle).then(|| unlit::limits(&self.plan, n));
-        let steps = Steps::new(&layout, rule, self.ranges[n], self.levels[n].as_ref(), limits);
-        let fixed = self.plan.free(n).map(|free| (free, stored.values.clone()));
+        let steps = Steps::new(&self.plan, n, rule, self.ranges[n], self.levels[n].as_ref(), limits);
         let latest = beyond.map(|_| &mut self.latest[n]);
         let mut lines = lines_of(&layout, &mut stored.values, beyond.zip(latest), None);
         let functions = steps.functions(&self.plan, layout.frames);
@@ -251,7 +243,7 @@ impl Engine {
             || (Block::new(layout.frames), vec![0.0; line_sums]),
             |(block, sums), index, line| {
                 let (channel, at) = (index / layout.stored_lines(), index % layout.stored_lines());
-                if at < layout.lines() {
+                if at < layout.lines() && self.plan.may_change(n, at) {
                     let step = steps.of(at, &mut line[0]);
                     let line_of =
                         StepLine { pulled: &pulled, channel, line: at, step, functions: &functions, block, sums };
@@ -260,12 +252,6 @@ impl Engine {
             },
         );
         let gain: f64 = lines.iter().map(|line| line.outcome.gain).sum();
-        if let Some((free, fixed)) = &fixed {
-            put_back(&layout, free, fixed, &mut stored.values);
-            if beyond.is_some() {
-                put_back(&layout, free, fixed, &mut self.latest[n]);
-            }
-        }
         // tied channels are one unknown, stepped three times alike
         let gain = if response.is_tied() { gain / 3.0 } else { gain };
         respond::respond(response, stored, &mut self.factors[n].values);
@@ -284,7 +270,8 @@ impl Engine {
         let (plan, factors, fast) = (&self.plan, &self.factors, self.is_fast(n));
         let layout = &plan.maps[n].layout;
         let latest = beyond.map(|_| &mut self.latest[n]);
-        let with_sums = sums.is_some();
+        // another step takes the sums of all lines
+        let all = sums.is_some();
         let mut lines = lines_of(layout, values, beyond.zip(latest), sums);
         let line_of = |index: usize| LineOf {
             factor: n,
@@ -294,12 +281,10 @@ impl Engine {
         // sums that another step takes are not acted on here
         let limits =
             (rule == Rule::Settle && lines.iter().all(|line| line.sums.is_none())).then(|| unlit::limits(plan, n));
-        let steps = Steps::new(layout, rule, self.ranges[n], self.levels[n].as_ref(), limits);
+        let steps = Steps::new(plan, n, rule, self.ranges[n], self.levels[n].as_ref(), limits);
         let cancel = &self.cancel;
-        let rows = plan.free(n).map(|free| &free.rows);
-        // what another step takes is of all lines
-        let may_change = |line: usize| with_sums || rows.is_none_or(|rows| rows.contains(&(line % layout.size[0])));
-        let is_line = |at: &LineOf| at.line < layout.lines() && may_change(at.line) && !cancel.is_cancelled();
+        let may_change = |at: &LineOf| at.line < layout.lines() && (all || plan.may_change(n, at.line));
+        let is_line = |at: &LineOf| may_change(at) && !cancel.is_cancelled();
         let functions = steps.functions(plan, layout.frames);
         if fast {
             let functions = GatherFunctions::new(plan.backend, rule, layout.frames, factors.len() - 1, functions);
@@ -408,7 +393,7 @@ impl Engine {
         for n in 0..self.factors.len() {
             sum += self.update(n, rule, None).gain;
             let layout = &self.plan.maps[n].layout;
-            count += self.plan.target.channels * layout.lines() * layout.cols() * layout.frames;
+            count += self.plan.target.channels * self.plan.changing(n) * layout.frames;
         }
         (sum / count as f64).sqrt()
     }
@@ -496,30 +481,6 @@ fn lent<const N: usize>(tensor: &Tensor<N>, own: &Factor, mut values: Aligned) -
     lent.unwrap_or_else(|_| tensor.clone())
 }
 
-/// Puts values back that may not change: those of all pixels that are not free.
-fn put_back(layout: &Layout, free: &Region, fixed: &[f32], values: &mut [f32]) {
-    let ([rows, cols], line_len) = (layout.size, layout.line_len());
-    bands::for_each_chunk(
-        values,
-        line_len,
-        || (),
-        |(), index, line| {
-            let fixed = &fixed[index * line_len..][..line_len];
-            let at = index % layout.stored_lines();
-            if at == layout.lines() || !free.rows.contains(&(at % rows)) {
-                line.copy_from_slice(fixed);
-                return;
-            }
-            for bin in 0..layout.frames * layout.bins[1] {
-                let first = bin / layout.bins[1] * layout.stride + layout.pad + bin % layout.bins[1] * cols;
-                for side in [first..first + free.cols.start, first + free.cols.end..first + cols] {
-                    line[side.clone()].copy_from_slice(&fixed[side]);
-                }
-            }
-        },
-    );
-}
-
 /// The boxes of a display's values: layers, then the backlight.
 fn ranges_of(display: &Display) -> Vec<[f32; 2]> {
     let mut ranges: Vec<[f32; 2]> = display.layers.iter().map(|layer| layer.range()).collect();
@@ -569,11 +530,22 @@ struct Steps<'a> {
     stride: usize,
     /// `[line][x]`, see [`LineStep::limits`].
     limits: Option<Vec<f32>>,
+    /// `[x]`, see [`LineStep::fixed`].
+    fixed: Option<Vec<bool>>,
 }
 
 impl<'s> Steps<'s> {
-    fn new(layout: &Layout, rule: Rule, range: [f32; 2], levels: Option<&'s Levels>, limits: Option<Vec<f32>>) -> Self {
-        Self { rule, range, levels, columns: layout.pad..layout.pad + layout.cols(), stride: layout.stride, limits }
+    fn new(
+        plan: &Plan,
+        n: usize,
+        rule: Rule,
+        range: [f32; 2],
+        levels: Option<&'s Levels>,
+        limits: Option<Vec<f32>>,
+    ) -> Self {
+        let (layout, fixed) = (&plan.maps[n].layout, plan.fixed_columns(n));
+        let columns = layout.pad..layout.pad + layout.cols();
+        Self { rule, range, levels, columns, stride: layout.stride, limits, fixed }
     }
 
     fn functions(&self, plan: &Plan, frames: usize) -> StepFunctions {
@@ -586,6 +558,7 @@ impl<'s> Steps<'s> {
             range: self.range,
             levels: self.levels,
             limits: self.limits.as_ref().map(|limits| &limits[at * self.stride..][..self.stride]),
+            fixed: self.fixed.as_deref(),
             columns: self.columns.clone(),
             stride: self.stride,
             values: &mut *line.values,

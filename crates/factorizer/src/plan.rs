@@ -156,6 +156,29 @@ impl Plan {
         self.cut.as_ref()?.free.as_ref()?.get(n)
     }
 
+    /// Returns whether a line of factor `n` has pixels that may change.
+    pub(crate) fn may_change(&self, n: usize, line: usize) -> bool {
+        let rows = self.maps[n].layout.size[0];
+        self.free(n).is_none_or(|free| free.rows.contains(&(line % rows)))
+    }
+
+    /// The columns of factor `n` that may not change, `[x]` of its padded lines, where there may be any.
+    pub(crate) fn fixed_columns(&self, n: usize) -> Option<Vec<bool>> {
+        let (free, layout) = (self.free(n)?, &self.maps[n].layout);
+        let mut fixed = vec![true; layout.stride];
+        for column in 0..layout.cols() {
+            fixed[layout.pad + column] = !free.cols.contains(&(column % layout.size[1]));
+        }
+        Some(fixed)
+    }
+
+    /// Number of pixels, in all bins, of factor `n` that may change.
+    pub(crate) fn changing(&self, n: usize) -> usize {
+        let layout = &self.maps[n].layout;
+        let [rows, cols] = self.free(n).map_or(layout.size, Region::size);
+        layout.bins.iter().product::<usize>() * rows * cols
+    }
+
     /// Number of rays that count.
     pub(crate) fn rays(&self) -> u64 {
         let mut count = 0;

@@ -31,11 +31,12 @@ pub struct FactorizeJob {
     pub coarse_iterations: u32,
     /// Whether patterns of layers with few `bits` are re-optimized on the levels that the panel can show.
     pub levels: bool,
-    /// [columns, rows] of tiles in which the display is solved, one after another or by many machines; without it as few as keep a tile within `tile_mib`.
+    /// [columns, rows] of tiles in which the display is solved, one after another or by many machines; without it and `tile_mib` the display is solved as a whole.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tiles: Option<[usize; 2]>,
-    /// Memory that solving a tile may take, MiB.
-    pub tile_mib: u64,
+    /// Memory that a solve may take, MiB: the display is cut into as few tiles as keep within it. Not with `tiles`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tile_mib: Option<u64>,
     /// A `layers` folder to start from instead.
     #[serde(skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
@@ -78,7 +79,7 @@ impl Default for FactorizeJob {
             coarse_iterations: lumistack_factorizer::Settings::default().coarse_iterations,
             levels: true,
             tiles: None,
-            tile_mib: 8192,
+            tile_mib: None,
             warm_start: None,
             weights: None,
             eye_floor: 0.05,
@@ -97,12 +98,13 @@ impl FactorizeJob {
     /// Where numbers of tiles make no sense.
     pub(crate) fn check_tiles(&self) -> Result<(), PipelineError> {
         let fail = |key: &str, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
-        match self.tiles {
-            Some(tiles) if tiles.iter().any(|count| !(1..=1000).contains(count)) => {
+        match (self.tiles, self.tile_mib) {
+            (Some(_), Some(_)) => fail("factorize.tile_mib", "either `tiles` or `tile_mib`", "both".into()),
+            (Some(tiles), _) if tiles.iter().any(|count| !(1..=1000).contains(count)) => {
                 fail("factorize.tiles", "[columns, rows], each 1 to 1000", format!("{tiles:?}"))
             }
-            _ if !(1..=1 << 24).contains(&self.tile_mib) => {
-                fail("factorize.tile_mib", "1 to 16777216", self.tile_mib.to_string())
+            (_, Some(mib)) if !(1..=1 << 24).contains(&mib) => {
+                fail("factorize.tile_mib", "1 to 16777216", mib.to_string())
             }
             _ => Ok(()),
         }

@@ -44,11 +44,12 @@ pub(crate) struct Tiles {
 impl Tiles {
     /// As a job wants it; `None` where the display is solved as a whole.
     pub(crate) fn of(job: &FactorizeJob, display: &Display, geometry: &FieldGeometry) -> Option<Self> {
-        let most = job.tile_mib << 20;
-        let tiling = match job.tiles {
-            Some(tiles) => Tiling::new(display, geometry, tiles),
-            None if held_bytes(display, geometry, THREADS) <= most => return None,
-            None => fitting(display, geometry, most),
+        let tiling = match (job.tiles, job.tile_mib) {
+            (Some(tiles), _) => Tiling::new(display, geometry, tiles),
+            (None, Some(mib)) if held_bytes(display, geometry, THREADS) > mib << 20 => {
+                fitting(display, geometry, mib << 20)
+            }
+            _ => return None,
         };
         let rounds = ROUNDS.min(job.iterations() as usize).max(1);
         (tiling.count() > 1).then_some(Self { tiling, rounds })

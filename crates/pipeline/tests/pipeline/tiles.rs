@@ -83,8 +83,12 @@ fn seams_are_not_to_be_seen_and_units_of_tiles_give_the_bytes_of_a_run() {
     assert!(of("factorize/round-1/1-of-4").inputs.iter().all(|input| input == "expose"));
     assert!(of("factorize/round-2/1-of-4").inputs.contains(&"factorize/round-1/4-of-4".to_owned()));
     assert!(of("factorize").inputs.contains(&"factorize/round-4/3-of-4".to_owned()));
+    let written =
+        || std::fs::metadata(farm.join("cache/tiles/round-1/tile-1/layers/stack.json")).unwrap().modified().unwrap();
     for unit in &plan.units {
+        let before = (unit.id == "factorize").then(written);
         with_task(|task| farm_unit(&farm, &unit.id, &[], Duration::ZERO, &registry, task)).unwrap();
+        assert!(before.is_none_or(|before| before == written()), "patterns take up the tiles of units");
     }
     assert!(results(&of_tiles) == results(&farm));
     assert!(std::fs::read_to_string(of_tiles.join("report.json")).unwrap().contains("\"psnr_view\""));
