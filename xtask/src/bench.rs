@@ -54,6 +54,9 @@ cargo xtask bench [what]
       --quick        12 small times (two minutes)
       --times N, --samples N     others than 48 times of 32 samples per pixel
       --json FILE    also as JSON
+  film          patterns of 30,000 × 54,000 pixels, written tile by tile, and a film of them by `transparencies`, each in a process with a gigabyte of
+                memory (some ten minutes, 25 GB of disk in the folder for temporary files)
+      COLUMNS ROWS   a film of another size
   zone [scene.gltf]     how right displays are all over their zone: those that choose their views beside those for 5×5, whole runs in turn:
                 quality, wall and processor time. Scenes: the ones named, or still-life, glass, letters (directional) and, where
                 LUMISTACK_ASSETS has them, FlightHelmet and 2CylinderEngine (about 4 minutes each)
@@ -108,6 +111,10 @@ pub fn run(arguments: &[&str]) -> Option<Outcome> {
         ["farm", options @ ..] => farm(options)?,
         ["live"] => live(&[]),
         ["live", "--quick"] => live(&["--quick"]),
+        ["film", size @ ..] if matches!(size.len(), 0 | 2) => {
+            let size: Vec<String> = size.iter().map(|word| (*word).to_owned()).collect();
+            example("lumistack-plugin-host", "bench_film", &size)
+        }
         ["zone", options @ ..] => bench_zone::run(options)?,
         ["web"] => web::bench(),
         ["fuzz", options @ ..] => fuzzing(options)?,

@@ -33,6 +33,12 @@ impl Stream {
         Self(seed)
     }
 
+    /// The stream after so many numbers more.
+    #[must_use]
+    pub fn after(&self, numbers: u64) -> Self {
+        Self(self.0.wrapping_add(numbers.wrapping_mul(0x9e37_79b9_7f4a_7c15)))
+    }
+
     /// Next 64 bits.
     pub fn next_u64(&mut self) -> u64 {
         let value = mix(self.0);
@@ -56,6 +62,14 @@ mod tests {
         for (i, a) in seeds.iter().enumerate() {
             assert!(seeds[i + 1..].iter().all(|b| a != b));
         }
+    }
+
+    #[test]
+    fn a_stream_goes_on_from_anywhere() {
+        let mut stream = Stream::new(derive(3, &[1]));
+        let ahead = [0u64, 1, 7].map(|numbers| stream.after(numbers).next_u64());
+        let numbers: Vec<u64> = (0..8).map(|_| stream.next_u64()).collect();
+        assert_eq!(ahead, [numbers[0], numbers[1], numbers[7]]);
     }
 
     #[test]

@@ -41,6 +41,7 @@ mod stack_index;
 mod support;
 #[cfg(test)]
 mod tests;
+mod tile;
 mod time;
 mod transfer;
 mod variation;
@@ -74,6 +75,7 @@ pub use sampling::{Missing, Sampling};
 pub use score::{Score, ViewScore, score, view_error};
 pub use stack::{LayerStack, StackError};
 pub use stack_index::{BacklightEntry, LayerEntry, StackIndex};
+pub use tile::{Region, Tile, TilePart, Tiling};
 pub use transfer::{Channels, Transfer};
 pub use variation::Variation;
 pub use views::Views;

@@ -66,6 +66,13 @@ impl AxisTaps {
     pub fn of_view(&self, view: usize) -> &[Tap] {
         &self.taps[view * self.rays..(view + 1) * self.rays]
     }
+
+    /// Some rays of every view, their taps changed by `change`.
+    pub(crate) fn cut(&self, rays: &std::ops::Range<usize>, change: impl Fn(&Tap) -> Tap) -> Self {
+        let views = self.taps.chunks_exact(self.rays.max(1));
+        let taps = views.flat_map(|view| view[rays.clone()].iter().map(&change));
+        Self { rays: rays.len(), taps: taps.collect() }
+    }
 }
 
 /// Intersections of rays with one layer.
@@ -116,6 +123,20 @@ impl BacklightMap {
     #[inline]
     pub fn y(&self, view: usize) -> &[BacklightTap] {
         &self.y[view * self.rays[1]..(view + 1) * self.rays[1]]
+    }
+
+    /// Some rays [along x, along y] of every view, their taps changed by `change`, which is also given a number per axis.
+    pub(crate) fn cut(
+        &self,
+        rays: [&std::ops::Range<usize>; 2],
+        first: [usize; 2],
+        change: impl Fn(&BacklightTap, usize) -> BacklightTap,
+    ) -> Self {
+        let cut = |taps: &[BacklightTap], axis: usize| {
+            let views = taps.chunks_exact(self.rays[axis].max(1));
+            views.flat_map(|view| view[rays[axis].clone()].iter().map(|tap| change(tap, first[axis]))).collect()
+        };
+        Self { rays: rays.map(ExactSizeIterator::len), x: cut(&self.x, 0), y: cut(&self.y, 1) }
     }
 }
 

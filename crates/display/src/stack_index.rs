@@ -78,6 +78,11 @@ impl StackIndex {
 
     /// The index of the patterns of a display.
     pub fn of(display: &Display, stack: &LayerStack) -> Self {
+        Self { frames: stack.frames(), brightness: stack.brightness, ..Self::of_display(display) }
+    }
+
+    /// The index of patterns that are yet to be made, with the display's frames and brightness.
+    pub fn of_display(display: &Display) -> Self {
         let digits = (display.layers.len() - 1).to_string().len();
         let layer = |(n, layer): (usize, &Layer)| LayerEntry {
             file: format!("layer_{n:0digits$}.npy"),
@@ -105,8 +110,8 @@ impl StackIndex {
             layer_axes: LayerStack::LAYER_AXES.map(String::from).to_vec(),
             emission_axes: LayerStack::EMISSION_AXES.map(String::from).to_vec(),
             linear: true,
-            frames: stack.frames(),
-            brightness: stack.brightness,
+            frames: display.frames,
+            brightness: display.brightness,
             layers: display.layers.iter().enumerate().map(layer).collect(),
             backlight,
         }

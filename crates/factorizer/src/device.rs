@@ -130,7 +130,9 @@ pub trait Updater {
     fn seen(&self, n: usize, outcome: Outcome) -> Option<Objective> {
         let (plan, map) = (self.plan(), &self.plan().maps[n]);
         let stored_is_met = self.display().layers.get(n).is_none_or(|layer| layer.response().is_none());
-        let exact = plan.is_product() && map.nearest && map.complete && stored_is_met;
+        // pixels of a tile that may not change keep their error
+        let all_step = map.complete && plan.free(n).is_none();
+        let exact = plan.is_product() && map.nearest && all_step && stored_is_met;
         // where next to nothing is left, that is rounding
         let left = outcome.error - outcome.gain;
         let known = exact && plan.target.is_uniform() && left > LEAST_LEFT * outcome.error;
@@ -155,8 +157,8 @@ pub trait Updater {
         for n in 0..self.plan().factor_count() {
             self.update(n, rule, None);
             sum += self.outcome().gain;
-            let layout = &self.plan().maps[n].layout;
-            count += self.plan().target.channels * layout.lines() * layout.cols() * layout.frames;
+            let plan = self.plan();
+            count += plan.target.channels * plan.changing(n) * plan.maps[n].layout.frames;
         }
         (sum / count as f64).sqrt()
     }

@@ -192,7 +192,7 @@ impl Engine {
         let Some((response, stored)) = &mut self.stored[n] else { return seen };
         let pulled = Pulled::back(response, &layout, rule.sums(), &sums);
         let limits = (rule == Rule::Settle).then(|| unlit::limits(&self.plan, n));
-        let steps = Steps::new(&layout, rule, self.ranges[n], self.levels[n].as_ref(), limits);
+        let steps = Steps::new(&self.plan, n, rule, self.ranges[n], self.levels[n].as_ref(), limits);
         let latest = beyond.map(|_| &mut self.latest[n]);
         let mut lines = lines_of(&layout, &mut stored.values, beyond.zip(latest), None);
         let functions = steps.functions(&self.plan, layout.frames);
@@ -202,7 +202,7 @@ impl Engine {
             || (Block::new(layout.frames), vec![0.0; line_sums]),
             |(block, sums), index, line| {
                 let (channel, at) = (index / layout.stored_lines(), index % layout.stored_lines());
-                if at < layout.lines() {
+                if at < layout.lines() && self.plan.may_change(n, at) {
                     let step = steps.of(at, &mut line[0]);
                     let line_of =
                         StepLine { pulled: &pulled, channel, line: at, step, functions: &functions, block, sums };
@@ -229,6 +229,8 @@ impl Engine {
         let (plan, factors, fast) = (&self.plan, &self.factors, self.is_fast(n));
         let layout = &plan.maps[n].layout;
         let latest = beyond.map(|_| &mut self.latest[n]);
+        // another step takes the sums of all lines
+        let all = sums.is_some();
         let mut lines = lines_of(layout, values, beyond.zip(latest), sums);
         let line_of = |index: usize| LineOf {
             factor: n,
@@ -238,9 +240,10 @@ impl Engine {
         // sums that another step takes are not acted on here
         let limits =
             (rule == Rule::Settle && lines.iter().all(|line| line.sums.is_none())).then(|| unlit::limits(plan, n));
-        let steps = Steps::new(layout, rule, self.ranges[n], self.levels[n].as_ref(), limits);
+        let steps = Steps::new(plan, n, rule, self.ranges[n], self.levels[n].as_ref(), limits);
         let cancel = &self.cancel;
-        let is_line = |at: &LineOf| at.line < layout.lines() && !cancel.is_cancelled();
+        let may_change = |at: &LineOf| at.line < layout.lines() && (all || plan.may_change(n, at.line));
+        let is_line = |at: &LineOf| may_change(at) && !cancel.is_cancelled();
         let functions = steps.functions(plan, layout.frames);
         if fast {
             let functions = GatherFunctions::new(plan.backend, rule, layout.frames, factors.len() - 1, functions);
@@ -462,11 +465,22 @@ struct Steps<'a> {
     stride: usize,
     /// `[line][x]`, see [`LineStep::limits`].
     limits: Option<Vec<f32>>,
+    /// `[x]`, see [`LineStep::fixed`].
+    fixed: Option<Vec<bool>>,
 }
 
 impl<'s> Steps<'s> {
-    fn new(layout: &Layout, rule: Rule, range: [f32; 2], levels: Option<&'s Levels>, limits: Option<Vec<f32>>) -> Self {
-        Self { rule, range, levels, columns: layout.pad..layout.pad + layout.cols(), stride: layout.stride, limits }
+    fn new(
+        plan: &Plan,
+        n: usize,
+        rule: Rule,
+        range: [f32; 2],
+        levels: Option<&'s Levels>,
+        limits: Option<Vec<f32>>,
+    ) -> Self {
+        let (layout, fixed) = (&plan.maps[n].layout, plan.fixed_columns(n));
+        let columns = layout.pad..layout.pad + layout.cols();
+        Self { rule, range, levels, columns, stride: layout.stride, limits, fixed }
     }
 
     fn functions(&self, plan: &Plan, frames: usize) -> StepFunctions {
@@ -479,6 +493,7 @@ impl<'s> Steps<'s> {
             range: self.range,
             levels: self.levels,
             limits: self.limits.as_ref().map(|limits| &limits[at * self.stride..][..self.stride]),
+            fixed: self.fixed.as_deref(),
             columns: self.columns.clone(),
             stride: self.stride,
             values: &mut *line.values,

@@ -3,14 +3,14 @@
 use std::sync::Arc;
 
 use lumistack_core::{Cancel, Task};
-use lumistack_display::{Display, FieldGeometry, LayerStack};
+use lumistack_display::{Display, FieldGeometry, LayerStack, RayMap, Tile};
 
 use crate::coarse::Coarse;
 use crate::device::{Executor, Updater};
 use crate::engine::{Engine, Processor};
 use crate::factor::Factor;
 use crate::method::{Iterated, Method};
-use crate::plan::Plan;
+use crate::plan::{Cut, Plan};
 use crate::prepared::{Patterns, Prepared};
 use crate::quantize::{has_levels, reoptimize, round_to_levels};
 use crate::solver::AUTO;
@@ -144,9 +144,41 @@ pub fn factorize_on(
     task: Task,
     on_iteration: &mut dyn FnMut(&Iteration),
 ) -> Result<Factorization, FactorizeError> {
+    solve(executor, (problem, Plan::new(problem)?), settings, warm, task, on_iteration)
+}
+
+/// Factorizes a [`Tile`] of a larger problem: `problem` is that of the tile, [`Tile::display`] and [`Tile::light_field`], and `whole` is where the rays of all meet
+/// the display. With `fixed` border patterns, those of `warm` around the tile's free pixels stay as they are, their black
+/// lifted as that of every warm start; else all that the tile holds is solved. A start of the settings is that of the whole display, as far as the tile holds it.
+///
+/// # Errors
+/// As [`factorize`], and [`FactorizeError::NoRays`] where no ray of the tile counts.
+pub fn factorize_tile(
+    problem: &Problem,
+    (tile, whole): (&Tile, &RayMap),
+    settings: &Settings,
+    (warm, fixed): (Option<&LayerStack>, bool),
+    task: Task,
+    on_iteration: &mut dyn FnMut(&Iteration),
+) -> Result<Factorization, FactorizeError> {
+    let place = tile.parts.iter().zip(&tile.whole);
+    let place = place.map(|(part, whole)| [[part.held.rows.start, part.held.cols.start], *whole]).collect();
+    let free = fixed.then(|| tile.parts.iter().map(|part| part.free.within(&part.held)).collect());
+    let plan = Plan::of_tile(problem, &tile.map(whole), Cut { place, free })?;
+    solve(&Processor, (problem, plan), settings, warm, task, on_iteration)
+}
+
+fn solve(
+    executor: &dyn Executor,
+    (problem, plan): (&Problem, Plan),
+    settings: &Settings,
+    warm: Option<&LayerStack>,
+    task: Task,
+    on_iteration: &mut dyn FnMut(&Iteration),
+) -> Result<Factorization, FactorizeError> {
     let settings = &settings.resolved();
-    let display = problem.display;
-    let (plan, mut run) = begun(executor, problem, settings, warm, task)?;
+    let (plan, display) = (Arc::new(plan), problem.display);
+    let mut run = begun(executor, (problem, &plan), settings, warm, task)?;
     let prepared = |patterns| Prepared { plan: plan.clone(), display, patterns, executor };
     let (mut history, mut unsettled) = (Vec::new(), 0.0);
     task.progress.begin("factorize", u64::from(settings.iterations), "iterations");
@@ -193,32 +225,33 @@ pub fn factorize_on(
     Ok(Factorization { stack, history, settings: settings.clone(), unsettled, levels })
 }
 
-/// The plan of a problem and a run on it, begun at `warm` patterns or at what the settings choose.
+/// A run on the plan of a problem, begun at `warm` patterns or at what the settings choose.
 fn begun(
     executor: &dyn Executor,
-    problem: &Problem,
+    (problem, plan): (&Problem, &Arc<Plan>),
     settings: &Settings,
     warm: Option<&LayerStack>,
     task: Task,
-) -> Result<(Arc<Plan>, Box<dyn Iterated>), FactorizeError> {
+) -> Result<Box<dyn Iterated>, FactorizeError> {
     let method = method(&settings.solver)?;
-    let (plan, display) = (Arc::new(Plan::new(problem)?), problem.display);
+    let display = problem.display;
     let run = match warm {
         Some(warm) => {
             warm.check(display)?;
-            if display.frames > 1 && frames_are_equal(warm) {
+            // a part of patterns that others go on with may be the same in all frames
+            if display.frames > 1 && plan.free(0).is_none() && frames_are_equal(warm) {
                 let message = "all frames are equal and will stay equal: more frames than one have no effect";
                 task.warn("warm start", message);
             }
             let start = if settings.iterations > 0 { unlit::lifted(warm) } else { warm.clone() };
             method.begin(Prepared { plan: plan.clone(), display, patterns: Patterns::Stack(start), executor })?
         }
-        None => begin(executor, method, &plan, (display, problem.target.geometry()), settings, task)?,
+        None => begin(executor, method, plan, (display, problem.target.geometry()), settings, task)?,
     };
     if run.rays() == 0 {
         return Err(FactorizeError::NoRays);
     }
-    Ok((plan, run))
+    Ok(run)
 }
 
 /// A factorization under way, for callers that look at the patterns between iterations: after as many iterations its patterns are those of
@@ -236,7 +269,8 @@ impl Ongoing {
         warm: Option<&LayerStack>,
         task: Task,
     ) -> Result<Self, FactorizeError> {
-        begun(&Processor, problem, &settings.resolved(), warm, task).map(|(_, run)| Self(run))
+        let plan = Arc::new(Plan::new(problem)?);
+        begun(&Processor, (problem, &plan), &settings.resolved(), warm, task).map(Self)
     }
 
     /// One iteration.

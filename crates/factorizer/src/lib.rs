@@ -59,7 +59,8 @@ mod tests;
 pub use block_exact::{BlockExact, Extrapolated};
 pub use engine::Processor;
 pub use factorize::{
-    Factorization, Iteration, LevelsLoss, Ongoing, Settings, ZONE_ITERATIONS, factorize, factorize_on, warm_start_pays,
+    Factorization, Iteration, LevelsLoss, Ongoing, Settings, ZONE_ITERATIONS, factorize, factorize_on, factorize_tile,
+    warm_start_pays,
 };
 pub use memory::held_bytes;
 pub use multiplicative::Multiplicative;

@@ -36,6 +36,8 @@ pub(crate) struct LineStep<'a> {
     pub(crate) levels: Option<&'a Levels>,
     /// For [`Rule::Settle`]: the Σ w a_m² up to which a pixel of the line counts as unlit, `[x]`.
     pub(crate) limits: Option<&'a [f32]>,
+    /// Within a tile: whether a pixel keeps its values, `[x]`.
+    pub(crate) fixed: Option<&'a [bool]>,
     /// Columns that rays can meet.
     pub(crate) columns: std::ops::Range<usize>,
     pub(crate) stride: usize,
@@ -98,6 +100,9 @@ impl LineStep<'_> {
         unsafe { (functions.step)(step) };
         if let Some(limits) = self.limits {
             block.darken(lanes, &limits[x..x + room], self.range[0]);
+        }
+        if let Some(fixed) = self.fixed.map(|fixed| &fixed[x..x + room]).filter(|fixed| fixed.contains(&true)) {
+            block.keep(lanes, fixed, &self.values[x..], self.stride);
         }
         block.gain[room..].fill(0.0);
         if self.rule != Rule::Probe {

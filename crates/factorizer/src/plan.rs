@@ -5,7 +5,7 @@
 use std::ops::Range;
 
 use lumistack_display::{
-    AxisTaps, Backlight, BacklightTap, Display, FieldGeometry, Formation, LayerMap, Missing, RayMap, Tap,
+    AxisTaps, Backlight, BacklightTap, Display, FieldGeometry, Formation, LayerMap, Missing, RayMap, Region, Tap,
 };
 use lumistack_simd::Backend;
 
@@ -42,9 +42,31 @@ pub struct Plan {
     pub(crate) target: Target,
     /// Number of rays that count.
     pub(crate) rays: u64,
+    /// Of a tile: where it lies in the whole, and what may change.
+    pub(crate) cut: Option<Cut>,
     /// The instruction set for all kernels of the run.
     pub(crate) backend: Backend,
     pub(crate) row: RowFunctions,
+}
+
+/// A tile's place in its display.
+#[derive(Clone, Debug)]
+pub(crate) struct Cut {
+    /// Per factor, the first [row, column] of the whole that the tile holds, and the rows and columns of the whole.
+    pub(crate) place: Vec<[[usize; 2]; 2]>,
+    /// Per factor, the pixels that may change, counted within the tile; `None`: all.
+    pub(crate) free: Option<Vec<Region>>,
+}
+
+impl Cut {
+    /// The same at half the resolution, where everything is free.
+    pub(crate) fn halved(&self, display: &Display) -> Self {
+        let halve = |(n, place): (usize, &[[usize; 2]; 2])| match display.layers.get(n) {
+            Some(_) => place.map(|both| both.map(|pixels| pixels.div_ceil(2))),
+            None => *place,
+        };
+        Self { place: self.place.iter().enumerate().map(halve).collect(), free: None }
+    }
 }
 
 impl Plan {
@@ -58,9 +80,22 @@ impl Plan {
         Ok(Self::with_target(problem.display, problem.target.geometry(), target))
     }
 
+    /// Of a tile: `map` says where its rays meet its pixels.
+    pub(crate) fn of_tile(problem: &Problem, map: &RayMap, cut: Cut) -> Result<Self, FactorizeError> {
+        problem.check_all_but_target()?;
+        let target = Target::new(problem);
+        if target.may_be_infinite() {
+            problem.check_target()?;
+        }
+        Ok(Self { cut: Some(cut), ..Self::with_map(problem.display, problem.target.geometry(), map, target) })
+    }
+
     /// For rays of `geometry`, whose radiance is `target`.
     pub(crate) fn with_target(display: &Display, geometry: &FieldGeometry, target: Target) -> Self {
-        let map = RayMap::new(display, geometry);
+        Self::with_map(display, geometry, &RayMap::new(display, geometry), target)
+    }
+
+    fn with_map(display: &Display, geometry: &FieldGeometry, map: &RayMap, target: Target) -> Self {
         let views = geometry.grid.views();
         let (rows, cols) = (geometry.rows, geometry.cols);
         let drop = display.missing == Missing::Drop;
@@ -76,7 +111,7 @@ impl Plan {
         let valid_rows: Vec<Vec<bool>> =
             (0..views[0]).map(|view| (0..rows).map(|i| valid(view, i, |l| &l.y, &lit_y)).collect()).collect();
         let frames = display.frames;
-        let maps: Vec<_> = raw_maps(display, &map, views)
+        let maps: Vec<_> = raw_maps(display, map, views)
             .into_iter()
             .map(|raw| FactorMap::new(raw, frames, &runs, &valid_rows))
             .collect();
@@ -96,6 +131,7 @@ impl Plan {
             valid_rows,
             target,
             rays: 0,
+            cut: None,
             backend: Backend::best(),
             row: RowFunctions::new(Backend::best()),
         };
@@ -128,6 +164,34 @@ impl Plan {
     /// Whether L̃ is linear in the values of factor `n`, so that its Gram matrix bounds the curvature.
     pub fn is_bounded(&self, n: usize) -> bool {
         self.formation != Formation::Polarization || n >= self.layers
+    }
+
+    /// The pixels of factor `n` that may change, where not all may.
+    pub(crate) fn free(&self, n: usize) -> Option<&Region> {
+        self.cut.as_ref()?.free.as_ref()?.get(n)
+    }
+
+    /// Returns whether a line of factor `n` has pixels that may change.
+    pub(crate) fn may_change(&self, n: usize, line: usize) -> bool {
+        let rows = self.maps[n].layout.size[0];
+        self.free(n).is_none_or(|free| free.rows.contains(&(line % rows)))
+    }
+
+    /// The columns of factor `n` that may not change, `[x]` of its padded lines, where there may be any.
+    pub(crate) fn fixed_columns(&self, n: usize) -> Option<Vec<bool>> {
+        let (free, layout) = (self.free(n)?, &self.maps[n].layout);
+        let mut fixed = vec![true; layout.stride];
+        for column in 0..layout.cols() {
+            fixed[layout.pad + column] = !free.cols.contains(&(column % layout.size[1]));
+        }
+        Some(fixed)
+    }
+
+    /// Number of pixels, in all bins, of factor `n` that may change.
+    pub(crate) fn changing(&self, n: usize) -> usize {
+        let layout = &self.maps[n].layout;
+        let [rows, cols] = self.free(n).map_or(layout.size, Region::size);
+        layout.bins.iter().product::<usize>() * rows * cols
     }
 
     fn count_rays(&self) -> u64 {

@@ -6,7 +6,7 @@ use lumistack_display::{Display, Formation, Layer, LayerStack};
 use crate::bands;
 use crate::expand::{Rays, wanted};
 use crate::line::LineOf;
-use crate::plan::Plan;
+use crate::plan::{Cut, Plan};
 
 /// Smallest value of a pattern: solvers whose rule multiplies never go below it.
 pub const FLOOR: f32 = 1e-4;
@@ -68,7 +68,7 @@ pub(crate) const CONTENT_NOISE: [f32; 2] = [0.8, 1.2];
 
 /// Patterns to start from; the same for the same problem, kind and seed.
 pub(crate) fn start_patterns(plan: &Plan, display: &Display, kind: StartKind, seed: u64) -> LayerStack {
-    let mut stack = random_start(display, seed);
+    let mut stack = noise(display, seed, plan.cut.as_ref());
     if kind == StartKind::Random {
         return stack;
     }
@@ -110,19 +110,38 @@ pub(crate) fn level(formation: Formation, mean: f32, factors: f32) -> f32 {
 
 /// Patterns of [`StartKind::Random`].
 pub fn random_start(display: &Display, seed: u64) -> LayerStack {
+    noise(display, seed, None)
+}
+
+/// [`random_start`], of a tile the part of that of the whole.
+fn noise(display: &Display, seed: u64, cut: Option<&Cut>) -> LayerStack {
     let mut stack = LayerStack::filled(display, 0.0);
+    let sizes = sizes(&stack);
     let mut parts: Vec<&mut [f32]> = parts(&mut stack).collect();
     bands::for_each_chunk(
         &mut parts,
         1,
         || (),
         |(), part, values| {
-            let mut stream = Stream::new(derive(seed, &[part as u64]));
-            values[0].iter_mut().for_each(|value| *value = FLOOR + (1.0 - FLOOR) * stream.next_f32());
+            let stream = Stream::new(derive(seed, &[part as u64]));
+            let size @ [rows, cols] = sizes[part];
+            let [first, whole] = cut.map_or([[0, 0], size], |cut| cut.place[part]);
+            for (index, line) in values[0].chunks_exact_mut(3 * cols).enumerate() {
+                let (plane, row) = (index / rows, index % rows);
+                let pixel = (plane * whole[0] + first[0] + row) * whole[1] + first[1];
+                let mut stream = stream.after(3 * pixel as u64);
+                line.iter_mut().for_each(|value| *value = FLOOR + (1.0 - FLOOR) * stream.next_f32());
+            }
         },
     );
     drop(parts);
     stack
+}
+
+/// Rows and columns of a plane of every layer, and of the lenslets.
+fn sizes(stack: &LayerStack) -> Vec<[usize; 2]> {
+    let layers = stack.layers.iter().map(|layer| [layer.shape()[1], layer.shape()[2]]);
+    layers.chain(stack.emission.iter().map(|emission| [emission.shape()[3], emission.shape()[4]])).collect()
 }
 
 /// Layers, then the backlight.
@@ -133,8 +152,7 @@ fn parts(stack: &mut LayerStack) -> impl Iterator<Item = &mut [f32]> {
 
 /// Hands every picture of one frame (and angular bin) in one channel to `change`, with its rows and columns and two buffers to use.
 fn for_each_plane(stack: &mut LayerStack, change: impl Fn(&mut [f32], usize, usize, &mut [Vec<f32>; 2]) + Sync + Send) {
-    let mut sizes: Vec<[usize; 2]> = stack.layers.iter().map(|layer| [layer.shape()[1], layer.shape()[2]]).collect();
-    sizes.extend(stack.emission.as_ref().map(|emission| [emission.shape()[3], emission.shape()[4]]));
+    let sizes = sizes(stack);
     for (values, [rows, cols]) in parts(stack).zip(sizes) {
         bands::for_each_chunk(
             values,

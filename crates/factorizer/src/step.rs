@@ -275,6 +275,20 @@ impl Block {
         }
     }
 
+    /// Takes the step back in the lanes of fixed pixels, whose values before it are `met`, frames `stride` apart.
+    ///
+    /// Only for borders of tiles, so no vectors either.
+    #[cold]
+    #[inline(never)]
+    pub(crate) fn keep(&mut self, lanes: usize, fixed: &[bool], met: &[f32], stride: usize) {
+        for (lane, _) in fixed.iter().enumerate().filter(|(_, fixed)| **fixed) {
+            for m in 0..self.frames {
+                self.values[m * lanes + lane] = met[m * stride + lane];
+            }
+            self.gain[lane] = 0.0;
+        }
+    }
+
     #[inline(always)]
     unsafe fn unsettled<V: Lanes>(&mut self, [low, high]: [f32; 2]) -> V {
         let (n, frames) = (V::COUNT, self.frames);

@@ -16,6 +16,8 @@ pub enum Kind {
     Score,
     /// A light field from its views, a file or a source.
     Field,
+    /// The patterns of a tile of a display, in a round.
+    Tile,
     /// The patterns of a display at a time.
     Patterns,
     /// Outputs, figures and report of a display at a time.
@@ -34,6 +36,7 @@ impl Kind {
             Self::Views => "views",
             Self::Score => "score",
             Self::Field => "field",
+            Self::Tile => "tile",
             Self::Patterns => "patterns",
             Self::Results => "results",
             Self::Design => "design",
@@ -56,6 +59,9 @@ pub struct Unit {
     /// Number of the block from 1 and their count, where the step is cut into blocks.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub block: Option<[usize; 2]>,
+    /// Of a tile: the round in which tiles exchange their borders, from 1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub round: Option<usize>,
     /// Files and folders that it publishes, relative to the run folder.
     pub writes: Vec<String>,
     /// Expected time on one worker, seconds.
@@ -168,6 +174,7 @@ pub(crate) mod tests {
             inputs: inputs.iter().map(|id| id.to_string()).collect(),
             steps: vec![id.into()],
             block: id.ends_with("-of-2").then(|| [usize::from(id.ends_with("2-of-2")) + 1, 2]),
+            round: None,
             writes: Vec::new(),
             seconds,
             memory_bytes: 100 << 20,

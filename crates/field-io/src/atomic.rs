@@ -76,9 +76,14 @@ fn replace(path: &Path, fill: impl FnOnce(&mut Writer<'_>) -> io::Result<()>) ->
         fill(&mut writer)?;
         writer.flush()?;
     }
+    publish(beside, path)
+}
+
+/// Flushes a temporary file to disk and gives it its name.
+pub(crate) fn publish(beside: tempfile::NamedTempFile, path: &Path) -> io::Result<()> {
     beside.as_file().sync_all()?;
     beside.persist(path).map_err(|error| error.error)?;
-    sync_folder(folder);
+    sync_folder(path.parent().unwrap_or(Path::new(".")));
     Ok(())
 }
 
@@ -96,7 +101,8 @@ pub fn is_abandoned(path: &Path) -> bool {
     is_old && File::options().write(true).open(path).is_ok_and(|file| file.try_lock().is_ok())
 }
 
-fn temporary_beside(folder: &Path) -> io::Result<tempfile::NamedTempFile> {
+/// A temporary file of [`fn@write`], for whoever writes it piece by piece.
+pub(crate) fn temporary_beside(folder: &Path) -> io::Result<tempfile::NamedTempFile> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(PREFIX).suffix(SUFFIX);
     // temporary files are private by default; results are as readable as the user's other files

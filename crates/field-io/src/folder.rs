@@ -15,6 +15,7 @@
 //! index is written last.
 
 use std::collections::BTreeSet;
+use std::ops::Range;
 use std::path::{Component, Path, PathBuf};
 
 use exr::prelude::f16;
@@ -247,6 +248,39 @@ pub fn read_field_folder(folder: &Path) -> Result<(LightField, Map<String, Value
     let task = Task::quiet(&warnings, &cancel);
     let (field, _) = assemble(&mut source, &GeometryFlags::default(), &GeometryDefaults::default(), None, 0, task)?;
     Ok((field, info))
+}
+
+/// Some rows and columns of all views of a light field's folder, as a light field of this geometry; one view is in memory at a time.
+///
+/// # Errors
+/// As [`read_field_folder`], and if the folder has other views or fewer pixels.
+pub fn read_field_region(
+    folder: &Path,
+    geometry: FieldGeometry,
+    rows: Range<usize>,
+    cols: Range<usize>,
+) -> Result<LightField, FieldError> {
+    let mut source = source(folder)?;
+    let (views, [width, height]) = (geometry.grid.views(), source.size);
+    if source.views != views || rows.end > height || cols.end > width {
+        let text = |views: [usize; 2], [width, height]: [usize; 2]| {
+            format!("{} × {} views of {width} × {height} pixels", views[1], views[0])
+        };
+        let expected = text(views, [cols.end, rows.end]);
+        return Err(FieldError::malformed(&folder.join(INDEX), "size", expected, text(source.views, source.size)));
+    }
+    let bad = |error: lumistack_display::GridError| {
+        FieldError::malformed(&folder.join(INDEX), error.what, error.expected, error.found)
+    };
+    let mut field = LightField::black(geometry).map_err(bad)?;
+    for view in (0..views[0]).flat_map(|y| (0..views[1]).map(move |x| [y, x])) {
+        let picture = source.reader.load(view)?;
+        let lines = field.view_mut(view).chunks_exact_mut(3 * cols.len());
+        for (line, row) in lines.zip(rows.clone()) {
+            line.copy_from_slice(&picture[3 * (row * width + cols.start)..][..3 * cols.len()]);
+        }
+    }
+    Ok(field)
 }
 
 /// Opens a light field's folder without reading its pictures.

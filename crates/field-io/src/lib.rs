@@ -23,6 +23,7 @@ mod folder;
 mod geometry;
 mod hci;
 mod index;
+mod mapped;
 pub mod npy;
 pub mod npz;
 mod open;
@@ -32,17 +33,22 @@ mod quilt;
 mod resample;
 mod source;
 mod stack;
+mod stack_writer;
 
 pub use assemble::LeftOut;
 pub use describe::{Description, describe};
 pub use error::FieldError;
-pub use folder::{read_field_folder, round_to_half, view_file_name, write_field, write_index, write_view, write_views};
+pub use folder::{
+    read_field_folder, read_field_region, round_to_half, view_file_name, write_field, write_index, write_view,
+    write_views,
+};
 pub use geometry::{GeometryDefaults, GeometryFlags};
 pub use lumistack_display::{BacklightEntry, LayerEntry, StackIndex};
 pub use open::{geometry_of, open, open_for};
 pub use prefilter::Footprint;
 pub use source::Kind;
 pub use stack::{read_stack, read_stack_index, write_stack};
+pub use stack_writer::StackWriter;
 
 /// Hash of this crate's sources, computed at build. It belongs in the key of every cached result
 /// that this code affects.

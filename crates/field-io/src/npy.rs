@@ -143,6 +143,14 @@ impl NpyFile {
         self.len() == 0
     }
 
+    /// The values where they lie, of a file that stores them as this machine does and at least
+    /// `least_bytes` of them.
+    pub(crate) fn lent(&self, least_bytes: u64) -> Option<lumistack_core::Lender> {
+        let is_plain = self.scalar == Scalar::F32 && !self.big_endian;
+        let is_large = 4 * self.len() as u64 >= least_bytes;
+        (is_plain && is_large).then(|| crate::mapped::lend(self.file.get_ref(), self.data_start, self.len())).flatten()
+    }
+
     /// Reads `values.len()` values from index `start`; code values are scaled to 0..1.
     ///
     /// # Errors

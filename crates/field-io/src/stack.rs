@@ -10,7 +10,7 @@ use lumistack_display::{Display, LayerStack, StackIndex};
 use lumistack_files::{Folder, Refusal};
 
 use crate::index::{check_schema, parse_json, read_index, write_json};
-use crate::{FieldError, atomic, npy};
+use crate::{FieldError, atomic, mapped, npy};
 
 const INDEX: &str = StackIndex::FILE;
 /// Most layers and frames of one stack; more means that the index is damaged.
@@ -72,7 +72,8 @@ pub fn read_stack_index(folder: &Path) -> Result<StackIndex, FieldError> {
     Ok(index)
 }
 
-/// Reads a stack.
+/// Reads a stack. Arrays of a gigabyte and more stay in their files, which the system reads where values are asked for; such a file must not be changed in its
+/// place meanwhile, only replaced.
 ///
 /// # Errors
 /// If a file is missing, damaged or of another shape than the index declares, or a value is not in
@@ -108,11 +109,15 @@ fn read_part<const N: usize>(
             format!("{:?}", file.shape()),
         ));
     }
-    let (_, data) = npy::read(path)?;
-    if let Some(index) = data.iter().position(|value| !(0.0..=1.0).contains(value)) {
+    let part = match file.lent(mapped::FROM) {
+        Some(values) => Tensor::lent(axes, expected, values),
+        None => Tensor::from_vec(axes, expected, npy::read(path)?.1),
+    };
+    let part =
+        part.map_err(|error| FieldError::malformed(path, "shape", format!("{expected:?}"), error.to_string()))?;
+    if let Some(index) = part.data().iter().position(|value| !(0.0..=1.0).contains(value)) {
         let place = format!("value {index} in row-major order");
-        return Err(FieldError::malformed(path, place, "a number in 0..1", data[index].to_string()));
+        return Err(FieldError::malformed(path, place, "a number in 0..1", part.data()[index].to_string()));
     }
-    Tensor::from_vec(axes, expected, data)
-        .map_err(|error| FieldError::malformed(path, "shape", format!("{expected:?}"), error.to_string()))
+    Ok(part)
 }

@@ -209,7 +209,7 @@ pub fn farm_unit(
             Some([number, _]) if design => sweep::execute_design(&plan, &designs, &job, number, registry, task)?,
             block => {
                 let block = block.and_then(Block::new);
-                Executor::new(&plan, registry, None, task).execute_unit(&unit.steps, block)?;
+                Executor::new(&plan, registry, None, task).execute_unit(&unit.steps, block, unit.round)?;
             }
         }
     }

@@ -23,6 +23,7 @@ pub(crate) mod report;
 pub(crate) mod samples;
 pub(crate) mod score;
 pub(crate) mod source;
+pub(crate) mod tiles;
 pub(crate) mod trace;
 
 use serde_json::{Value, json};

@@ -126,8 +126,8 @@ pub fn weights_of(job: &FactorizeJob, array: WeightsFrom, target: &LightField) -
         Some(_) if !job.eyes.is_empty() => {
             Err(PipelineError::value("factorize", "eyes", "either `weights` or `eyes`", "both"))
         }
-        Some((shape, data)) => array_weights(Path::new("weights"), &shape, data, target),
-        None => eye_weights(job, target),
+        Some((shape, data)) => array_weights(Path::new("weights"), &shape, data, target.geometry()),
+        None => eye_weights(job, target.geometry()),
     }
 }
 

@@ -14,6 +14,7 @@ mod params;
 pub mod pdf;
 pub mod sheet;
 
+use std::io::{BufWriter, Write};
 use std::sync::{Mutex, PoisonError};
 
 use lumistack_plugin::display::{Backlight, Formation, Layer};
@@ -204,19 +205,20 @@ impl Transparencies {
         };
         let layers = &self.display.layers;
         let stage = self.host.stage("films", layers.len() as u64, "pages");
-        let mut document = Document::new(&self.display.name);
+        let out = BufWriter::with_capacity(1 << 16, self.host.create(&file)?);
+        let mut document = Document::new(out, &self.display.name).map_err(pdf::failed)?;
         let spacers = pages::spacers_mm(layers, self.params.film_mm, self.params.spacer_index)?;
-        document
-            .add(self.sheet.page_mm, pages::assembly(&self.sheet, &self.display, &self.params, &self.film, &spacers));
+        let assembly = pages::assembly(&self.sheet, &self.display, &self.params, &self.film, &spacers);
+        document.add(self.sheet.page_mm, assembly).map_err(pdf::failed)?;
         if self.params.chart {
-            document.add(self.sheet.page_mm, pages::chart(&self.sheet));
+            document.add(self.sheet.page_mm, pages::chart(&self.sheet)).map_err(pdf::failed)?;
         }
         let first = if self.params.chart { 3 } else { 2 };
         let mut entries = Vec::new();
         for (n, layer) in layers.iter().enumerate() {
             self.host.check_cancelled()?;
-            let (page, resolution, too_dark) = self.film_page(stack, n, layer)?;
-            document.add(self.sheet.page_mm, page);
+            let (page, resolution, too_dark) = self.film_page(&mut document, stack, n, layer)?;
+            document.add(self.sheet.page_mm, page).map_err(pdf::failed)?;
             entries.push(Entry {
                 file: file.clone(),
                 page: first + n,
@@ -236,31 +238,42 @@ impl Transparencies {
                 "{too_dark} values are darker than the film can be; black_level = {darkest:.3} in the display's layers makes patterns that it can show"
             ));
         }
-        self.host.write(&file, &document.finish())?;
+        let out = document.finish().map_err(pdf::failed)?;
+        out.into_inner().map_err(|error| pdf::failed(error.into_error()))?.commit()?;
         Ok(entries)
     }
 
     /// A layer's film, the picture's [columns, rows] and how many values are too dark.
     fn film_page(
         &self,
+        document: &mut Document<impl Write>,
         stack: &StackInput<'_>,
         n: usize,
         layer: &Layer,
     ) -> Result<(Page, [usize; 2], usize), PluginError> {
         let plane = stack.layer(n, 0)?;
-        let [rows, cols] = [plane.rows(), plane.cols()];
-        let (codes, too_dark) = self.film.codes(layer, &plane.to_vec());
-        let size = picture_size(self.params.dpi, n, layer)?;
-        let mut printed = Vec::with_capacity(3 * size[0] * size[1]);
-        for row in 0..size[1] {
+        let (rows, cols, size) = (plane.rows(), plane.cols(), picture_size(self.params.dpi, n, layer)?);
+        // the mask's rows are read and encoded one after another: a film may be larger than memory
+        let mut masks = plane.iter_rows().enumerate();
+        let (mut at, mut codes, mut too_dark, mut row) = (None, Vec::new(), 0, 0);
+        let pieces = document.image(size, |printed| {
+            self.host.check_cancelled()?;
+            let wanted = (2 * row + 1) * rows / (2 * size[1]);
+            while at.is_none_or(|at| at < wanted) {
+                let Some((number, mask)) = masks.next() else { break };
+                let (of_row, dark) = self.film.codes(layer, &mask);
+                (at, codes, too_dark) = (Some(number), of_row, too_dark + dark);
+            }
+            row += 1;
             for col in 0..size[0] {
                 let col = if self.params.mirror { size[0] - 1 - col } else { col };
-                let from = 3 * ((2 * row + 1) * rows / (2 * size[1]) * cols + (2 * col + 1) * cols / (2 * size[0]));
-                printed.extend_from_slice(&codes[from..from + 3]);
+                printed.extend_from_slice(&codes[3 * ((2 * col + 1) * cols / (2 * size[0]))..][..3]);
             }
-        }
+            Ok(())
+        })?;
+        too_dark += masks.map(|(_, mask)| self.film.codes(layer, &mask).1).sum::<usize>();
         let mut page = pages::film(&self.sheet, &self.display, n, self.params.mirror);
-        page.image(self.sheet.place(layer, self.params.mirror), size, &printed)?;
+        page.image(self.sheet.place(layer, self.params.mirror), size[1], &pieces);
         Ok((page, size, too_dark))
     }
 }
@@ -282,6 +295,6 @@ fn picture_size(dpi: u32, n: usize, layer: &Layer) -> Result<[usize; 2], PluginE
 }
 
 /// Most pixels of a picture's side.
-const SIDE_LIMIT: usize = 32768;
+const SIDE_LIMIT: usize = 1 << 17;
 
 export_plugin!("transparencies", Transparencies);

@@ -1,86 +1,199 @@
-//! Pages of a PDF in millimetres.
+//! Pages of a PDF in millimetres, written as they come: no page and no picture is in memory as a whole.
 
-use std::io::Write;
+use std::io::{self, Write};
 
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
 use lumistack_plugin::PluginError;
-use pdf_writer::{Buf, Content, Filter, Finish, Name, Pdf, Rect, Ref, Str, TextStr};
+use pdf_writer::{Chunk, Content, Finish, Name, Pdf, Rect, Ref, Str, TextStr};
 
 use crate::sheet::INCH_MM;
 
 /// PDF units per millimetre.
 const POINTS: f64 = 72.0 / INCH_MM;
 const FONT: Name<'_> = Name(b"F");
-const IMAGE: Name<'_> = Name(b"I");
+/// Most samples of one picture in the file. Longer ones are several, edge to edge: readers count a picture's bytes in 31 bits.
+const MOST_SAMPLES: usize = 1 << 28;
+/// Bytes of a table's place in the file are ten digits.
+const LONGEST: u64 = 9_999_999_999;
 
 /// A document; without dates, so that the same content gives the same bytes.
-pub struct Document {
-    pdf: Pdf,
-    next: i32,
+pub struct Document<W> {
+    out: W,
+    /// Bytes so far.
+    written: u64,
+    /// Where each object begins; object n is the element n - 1.
+    places: Vec<u64>,
     pages: Vec<Ref>,
 }
 
 const CATALOG: Ref = Ref::new(1);
 const PAGE_TREE: Ref = Ref::new(2);
 const HELVETICA: Ref = Ref::new(3);
+const INFO: Ref = Ref::new(4);
 
-impl Document {
+impl<W: Write> Document<W> {
     /// An empty document.
-    pub fn new(title: &str) -> Self {
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn new(out: W, title: &str) -> io::Result<Self> {
+        let mut document = Self { out, written: 0, places: vec![0; 4], pages: Vec::new() };
+        // the header, these objects, and a trailer that is left out
         let mut pdf = Pdf::new();
-        pdf.document_info(Ref::new(4)).title(TextStr(title)).producer(TextStr("Lumistack"));
-        pdf.catalog(CATALOG).pages(PAGE_TREE);
-        pdf.type1_font(HELVETICA).base_font(Name(b"Helvetica")).encoding_predefined(Name(b"WinAnsiEncoding"));
-        Self { pdf, next: 5, pages: Vec::new() }
+        document.put(&pdf.as_bytes().to_vec())?;
+        pdf.document_info(INFO).title(TextStr(title)).producer(TextStr("Lumistack"));
+        let info = pdf.as_bytes()[document.written as usize..].to_vec();
+        document.object(INFO, &info)?;
+        document.chunk(HELVETICA, |chunk| {
+            chunk.type1_font(HELVETICA).base_font(Name(b"Helvetica")).encoding_predefined(Name(b"WinAnsiEncoding"));
+        })?;
+        document.object(CATALOG, b"1 0 obj\n<<\n  /Type /Catalog\n  /Pages 2 0 R\n>>\nendobj\n\n")?;
+        Ok(document)
     }
 
     /// Adds a page of [width, height] millimetres.
-    pub fn add(&mut self, size_mm: [f64; 2], page: Page) {
-        let [id, contents, image] = [0, 1, 2].map(|i| Ref::new(self.next + i));
-        self.next += 3;
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn add(&mut self, size_mm: [f64; 2], page: Page) -> io::Result<()> {
+        let [id, contents] = [self.reserve(), self.reserve()];
         self.pages.push(id);
-        let mut entry = self.pdf.page(id);
-        entry
-            .media_box(Rect::new(0.0, 0.0, points(size_mm[0]), points(size_mm[1])))
-            .parent(PAGE_TREE)
-            .contents(contents);
-        let mut resources = entry.resources();
-        resources.fonts().pair(FONT, HELVETICA);
-        if page.image.is_some() {
-            resources.x_objects().pair(IMAGE, image);
-        }
-        resources.finish();
-        entry.finish();
-        if let Some(Image { size, deflated, .. }) = &page.image {
-            let mut object = self.pdf.image_xobject(image, deflated);
-            object.filter(Filter::FlateDecode);
-            object.width(size[0] as i32).height(size[1] as i32);
-            object.color_space().device_rgb();
-            object.bits_per_component(8).interpolate(false);
-        }
-        let content: Buf = page.content.finish();
-        self.pdf.stream(contents, &content);
+        self.chunk(id, |chunk| {
+            let mut entry = chunk.page(id);
+            entry.media_box(Rect::new(0.0, 0.0, points(size_mm[0]), points(size_mm[1])));
+            entry.parent(PAGE_TREE).contents(contents);
+            let mut resources = entry.resources();
+            resources.fonts().pair(FONT, HELVETICA);
+            if !page.images.is_empty() {
+                let mut images = resources.x_objects();
+                page.images.iter().enumerate().for_each(|(n, image)| {
+                    images.pair(Name(image_name(n).as_bytes()), *image);
+                });
+            }
+            resources.finish();
+        })?;
+        let content = page.content.finish();
+        self.chunk(contents, |chunk| {
+            chunk.stream(contents, &content);
+        })
     }
 
-    /// The file's bytes.
-    pub fn finish(mut self) -> Vec<u8> {
-        let count = self.pages.len() as i32;
-        self.pdf.pages(PAGE_TREE).kids(self.pages).count(count);
-        self.pdf.finish()
+    /// Adds a picture of `size` = [columns, rows] samples, whose rows `[col][rgb]` come one after another from `row`, and returns its pieces from the top: their
+    /// numbers of rows, and what a page shows them by.
+    ///
+    /// # Errors
+    /// Those of `row`, and if it cannot be written.
+    pub fn image(
+        &mut self,
+        size: [usize; 2],
+        mut row: impl FnMut(&mut Vec<u8>) -> Result<(), PluginError>,
+    ) -> Result<Vec<(usize, Ref)>, PluginError> {
+        let most = (MOST_SAMPLES / size[0]).max(1);
+        let mut pieces = Vec::new();
+        for first in (0..size[1]).step_by(most) {
+            let rows = most.min(size[1] - first);
+            let [id, length] = [self.reserve(), self.reserve()];
+            let begin = format!(
+                "{} 0 obj\n<<\n  /Length {} 0 R\n  /Type /XObject\n  /Subtype /Image\n  /Filter /FlateDecode\n  /Width {}\n  /Height {rows}\n  \
+                 /ColorSpace /DeviceRGB\n  /BitsPerComponent 8\n  /Interpolate false\n>>\nstream\n",
+                id.get(),
+                length.get(),
+                size[0]
+            );
+            self.object(id, begin.as_bytes()).map_err(failed)?;
+            let before = self.written;
+            let mut encoder = ZlibEncoder::new(&mut *self, Compression::default());
+            let mut codes = Vec::with_capacity(3 * size[0]);
+            for _ in 0..rows {
+                codes.clear();
+                row(&mut codes)?;
+                encoder.write_all(&codes).map_err(failed)?;
+            }
+            encoder.finish().map_err(failed)?;
+            let bytes = self.written - before;
+            self.put(b"\nendstream\nendobj\n\n").map_err(failed)?;
+            let text = format!("{} 0 obj\n{bytes}\nendobj\n\n", length.get());
+            self.object(length, text.as_bytes()).map_err(failed)?;
+            pieces.push((rows, id));
+        }
+        Ok(pieces)
+    }
+
+    /// Ends the file.
+    ///
+    /// # Errors
+    /// If it cannot be written, or has more bytes than its table can say.
+    pub fn finish(mut self) -> io::Result<W> {
+        let pages = std::mem::take(&mut self.pages);
+        self.chunk(PAGE_TREE, |chunk| {
+            let count = pages.len() as i32;
+            chunk.pages(PAGE_TREE).kids(pages).count(count);
+        })?;
+        let (table, count) = (self.written, self.places.len() + 1);
+        if table > LONGEST {
+            return Err(io::Error::other(format!("a PDF has at most {LONGEST} bytes, this one has {table}")));
+        }
+        let mut text = format!("xref\n0 {count}\n0000000000 65535 f\r\n");
+        self.places.iter().for_each(|place| text += &format!("{place:010} 00000 n\r\n"));
+        text += &format!(
+            "trailer\n<<\n  /Size {count}\n  /Root {} 0 R\n  /Info {} 0 R\n>>\nstartxref\n{table}\n%%EOF",
+            CATALOG.get(),
+            INFO.get()
+        );
+        self.put(text.as_bytes())?;
+        Ok(self.out)
+    }
+
+    /// The next free number of an object.
+    fn reserve(&mut self) -> Ref {
+        self.places.push(0);
+        Ref::new(self.places.len() as i32)
+    }
+
+    fn chunk(&mut self, id: Ref, fill: impl FnOnce(&mut Chunk)) -> io::Result<()> {
+        let mut chunk = Chunk::new();
+        fill(&mut chunk);
+        self.object(id, chunk.as_bytes())
+    }
+
+    /// Writes an object, or its begin.
+    fn object(&mut self, id: Ref, bytes: &[u8]) -> io::Result<()> {
+        self.places[id.get() as usize - 1] = self.written;
+        self.put(bytes)
+    }
+
+    fn put(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.out.write_all(bytes)?;
+        self.written += bytes.len() as u64;
+        Ok(())
     }
 }
 
-struct Image {
-    /// [columns, rows].
-    size: [usize; 2],
-    deflated: Vec<u8>,
+/// For the compression of pictures.
+impl<W: Write> Write for Document<W> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.put(bytes).map(|()| bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.out.flush()
+    }
+}
+
+/// What the host said, or that the file cannot be written.
+pub(crate) fn failed(error: io::Error) -> PluginError {
+    PluginError::from_io("PDF", error)
+}
+
+fn image_name(number: usize) -> String {
+    format!("I{number}")
 }
 
 /// What stands on a page.
 pub struct Page {
     content: Content,
-    image: Option<Image>,
+    images: Vec<Ref>,
 }
 
 impl Default for Page {
@@ -88,29 +201,22 @@ impl Default for Page {
     fn default() -> Self {
         let mut content = Content::new();
         content.set_line_width(points(0.1));
-        Self { content, image: None }
+        Self { content, images: Vec::new() }
     }
 }
 
 impl Page {
-    /// One picture of `size` = [columns, rows] samples `[row][col][rgb]` in [left, bottom, width, height]; pixels keep their edges.
-    ///
-    /// # Errors
-    /// If it cannot be compressed.
-    pub fn image(
-        &mut self,
-        [x, y, width, height]: [f64; 4],
-        size: [usize; 2],
-        codes: &[u8],
-    ) -> Result<(), PluginError> {
-        let mut encoder = ZlibEncoder::new(Vec::new(), Compression::default());
-        let deflated = encoder.write_all(codes).and_then(|()| encoder.finish());
-        let deflated = deflated.map_err(|error| PluginError::failed("PDF image", error))?;
-        self.content.save_state();
-        self.content.transform([points(width), 0.0, 0.0, points(height), points(x), points(y)]);
-        self.content.x_object(IMAGE).restore_state();
-        self.image = Some(Image { size, deflated });
-        Ok(())
+    /// The pieces of a picture of so many rows, in [left, bottom, width, height]; pixels keep their edges.
+    pub fn image(&mut self, [x, y, width, height]: [f64; 4], rows: usize, pieces: &[(usize, Ref)]) {
+        let mut below = rows;
+        for &(count, image) in pieces {
+            below -= count;
+            let [bottom, tall] = [below, count].map(|rows_of| height * rows_of as f64 / rows as f64);
+            self.content.save_state();
+            self.content.transform([points(width), 0.0, 0.0, points(tall), points(x), points(y + bottom)]);
+            self.content.x_object(Name(image_name(self.images.len()).as_bytes())).restore_state();
+            self.images.push(image);
+        }
     }
 
     /// A line through places.

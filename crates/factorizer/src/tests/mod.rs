@@ -7,5 +7,6 @@ mod hardware;
 mod oracle;
 mod problems;
 mod starts;
+mod tiles;
 mod unlit;
 mod updates;

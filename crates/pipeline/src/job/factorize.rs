@@ -2,12 +2,13 @@
 
 use std::path::PathBuf;
 
+use lumistack_core::path_text::PathText;
 use lumistack_display::EyeBox;
 use lumistack_factorizer::{StartKind, solver_names};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use lumistack_core::path_text::PathText;
+use crate::error::PipelineError;
 
 /// Factorizer settings.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -32,6 +33,12 @@ pub struct FactorizeJob {
     pub coarse_iterations: u32,
     /// Whether patterns of layers with few `bits` are re-optimized on the levels that the panel can show.
     pub levels: bool,
+    /// [columns, rows] of tiles in which the display is solved, one after another or by many machines; without it and `tile_mib` the display is solved as a whole.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tiles: Option<[usize; 2]>,
+    /// Memory that a solve may take, MiB: the display is cut into as few tiles as keep within it. Not with `tiles`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tile_mib: Option<u64>,
     /// A `layers` folder to start from instead.
     #[serde(skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
@@ -74,6 +81,8 @@ impl Default for FactorizeJob {
             coarse_levels: None,
             coarse_iterations: lumistack_factorizer::Settings::default().coarse_iterations,
             levels: true,
+            tiles: None,
+            tile_mib: None,
             warm_start: None,
             weights: None,
             eye_floor: 0.05,
@@ -86,6 +95,27 @@ impl FactorizeJob {
     /// Full updates.
     pub fn iterations(&self) -> u32 {
         self.iterations.unwrap_or(lumistack_factorizer::Settings::default().iterations)
+    }
+
+    /// # Errors
+    /// Where numbers of tiles make no sense.
+    pub(crate) fn check_tiles(&self) -> Result<(), PipelineError> {
+        let fail = |key: &str, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
+        let is_cut = self.tiles.is_some() || self.tile_mib.is_some();
+        if is_cut && self.device.starts_with("gpu") {
+            let expected = "`auto` or `cpu`: tiles are solved on the processor";
+            return fail("factorize.device", expected, format!("`{}`", self.device));
+        }
+        match (self.tiles, self.tile_mib) {
+            (Some(_), Some(_)) => fail("factorize.tile_mib", "either `tiles` or `tile_mib`", "both".into()),
+            (Some(tiles), _) if tiles.iter().any(|count| !(1..=1000).contains(count)) => {
+                fail("factorize.tiles", "[columns, rows], each 1 to 1000", format!("{tiles:?}"))
+            }
+            (_, Some(mib)) if !(1..=1 << 24).contains(&mib) => {
+                fail("factorize.tile_mib", "1 to 16777216", mib.to_string())
+            }
+            _ => Ok(()),
+        }
     }
 
     /// The expected eyes as the display model takes them.

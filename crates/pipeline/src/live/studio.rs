@@ -212,7 +212,7 @@ impl Studio {
     }
 
     fn target(&self, display: Arc<Display>, field: LightField, passes: u32) -> Result<Target, PipelineError> {
-        let weights = field::weights(&self.job.factorize, &field)?;
+        let weights = field::weights(&self.job.factorize, field.geometry())?;
         Ok(Target { display, field, weights, content: self.content, passes })
     }
 

@@ -25,6 +25,7 @@ use crate::reader::is_capture;
 use crate::stage::fields::held_out_grid;
 use crate::stage::node::is_factorized;
 use crate::stage::output::stage_name;
+use crate::stage::tiles::Tiles;
 use crate::store::files::{read_json, write_json};
 use crate::store::key::{KeyBuilder, content_hash};
 use crate::store::plugin_files::plugin_key;
@@ -263,7 +264,10 @@ impl Sizes {
             |geometry: FieldGeometry| (12 * geometry.grid.iter().count() * geometry.rows * geometry.cols) as f64;
         Some(Self {
             held: held.map(bytes).sum(),
-            solving: lumistack_factorizer::held_bytes(&display, &geometry, rayon::current_num_threads()) as f64,
+            solving: match Tiles::of(&job.factorize, &display, &geometry) {
+                Some(tiles) => tiles.bytes(&display, &geometry),
+                None => lumistack_factorizer::held_bytes(&display, &geometry, rayon::current_num_threads()),
+            } as f64,
             pixels: (geometry.rows * geometry.cols) as f64,
             views: geometry.grid.iter().count() as f64,
             others: count(held_out_grid(&geometry.grid, job.render.held_out))

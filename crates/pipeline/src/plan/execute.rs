@@ -95,14 +95,19 @@ impl<'a> Executor<'a> {
     ///
     /// # Errors
     /// As [`execute`](Self::execute), and when there is no such step.
-    pub(crate) fn execute_unit(&mut self, steps: &[String], block: Option<Block>) -> Result<(), PipelineError> {
+    pub(crate) fn execute_unit(
+        &mut self,
+        steps: &[String],
+        block: Option<Block>,
+        round: Option<usize>,
+    ) -> Result<(), PipelineError> {
         self.context.check()?;
         let hold = if block.is_some() { Hold::Shared } else { Hold::Alone };
         for id in steps {
             let index = self.index(id)?;
             self.unit = Some((self.context.plan.steps[index].part, hold));
             match block {
-                Some(block) => self.run_block(index, block)?,
+                Some(block) => self.run_block(index, block, round)?,
                 None => self.run(index)?,
             }
         }
@@ -129,11 +134,14 @@ impl<'a> Executor<'a> {
         self.context.check()
     }
 
-    /// Traces a block of pictures, for which the scene and the place of the window are enough.
-    fn run_block(&mut self, index: usize, block: Block) -> Result<(), PipelineError> {
+    /// Solves a tile of patterns in a round, or traces a block of pictures, for which the scene and the place of the window are enough.
+    fn run_block(&mut self, index: usize, block: Block, round: Option<usize>) -> Result<(), PipelineError> {
         let plan = self.context.plan;
         let step = &plan.steps[index];
         self.enter(step.part)?;
+        if let (What::Patterns, Some(round)) = (step.what, round.and_then(|round| round.checked_sub(1))) {
+            return self.context.patterns_tile(step.part, round, block, self.context.task);
+        }
         let place = plan.steps.iter().position(|other| other.part == step.part && other.what == What::Place);
         place.map_or(Ok(()), |place| self.run(place))?;
         let task = self.context.task;

@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! place ─▶ trace 1-of-N ... ─▶ expose ─▶ factorize ─▶ results        of every time and node
+//!                                 └─▶ factorize/round-1/1-of-N ... ─▶ round-2/... ─▶ factorize       of a still that is solved in tiles
 //!     └──▶ score 1-of-N ... ────────────────────────▶ results
 //! expose ─▶ designs 1-of-N ...                                        of a sweep
 //! finish: what is left, after all others
@@ -16,6 +17,8 @@ use std::collections::{BTreeSet, HashMap};
 use lumistack_farm::{Kind as UnitKind, Unit};
 
 use super::steps::{Kind, Plan, Step, What};
+use crate::stage::node::{display as display_of_node, is_factorized};
+use crate::stage::tiles::Tiles;
 
 /// The id of the last unit.
 pub(crate) const FINISH: &str = "finish";
@@ -44,6 +47,29 @@ pub(crate) fn units(plan: &Plan, cut: Cut) -> Vec<Unit> {
     cutter.finish()
 }
 
+/// Share of a solve's time that joining its tiles takes.
+const JOIN: f64 = 0.02;
+
+/// How a still's solve is cut, and the memory of a tile; `None` where it is not, or where only a light field says how large the display is.
+fn tiles_of(plan: &Plan, part: usize) -> Option<(Tiles, u64)> {
+    let field_part = plan.field_part(part);
+    let (job, of_field) = (&plan.parts[part].job, &plan.parts[field_part].job);
+    if !matches!(plan.parts[field_part].kind, Kind::Run) || of_field.scene.is_none() || !is_factorized(plan.node(part))
+    {
+        return None;
+    }
+    let display = of_field.resolve_display().ok()?;
+    let geometry = display.geometry().ok()?;
+    let display = match plan.node(part) {
+        None => display,
+        Some(node) => display_of_node(node, &job.resolve_display().ok()?, &display, &geometry).ok()?.0,
+    };
+    let tiles = Tiles::of(&job.factorize, &display, &geometry)?;
+    // with one view
+    let bytes = tiles.bytes(&display, &geometry) + 12 * (geometry.rows * geometry.cols) as u64;
+    Some((tiles, bytes))
+}
+
 struct Cutter<'a> {
     plan: &'a Plan,
     cut: Cut,
@@ -63,7 +89,10 @@ impl<'a> Cutter<'a> {
                 return self.add_blocks(step, UnitKind::Score, place.map(|step| step.id.clone()).collect());
             }
             What::Read | What::Source | What::Expose => UnitKind::Field,
-            What::Patterns => UnitKind::Patterns,
+            What::Patterns => {
+                self.add_tiles(step);
+                UnitKind::Patterns
+            }
             What::FieldOutput(_) | What::StackOutput(_) | What::Measure => return self.add_result(step),
             What::Report if self.is_report_of_time(step) => return self.add_result(step),
             What::Design(number) => return self.add_design(step, number),
@@ -72,8 +101,14 @@ impl<'a> Cutter<'a> {
             // the last unit's
             What::Report | What::Search => return,
         };
-        let inputs = self.inputs(&step.inputs);
+        let mut inputs = self.inputs(&step.inputs);
+        // the last round's tiles, where the step is cut
+        let last = self.made_by.remove(step.id.as_str());
+        inputs.extend(last.iter().flatten());
         let mut unit = self.unit(step, step.id.clone(), kind, inputs);
+        if last.is_some() {
+            unit.seconds *= JOIN;
+        }
         for taken in self.taken_along(step) {
             (unit.seconds, unit.memory_bytes) =
                 (unit.seconds + taken.seconds, unit.memory_bytes.max(taken.memory_bytes));
@@ -88,15 +123,14 @@ impl<'a> Cutter<'a> {
     }
 
     fn unit(&self, step: &Step, id: String, kind: UnitKind, inputs: BTreeSet<usize>) -> Unit {
-        let folder = step.folder.to_string_lossy().replace('\\', "/");
-        let place = |name: &&str| if folder.is_empty() { name.to_string() } else { format!("{folder}/{name}") };
         Unit {
             id,
             kind,
             inputs: inputs.iter().map(|&input| self.units[input].id.clone()).collect(),
             steps: vec![step.id.clone()],
             block: None,
-            writes: step.writes.iter().map(place).collect(),
+            round: None,
+            writes: step.writes.iter().map(|name| self.place(step, name)).collect(),
             seconds: step.seconds,
             memory_bytes: step.memory_bytes,
         }
@@ -122,6 +156,36 @@ impl<'a> Cutter<'a> {
             let seconds = step.seconds / count as f64;
             self.push(step, Unit { block: Some([number, count]), seconds, ..unit });
         }
+    }
+
+    /// Adds the tiles of a still's patterns, round after round. Times of a sequence solve theirs within their own unit.
+    fn add_tiles(&mut self, step: &'a Step) {
+        let Some((tiles, memory_bytes)) = tiles_of(self.plan, step.part) else { return };
+        let (rounds, count) = (tiles.rounds(), tiles.count());
+        let seconds = step.seconds / (rounds * count) as f64;
+        let mut before: Vec<usize> = Vec::new();
+        for round in 1..=rounds {
+            let first = self.units.len();
+            for number in 1..=count {
+                let mut inputs = self.inputs(&step.inputs);
+                if round > 1 {
+                    inputs.extend(tiles.around(number - 1).into_iter().map(|other| before[other]));
+                }
+                let id = format!("{}/round-{round}/{number}-of-{count}", step.id);
+                let unit = self.unit(step, id, UnitKind::Tile, inputs);
+                let (block, round) = (Some([number, count]), Some(round));
+                let writes = vec![self.place(step, "cache/tiles")];
+                self.units.push(Unit { block, round, writes, seconds, memory_bytes, ..unit });
+            }
+            before = (first..self.units.len()).collect();
+        }
+        self.made_by.insert(&step.id, before.into_iter().collect());
+    }
+
+    /// A name in a step's folder.
+    fn place(&self, step: &Step, name: &str) -> String {
+        let folder = step.folder.to_string_lossy().replace('\\', "/");
+        if folder.is_empty() { name.to_owned() } else { format!("{folder}/{name}") }
     }
 
     fn add_design(&mut self, step: &'a Step, number: usize) {
@@ -186,6 +250,7 @@ impl<'a> Cutter<'a> {
             inputs: ends,
             steps,
             block: None,
+            round: None,
             writes,
             seconds,
             memory_bytes,

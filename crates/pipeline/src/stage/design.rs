@@ -56,7 +56,7 @@ impl Shared {
                 key.add("geometry", format!("{:?}", field.geometry()).as_bytes());
                 key.add_f32("radiance", field.radiance().data());
             }
-            add_weights(&mut key, &eye_weights(&job.factorize, &time.target)?);
+            add_weights(&mut key, &eye_weights(&job.factorize, time.target.geometry())?);
         }
         if let Some(references) = &references {
             key.add("references", references.key.as_bytes());
@@ -196,7 +196,7 @@ impl Solver<'_> {
                 (Some(of_node), Some(own)) => node::display(of_node, own, design, target.geometry())?.0,
                 _ => design.clone(),
             };
-            let weights = eye_weights(factorize, target)?;
+            let weights = eye_weights(factorize, target.geometry())?;
             let stack = match of_node.filter(|of_node| !node::is_factorized(Some(of_node))) {
                 Some(node) => {
                     let given = Given { node, seed: self.job.seed, display: &display, target, weights: &weights };

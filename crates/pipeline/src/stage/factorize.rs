@@ -38,7 +38,8 @@ pub(crate) struct Solve<'a> {
 }
 
 impl Solve<'_> {
-    fn key(&self, warm: Option<&LayerStack>, site: &Site) -> String {
+    /// Hash of all that the patterns depend on.
+    pub(crate) fn key(&self, warm: Option<&LayerStack>, site: &Site) -> KeyBuilder {
         let Self { job, seed, display, target, weights } = *self;
         let mut key = KeyBuilder::new("factorize", code::PATTERNS);
         key.add("display", display.without_panels().to_toml().as_bytes())
@@ -51,7 +52,7 @@ impl Solve<'_> {
             add_stack(&mut key, warm);
         }
         site.add_to(&mut key);
-        key.finish()
+        key
     }
 
     /// Factorizes, from patterns if there are some; `on_iteration` sees every evaluation of the objective.
@@ -91,21 +92,29 @@ impl Solve<'_> {
 /// How the solver came to the patterns, as it is kept between runs.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Kept {
-    solver: String,
-    start: String,
-    coarse_levels: u32,
-    unsettled: f64,
-    levels: Option<[f64; 3]>,
-    steps: Vec<Step>,
+    pub(crate) solver: String,
+    pub(crate) start: String,
+    pub(crate) coarse_levels: u32,
+    pub(crate) unsettled: f64,
+    pub(crate) levels: Option<[f64; 3]>,
+    pub(crate) steps: Vec<Step>,
 }
 
 /// A point of the convergence curve, as it is kept between runs.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-struct Step {
-    iteration: u32,
-    objective: f64,
-    psnr_view: Option<f64>,
-    seconds: f64,
+pub(crate) struct Step {
+    pub(crate) iteration: u32,
+    pub(crate) objective: f64,
+    /// `None` where the patterns are exact.
+    pub(crate) psnr_view: Option<f64>,
+    pub(crate) seconds: f64,
+}
+
+impl Step {
+    pub(crate) fn of(step: &lumistack_factorizer::Iteration, seconds: f64) -> Self {
+        let psnr_view = step.psnr_view.is_finite().then_some(step.psnr_view);
+        Self { iteration: step.iteration, objective: step.objective, psnr_view, seconds }
+    }
 }
 
 impl Kept {
@@ -122,7 +131,7 @@ impl Kept {
         Self { solver, start, coarse_levels, unsettled, levels, steps: steps.collect() }
     }
 
-    fn of(factorization: &Factorization, steps: Vec<Step>, warm: bool) -> Self {
+    pub(crate) fn of(factorization: &Factorization, steps: Vec<Step>, warm: bool) -> Self {
         let settings = &factorization.settings;
         let start = if warm { "warm" } else { settings.start.unwrap_or_default().name() };
         Self {
@@ -136,7 +145,7 @@ impl Kept {
     }
 
     /// For the report.
-    fn told(self, stack: LayerStack) -> Solved {
+    pub(crate) fn told(self, stack: LayerStack) -> Solved {
         let Self { solver, start, coarse_levels, unsettled, levels, steps } = self;
         let steps = steps.into_iter().map(|step| Iteration {
             iteration: step.iteration,
@@ -153,15 +162,13 @@ impl Kept {
 ///
 /// # Errors
 /// When the settings make no sense, the solver fails, a file cannot be written, or when cancelled.
-pub(crate) fn run(solve: Solve<'_>, stamps: &Stamps, task: Task<'_>) -> Result<(Solved, bool), PipelineError> {
+pub(crate) fn run_whole(solve: Solve<'_>, stamps: &Stamps, task: Task<'_>) -> Result<(Solved, bool), PipelineError> {
     let warm = warm_stack(solve.job, solve.display)?;
     at_site(&solve.job.device, task, |site| {
-        take_up("factorize", &solve.key(warm.as_ref(), site), solve.display, stamps, || {
+        take_up("factorize", &solve.key(warm.as_ref(), site).finish(), solve.display, stamps, || {
             let (start, mut steps) = (Instant::now(), Vec::new());
             let factorization = solve.factorize(site, warm.as_ref(), task, &mut |step| {
-                let seconds = start.elapsed().as_secs_f64();
-                let psnr_view = step.psnr_view.is_finite().then_some(step.psnr_view);
-                steps.push(Step { iteration: step.iteration, objective: step.objective, psnr_view, seconds });
+                steps.push(Step::of(step, start.elapsed().as_secs_f64()));
             })?;
             let kept = Kept::of(&factorization, steps, warm.is_some());
             Ok((factorization.stack, Some(kept)))
@@ -174,6 +181,24 @@ pub(crate) fn run(solve: Solve<'_>, stamps: &Stamps, task: Task<'_>) -> Result<(
 /// # Errors
 /// Those of `make`, and when a file cannot be written.
 pub(crate) fn take_up(
+    stage: &str,
+    key: &str,
+    display: &Display,
+    stamps: &Stamps,
+    make: impl FnOnce() -> Result<(LayerStack, Option<Kept>), PipelineError>,
+) -> Result<(Solved, bool), PipelineError> {
+    take_up_written(stage, key, display, stamps, || {
+        let (stack, kept) = make()?;
+        lumistack_field_io::write_stack(&stamps.dir().join("layers"), display, &stack).map_err(field_error)?;
+        Ok((stack, kept))
+    })
+}
+
+/// [`take_up`], where `make` writes `layers/` itself.
+///
+/// # Errors
+/// As [`take_up`].
+pub(crate) fn take_up_written(
     stage: &str,
     key: &str,
     display: &Display,
@@ -193,7 +218,7 @@ pub(crate) fn take_up(
     };
     let make = || {
         let (stack, kept) = make()?;
-        let mut files = write_layers(stamps, display, &stack)?;
+        let mut files = files_of(&layers)?;
         write_json(&curve, &kept)?;
         files.push("cache/convergence.json".into());
         Ok((told(kept, stack), files))
@@ -208,18 +233,18 @@ struct Choice {
     warm: bool,
 }
 
-/// Whether a fresh start, `fresh`, gets nearer to the target than the warm start of `solve`'s job.
+/// Whether a fresh start, `fresh`, gets nearer to the target than `warm` patterns do by the solver of `solve`'s job.
 ///
 /// # Errors
 /// When the patterns cannot be read, the solver fails, or when cancelled.
 pub(crate) fn prefers_fresh(
     solve: Solve<'_>,
     fresh: &FactorizeJob,
+    warm: &LayerStack,
     stamps: &Stamps,
     task: Task<'_>,
 ) -> Result<bool, PipelineError> {
     let Solve { job, seed, display, target, weights } = solve;
-    let Some(warm) = warm_stack(job, display)? else { return Ok(false) };
     let mut key = KeyBuilder::new("start", code::PATTERNS);
     key.add("display", display.without_panels().to_toml().as_bytes())
         .add_json("settings", &(&fresh.solver, &fresh.start, &job.solver, seed))
@@ -227,25 +252,23 @@ pub(crate) fn prefers_fresh(
         .add("geometry", format!("{:?}", target.geometry()).as_bytes())
         .add_f32("target", target.radiance().data());
     add_weights(&mut key, weights);
-    add_stack(&mut key, &warm);
+    add_stack(&mut key, warm);
     let key = key.finish();
     let path = stamps.dir().join("cache/start.json");
     if let Some(choice) = read_json(&path).filter(|choice: &Choice| choice.key == key) {
         return Ok(!choice.warm);
     }
-    let warm = Solve { job: fresh, ..solve }.warm_start_pays(&warm, &job.solver, task)?;
+    let warm = Solve { job: fresh, ..solve }.warm_start_pays(warm, &job.solver, task)?;
     write_json(&path, &Choice { key, warm })?;
     Ok(!warm)
 }
 
-/// Writes the patterns; returns the files, relative to the run's folder.
+/// The files of patterns, relative to the run's folder.
 ///
 /// # Errors
-/// When a file cannot be written.
-fn write_layers(stamps: &Stamps, display: &Display, stack: &LayerStack) -> Result<Vec<PathBuf>, PipelineError> {
-    let layers = stamps.dir().join("layers");
-    lumistack_field_io::write_stack(&layers, display, stack).map_err(field_error)?;
-    let index = lumistack_field_io::read_stack_index(&layers).map_err(field_error)?;
+/// When they are not there.
+fn files_of(layers: &Path) -> Result<Vec<PathBuf>, PipelineError> {
+    let index = lumistack_field_io::read_stack_index(layers).map_err(field_error)?;
     let mut files: Vec<PathBuf> = vec!["layers/stack.json".into()];
     files.extend(index.layers.iter().map(|layer| Path::new("layers").join(&layer.file)));
     files.extend(index.backlight.iter().map(|backlight| Path::new("layers").join(&backlight.file)));
@@ -253,7 +276,7 @@ fn write_layers(stamps: &Stamps, display: &Display, stack: &LayerStack) -> Resul
 }
 
 /// The patterns that a job starts from.
-fn warm_stack(job: &FactorizeJob, display: &Display) -> Result<Option<LayerStack>, PipelineError> {
+pub(crate) fn warm_stack(job: &FactorizeJob, display: &Display) -> Result<Option<LayerStack>, PipelineError> {
     let Some(path) = &job.warm_start else { return Ok(None) };
     let stack = lumistack_field_io::read_stack(path).map_err(field_error)?;
     check_stack(&stack, display, path)?;
@@ -267,6 +290,7 @@ fn warm_stack(job: &FactorizeJob, display: &Display) -> Result<Option<LayerStack
 pub(crate) fn check(job: &FactorizeJob) -> Result<(), PipelineError> {
     start_kind(&job.start)?;
     device::check(&job.device)?;
+    job.check_tiles()?;
     lumistack_factorizer::solver(&job.solver).map(drop).map_err(PipelineError::Factorize)
 }
 

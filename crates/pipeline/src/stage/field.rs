@@ -253,24 +253,24 @@ pub(crate) fn field_key(name: &str, field: &LightField, info: &Map<String, Value
 ///
 /// # Errors
 /// When the file cannot be read, the weights do not fit the light field, or both are given.
-pub(crate) fn weights(job: &FactorizeJob, target: &LightField) -> Result<Weights, PipelineError> {
-    let Some(path) = &job.weights else { return eye_weights(job, target) };
+pub(crate) fn weights(job: &FactorizeJob, geometry: &FieldGeometry) -> Result<Weights, PipelineError> {
+    let Some(path) = &job.weights else { return eye_weights(job, geometry) };
     if !job.eyes.is_empty() {
         return Err(PipelineError::job("factorize.eyes", "either `weights` or `eyes`", "both"));
     }
     let (shape, data) = lumistack_field_io::npy::read(path).map_err(field_error)?;
-    array_weights(path, &shape, data, target)
+    array_weights(path, &shape, data, geometry)
 }
 
 /// The weights of expected eyes; uniform where there are none.
 ///
 /// # Errors
 /// When an eye is no eye.
-pub(crate) fn eye_weights(job: &FactorizeJob, target: &LightField) -> Result<Weights, PipelineError> {
+pub(crate) fn eye_weights(job: &FactorizeJob, geometry: &FieldGeometry) -> Result<Weights, PipelineError> {
     if job.eyes.is_empty() {
         return Ok(Weights::Uniform);
     }
-    Weights::eye_boxes(target.geometry(), &job.eye_boxes(), job.eye_floor as f32)
+    Weights::eye_boxes(geometry, &job.eye_boxes(), job.eye_floor as f32)
         .map_err(|error| PipelineError::job("factorize.eyes", error.expected, error.found))
 }
 
@@ -282,7 +282,7 @@ pub(crate) fn array_weights(
     path: &Path,
     shape: &[usize],
     data: Vec<f32>,
-    target: &LightField,
+    geometry: &FieldGeometry,
 ) -> Result<Weights, PipelineError> {
     let weights = match shape {
         &[y, x] => Tensor::from_vec(["view_y", "view_x"], [y, x], data).map(Weights::PerView),
@@ -295,7 +295,7 @@ pub(crate) fn array_weights(
         }
     }
     .map_err(|error| PipelineError::value(path, "weights", "values that fill the shape", error.to_string()))?;
-    weights.check(target.geometry()).map_err(|source| PipelineError::Weights { path: path.to_owned(), source })?;
+    weights.check(geometry).map_err(|source| PipelineError::Weights { path: path.to_owned(), source })?;
     Ok(weights)
 }
 

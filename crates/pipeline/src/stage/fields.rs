@@ -135,6 +135,15 @@ impl Block {
         (1..=count).contains(&number).then(|| Self { number: number - 1, count })
     }
 
+    /// From 0.
+    pub(crate) fn number(self) -> usize {
+        self.number
+    }
+
+    pub(crate) fn count(self) -> usize {
+        self.count
+    }
+
     pub(crate) fn is_first(self) -> bool {
         self.number == 0
     }

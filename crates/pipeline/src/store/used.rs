@@ -13,6 +13,8 @@ use crate::error::PipelineError;
 
 /// Below `cache`: what the last run that finished made use of.
 pub(crate) const USED: &str = "used.json";
+/// Below `cache`: patterns of tiles under way, of which a run that finished has no use.
+pub(crate) const TILES: &str = "tiles";
 /// Fields of views: each has folders `NAME-KEY` in the cache.
 const FIELDS: [&str; 4] = ["target", "held-out", "outside", "zone"];
 /// What a run that finished made use of, by name.
@@ -43,6 +45,7 @@ pub(crate) fn keep_only_views(dir: &Path, used: &[PathBuf]) -> Result<(), Pipeli
         write_json(&cache.join(USED), &used)?;
     }
     remove_all(&unused_views(&cache, &used));
+    remove_all(&[cache.join(TILES)]);
     Ok(())
 }
 

@@ -4,4 +4,5 @@ mod captures;
 mod compose;
 mod farm;
 mod splats;
+mod tiles;
 mod usd;

@@ -4,16 +4,18 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use lumistack_core::Task;
-use lumistack_display::Display;
+use lumistack_display::{Display, FieldGeometry, Region, Tile};
 
 use super::context::{Context, Patterns};
-use crate::error::PipelineError;
+use crate::error::{PipelineError, display_error, field_error};
 use crate::job::{FactorizeJob, Job};
 use crate::plan::steps::Kind;
 use crate::plan::times::{WARM_UP, name};
 use crate::stage::factorize::Solve;
+use crate::stage::fields::Block;
 use crate::stage::node::Given;
-use crate::stage::{factorize, field, node};
+use crate::stage::tiles::CutSolve;
+use crate::stage::{field, node, tiles};
 use crate::store::files::remove_reports;
 use crate::store::settings::{write_display, write_job};
 use crate::store::stamps::Stamps;
@@ -22,22 +24,12 @@ impl Context<'_> {
     pub(super) fn patterns(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let (plan, mut job, field, stamps) = (self.plan, self.job(part), self.field(part)?, self.stamps(part));
         let of_node = plan.node(part);
-        let display = match of_node {
-            None => field.display.clone(),
-            Some(of_node) => {
-                let own = job.resolve_display()?;
-                let (display, change) = node::display(of_node, &own, &field.display, field.target.geometry())?;
-                if let Some(change) = change {
-                    task.warn(format!("node {}", of_node.id), change);
-                }
-                display
-            }
-        };
+        let display = self.display(part, &field.display, field.target.geometry(), task)?;
         // a preset is a design, of which report and `info` tell the rate; who has a display of his own has panels
         if let Some(message) = display.flicker_warning().filter(|_| job.display.file.is_some()) {
             task.warn("display", message);
         }
-        let weights = field::weights(&job.factorize, &field.target)?;
+        let weights = field::weights(&job.factorize, field.target.geometry())?;
         let target = &field.target;
         let (solved, cached) = match of_node.filter(|of_node| !node::is_factorized(Some(of_node))) {
             Some(node) => {
@@ -48,14 +40,14 @@ impl Context<'_> {
                 self.warm_up(part, &display, task)?;
                 let solve = Solve { job: &job.factorize, seed: job.seed, display: &display, target, weights: &weights };
                 let afresh = match self.fresh(part) {
-                    Some(fresh) if factorize::prefers_fresh(solve, &fresh, &stamps, task)? => Some(fresh),
+                    Some(fresh) if tiles::begins_afresh(solve, &fresh, &stamps, task)? => Some(fresh),
                     _ => None,
                 };
                 if let Some(fresh) = afresh {
                     job = self.begins_afresh(part, fresh)?;
                 }
                 let solve = Solve { job: &job.factorize, seed: job.seed, display: &display, target, weights: &weights };
-                factorize::run(solve, &stamps, task)?
+                tiles::run(solve, &stamps, task)?
             }
         };
         // only now: a run that was stopped before has left the older settings, patterns and report together
@@ -73,6 +65,47 @@ impl Context<'_> {
         self.states[part].brightness = solved.stack.brightness;
         self.states[part].patterns = Some(Arc::new(Patterns { display, weights, solved, cached }));
         Ok(cached)
+    }
+
+    /// Solves a tile of a still's patterns in one of the rounds in which tiles exchange their borders.
+    pub(super) fn patterns_tile(
+        &mut self,
+        part: usize,
+        round: usize,
+        block: Block,
+        task: Task<'_>,
+    ) -> Result<(), PipelineError> {
+        let (job, stamps, of_field) = (self.job(part), self.stamps(part), self.plan.field_part(part));
+        let shared = self.job(of_field).resolve_display()?;
+        let geometry = shared.geometry().map_err(|source| display_error(source, "field"))?;
+        let display = self.display(part, &shared, &geometry, task)?;
+        let weights = field::weights(&job.factorize, &geometry)?;
+        // the light field as its unit has left it, of which the tile's part alone is kept
+        let target = self.dir(of_field).join("target");
+        let crop = |tile: &Tile| {
+            let Region { rows, cols } = tile.field.clone();
+            lumistack_field_io::read_field_region(&target, tile.geometry(&geometry), rows, cols).map_err(field_error)
+        };
+        let (job, seed) = (&job.factorize, job.seed);
+        let cut = CutSolve { job, seed, display: &display, geometry: &geometry, weights: &weights, crop: &crop };
+        tiles::run_tile(cut, [round, block.number(), block.count()], &stamps, task)
+    }
+
+    /// The display of a part as it shows a light field that was made for the one of all.
+    fn display(
+        &mut self,
+        part: usize,
+        shared: &Display,
+        geometry: &FieldGeometry,
+        task: Task<'_>,
+    ) -> Result<Display, PipelineError> {
+        let job = self.job(part);
+        let Some(node) = self.plan.node(part) else { return Ok(shared.clone()) };
+        let (display, change) = node::display(node, &job.resolve_display()?, shared, geometry)?;
+        if let Some(change) = change {
+            task.warn(format!("node {}", node.id), change);
+        }
+        Ok(display)
     }
 
     /// Solves the times before a chunk once more, the first of them from nothing. They are kept as patterns of times are.
@@ -95,9 +128,9 @@ impl Context<'_> {
             let place = self.dir(sequence).join(WARM_UP).join(name(time)).join(name(earlier));
             let place = node.map_or(place.clone(), |node| place.join("nodes").join(&node.id));
             std::fs::create_dir_all(place.join("cache")).map_err(PipelineError::write(&place))?;
-            let weights = field::weights(&job, target)?;
+            let weights = field::weights(&job, target.geometry())?;
             let solve = Solve { job: &job, seed: all.seed, display, target, weights: &weights };
-            factorize::run(solve, &Stamps::new(&place), task)?;
+            tiles::run(solve, &Stamps::new(&place), task)?;
             before = Some(place);
         }
         Ok(())

@@ -1,0 +1,368 @@
+//! A solve that is cut into tiles, so that it fits into memory, or onto many machines.
+//!
+//! ```text
+//! round 1   every tile, all that it holds:  tile of the light field ─▶ patterns    a start of the whole display's, as far as the tile holds it
+//! round 2 …  every tile, its free pixels:   patterns of the tiles around it, of the round before, are its start and its fixed border
+//! ```
+//!
+//! Every pixel is decided by one tile; its neighbours solve it, too, where it shares rays with theirs, and leave the result to it (restricted additive Schwarz). A
+//! tile of a round is kept by the hash of its own rays and borders, so work that was stopped goes on, and any machine may do any tile.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use lumistack_core::{NoProgress, Task};
+use lumistack_display::{Backlight, Display, FieldGeometry, LayerStack, LightField, Region, Tile, Tiling, Weights};
+use lumistack_factorizer::{FactorizeError, Problem, Settings, factorize_tile, held_bytes, round_to_levels};
+
+use super::device::Site;
+use super::factorize::{
+    Kept, Solve, Solved, Step, add_stack, prefers_fresh, run_whole, solver_settings, take_up, take_up_written,
+    warm_stack,
+};
+use super::field::add_weights;
+use crate::error::{PipelineError, factorize_error, field_error};
+use crate::job::FactorizeJob;
+use crate::store::code;
+use crate::store::files::read_json;
+use crate::store::key::KeyBuilder;
+use crate::store::stamps::Stamps;
+use crate::store::used::TILES;
+
+/// Rounds in which borders are exchanged, the first included; fewer where there are fewer iterations. Iterations are shared out among them.
+const ROUNDS: usize = 4;
+/// Threads whose buffers count: the cut does not depend on the machine.
+const THREADS: usize = 16;
+/// Field pixels to a side below which tiles are not cut further, however little memory they may take.
+const SMALLEST: usize = 64;
+
+/// How a solve is cut.
+pub(crate) struct Tiles {
+    tiling: Tiling,
+    rounds: usize,
+}
+
+impl Tiles {
+    /// As a job wants it; `None` where the display is solved as a whole.
+    pub(crate) fn of(job: &FactorizeJob, display: &Display, geometry: &FieldGeometry) -> Option<Self> {
+        let tiling = match (job.tiles, job.tile_mib) {
+            (Some(tiles), _) => Tiling::new(display, geometry, tiles),
+            (None, Some(mib)) if held_bytes(display, geometry, THREADS) > mib << 20 => {
+                fitting(display, geometry, mib << 20)
+            }
+            _ => return None,
+        };
+        let rounds = ROUNDS.min(job.iterations() as usize).max(1);
+        (tiling.count() > 1).then_some(Self { tiling, rounds })
+    }
+
+    /// Number of tiles.
+    pub(crate) fn count(&self) -> usize {
+        self.tiling.count()
+    }
+
+    /// Number of rounds.
+    pub(crate) fn rounds(&self) -> usize {
+        self.rounds
+    }
+
+    /// Numbers of the tiles of the round before whose patterns a tile takes.
+    pub(crate) fn around(&self, number: usize) -> Vec<usize> {
+        self.tiling.around(number)
+    }
+
+    /// Memory that a tile takes, bytes.
+    pub(crate) fn bytes(&self, display: &Display, geometry: &FieldGeometry) -> u64 {
+        bytes(&self.tiling, display, geometry)
+    }
+
+    /// A tile in the middle, which has neighbours on all sides where there are any.
+    fn middle(tiling: &Tiling) -> Tile {
+        let [across, down] = tiling.tiles();
+        tiling.tile(down / 2 * across + across / 2)
+    }
+
+    /// Iterations of a round.
+    fn iterations(&self, job: &FactorizeJob, round: usize) -> std::ops::Range<u32> {
+        let at = |round: usize| (job.iterations() as usize * round / self.rounds) as u32;
+        at(round)..at(round + 1)
+    }
+}
+
+/// The fewest tiles of which each takes so many bytes at most.
+fn fitting(display: &Display, geometry: &FieldGeometry, most: u64) -> Tiling {
+    let mut tiles = [1, 1];
+    loop {
+        let tiling = Tiling::new(display, geometry, tiles);
+        let sides = [geometry.cols / tiles[0], geometry.rows / tiles[1]];
+        let longer = usize::from(sides[1] > sides[0]);
+        if sides[longer] < 2 * SMALLEST || bytes(&tiling, display, geometry) <= most {
+            return tiling;
+        }
+        tiles[longer] += 1;
+    }
+}
+
+/// Memory that the largest tile takes with its part of the light field.
+fn bytes(tiling: &Tiling, display: &Display, geometry: &FieldGeometry) -> u64 {
+    let tile = Tiles::middle(tiling);
+    let own = tile.geometry(geometry);
+    let [view_rows, view_cols] = own.grid.views();
+    let rays = (view_rows * view_cols * own.rows * own.cols) as u64;
+    held_bytes(&tile.display(display, geometry), &own, THREADS) + 12 * rays
+}
+
+/// The patterns in `layers/`, factorized tile by tile or as a whole where they are not current; and whether they were.
+///
+/// # Errors
+/// When the settings make no sense, the solver fails, a file cannot be written, or when cancelled.
+pub(crate) fn run(solve: Solve<'_>, stamps: &Stamps, task: Task<'_>) -> Result<(Solved, bool), PipelineError> {
+    let Some(tiles) = Tiles::of(solve.job, solve.display, solve.target.geometry()) else {
+        return run_whole(solve, stamps, task);
+    };
+    let warm = warm_stack(solve.job, solve.display)?;
+    let mut key = solve.key(warm.as_ref(), &Site::Processor);
+    let Solve { job, seed, display, target, weights } = solve;
+    let crop = |tile: &Tile| Ok(tile.light_field(target));
+    let solve = CutSolve { job, seed, display, geometry: target.geometry(), weights, crop: &crop };
+    key.add_json("tiles", &(tiles.tiling.tiles(), tiles.rounds));
+    let work = Work { solve, tiles: &tiles, stamps };
+    take_up_written("factorize", &key.finish(), solve.display, stamps, || {
+        task.progress.begin("factorize", (tiles.rounds * tiles.count()) as u64, "tiles");
+        let mut all = (0..tiles.rounds).flat_map(|round| (0..tiles.count()).map(move |number| [round, number]));
+        let done = all.try_for_each(|at| {
+            work.tile(at, warm.as_ref(), Task { progress: &NoProgress, ..task })?;
+            task.progress.advance(1, &format!("round {} of {}", at[0] + 1, tiles.rounds));
+            Ok::<_, PipelineError>(())
+        });
+        task.progress.end();
+        done?;
+        work.join()
+    })
+}
+
+/// One tile of one round, both from 0, whose tiles of the round before are done.
+///
+/// # Errors
+/// As of [`run`], and where the solve is not cut into so many.
+pub(crate) fn run_tile(
+    solve: CutSolve<'_>,
+    [round, number, count]: [usize; 3],
+    stamps: &Stamps,
+    task: Task<'_>,
+) -> Result<(), PipelineError> {
+    let tiles = Tiles::of(solve.job, solve.display, solve.geometry);
+    let Some(tiles) = tiles.filter(|tiles| tiles.count() == count && round < tiles.rounds && number < count) else {
+        let expected = "a tile of the solve as it is cut";
+        return Err(PipelineError::value("plan", "unit", expected, format!("tile {} of {count}", number + 1)));
+    };
+    let warm = if round == 0 { warm_stack(solve.job, solve.display)? } else { None };
+    Work { solve, tiles: &tiles, stamps }.tile([round, number], warm.as_ref(), task)
+}
+
+/// Whether a fresh start, `fresh`, gets nearer to the target than the warm start of `solve`'s job; of a solve in tiles, whether it does in the middle.
+///
+/// # Errors
+/// When the patterns cannot be read, the solver fails, or when cancelled.
+pub(crate) fn begins_afresh(
+    solve: Solve<'_>,
+    fresh: &FactorizeJob,
+    stamps: &Stamps,
+    task: Task<'_>,
+) -> Result<bool, PipelineError> {
+    let Some(warm) = warm_stack(solve.job, solve.display)? else { return Ok(false) };
+    let geometry = solve.target.geometry();
+    let Some(tiles) = Tiles::of(solve.job, solve.display, geometry) else {
+        return prefers_fresh(solve, fresh, &warm, stamps, task);
+    };
+    let tile = Tiles::middle(&tiles.tiling);
+    let Some(weights) = tile.weights(solve.weights) else { return Ok(false) };
+    let (display, target) = (tile.display(solve.display, geometry), tile.light_field(solve.target));
+    let solve = Solve { display: &display, target: &target, weights: &weights, ..solve };
+    prefers_fresh(solve, fresh, &warm.cut(&held(&tile)), stamps, task)
+}
+
+fn held(tile: &Tile) -> Vec<Region> {
+    tile.parts.iter().map(|part| part.held.clone()).collect()
+}
+
+fn own(tile: &Tile) -> Vec<Region> {
+    tile.parts.iter().map(|part| part.own.clone()).collect()
+}
+
+/// What is to be solved in tiles, of which the light field may lie elsewhere.
+#[derive(Clone, Copy)]
+pub(crate) struct CutSolve<'a> {
+    pub(crate) job: &'a FactorizeJob,
+    pub(crate) seed: u64,
+    pub(crate) display: &'a Display,
+    pub(crate) geometry: &'a FieldGeometry,
+    pub(crate) weights: &'a Weights,
+    /// A tile's part of the light field.
+    pub(crate) crop: &'a dyn Fn(&Tile) -> Result<LightField, PipelineError>,
+}
+
+/// A solve in tiles, and where it is kept.
+struct Work<'a> {
+    solve: CutSolve<'a>,
+    tiles: &'a Tiles,
+    stamps: &'a Stamps,
+}
+
+impl Work<'_> {
+    /// Folder of a tile's own pixels after a round.
+    fn place(&self, [round, number]: [usize; 2]) -> PathBuf {
+        let tile = format!("round-{}/tile-{}", round + 1, number + 1);
+        self.stamps.dir().join("cache").join(TILES).join(tile)
+    }
+
+    /// Solves a tile in a round where that is not done.
+    fn tile(&self, at: [usize; 2], warm: Option<&LayerStack>, task: Task<'_>) -> Result<(), PipelineError> {
+        let ([round, number], CutSolve { job, seed, display: whole, geometry, .. }) = (at, self.solve);
+        task.cancel.check()?;
+        let tile = self.tiles.tiling.tile(number);
+        let (display, target) = (tile.display(whole, geometry), (self.solve.crop)(&tile)?);
+        let weights = tile.weights(self.solve.weights);
+        let start = match round {
+            0 => warm.map(|warm| warm.cut(&held(&tile))),
+            _ => Some(self.borders(at, &tile, &display)?),
+        };
+        let is_last = round + 1 == self.tiles.rounds;
+        let settings = Settings {
+            iterations: self.tiles.iterations(job, round).len() as u32,
+            levels: job.levels && is_last,
+            report_every: Settings::curve_interval(job.iterations()),
+            ..solver_settings(job, seed)?
+        };
+        let mut key = KeyBuilder::new("tile", code::PATTERNS);
+        key.add("display", whole.without_panels().to_toml().as_bytes())
+            .add("geometry", format!("{geometry:?}").as_bytes())
+            .add("tile", format!("{tile:?}, {round}").as_bytes())
+            .add("settings", format!("{settings:?}").as_bytes())
+            .add_json("counts", &weights.is_some())
+            .add_f32("target", target.radiance().data());
+        add_weights(&mut key, weights.as_ref().unwrap_or(&Weights::Uniform));
+        if let Some(start) = &start {
+            add_stack(&mut key, start);
+        }
+        let mut of_own = display.clone();
+        for (layer, part) in of_own.layers.iter_mut().zip(&tile.parts) {
+            layer.resolution = [part.own.cols.len(), part.own.rows.len()];
+        }
+        if let (Backlight::Lenslets(lenslets), Some(part)) = (&mut of_own.backlight, tile.parts.last()) {
+            lenslets.lenslets = [part.own.cols.len(), part.own.rows.len()];
+        }
+        let within: Vec<Region> = tile.parts.iter().map(|part| part.own.within(&part.held)).collect();
+        let make = || {
+            let (begun, mut steps) = (Instant::now(), Vec::new());
+            let solved = match &weights {
+                None => Err(FactorizeError::NoRays),
+                Some(weights) => {
+                    let problem = Problem { display: &display, target: &target, weights };
+                    let tile = (&tile, self.tiles.tiling.map());
+                    let start = (start.as_ref(), round > 0);
+                    factorize_tile(&problem, tile, &settings, start, task, &mut |step| {
+                        steps.push(Step::of(step, begun.elapsed().as_secs_f64()));
+                    })
+                }
+            };
+            match solved {
+                Ok(solved) => Ok((solved.stack.cut(&within), Some(Kept::of(&solved, steps, warm.is_some())))),
+                // pixels that no ray meets stay as they are
+                Err(FactorizeError::NoRays) => {
+                    let unlit = start.clone().unwrap_or_else(|| clear(&display));
+                    let problem = Problem { display: &display, target: &target, weights: &Weights::Uniform };
+                    let unlit = if settings.levels { round_to_levels(&problem, &unlit) } else { unlit };
+                    Ok((unlit.cut(&within), None))
+                }
+                Err(error) => Err(factorize_error(error)),
+            }
+        };
+        let place = self.place(at);
+        std::fs::create_dir_all(place.join("cache")).map_err(PipelineError::write(&place))?;
+        take_up("tile", &key.finish(), &of_own, &Stamps::new(&place), make).map(drop)
+    }
+
+    /// All that a tile holds, as the round before left it.
+    fn borders(
+        &self,
+        [round, number]: [usize; 2],
+        tile: &Tile,
+        display: &Display,
+    ) -> Result<LayerStack, PipelineError> {
+        let mut patterns = LayerStack::filled(display, 0.0);
+        for other in self.tiles.around(number) {
+            let found = self.patterns([round - 1, other])?;
+            patterns.paste(&held(tile), &found, &own(&self.tiles.tiling.tile(other)));
+        }
+        Ok(patterns)
+    }
+
+    fn patterns(&self, at: [usize; 2]) -> Result<LayerStack, PipelineError> {
+        lumistack_field_io::read_stack(&self.place(at).join("layers")).map_err(field_error)
+    }
+
+    /// Writes the patterns of all tiles into one folder.
+    fn join(&self) -> Result<(LayerStack, Option<Kept>), PipelineError> {
+        let (layers, last) = (self.stamps.dir().join("layers"), self.tiles.rounds - 1);
+        let mut writer = lumistack_field_io::StackWriter::begin(&layers, self.solve.display).map_err(field_error)?;
+        for number in 0..self.tiles.count() {
+            let patterns = self.patterns([last, number])?;
+            writer.write(&own(&self.tiles.tiling.tile(number)), &patterns).map_err(field_error)?;
+        }
+        writer.finish().map_err(field_error)?;
+        let kept = self.kept().ok_or_else(|| factorize_error(FactorizeError::NoRays))?;
+        Ok((lumistack_field_io::read_stack(&layers).map_err(field_error)?, Some(kept)))
+    }
+
+    /// How all tiles came to their patterns. Figures are those of all tiles' rays, of which some are two tiles'; seconds are of one tile after another.
+    fn kept(&self) -> Option<Kept> {
+        let mut all: Option<Kept> = None;
+        let mut before = 0.0;
+        for round in 0..self.tiles.rounds {
+            let notes = (0..self.tiles.count()).filter_map(|number| {
+                let path = self.place([round, number]).join("cache/convergence.json");
+                let pixels = self.tiles.tiling.tile(number).field.size().iter().product::<usize>();
+                Some((read_json::<Option<Kept>>(&path)??, pixels as f64))
+            });
+            let notes: Vec<_> = notes.collect();
+            let (first, _) = notes.first()?;
+            let pixels: f64 = notes.iter().map(|(_, pixels)| pixels).sum();
+            let mean =
+                |of: &dyn Fn(&Kept) -> f64| notes.iter().map(|(kept, pixels)| pixels * of(kept)).sum::<f64>() / pixels;
+            let psnr = |of: &dyn Fn(&Kept) -> Option<f64>| {
+                let error = mean(&|kept| of(kept).map_or(0.0, |psnr| 10f64.powf(-0.1 * psnr)));
+                (error > 0.0).then(|| -10.0 * error.log10())
+            };
+            let begun = self.tiles.iterations(self.solve.job, round).start;
+            // where a round begins is where the one before ended
+            let steps = (usize::from(round > 0)..first.steps.len()).map(|i| Step {
+                iteration: begun + first.steps[i].iteration,
+                objective: notes.iter().filter_map(|(kept, _)| Some(kept.steps.get(i)?.objective)).sum(),
+                psnr_view: psnr(&|kept| kept.steps.get(i)?.psnr_view),
+                seconds: before + notes.iter().filter_map(|(kept, _)| Some(kept.steps.get(i)?.seconds)).sum::<f64>(),
+            });
+            let steps: Vec<_> = steps.collect();
+            before = steps.last().map_or(before, |step| step.seconds);
+            let levels = first
+                .levels
+                .is_some()
+                .then(|| [0, 1, 2].map(|i| psnr(&|kept| kept.levels.map(|levels| levels[i])).unwrap_or(f64::INFINITY)));
+            let unsettled = mean(&|kept| kept.unsettled.powi(2)).sqrt();
+            let mut kept = all.take().unwrap_or_else(|| Kept { steps: Vec::new(), ..first.clone() });
+            (kept.unsettled, kept.levels) = (unsettled, levels);
+            kept.steps.extend(steps);
+            all = Some(kept);
+        }
+        all
+    }
+}
+
+/// Patterns that let all light through.
+fn clear(display: &Display) -> LayerStack {
+    let mut stack = LayerStack::filled(display, 1.0);
+    for (layer, values) in display.layers.iter().zip(&mut stack.layers) {
+        values.data_mut().fill(layer.range()[1]);
+    }
+    stack
+}
