@@ -125,7 +125,8 @@ impl BacklightMap {
         &self.y[view * self.rays[1]..(view + 1) * self.rays[1]]
     }
 
-    /// Some rays [along x, along y] of every view, their taps changed by `change`, which is also given a number per axis.
+    /// Some rays [along x, along y] of every view, their taps changed by `change`, which also takes
+    /// the number in `first` of its axis.
     pub(crate) fn cut(
         &self,
         rays: [&std::ops::Range<usize>; 2],

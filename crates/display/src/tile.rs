@@ -1,13 +1,15 @@
-//! A display cut into tiles: which pixels a tile decides, which rays pass through them, and what those rays meet elsewhere.
+//! A display cut into tiles: which pixels a tile decides, which rays pass through them, and which
+//! other pixels those rays hit.
 //!
 //! ```text
-//!            held    ┌───────────────────────┐   met by rays through free pixels; fixed while the tile is solved
-//!            free    │   ┌───────────────┐   │   met by rays through own pixels; solved with them, and left to the neighbours
-//!            own     │   │   ┌───────┐   │   │   every pixel of the display is the own pixel of one tile
+//! held   ┌───────────────────────┐   hit by rays through free pixels; fixed in a solve
+//! free   │   ┌───────────────┐   │   hit by rays through own pixels; solved with them, not kept
+//! own    │   │   ┌───────┐   │   │   every pixel of the display is the own pixel of one tile
 //! ```
 //!
-//! The map of rays is separable, so a tile is a product of ranges: of field pixels, and of the pixels of every layer and the lenslets. All ranges come from
-//! [`RayMap`]'s own tables, and a tile's map is a part of them: a ray reads the same pixel in a tile as in the whole.
+//! The map of rays is separable, so a tile is a product of ranges: of field pixels, and of the
+//! pixels of every layer and the lenslets. All ranges come from [`RayMap`]'s own tables, and a
+//! tile's map is a part of them: a ray reads the same pixel in a tile as in the whole.
 
 use std::ops::Range;
 
@@ -34,7 +36,7 @@ pub struct TilePart {
     pub own: Region,
     /// Solved with them.
     pub free: Region,
-    /// Of which the tile must know the values; never empty.
+    /// Hit by rays through free pixels: the tile must know their values. Never empty.
     pub held: Region,
 }
 
@@ -58,7 +60,8 @@ pub struct Tiling {
 }
 
 impl Tiling {
-    /// Cuts a display into `tiles` = [columns, rows] of about the same size; none has fewer than two field pixels to a side.
+    /// Cuts a display into `tiles` = [columns, rows] of about the same size. None has fewer than
+    /// two field pixels to a side.
     pub fn new(display: &Display, geometry: &FieldGeometry, tiles: [usize; 2]) -> Self {
         let map = RayMap::new(display, geometry);
         let axes = [0, 1].map(|axis| {
@@ -98,16 +101,17 @@ impl Tiling {
         Tile { field: region(&rows.field, &cols.field), parts: parts.collect(), whole: whole.collect() }
     }
 
-    /// Numbers of the tiles whose own pixels a tile holds, itself among them, ascending: it takes their patterns.
+    /// Numbers of the tiles whose own pixels a tile holds, itself among them, ascending. The tile
+    /// reads their patterns.
     pub fn around(&self, number: usize) -> Vec<usize> {
         let tile = self.tile(number);
-        let meets = |other: &usize| {
+        let shares = |other: &usize| {
             let of_other = self.tile(*other);
-            let meets = |(part, other): (&TilePart, &TilePart)| !part.held.common(&other.own).is_empty();
+            let overlaps = |(part, other): (&TilePart, &TilePart)| !part.held.common(&other.own).is_empty();
             // a tile of few pixels may have none of its own
-            *other == number || tile.parts.iter().zip(&of_other.parts).any(meets)
+            *other == number || tile.parts.iter().zip(&of_other.parts).any(overlaps)
         };
-        (0..self.count()).filter(meets).collect()
+        (0..self.count()).filter(shares).collect()
     }
 }
 
@@ -123,7 +127,7 @@ struct AxisCut {
 struct AxisPart {
     count: usize,
     pitch_mm: f64,
-    /// Of the centre, to where indices grow.
+    /// Offset of the centre in the direction of growing indices.
     offset_mm: f64,
     /// Pixels by which its blur reaches.
     blur: usize,
@@ -167,7 +171,8 @@ impl AxisCut {
         Self { tiles, pixels, pitch_mm: geometry.pitch_mm, parts }
     }
 
-    /// The first field pixel of a tile; even, so that pairs of pixels stay together at half the resolution.
+    /// The first field pixel of a tile; even, so that pairs of pixels stay together at half the
+    /// resolution.
     fn cut(&self, tile: usize) -> usize {
         if tile == self.tiles { self.pixels } else { self.pixels * tile / self.tiles / 2 * 2 }
     }
@@ -186,7 +191,7 @@ impl AxisCut {
         let field = even(&self.rays(&free, &middle), self.pixels);
         let held = self.parts.iter().zip(&free).map(|(part, free)| {
             let held = hull(free, &part.hits(&field));
-            // a layer that ends elsewhere still has a pixel, which no ray meets
+            // a layer that ends elsewhere still has a pixel, which no ray hits
             let held =
                 if held.is_empty() { held.start.min(part.count - 1)..held.start.min(part.count - 1) + 1 } else { held };
             even(&held, part.count)
@@ -196,14 +201,14 @@ impl AxisCut {
         AxisTile { field, parts }
     }
 
-    /// The range of field pixels through which rays pass that meet pixels of a range of some part; at least `middle`.
+    /// The range of field pixels whose rays hit pixels of a range of some part; at least `middle`.
     fn rays(&self, ranges: &[Range<usize>], middle: &Range<usize>) -> Range<usize> {
         self.parts.iter().zip(ranges).fold(middle.clone(), |all, (part, range)| hull(&all, &part.rays(range)))
     }
 }
 
 impl AxisPart {
-    /// The first pixel whose centre lies at or beyond a place.
+    /// The first pixel whose centre does not lie before a place.
     fn first_from(&self, place_mm: f64) -> usize {
         let pixel = (place_mm - self.offset_mm) / self.pitch_mm + (self.count as f64 - 1.0) / 2.0;
         (pixel.ceil().max(0.0) as usize).min(self.count)
@@ -256,7 +261,7 @@ impl Region {
         [self.rows.len(), self.cols.len()]
     }
 
-    /// Whether it has no pixels.
+    /// Returns true if it has no pixels.
     pub fn is_empty(&self) -> bool {
         self.rows.is_empty() || self.cols.is_empty()
     }
@@ -322,7 +327,7 @@ impl Tile {
         FieldGeometry { rows, cols, pitch_mm: whole.pitch_mm, grid }
     }
 
-    /// Where its rays meet its pixels: the part of the whole's map, without rounding anew.
+    /// Where its rays hit its pixels: the part of the whole's map, without rounding anew.
     pub fn map(&self, whole: &RayMap) -> RayMap {
         let tap = |tap: &Tap, first: usize| {
             let shifted = |pixel: u32| pixel.wrapping_sub(first as u32);
@@ -398,7 +403,8 @@ fn centre_mm(region: &Region, [rows, cols]: [usize; 2], pitch_mm: f64) -> [f64; 
 }
 
 impl LayerStack {
-    /// The pixels of one region per layer, and of the lenslets, as a stack of their own. `regions` lie within the stack.
+    /// The pixels of one region per layer, and of the lenslets, as a stack of their own. `regions`
+    /// lie within the stack.
     #[must_use]
     pub fn cut(&self, regions: &[Region]) -> Self {
         let layers = self.layers.iter().zip(regions).map(|(layer, region)| {
@@ -420,8 +426,8 @@ impl LayerStack {
 }
 
 impl LayerStack {
-    /// Takes over the pixels that it shares with another part of the same patterns. `regions` say which pixels of the whole this stack holds, per layer and of the
-    /// lenslets, and `others` which the other does.
+    /// Copies the pixels that it shares with another part of the same patterns. `regions` are the
+    /// pixels of the whole in this stack, per layer and of the lenslets; `others` those in `other`.
     pub fn paste(&mut self, regions: &[Region], other: &Self, others: &[Region]) {
         for (n, (to, from)) in self.layers.iter_mut().zip(&other.layers).enumerate() {
             paste(to.data_mut(), &regions[n], from.data(), &others[n]);
@@ -451,7 +457,7 @@ fn paste(to: &mut [f32], region: &Region, from: &[f32], other: &Region) {
     }
 }
 
-/// Copies a region of every plane `[row][col][rgb]` of so many rows and columns, plane after plane.
+/// Copies a region of every plane `[row][col][rgb]` of `rows` and `cols`, plane after plane.
 fn copy(from: &[f32], [rows, cols]: [usize; 2], region: &Region, to: &mut [f32]) {
     let width = 3 * region.cols.len();
     if region.is_empty() {

@@ -267,10 +267,10 @@ pub fn read_field_region(
             format!("{} × {} views of {width} × {height} pixels", views[1], views[0])
         };
         let expected = text(views, [cols.end, rows.end]);
-        return Err(FieldError::malformed(&folder.join(INDEX), "size", expected, text(source.views, source.size)));
+        return Err(FieldError::malformed(folder.join(INDEX), "size", expected, text(source.views, source.size)));
     }
     let bad = |error: lumistack_display::GridError| {
-        FieldError::malformed(&folder.join(INDEX), error.what, error.expected, error.found)
+        FieldError::malformed(folder.join(INDEX), error.what, error.expected, error.found)
     };
     let mut field = LightField::black(geometry).map_err(bad)?;
     for view in (0..views[0]).flat_map(|y| (0..views[1]).map(move |x| [y, x])) {

@@ -13,7 +13,7 @@ use crate::sheet::INCH_MM;
 const POINTS: f64 = 72.0 / INCH_MM;
 const FONT: Name<'_> = Name(b"F");
 /// Most samples of one picture in the file. Longer ones are several, edge to edge: readers count a picture's bytes in 31 bits.
-const MOST_SAMPLES: usize = 1 << 28;
+const MOST_SAMPLES: usize = if cfg!(test) { 1 << 11 } else { 1 << 28 };
 /// Bytes of a table's place in the file are ten digits.
 const LONGEST: u64 = 9_999_999_999;
 
@@ -41,7 +41,7 @@ impl<W: Write> Document<W> {
         let mut document = Self { out, written: 0, places: vec![0; 4], pages: Vec::new() };
         // the header, these objects, and a trailer that is left out
         let mut pdf = Pdf::new();
-        document.put(&pdf.as_bytes().to_vec())?;
+        document.put(pdf.as_bytes())?;
         pdf.document_info(INFO).title(TextStr(title)).producer(TextStr("Lumistack"));
         let info = pdf.as_bytes()[document.written as usize..].to_vec();
         document.object(INFO, &info)?;
@@ -273,4 +273,70 @@ impl Page {
 
 fn points(mm: f64) -> f32 {
     (mm * POINTS) as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Read;
+
+    use flate2::read::ZlibDecoder;
+
+    use super::*;
+
+    /// The bytes of an object, from the table at the end of the file.
+    fn object(file: &[u8], id: Ref) -> &[u8] {
+        let text = String::from_utf8_lossy(&file[file.len() - 200..]);
+        let table: usize = text.rsplit("startxref\n").next().unwrap().lines().next().unwrap().parse().unwrap();
+        let rows = file[table..].split(|byte| *byte == b'\n').skip(2);
+        let row = rows.map(|row| String::from_utf8_lossy(&row[..row.len().min(10)])).nth(id.get() as usize).unwrap();
+        let object = &file[row.parse::<usize>().unwrap()..];
+        assert!(object.starts_with(format!("{} 0 obj", id.get()).as_bytes()));
+        object
+    }
+
+    fn after<'a>(bytes: &'a [u8], word: &str) -> &'a [u8] {
+        let at = bytes.windows(word.len()).position(|found| found == word.as_bytes()).unwrap();
+        &bytes[at + word.len()..]
+    }
+
+    #[test]
+    fn pieces_of_a_picture_make_it_up() {
+        let size = [7, 1000];
+        let rows: Vec<Vec<u8>> = (0..size[1]).map(|row| (0..21).map(|i| (row * 31 + i * 7) as u8).collect()).collect();
+        let mut document = Document::new(Vec::new(), "pieces").unwrap();
+        let mut next = rows.iter();
+        let pieces = document.image(size, |codes| {
+            codes.extend_from_slice(next.next().unwrap());
+            Ok(())
+        });
+        let pieces = pieces.unwrap();
+        assert!(next.next().is_none() && pieces.len() > 2);
+        let mut page = Page::default();
+        page.image([10.0, 20.0, 30.0, 40.0], size[1], &pieces);
+        document.add([100.0, 100.0], page).unwrap();
+        let file = document.finish().unwrap();
+        let mut found = Vec::new();
+        for (count, id) in &pieces {
+            let stream = after(object(&file, *id), "stream\n");
+            let before = found.len();
+            ZlibDecoder::new(stream).read_to_end(&mut found).unwrap();
+            assert_eq!(found.len() - before, 21 * count);
+            let length = String::from_utf8_lossy(&after(object(&file, Ref::new(id.get() + 1)), "obj\n")[..20]);
+            let length: usize = length.lines().next().unwrap().parse().unwrap();
+            assert!(stream[length..].starts_with(b"\nendstream"), "its length is right");
+        }
+        assert!(found == rows.concat());
+        // every piece lies on the page where the one above it ends
+        let content = String::from_utf8_lossy(&file);
+        let places = content.lines().filter_map(|line| line.strip_suffix(" cm"));
+        let places: Vec<Vec<f64>> =
+            places.map(|line| line.split(' ').map(|word| word.parse().unwrap()).collect()).collect();
+        assert_eq!(places.len(), pieces.len());
+        let mut top = 60.0 * f64::from(POINTS as f32);
+        for place in &places {
+            assert!((place[5] + place[3] - top).abs() < 1e-3, "{place:?} below {top}");
+            top = place[5];
+        }
+        assert!((top - 20.0 * POINTS).abs() < 1e-3);
+    }
 }

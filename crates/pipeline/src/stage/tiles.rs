@@ -29,7 +29,7 @@ use crate::store::key::KeyBuilder;
 use crate::store::stamps::Stamps;
 use crate::store::used::TILES;
 
-/// Rounds in which borders are exchanged, the first included; fewer where there are fewer iterations. Iterations are shared out among them.
+/// Rounds in which borders are exchanged, the first included; fewer where there are fewer iterations.
 const ROUNDS: usize = 4;
 /// Threads whose buffers count: the cut does not depend on the machine.
 const THREADS: usize = 16;
@@ -82,9 +82,12 @@ impl Tiles {
         tiling.tile(down / 2 * across + across / 2)
     }
 
-    /// Iterations of a round.
+    /// Iterations of a round: half of what is left, and at least one for each round that follows. Patterns form in the first; a short last one leaves little
+    /// that neighbours do not know of each other.
     fn iterations(&self, job: &FactorizeJob, round: usize) -> std::ops::Range<u32> {
-        let at = |round: usize| (job.iterations() as usize * round / self.rounds) as u32;
+        let all = job.iterations() as usize;
+        let left = |round: usize| if round < self.rounds { (all >> round).max(self.rounds - round) } else { 0 };
+        let at = |round: usize| all.saturating_sub(left(round)) as u32;
         at(round)..at(round + 1)
     }
 }
@@ -365,4 +368,21 @@ fn clear(display: &Display) -> LayerStack {
         values.data_mut().fill(layer.range()[1]);
     }
     stack
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rounds_share_the_iterations() {
+        let display = Display::uniform([64, 48], 1.0, [3, 3], [10.0, 10.0], &[-1.0, 1.0], 2);
+        let shares = |iterations: u32| {
+            let job = FactorizeJob { iterations: Some(iterations), tiles: Some([2, 2]), ..Default::default() };
+            let tiles = Tiles::of(&job, &display, &display.geometry().unwrap()).unwrap();
+            (0..tiles.rounds()).map(|round| tiles.iterations(&job, round).len()).collect::<Vec<_>>()
+        };
+        assert_eq!([20, 16].map(shares), [vec![10, 5, 3, 2], vec![8, 4, 2, 2]]);
+        assert_eq!([5, 2, 0].map(shares), [vec![2, 1, 1, 1], vec![1, 1], vec![0]]);
+    }
 }
