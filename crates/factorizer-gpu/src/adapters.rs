@@ -15,8 +15,6 @@ pub struct Adapter {
     pub driver: String,
     /// Bytes of the largest buffer and of the largest part of one that a shader can read.
     pub buffer_bytes: [u64; 2],
-    /// Whether it has subgroups, and arithmetic with 16 bits.
-    pub subgroups_and_halves: [bool; 2],
     /// Whether it is a graphics processor, so that `auto` takes it.
     pub is_hardware: bool,
 }
@@ -39,7 +37,7 @@ fn found() -> Vec<(Adapter, wgpu::Adapter)> {
 }
 
 fn described(adapter: &wgpu::Adapter) -> Adapter {
-    let (info, limits, features) = (adapter.get_info(), adapter.limits(), adapter.features());
+    let (info, limits) = (adapter.get_info(), adapter.limits());
     let kind = match info.device_type {
         DeviceType::DiscreteGpu => "discrete",
         DeviceType::IntegratedGpu => "integrated",
@@ -53,7 +51,6 @@ fn described(adapter: &wgpu::Adapter) -> Adapter {
         kind,
         driver: [info.driver, info.driver_info].join(" ").trim().to_owned(),
         buffer_bytes: [limits.max_buffer_size, limits.max_storage_buffer_binding_size],
-        subgroups_and_halves: [wgpu::Features::SUBGROUP, wgpu::Features::SHADER_F16].map(|f| features.contains(f)),
         is_hardware: ["discrete", "integrated", "virtual"].contains(&kind),
     }
 }

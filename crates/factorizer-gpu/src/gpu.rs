@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
 use lumistack_factorizer::FactorizeError;
 
@@ -10,6 +11,9 @@ use crate::text::{FIRST_FACTOR, Program};
 
 /// Bytes that are written or read at a time.
 pub(crate) const CHUNK: u64 = 32 << 20;
+
+/// How long what was read may take to be told once it is there.
+const ANSWER: Duration = Duration::from_secs(30);
 
 /// An open device.
 pub struct Gpu {
@@ -43,10 +47,8 @@ impl Gpu {
         };
         let (heard, lost) = (note(&failure), note(&failure));
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| heard(error.to_string())));
-        device.set_device_lost_callback(move |reason, message| {
-            if reason != wgpu::DeviceLostReason::Destroyed || !message.is_empty() {
-                lost(format!("the device was lost: {message}"));
-            }
+        device.set_device_lost_callback(move |_, message| {
+            lost(format!("the device was lost: {message}").trim_end_matches(": ").to_owned());
         });
         Ok(Self { adapter, device, queue, limits, programs: Mutex::default(), failure })
     }
@@ -66,7 +68,6 @@ impl Gpu {
     /// Gives the device up, as a driver does that was reset: for tests.
     pub fn lose(&self) {
         self.device.destroy();
-        self.note("the device was lost".into());
     }
 
     pub(crate) fn note(&self, why: String) {
@@ -131,7 +132,8 @@ impl Gpu {
             let (tell, told) = std::sync::mpsc::channel();
             staging.map_async(wgpu::MapMode::Read, 0..len, move |result| drop(tell.send(result)));
             self.wait();
-            let mapped = told.try_recv().map_err(|_| "the device does not answer".to_owned());
+            // another thread that waits may be the one that tells, a little later
+            let mapped = told.recv_timeout(ANSWER).map_err(|_| "the device does not answer".to_owned());
             match mapped.and_then(|result| result.map_err(|error| error.to_string())) {
                 Ok(()) => match staging.get_mapped_range(0..len) {
                     Ok(view) => {

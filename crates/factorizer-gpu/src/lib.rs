@@ -54,6 +54,14 @@ impl Device {
         self.gpu.adapter()
     }
 
+    /// Whether the device is still there, and everything went well so far.
+    ///
+    /// # Errors
+    /// [`FactorizeError::Device`] with the first that did not. Another [`open`](Self::open) may find the device well again.
+    pub fn check(&self) -> Result<(), FactorizeError> {
+        self.gpu.check()
+    }
+
     /// Binds no more than so many bytes at a time, so that larger problems are cut into bands; for tests. Opens the device again.
     ///
     /// # Errors

@@ -1,11 +1,12 @@
 //! The device against the processor. Any adapter will do, software too; without one the tests are skipped.
 
-use std::sync::OnceLock;
+use std::sync::{Mutex, OnceLock};
 
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{Formation, LayerStack, RayMap, Simulator};
+use lumistack_factorizer::device::{Begin, Executor, Factor, Rule, Updater};
 use lumistack_factorizer::{
-    FactorizeError, Problem, Run, Settings, Solver, factorize, factorize_on, random_start, solver,
+    FactorizeError, Problem, Processor, Run, Settings, Solver, factorize, factorize_on, random_start, solver, start_on,
 };
 use lumistack_factorizer_gpu::Device;
 
@@ -15,21 +16,27 @@ mod problems;
 
 use problems::{Kind, Owned, display, random};
 
-/// Largest difference of a pattern's value after ten updates.
+/// Largest difference of a pattern's value.
 const PATTERN_TOLERANCE: f32 = 1e-4;
-/// Largest difference of the emission after ten updates.
+/// Largest difference of the emission of a ray.
 const EMISSION_TOLERANCE: f32 = 1e-5;
 /// Relative difference of the objective, and per ray and channel where it is nearly 0.
 const OBJECTIVE_TOLERANCE: f64 = 1e-4;
 const OBJECTIVE_PER_VALUE: f64 = 1e-11;
 /// Change of the emission by a change of a value, from which on the value counts as determined.
 const DETERMINED: f32 = 0.1;
+/// Rounds of updates that are compared one by one.
+const ROUNDS: usize = 4;
+/// Updates of whole runs.
 const UPDATES: usize = 10;
-/// By how much more than the processor from itself, where start and target are moved by a rounding,
-/// the device may differ.
+/// Of the random problems; the same for all tests, so that they share programs.
+const SEED: u64 = 4;
+/// By how much more the device may differ from the processor than the processor from itself, where start and target are moved by a rounding.
 const OWN_ROUNDING: f32 = 4.0;
-/// Problems by which the processor's own differences are measured.
+/// Runs by which the processor's own differences are measured.
 const NUDGES: u32 = 4;
+/// How many of the runs may need that.
+const MOST_LED_ELSEWHERE: usize = 8;
 
 /// The adapter of the tests: `LUMISTACK_GPU`, or a graphics processor, or whatever there is.
 fn device() -> Option<Device> {
@@ -42,9 +49,10 @@ fn device() -> Option<Device> {
     DEVICE.get_or_init(open).clone()
 }
 
-/// Whether the device takes a display.
-fn takes(owned: &Owned) -> bool {
-    owned.display.layers.iter().all(|layer| layer.response().is_none())
+/// Whether the device takes a display, and a solver of this name.
+fn takes(owned: &Owned, name: &str) -> bool {
+    let fits = name != "multiplicative" || owned.display.formation != Formation::Polarization;
+    fits && owned.display.layers.iter().all(|layer| layer.response().is_none())
 }
 
 fn run(solver: &dyn Solver, problem: &Problem, start: &LayerStack, updates: usize) -> (LayerStack, f64) {
@@ -89,12 +97,10 @@ fn nudge(values: &mut [f32], state: &mut u32) {
     }
 }
 
-/// Runs of the processor from starts and to targets that differ by rounding alone. A value that no
-/// light reaches but through pixels near 0 is decided by rounding, and decides later values.
-fn own_runs(kind: Kind, seed: u64, name: &str, start: &LayerStack, updates: usize) -> Vec<LayerStack> {
-    let mut runs = Vec::new();
-    for number in 1..=NUDGES {
-        let (mut state, mut owned, mut start) = (number, random(kind, seed), start.clone());
+/// Runs of the processor from starts and to targets that differ by rounding alone.
+fn own_runs(kind: Kind, name: &str, start: &LayerStack) -> Vec<LayerStack> {
+    let own_run = |number: u32| {
+        let (mut state, mut owned, mut start) = (number, random(kind, SEED), start.clone());
         let layers = start.layers.iter_mut().map(|layer| layer.data_mut());
         for tensor in layers.chain(start.emission.iter_mut().map(|emission| emission.data_mut())) {
             nudge(tensor, &mut state);
@@ -102,69 +108,138 @@ fn own_runs(kind: Kind, seed: u64, name: &str, start: &LayerStack, updates: usiz
         for view in owned.target.geometry().grid.clone().iter() {
             nudge(owned.target.view_mut(view), &mut state);
         }
-        runs.push(run(solver(name).unwrap(), &owned.problem(), &start, updates).0);
-    }
-    runs
+        run(solver(name).unwrap(), &owned.problem(), &start, UPDATES).0
+    };
+    (1..=NUDGES).map(own_run).collect()
 }
 
+/// An executor that takes what a run begins with, and begins nothing.
+struct Catch(Mutex<Option<Begin>>);
+
+impl Executor for Catch {
+    fn begin(&self, begin: Begin) -> Result<Box<dyn Updater>, FactorizeError> {
+        *self.0.lock().unwrap() = Some(begin);
+        Err(FactorizeError::Device { device: "none".into(), why: "nothing begins here".into() })
+    }
+}
+
+/// What a run of a solver begins with.
+fn begin_of(name: &str, problem: &Problem, start: LayerStack) -> Begin {
+    let catch = Catch(Mutex::default());
+    assert!(start_on(&catch, name, problem, start).is_err());
+    catch.0.into_inner().unwrap().unwrap()
+}
+
+/// Whether sums of errors over so many values are equal, as parts of a sum.
+fn are_near(a: f64, b: f64, sum: f64, values: usize) -> bool {
+    (a - b).abs() <= OBJECTIVE_TOLERANCE * sum + OBJECTIVE_PER_VALUE * values as f64
+}
+
+/// Every update on its own, from the processor's patterns before it, so that no rounding adds up.
 #[test]
-fn updates_equal_the_processors() {
+fn one_update_equals_the_processors() {
     let Some(device) = device() else { return };
-    let (mut count, mut wrong) = (0, Vec::new());
+    let (mut count, mut worst, mut wrong) = (0, 0.0f32, Vec::new());
     for kind in Kind::ALL {
-        for seed in [4] {
-            let owned = random(kind, seed);
-            if !takes(&owned) {
+        let owned = random(kind, SEED);
+        for (name, rule) in [("multiplicative", Rule::Multiplicative), ("block-exact", Rule::Block { sweeps: 4 })] {
+            if !takes(&owned, name) {
                 continue;
             }
-            let start = random_start(&owned.display, seed);
-            for (name, early) in [("multiplicative", UPDATES), ("block-exact", 1), ("extrapolated", 2)] {
-                if name == "multiplicative" && owned.display.formation == Formation::Polarization {
-                    continue;
+            let Begin { plan, display, ranges, mut factors, bold } =
+                begin_of(name, &owned.problem(), random_start(&owned.display, SEED));
+            let begun = |executor: &dyn Executor, factors: &[Factor]| {
+                let (plan, display, ranges) = (plan.clone(), display.clone(), ranges.clone());
+                executor.begin(Begin { plan, display, ranges, factors: factors.to_vec(), bold }).unwrap()
+            };
+            let each = factors.len();
+            for (round, n) in (0..ROUNDS * each).map(|at| (at / each, at % each)) {
+                let what = format!("{kind:?} {name}, round {round}, factor {n}");
+                // every other time beyond the step, and by the curvature at this point
+                let odd = round % 2 == 1;
+                let beyond = (odd && name == "block-exact").then_some(0.35);
+                let local = odd && !plan.is_bounded(n);
+                let mut both = [begun(&Processor, &factors), begun(&device, &factors)];
+                let [expected, found] = both.each_mut().map(|state| {
+                    state.apply(n, rule, beyond, local);
+                    let (update, errors) = (state.outcome(), state.errors());
+                    let read = state.download();
+                    state.swap_latest();
+                    let stepped = state.download();
+                    state.apply(n, Rule::Probe, None, false);
+                    let seen = if plan.sees_all_rays(n) { update.error } else { 0.0 };
+                    let probed = state.outcome().gain;
+                    // each with the sum that it is a part of
+                    let sums = [(errors.weighted, errors.weighted), (errors.plain, errors.plain), (seen, seen)];
+                    let parts = [(update.gain, update.error), (probed, errors.weighted.max(probed))];
+                    (sums.into_iter().chain(parts).collect::<Vec<_>>(), [read, stepped])
+                });
+                let rays = emissions(&owned, &expected.1[0]).len();
+                for ((a, sum), (b, _)) in expected.0.iter().zip(&found.0) {
+                    if !are_near(*a, *b, *sum, rays) {
+                        wrong.push(format!("{what}: sums {:?} and {:?}", expected.0, found.0));
+                    }
                 }
-                let what = format!("{kind:?} {seed} {name}");
-                let (on_device, here) = (device.solver(name).unwrap(), solver(name).unwrap());
-                // later, frames that add up to the same emission differ by where rounding leads: restarts, ends of converged runs
-                let [(expected, _), (found, _)] =
-                    [here, &on_device].map(|solver: &dyn Solver| run(solver, &owned.problem(), &start, early));
-                for (tensor, (a, b)) in tensors(&expected).zip(tensors(&found)).enumerate() {
-                    let far = a.iter().zip(b).enumerate().filter(|(_, (a, b))| (*a - *b).abs() > PATTERN_TOLERANCE);
-                    // a value that next to no light reaches is not determined either
-                    let mut lit = far.filter(|(index, _)| influence(&owned, &expected, tensor, *index) >= DETERMINED);
-                    if let Some((index, (a, b))) = lit.next() {
-                        let own = own_runs(kind, seed, name, &start, early);
-                        let own = own.iter().map(|own| (tensors(own).nth(tensor).unwrap()[index] - a).abs());
-                        let own = own.fold(0.0, f32::max);
-                        println!("{what}: value {index} of {tensor}: {a} and {b}, own {own:.1e}");
-                        if (a - b).abs() <= OWN_ROUNDING * own {
-                            continue;
+                for (expected, found) in expected.1.iter().zip(&found.1) {
+                    let emitted = largest(&emissions(&owned, expected), &emissions(&owned, found));
+                    worst = worst.max(emitted);
+                    if emitted.is_nan() || emitted > EMISSION_TOLERANCE {
+                        wrong.push(format!("{what}: emission differs by {emitted}"));
+                    }
+                    for (tensor, (a, b)) in tensors(expected).zip(tensors(found)).enumerate() {
+                        let mut far =
+                            a.iter().zip(b).enumerate().filter(|(_, (a, b))| (*a - *b).abs() > PATTERN_TOLERANCE);
+                        // a value that next to no light reaches is decided by rounding
+                        let lit = far.find(|(index, _)| influence(&owned, expected, tensor, *index) >= DETERMINED);
+                        if let Some((index, (a, b))) = lit {
+                            wrong.push(format!("{what}: value {index} of {tensor}: {a} and {b}"));
                         }
-                        wrong.push(format!("{what}: value {index} of {tensor}: {a} and {b}"));
                     }
                 }
-                let [(expected, objective), (found, value)] =
-                    [here, &on_device].map(|solver: &dyn Solver| run(solver, &owned.problem(), &start, UPDATES));
-                let (expected, found) = (emissions(&owned, &expected), emissions(&owned, &found));
-                let emitted = largest(&expected, &found);
-                println!("{what}: emission {emitted:.1e}, objective {objective:.6e} and {value:.6e}");
-                if emitted.is_nan() || emitted > EMISSION_TOLERANCE {
-                    let own = own_runs(kind, seed, name, &start, UPDATES);
-                    let own = own.iter().map(|own| largest(&expected, &emissions(&owned, own))).fold(0.0, f32::max);
-                    println!("{what}: emission differs by {emitted:.1e}, the processor's own by {own:.1e}");
-                    if emitted.is_nan() || emitted > OWN_ROUNDING * own {
-                        wrong.push(format!("{what}: emission differs by {emitted}, the processor's own by {own}"));
-                    }
-                }
-                let slack = OBJECTIVE_PER_VALUE * found.len() as f64;
-                if (value - objective).abs() > OBJECTIVE_TOLERANCE * objective + slack {
-                    wrong.push(format!("{what}: objectives {objective} and {value}"));
-                }
+                let [here, _] = both;
+                factors = here.into_factors().unwrap();
                 count += 1;
             }
         }
     }
+    println!("{count} updates, emissions within {worst:.1e}");
+    assert!(wrong.is_empty(), "{} in {count}:\n{}", wrong.len(), wrong.join("\n"));
+    assert!(count > 400, "{count}");
+}
+
+/// Whole runs. Single updates agree far better; later ones depend on values that rounding has decided, so a few runs lead elsewhere, as the processor's own do
+/// from a start that differs by rounding.
+#[test]
+fn ten_updates_equal_the_processors() {
+    let Some(device) = device() else { return };
+    let (mut count, mut led_elsewhere, mut wrong) = (0, Vec::new(), Vec::new());
+    for kind in Kind::ALL {
+        let owned = random(kind, SEED);
+        let start = random_start(&owned.display, SEED);
+        for name in ["multiplicative", "block-exact", "extrapolated"].into_iter().filter(|name| takes(&owned, name)) {
+            let what = format!("{kind:?} {name}");
+            let on_device = device.solver(name).unwrap();
+            let [(expected, objective), (found, value)] = [solver(name).unwrap(), &on_device]
+                .map(|solver: &dyn Solver| run(solver, &owned.problem(), &start, UPDATES));
+            let (expected, found) = (emissions(&owned, &expected), emissions(&owned, &found));
+            let emitted = largest(&expected, &found);
+            if emitted.is_nan() || emitted > EMISSION_TOLERANCE {
+                let own = own_runs(kind, name, &start);
+                let own = own.iter().map(|own| largest(&expected, &emissions(&owned, own))).fold(0.0, f32::max);
+                let differs = format!("{what}: emission differs by {emitted:.1e}, the processor's own by {own:.1e}");
+                let list = if emitted <= OWN_ROUNDING * own { &mut led_elsewhere } else { &mut wrong };
+                list.push(differs);
+            }
+            if !are_near(objective, value, objective, found.len()) {
+                wrong.push(format!("{what}: objectives {objective} and {value}"));
+            }
+            count += 1;
+        }
+    }
+    println!("{} of {count} led elsewhere:\n{}", led_elsewhere.len(), led_elsewhere.join("\n"));
     assert!(wrong.is_empty(), "of {count}:\n{}", wrong.join("\n"));
     assert!(count > 60, "{count}");
+    assert!(led_elsewhere.len() <= MOST_LED_ELSEWHERE, "{}", led_elsewhere.len());
 }
 
 #[test]

@@ -16,7 +16,8 @@ pub(crate) struct LineOf {
 /// What an update saw and gained, weights relative to the largest.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outcome {
-    /// Σ w e² over the rays through the line, before the step; rays that several pixels share count by their share.
+    /// Σ w e² over the rays through the line, before the step; rays that several pixels share count by their share. Rays that miss the factor may count or
+    /// not: this is the whole sum only where [`Plan::sees_all_rays`](crate::device::Plan::sees_all_rays).
     pub error: f64,
     /// By how much the step lowers Σ w e², at least; 0 where the rule does not know. What [`Rule::Probe`] and [`Rule::Settle`] return.
     pub gain: f64,

@@ -152,7 +152,7 @@ impl Plan {
     }
 
     /// Whether the outcome of updating factor `n` covers all rays.
-    pub(crate) fn sees_all_rays(&self, n: usize) -> bool {
+    pub fn sees_all_rays(&self, n: usize) -> bool {
         self.maps[n].complete
     }
 
