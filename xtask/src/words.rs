@@ -24,6 +24,7 @@ const CLEAN: &[&str] = &[
     "crates/pathtracer",
     "crates/plot",
     "crates/scene",
+    "crates/shot",
     "crates/simd",
     "crates/testkit",
     "docs/GLOSSARY.md",
