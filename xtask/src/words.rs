@@ -21,6 +21,7 @@ const CLEAN: &[&str] = &[
     "crates/files",
     "crates/fingerprint",
     "crates/gltf",
+    "crates/live",
     "crates/pathtracer",
     "crates/plot",
     "crates/scene",
