@@ -18,6 +18,7 @@ use crate::tools::{Outcome, command, output_of, root};
 const CLEAN: &[&str] = &[
     "crates/core",
     "crates/display",
+    "crates/farm",
     "crates/files",
     "crates/fingerprint",
     "crates/gltf",
