@@ -29,6 +29,7 @@ const CLEAN: &[&str] = &[
     "crates/shot",
     "crates/simd",
     "crates/testkit",
+    "crates/web-solver",
     "docs/GLOSSARY.md",
     "docs/GLTF.md",
     "docs/ZONE.md",
