@@ -33,6 +33,7 @@ const CLEAN: &[&str] = &[
     "docs/GLOSSARY.md",
     "docs/GLTF.md",
     "docs/ZONE.md",
+    "examples",
     "fuzz",
     "xtask/src/prose.rs",
     "xtask/src/words.rs",
