@@ -35,6 +35,7 @@ const CLEAN: &[&str] = &[
     "docs/ZONE.md",
     "examples",
     "fuzz",
+    "plugins/splats",
     "xtask/src/prose.rs",
     "xtask/src/words.rs",
 ];
