@@ -21,8 +21,8 @@ pub fn expose_over(look: Look, background: [f32; 3], splats: Option<Space>, miss
             *pixel = space.before(*pixel, missed, background);
         }
         return;
-    // Expose the covered part alone, so that an edge blends shown values and not radiance.
     }
+    // Expose the covered part alone, so that an edge blends shown values and not radiance.
     for (pixel, &missed) in rgb.chunks_exact_mut(3).zip(missed) {
         let covered = 1.0 - missed;
         if covered > 0.0 {

@@ -161,11 +161,11 @@ pub fn lit(
         scene = edited::<ShotError>(scene, task, |parts| {
             if let Some(environment) = &mut parts.environment {
                 environment.strength = strength * job.environment_strength;
-            // Light sources with a surface: visible or not, as the job says.
             }
             Ok(())
         })?;
     }
+    // Light sources with a surface: visible or not, as the job says.
     if let Some(visible) = job.visible {
         let wanted = if visible { Lamp::Seen } else { Lamp::Unseen };
         if scene.materials.iter().any(|material| material.lamp != Lamp::No && material.lamp != wanted) {

@@ -60,7 +60,8 @@ impl Up {
 }
 
 impl ImporterPlugin for Splats {
-    const DOC: &'static str = "Reads captures as Gaussian splats: .ply of training programs and of PlayCanvas, .spz, SOG.";
+    const DOC: &'static str =
+        "Reads captures as Gaussian splats: .ply of training programs and of PlayCanvas, .spz, SOG.";
     const EXTENSIONS: &'static [&'static str] = &["ply", "spz", "sog", "json"];
     type Params = SplatsParams;
 
