@@ -14,7 +14,7 @@
 #define EXPORT __attribute__((visibility("default")))
 #endif
 
-/* A lent text from a constant. */
+/* Lends a constant text. */
 #define TEXT(text) {(const uint8_t *)(text), sizeof(text) - 1}
 
 typedef struct {
@@ -27,7 +27,7 @@ static LumistackStatus fail(const LumistackErrorSink *error, LumistackStatus sta
     return status;
 }
 
-/* There are no parameters, so anything but an empty object is refused, with the text that was given. */
+/* The plugin has no parameters, so it refuses all but an empty object, and its error repeats the text. */
 static LumistackStatus open_(const LumistackHostServices *host, LumistackStr params, LumistackStr display,
                              void **instance, const LumistackErrorSink *error) {
     (void)display;
@@ -45,7 +45,7 @@ static LumistackStatus open_(const LumistackHostServices *host, LumistackStr par
     return LUMISTACK_STATUS_OK;
 }
 
-/* One value, wherever the strides lead; it need not be aligned. */
+/* Returns one value. Strides may be negative, and elements need not be aligned. */
 static float value_at(const LumistackPlane *plane, size_t row, size_t col, size_t channel) {
     const char *place = (const char *)plane->data + (ptrdiff_t)row * plane->strides[0] +
                         (ptrdiff_t)col * plane->strides[1] + (ptrdiff_t)channel * plane->strides[2];
@@ -62,7 +62,7 @@ static double mean_of(const LumistackPlane *plane) {
     return sum / ((double)plane->shape[0] * (double)plane->shape[1] * (double)plane->shape[2]);
 }
 
-/* May be called from several threads at once: it keeps nothing. */
+/* Several threads may call it at once: it keeps no state. */
 static LumistackStatus submit(void *instance, const LumistackTime *time, const LumistackData *data,
                               const LumistackErrorSink *error) {
     const LumistackHostServices *host = ((CMeans *)instance)->host;
@@ -73,7 +73,7 @@ static LumistackStatus submit(void *instance, const LumistackTime *time, const L
     uint64_t file;
     LumistackStatus status = host->file_open(host->context, path, &file, error);
     if (status != LUMISTACK_STATUS_OK) return status;
-    /* data.description_json says how many layers and frames there are; asking for one that is not there is refused, too */
+    /* data.description_json has the numbers of layers and frames; a request past them is refused, which ends the loops */
     for (size_t layer = 0;; layer++) {
         size_t frame = 0;
         for (;; frame++) {
@@ -123,7 +123,7 @@ static const LumistackDescriptor DESCRIPTOR = {
     .vtable = &VTABLE,
 };
 
-/* The name ends in the plugin's id, like that of the file. */
+/* The name ends with the plugin's id, like the name of the file. */
 EXPORT const LumistackDescriptor *lumistack_plugin_entry_c_means(void) {
     return &DESCRIPTOR;
 }

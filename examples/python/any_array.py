@@ -1,4 +1,4 @@
-"""Any array can be a light field: here NumPy draws one, and the solvers are compared on it.
+"""Compares the solvers on a light field that NumPy draws: any array can be a light field.
 
     python examples/python/any_array.py
 """
@@ -20,7 +20,7 @@ def discs(display: lumistack.Display) -> NDArray[np.float32]:
     y = ((rows - 1) / 2 - np.arange(rows)) * pitch
 
     def seen(z: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Where the rays of all views meet the plane at depth z: x + z·s."""
+        """Points where the rays of all views intersect the plane at depth z: x + z·s."""
         return (
             (x[None, :] + z * slope_x[:, None])[None, :, None, :],
             (y[None, :] + z * slope_y[:, None])[:, None, :, None],

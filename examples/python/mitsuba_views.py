@@ -3,8 +3,8 @@
     pip install mitsuba
     python examples/python/mitsuba_views.py out
 
-The display stands in Mitsuba's Cornell box as a window at z = 0. Each view is a pinhole at the eye D·s in front of it, whose film is exactly the window: the
-camera looks straight ahead, and its principal point is moved so that the film's centre is the window's.
+The display is a window at z = 0 of Mitsuba's Cornell box. Each view is a pinhole camera at the eye
+D·s before it, which looks straight ahead. Its principal point moves such that the film is exactly the window.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import lumistack
 
 #: Scene units per millimetre of the display.
 SCENE_PER_MM = 0.02
-#: Distance of the eyes from the window, millimetres: 3.9 units, where the box's own camera stands.
+#: Distance of the eyes from the window, millimetres: 3.9 units, as far as the box's own camera.
 DISTANCE_MM = 195.0
 
 
@@ -70,7 +70,7 @@ def main() -> None:
     arguments = parser.parse_args()
     mi.set_variant("llvm_ad_rgb" if "llvm_ad_rgb" in mi.variants() and has_llvm() else "scalar_rgb")
 
-    # a display of our own: three layers, 12 mm apart, made for eyes at DISTANCE_MM
+    # a new display: three layers, 12 mm apart, for eyes at DISTANCE_MM
     size = {"resolution": (160, 120), "pitch_mm": 0.7}
     display = lumistack.Display(
         {
@@ -82,11 +82,12 @@ def main() -> None:
             "layers": [{"d_mm": d, **size} for d in (-12.0, 0.0, 12.0)],
         }
     )
+    # Render the display's views with Mitsuba's own scene.
     box = mi.cornell_box()
     del box["sensor"]
     radiance = render(display, mi.load_dict(box), arguments.samples)
 
-    # one exposure for all views, as every display needs; what is brighter is clipped
+    # one exposure for all views, as every display needs; brighter values are clipped
     radiance = np.minimum(radiance * (0.9 / np.quantile(radiance.max(axis=-1), 0.98)), 1.0)
     light_field = lumistack.LightField(radiance, display=display)
     stack = lumistack.factorize(light_field, iterations=30)
@@ -99,7 +100,7 @@ def main() -> None:
 
 
 def has_llvm() -> bool:
-    """Whether Mitsuba's vectorized variants find the LLVM library that they need."""
+    """Returns whether Mitsuba's vectorized variants find the LLVM library that they need."""
     try:
         import drjit
 

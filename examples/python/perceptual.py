@@ -1,11 +1,13 @@
-"""How visible the errors of displays are: ColorVideoVDP over what they show and what they should show.
+"""Measures how visible the errors of displays are, by ColorVideoVDP.
 
     pip install cvvdp                                               # brings PyTorch, some gigabytes
     python examples/python/perceptual.py runs/three-layer           # one display
     python examples/python/perceptual.py runs/figure-9              # all displays of a run, nodes/*
 
-For every display: the mean over all views, each taken for a still picture, and a viewer who walks past it from left to right, seeing the views of the middle row as
-frames of a video. The unit is the JOD: 10 is no visible difference, one less is noticed by 75 of 100 people. See Mantiuk et al., ColorVideoVDP, SIGGRAPH 2024.
+It compares the views that a display shows with the target's views. The first score is the mean over all
+views as still pictures. The second is for a viewer who walks past from left to right: the views of the
+middle row are frames of a video. The unit is the JOD: 10 is no visible difference, and 75 of 100 people
+notice a difference of 1. See Mantiuk et al., ColorVideoVDP, SIGGRAPH 2024.
 """
 
 from __future__ import annotations
@@ -23,14 +25,14 @@ import lumistack
 
 
 def codes(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """sRGB code values of linear light."""
+    """Encodes linear light as sRGB code values."""
     clipped = np.clip(linear.astype(np.float64), 0.0, 1.0)
     encoded = np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)
     return np.round(255.0 * encoded).astype(np.uint8)
 
 
 def metric(light_field: lumistack.LightField, white: float, distance_mm: float) -> Any:
-    """ColorVideoVDP for pixels of this size at this distance, in a dark room."""
+    """Makes ColorVideoVDP for pixels of this size at this distance, in a dark room."""
     _, _, rows, cols, _ = light_field.shape
     pixel_deg = float(np.degrees(np.arctan(light_field.pitch_mm / distance_mm)))
     geometry = pycvvdp.vvdp_display_geometry((cols, rows), ppd=1.0 / pixel_deg)
@@ -40,18 +42,19 @@ def metric(light_field: lumistack.LightField, white: float, distance_mm: float) 
 
 
 def displays(run: Path) -> list[tuple[str, Path]]:
-    """Folders of a run that hold patterns."""
+    """Finds the folders of a run that hold patterns, with their names."""
     nodes = sorted(folder for folder in (run / "nodes").glob("*") if (folder / "layers").is_dir())
     return [(folder.name, folder) for folder in nodes] or [(run.name, run)]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="ColorVideoVDP over what displays show and what they should show.")
+    parser = argparse.ArgumentParser(description="Measures how visible the errors of displays are, by ColorVideoVDP.")
     parser.add_argument("run", type=Path, nargs="+", help="a run folder")
-    parser.add_argument("--white", type=float, default=200.0, help="luminance of white as it is seen, cd/m²")
+    parser.add_argument("--white", type=float, default=200.0, help="luminance of white at the eye, cd/m²")
     parser.add_argument("--distance-mm", type=float, default=1000.0, help="the viewer's distance")
     parser.add_argument("--fps", type=float, default=30.0, help="views a second that the walking viewer sees")
     arguments = parser.parse_args()
+    # Compare each display's views with the target's: one by one, and as the video of a walk.
     for run in arguments.run:
         target = lumistack.LightField.open(run)
         vdp = metric(target, arguments.white, arguments.distance_mm)

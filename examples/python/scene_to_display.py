@@ -1,4 +1,4 @@
-"""A scene, rendered, factorized and looked at, all in memory.
+"""Renders a scene, factorizes it and looks at the display, all in memory.
 
     python examples/python/scene_to_display.py scenes/still-life/still-life.gltf out
 """
@@ -34,7 +34,8 @@ def main() -> None:
     stack = lumistack.factorize(light_field, iterations=20, callback=progress)
     print(f"\r{stack}")
 
-    # what somebody sees 60 mm to the right of the middle, half a metre in front; linear light, [row, col, rgb]
+    # the view of an eye 60 mm to the right of the middle, half a metre in front; linear light,
+    # [row, col, rgb]
     seen = lumistack.simulate(stack, eye_mm=(60.0, 0.0, 500.0))
     print(f"from the right: mean {seen.mean():.3f}")
 

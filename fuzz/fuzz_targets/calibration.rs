@@ -1,4 +1,4 @@
-//! Calibrations: of a lenticular display (JSON), and the curve of a printer's films (text).
+//! Calibrations: of a lenticular display (JSON), and of a printer's films (text).
 
 #![no_main]
 

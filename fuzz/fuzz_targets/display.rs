@@ -1,4 +1,4 @@
-//! Display files, with the calibration of their panels. What is read is written and read again, and is the same.
+//! Display files, with the calibration of their panels. A display survives writing and reading.
 
 #![no_main]
 

@@ -1,4 +1,4 @@
-//! Job files. What is read is written and read again, and is the same.
+//! Job files. A job survives writing and reading.
 
 #![no_main]
 

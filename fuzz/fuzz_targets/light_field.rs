@@ -1,5 +1,5 @@
-//! Light-field folders: our own (`lightfield.json`, one picture for all views), HCI's (`parameters.cfg`) and those of numbered pictures. The
-//! first byte chooses.
+//! Light-field folders: Lumistack's own (`lightfield.json`, one picture for all views), HCI's
+//! (`parameters.cfg`) and folders of numbered pictures. The first byte selects the kind.
 
 #![no_main]
 
@@ -26,7 +26,7 @@ fuzz_target!(|data: &[u8]| {
             ("input_Cam003.png", picture),
         ]),
         _ => {
-            // names are the input here
+            // the file names are the input
             let names = String::from_utf8_lossy(index);
             let names = names.lines().take(16).filter(|name| !name.is_empty() && name.len() < 100);
             let names: Vec<String> = names.map(|name| format!("{}.png", name.replace(['/', '\0'], "_"))).collect();

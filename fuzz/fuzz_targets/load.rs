@@ -1,5 +1,5 @@
-//! Any bytes into glTF ingest: as a whole file, or as the packed picture, primitive or view of a sound file, by how they start. A panic, a
-//! hang or memory past the limit is a finding.
+//! Any bytes into the glTF reader. Their start selects the use: a whole file, or a packed picture,
+//! primitive or view of a valid file. A panic, a hang or memory past the limit is a finding.
 
 #![no_main]
 
@@ -7,10 +7,11 @@ use libfuzzer_sys::fuzz_target;
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_gltf::{AssetResolver, LoadOptions, contents, load_with};
 
-/// Memory that a scene may take here: small, so that libFuzzer's own limit means a leak in the accounting.
+/// Memory limit of a scene. It is small, so that libFuzzer's own limit finds leaks in the
+/// accounting.
 const MAX_DECODED_BYTES: u64 = 64 << 20;
 
-/// What every file but the glTF itself contains.
+/// Content of every file but the glTF file.
 struct Content<'a>(&'a [u8]);
 
 impl AssetResolver for Content<'_> {
@@ -21,7 +22,7 @@ impl AssetResolver for Content<'_> {
 
 const TRIANGLE: &str = "data:;base64,AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA";
 
-/// A triangle with the content as its picture, and as its sky.
+/// A triangle with the content as its picture, and with `sky` as its environment.
 fn picture(sky: bool) -> String {
     let extras = if sky { r#","extras":{"lumistack":{"environment":{"image":"content"}}}"# } else { "" };
     format!(
@@ -46,7 +47,7 @@ fn draco(length: usize) -> String {
     )
 }
 
-/// Positions, or indices, whose meshopt stream is the content.
+/// Positions or indices whose meshopt stream is the content.
 fn meshopt(length: usize, mode: &str, filter: &str, stride: usize, count: usize) -> String {
     let (bytes, kind) = (count * stride, if mode == "ATTRIBUTES" { "VEC3" } else { "SCALAR" });
     let (component, attribute) = if mode == "ATTRIBUTES" { (5126, "\"POSITION\":0") } else { (5125, "\"POSITION\":1") };
@@ -84,7 +85,7 @@ fuzz_target!(|data: &[u8]| {
     match data {
         [b'{', ..] | [b'g', b'l', b'T', b'F', ..] => load(data, b"a file beside it, of forty-four bytes or so......"),
         [b'D', b'R', b'A', b'C', b'O', ..] => load(draco(length).as_bytes(), data),
-        // the second byte would be a part of the stream: the first alone chooses
+        // the second byte belongs to the stream, so the first byte alone selects
         [0xA0 | 0xA1, ..] => {
             load(meshopt(length, "ATTRIBUTES", "NONE", 12, 20).as_bytes(), data);
             load(meshopt(length, "ATTRIBUTES", "EXPONENTIAL", 12, 300).as_bytes(), data);

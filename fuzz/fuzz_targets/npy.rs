@@ -1,4 +1,4 @@
-//! `.npy` arrays, as they are and as light fields with a JSON file beside them: the JSON, a separator, the array.
+//! `.npy` arrays, alone and as light fields with a JSON file: the JSON, a separator, the array.
 
 #![no_main]
 

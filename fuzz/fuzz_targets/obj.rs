@@ -1,4 +1,5 @@
-//! OBJ files with their MTL file: the shapes, a separator, the materials. What the importer makes must be a sound glTF file.
+//! OBJ files with their MTL file: the shapes, a separator, the materials. The importer must write a
+//! valid glTF file.
 
 #![no_main]
 
@@ -17,7 +18,7 @@ const PICTURE: &[u8] = &[
     0xa4, 0x71, 0, 0, 0, 0, b'I', b'E', b'N', b'D', 0xae, 0x42, 0x60, 0x82,
 ];
 
-/// Every file that the document names is a picture.
+/// Resolves every file name of the document to a picture.
 struct Pictures;
 
 impl AssetResolver for Pictures {

@@ -1,5 +1,5 @@
-//! Pictures of light fields and environments: OpenEXR, Radiance HDR, PNG, JPEG, WebP. KTX2 is a part of the target `load`. The content chooses the
-//! extension, as far as it can.
+//! Pictures of light fields and environments: OpenEXR, Radiance HDR, PNG, JPEG, WebP. The target
+//! `load` reads KTX2. The content selects the extension.
 
 #![no_main]
 

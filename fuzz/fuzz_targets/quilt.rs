@@ -1,4 +1,4 @@
-//! Pictures of tiles: three bytes are columns, rows and the kind, then the picture.
+//! Pictures of tiles: three bytes are columns, rows and the kind; the picture follows.
 
 #![no_main]
 

@@ -1,4 +1,5 @@
-//! Files of splats in every format, SOG with pictures of one texel beside it. What is read must make a sound glTF file, and what that shows can be rendered.
+//! Splat files in every format; SOG with pictures of one texel. A file that can be read must
+//! convert to a valid glTF file, whose scene can be rendered.
 
 #![no_main]
 
@@ -44,7 +45,7 @@ fn views(scene: Arc<Scene>, task: Task<'_>) -> Result<(), String> {
         let window = Window::framing(scene.seen_bounds(), geometry.size_mm()).map_err(|error| error.to_string())?;
         let renderer = Renderer::new(scene.clone()).ok_or("no splats")?;
         let done = |_: usize, view: SplatView| {
-            assert!(view.light.data().iter().all(|value| value.is_finite()), "a pixel that is no number");
+            assert!(view.light.data().iter().all(|value| value.is_finite()), "a pixel that is not finite");
             Ok::<_, Cancelled>(())
         };
         let slopes = [[-0.2, 0.1], [0.0, 0.0], [0.3, 0.2]];

@@ -1,14 +1,14 @@
-//! What the fuzz targets share: one input as several files, in a folder in memory.
+//! Helpers of the fuzz targets: they split an input into files, in a folder in memory.
 
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use lumistack_core::{Cancel, Collector, Task};
 
-/// Stands between the parts of an input that are files of their own.
+/// Separates the parts of an input.
 pub const SEPARATOR: &[u8] = b"\n====\n";
 
-/// The parts of an input; those that are missing are empty.
+/// Splits an input into its parts; missing parts are empty.
 pub fn parts<const N: usize>(mut data: &[u8]) -> [&[u8]; N] {
     std::array::from_fn(|i| {
         let at = data.windows(SEPARATOR.len()).position(|window| window == SEPARATOR).filter(|_| i + 1 < N);
@@ -18,7 +18,8 @@ pub fn parts<const N: usize>(mut data: &[u8]) -> [&[u8]; N] {
     })
 }
 
-/// A folder of this process, in memory where the system has that, with these files and no others.
+/// Makes a folder that holds these files alone. It belongs to this process, and lies in memory
+/// where the system allows that.
 pub fn folder(files: &[(&str, &[u8])]) -> &'static Path {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
     let folder = FOLDER.get_or_init(|| {
@@ -36,7 +37,7 @@ pub fn folder(files: &[(&str, &[u8])]) -> &'static Path {
     folder
 }
 
-/// Runs a reader quietly; its error must say something.
+/// Runs a reader without output. Its error must have a text.
 pub fn reads<T, E: std::fmt::Display>(work: impl FnOnce(Task<'_>) -> Result<T, E>) -> Option<T> {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     match work(Task::quiet(&warnings, &cancel)) {

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Submits the jobs of this folder to Deadline: python3 submit.py. DEADLINE_COMMAND names deadlinecommand where it is not on PATH."""
+"""Submits the jobs of this folder to Deadline: python3 submit.py. Where deadlinecommand is not on PATH, DEADLINE_COMMAND names it."""
 
 import json
 import os

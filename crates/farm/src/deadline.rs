@@ -1,4 +1,6 @@
-//! Deadline 10: a job per group with the plugin CommandLine, and a script that submits them in order, since a job names those before it by ids that Deadline gives.
+//! Deadline 10: a job per group with the plugin CommandLine, and a script that submits the jobs in
+//! order. A job names the jobs before it by ids that Deadline returns, so they cannot be written in
+//! advance.
 
 use std::fmt::Write;
 
@@ -7,7 +9,7 @@ use serde_json::json;
 use crate::file::{File, limit_seconds, plain};
 use crate::graph::{Graph, Group};
 
-/// Submits the jobs and fills in the ids of those that each depends on.
+/// Submits the jobs and fills in the ids of the jobs that each depends on.
 const SUBMIT: &str = include_str!("deadline.py");
 
 pub(crate) fn export(graph: &Graph) -> Vec<File> {
@@ -28,7 +30,7 @@ pub(crate) fn export(graph: &Graph) -> Vec<File> {
     files
 }
 
-/// A line holds one value.
+/// Joins lines, since a line of Deadline's files holds one value.
 fn one_line(text: &str) -> String {
     text.replace(['\n', '\r'], " ")
 }
@@ -57,7 +59,7 @@ fn job_info(graph: &Graph, group: &Group<'_>) -> String {
 
 fn plugin_info(graph: &Graph, group: &Group<'_>) -> String {
     let words = graph.command(&group.id_with("<STARTFRAME>"));
-    // Deadline's own quotes; folders hold none
+    // Deadline has its own quotes; run folders hold none
     let word = |word: &String| match word.contains(' ') {
         true => format!("<QUOTE>{}<QUOTE>", one_line(word)),
         false => one_line(word),

@@ -1,10 +1,10 @@
-//! The formats in which a graph is handed to farm managers.
+//! The formats in which farm managers read a graph.
 
 use crate::file::File;
 use crate::graph::Graph;
 use crate::{deadline, flamenco, makefile, opencue, openjd, shell};
 
-/// Formats.
+/// Formats of farm managers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
     /// GNU make.
@@ -22,7 +22,7 @@ pub enum Format {
 }
 
 impl Format {
-    /// All of them.
+    /// All formats.
     pub const ALL: [Self; 6] =
         [Self::Makefile, Self::Shell, Self::OpenJd, Self::Flamenco, Self::OpenCue, Self::Deadline];
 
@@ -38,7 +38,7 @@ impl Format {
         }
     }
 
-    /// The files of a graph in this format.
+    /// Writes a graph as files of this format.
     pub fn export(self, graph: &Graph) -> Vec<File> {
         match self {
             Self::Makefile => makefile::export(graph),

@@ -1,13 +1,13 @@
-//! Files of an export, and texts in them.
+//! Files of an export, and their quoting rules.
 
 /// A file of an export.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct File {
-    /// Its name.
+    /// Name, without a folder.
     pub name: String,
-    /// Its content.
+    /// Content.
     pub text: String,
-    /// Whether it is to be started.
+    /// The file is a program.
     pub executable: bool,
 }
 
@@ -21,7 +21,7 @@ impl File {
     }
 }
 
-/// A word as a POSIX shell reads it.
+/// Quotes a word for a POSIX shell.
 pub(crate) fn quoted(word: &str) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_./:=@%+,".contains(c);
     match !word.is_empty() && word.chars().all(is_plain) {
@@ -30,17 +30,18 @@ pub(crate) fn quoted(word: &str) -> String {
     }
 }
 
-/// Words as a POSIX shell reads them.
+/// Quotes words for a POSIX shell.
 pub(crate) fn line(words: &[String]) -> String {
     words.iter().map(|word| quoted(word)).collect::<Vec<_>>().join(" ")
 }
 
-/// A name of letters, digits, `-` and `_`.
+/// Replaces all but letters, digits and `-` by `_`.
 pub(crate) fn plain(name: &str) -> String {
     name.chars().map(|c| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' }).collect()
 }
 
-/// The longest that a unit may take before a manager takes it for hung, seconds: far more than expected, since estimates are rough.
+/// Time after which a manager stops a unit as hung, seconds. It is far longer than the expected
+/// time, since estimates are rough.
 pub(crate) fn limit_seconds(expected: f64) -> u64 {
     3600 + (20.0 * expected) as u64
 }

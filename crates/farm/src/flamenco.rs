@@ -1,11 +1,12 @@
-//! Flamenco 3: a job type for the manager's folder `scripts`, and a job to post to it.
+//! Flamenco 3: a job type for the manager's folder `scripts`, and a job for its API.
 
 use serde_json::json;
 
 use crate::file::{File, limit_seconds};
 use crate::graph::Graph;
 
-/// The job type. The manager compiles a job with it into tasks: one per unit, with the dependencies of the graph.
+/// The job type. By it the manager compiles a job into tasks: one per unit, with the dependencies
+/// of the graph.
 const JOB_TYPE: &str = include_str!("flamenco.js");
 
 pub(crate) fn export(graph: &Graph) -> Vec<File> {

@@ -1,4 +1,4 @@
-//! Graphs of units.
+//! Graphs of units of work.
 
 use std::collections::HashMap;
 
@@ -10,21 +10,21 @@ use serde::{Deserialize, Serialize};
 pub enum Kind {
     /// The display's place in the scene.
     Place,
-    /// A block of views of a light field.
+    /// A block of the views of a light field.
     Views,
-    /// A block of the scene's pictures for the score of the zone.
+    /// A block of the scene's pictures for the zone score.
     Score,
-    /// A light field from its views, a file or a source.
+    /// A light field, made of its views, a file or a source.
     Field,
     /// The patterns of a tile of a display, in a round.
     Tile,
-    /// The patterns of a display at a time.
+    /// The patterns of a display at a time step.
     Patterns,
-    /// Outputs, figures and report of a display at a time.
+    /// Outputs, scores and report of a display at a time step.
     Results,
     /// A design of a sweep.
     Design,
-    /// All that is left, and a check of everything.
+    /// All remaining steps, and a check of the whole run.
     Finish,
 }
 
@@ -52,11 +52,11 @@ pub struct Unit {
     pub id: String,
     /// Kind of work.
     pub kind: Kind,
-    /// Ids of the units whose results it takes.
+    /// Ids of the units whose results it reads.
     pub inputs: Vec<String>,
-    /// Ids of the steps of the plan that it executes.
+    /// Ids of the plan's steps that it executes.
     pub steps: Vec<String>,
-    /// Number of the block from 1 and their count, where the step is cut into blocks.
+    /// Number of the block from 1, and the number of blocks, where the step is cut into blocks.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub block: Option<[usize; 2]>,
     /// Of a tile: the round in which tiles exchange their borders, from 1.
@@ -70,27 +70,28 @@ pub struct Unit {
     pub memory_bytes: u64,
 }
 
-/// Units and how they are executed.
+/// Units, and the command that executes one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Graph {
     /// Name of the job.
     pub name: String,
     /// The run folder, absolute.
     pub folder: String,
-    /// Words before the folder and the id of a unit, on a worker: `lumistack farm unit`.
+    /// Words of a worker's command line before run folder and unit id: `lumistack farm unit`.
     pub command: Vec<String>,
-    /// In an order in which they can be executed.
+    /// Every unit comes after its inputs.
     pub units: Vec<Unit>,
 }
 
-/// Units that differ in the number of their block alone; a single unit is a group of its own.
+/// Units that differ in the number of their block alone. A unit without blocks is a group of its
+/// own.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Group<'a> {
-    /// The common part of the ids.
+    /// Common part of the ids.
     pub(crate) name: &'a str,
     /// In the order of their blocks.
     pub(crate) units: Vec<&'a Unit>,
-    /// Numbers of the groups whose results it takes, ascending.
+    /// Numbers of the groups whose results it reads, ascending.
     pub(crate) inputs: Vec<usize>,
 }
 
@@ -105,7 +106,7 @@ impl Group<'_> {
         self.units.iter().map(|unit| unit.memory_bytes).max().unwrap_or(0)
     }
 
-    /// Id of a unit with a placeholder for the number of the block.
+    /// Id of a unit, with a placeholder for the number of the block.
     pub(crate) fn id_with(&self, number: &str) -> String {
         match self.units[0].block {
             Some([_, count]) => format!("{}/{number}-of-{count}", self.name),
@@ -115,12 +116,12 @@ impl Group<'_> {
 }
 
 impl Graph {
-    /// The command line of a unit.
+    /// Command line of a unit.
     pub fn command(&self, id: &str) -> Vec<String> {
         self.command.iter().cloned().chain([self.folder.clone(), id.to_owned()]).collect()
     }
 
-    /// Numbers of the units by their ids.
+    /// Numbers of the units by id.
     pub(crate) fn indices(&self) -> HashMap<&str, usize> {
         self.units.iter().enumerate().map(|(index, unit)| (unit.id.as_str(), index)).collect()
     }
@@ -132,7 +133,7 @@ impl Graph {
         self.units.iter().map(of).collect()
     }
 
-    /// The groups, in an order in which they can be executed.
+    /// Collects the units into groups; every group comes after its inputs.
     pub(crate) fn groups(&self) -> Vec<Group<'_>> {
         let mut groups: Vec<Group<'_>> = Vec::new();
         let mut of_unit = Vec::new();
@@ -166,7 +167,7 @@ impl Graph {
 pub(crate) mod tests {
     use super::*;
 
-    /// Two times of two blocks of views each.
+    /// Two time steps with two blocks of views each.
     pub(crate) fn sample() -> Graph {
         let unit = |id: &str, kind, inputs: &[&str], seconds| Unit {
             id: id.into(),

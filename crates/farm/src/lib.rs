@@ -1,4 +1,4 @@
-//! Units of work: a plan cut into pieces that many machines execute, as data.
+//! Units of work as data: a plan in pieces that many machines execute.
 //!
 //! ```text
 //! plan ─▶ units ─▶ Dask                 the Python module lumistack.farm
@@ -6,8 +6,9 @@
 //!               ─▶ OpenJD, Flamenco, OpenCue, Deadline
 //! ```
 //!
-//! A unit is a command that reads from and publishes into one shared folder. Executing it twice, or again after it was killed, gives the same bytes. This crate
-//! knows graphs of units and nothing of the work itself; it touches no files.
+//! A unit is a command that reads from one shared folder and publishes into it. Its bytes are the
+//! same if it runs twice, or again after it was killed. The crate knows the graph of units and
+//! nothing of their work; it opens no files.
 
 mod deadline;
 mod export;

@@ -1,18 +1,19 @@
-//! GNU make: a target per unit. `make -j N` executes N units at once and `make -k` goes on beside one that fails.
+//! GNU make: a target per unit. `make -j N` executes N units at once; `make -k` continues with
+//! other units where one fails.
 
 use std::fmt::Write;
 
 use crate::file::{File, line};
 use crate::graph::Graph;
 
-/// A line of a recipe: make takes `$` for its own, and a newline would end it.
+/// Quotes a line of a recipe: make expands `$`, and a newline would end the line.
 fn recipe(command: &str) -> String {
     command.replace('$', "$$").replace('\n', " ")
 }
 
 pub(crate) fn export(graph: &Graph) -> Vec<File> {
     let mut text = format!(
-        "# {}\n# make -j N executes N units at once; a run that was stopped goes on when make is called again\n\n",
+        "# {}\n# make -j N executes N units at once; calling make again continues a run that was stopped\n\n",
         graph.name.replace('\n', " ")
     );
     text.push_str(".DELETE_ON_ERROR:\n");

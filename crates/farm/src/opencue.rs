@@ -5,9 +5,9 @@ use std::fmt::Write;
 use crate::file::{File, plain};
 use crate::graph::Graph;
 
-/// A string literal of Python.
+/// Writes a string literal of Python.
 fn literal(text: &str) -> String {
-    // JSON's escapes are Python's, too
+    // JSON's escapes are valid in Python
     serde_json::to_string(text).expect("texts serialize")
 }
 
@@ -19,7 +19,7 @@ pub(crate) fn export(graph: &Graph) -> Vec<File> {
     let _ = writeln!(text, "    job = outline.Outline({}, frame_range=\"1\")", literal(&plain(&graph.name)));
     text.push_str("    layers = {}\n");
     for group in &groups {
-        // the number of a frame is that of a block
+        // a frame's number is the number of a block
         let mut words = graph.command(&group.id_with("#IFRAME#"));
         let frames = match group.units.len() {
             1 if group.units[0].block.is_none() => "1".to_owned(),

@@ -5,11 +5,10 @@ use serde_json::{Value, json};
 use crate::file::{File, limit_seconds};
 use crate::graph::{Graph, Group};
 
-/// Most letters of a step's name.
+/// Longest name of a step, characters.
 const LONGEST_NAME: usize = 64;
 /// Most values of a task parameter.
 const MOST_TASKS: usize = 1024;
-/// Bytes of a MiB.
 const MIB: u64 = 1 << 20;
 
 pub(crate) fn export(graph: &Graph) -> Vec<File> {
@@ -26,7 +25,7 @@ pub(crate) fn export(graph: &Graph) -> Vec<File> {
             steps.push(step(graph, group, &name, &ids, &needed));
         }
     }
-    // braces would begin an expression
+    // two braces would begin an expression
     let name: String = graph.name.replace("{{", "{ {").chars().filter(|c| !c.is_control()).take(128).collect();
     let template = json!({
         "specificationVersion": "jobtemplate-2023-09",
@@ -40,7 +39,7 @@ pub(crate) fn export(graph: &Graph) -> Vec<File> {
             },
             {
                 "name": "Folder",
-                // a path may have no absolute default
+                // the specification allows no absolute default for paths
                 "type": "STRING",
                 "default": graph.folder,
                 "description": "The run folder, which all workers share",
@@ -52,7 +51,8 @@ pub(crate) fn export(graph: &Graph) -> Vec<File> {
     vec![File::new("template.json", text + "\n")]
 }
 
-/// A group as steps, each a name and ids of units: one, or several where it has more units than a step has tasks.
+/// Turns a group into steps, each a name and ids of units. A group with more units than a step may
+/// have tasks becomes several steps.
 fn parts<'a>(group: &Group<'a>, number: usize) -> Vec<(String, Vec<&'a str>)> {
     let ids: Vec<&str> = group.units.iter().map(|unit| unit.id.as_str()).collect();
     let chunks: Vec<&[&str]> = ids.chunks(MOST_TASKS).collect();

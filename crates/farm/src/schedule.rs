@@ -1,12 +1,12 @@
-//! The time that a graph takes on a number of workers.
+//! Prediction of the time that a number of workers needs for a graph.
 //!
 //! ```text
 //! length of a path = Σ (seconds + overhead) from a unit to the end
 //! a free worker takes the ready unit with the longest path
 //! ```
 //!
-//! With many workers the makespan tends to the longest path of all, with one to the sum. Memory and transfers are not modelled: units read from one shared
-//! folder, and that is part of their measured time.
+//! With many workers the makespan tends to the longest path, with one worker to the sum. Memory and
+//! transfers are not modelled: reading from the shared folder is part of a unit's measured time.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -15,18 +15,18 @@ use serde::Serialize;
 
 use crate::graph::Graph;
 
-/// What a number of workers makes of a graph.
+/// Predicted schedule of a graph on a number of workers.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Prediction {
     /// Number of workers.
     pub workers: usize,
-    /// From the first unit to the last, seconds.
+    /// Time from the first unit's start to the last unit's end, seconds.
     pub makespan_seconds: f64,
-    /// Share of the workers' time that is spent in units, 0 to 1.
+    /// Share of the workers' time that units take, 0 to 1.
     pub busy: f64,
 }
 
-/// Seconds from the start of each unit to the end of all that depends on it.
+/// Seconds from the start of each unit to the end of every unit that depends on it.
 pub fn paths(graph: &Graph, overhead_seconds: f64) -> Vec<f64> {
     let mut after = vec![0.0f64; graph.units.len()];
     let mut paths = vec![0.0; graph.units.len()];
@@ -40,7 +40,8 @@ pub fn paths(graph: &Graph, overhead_seconds: f64) -> Vec<f64> {
     paths
 }
 
-/// Simulates the schedule on a number of workers, at least one. Each unit takes its seconds and an overhead.
+/// Simulates the schedule on a number of workers, at least one. Each unit takes its seconds and the
+/// overhead.
 pub fn predict(graph: &Graph, workers: usize, overhead_seconds: f64) -> Prediction {
     let workers = workers.max(1);
     let priority = paths(graph, overhead_seconds);
@@ -50,13 +51,14 @@ pub fn predict(graph: &Graph, workers: usize, overhead_seconds: f64) -> Predicti
     for (index, inputs) in inputs.iter().enumerate() {
         inputs.iter().for_each(|&input| followers[input].push(index));
     }
-    // non-negative floats order as their bits do
+    // non-negative floats have the order of their bits
     let bits = |seconds: f64| seconds.max(0.0).to_bits();
     let mut ready: BinaryHeap<(u64, Reverse<usize>)> =
         (0..waits.len()).filter(|&i| waits[i] == 0).map(|i| (bits(priority[i]), Reverse(i))).collect();
     let mut running: BinaryHeap<Reverse<(u64, usize)>> = BinaryHeap::new();
     let (mut now, mut sum) = (0.0, 0.0);
     loop {
+        // Give every free worker the ready unit with the longest path.
         while running.len() < workers
             && let Some((_, Reverse(index))) = ready.pop()
         {
@@ -64,6 +66,7 @@ pub fn predict(graph: &Graph, workers: usize, overhead_seconds: f64) -> Predicti
             sum += seconds;
             running.push(Reverse((bits(now + seconds), index)));
         }
+        // Advance to the next end, which may make other units ready.
         let Some(Reverse((end, index))) = running.pop() else { break };
         now = f64::from_bits(end);
         for &next in &followers[index] {
@@ -93,7 +96,8 @@ mod tests {
         assert_eq!(paths(&graph, 0.0)[0], longest);
         assert_eq!(predict(&graph, 1000, 0.0).makespan_seconds, longest);
         assert_eq!(predict(&graph, 1, 0.5).makespan_seconds, sum + 0.5 * graph.units.len() as f64);
-        // place, then views of both times in pairs, then both light fields, and one factorization after the other
+        // place, views of both time steps in pairs, both light fields at once, one factorization
+        // after the other
         assert_eq!(predict(&graph, 2, 0.0).makespan_seconds, 1.0 + 8.0 + 8.0 + 1.0 + 2.0 + 2.0 + 1.0);
     }
 }

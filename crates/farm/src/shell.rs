@@ -1,4 +1,5 @@
-//! A POSIX shell script: level after level, the units of a level at once.
+//! A POSIX shell script that executes levels in turn. The units of a level do not depend on each
+//! other and run at once.
 
 use std::fmt::Write;
 
@@ -13,7 +14,7 @@ pub(crate) fn export(graph: &Graph) -> Vec<File> {
     let mut text = String::from("#!/bin/sh\n");
     let _ = writeln!(text, "# {}", graph.name.replace('\n', " "));
     text.push_str(
-        "# JOBS=N executes N units at once; a run that was stopped goes on when the script is called again\nset -e\n",
+        "# JOBS=N executes N units at once; calling the script again continues a run that was stopped\nset -e\n",
     );
     let _ = writeln!(
         text,

@@ -5,9 +5,11 @@
 //!  (a thread)                (a thread)          (a thread each, which never wait for the solver)
 //! ```
 //!
-//! A [`Mailbox`] holds the newest value alone, so nobody works on what is out of date and nothing piles up. A [`State`] is numbered, whole and never changed.
-//! [`Solver`] goes on from the patterns before, moved along with the content where that is nearer ([`motion`]). [`Tracker`] makes weights of where viewers are
-//! and will be; [`Player`] says which time of a video is due. Nothing here reads a clock or a file: times are arguments.
+//! A [`Mailbox`] holds only the newest value, so no thread works on an old value and nothing piles
+//! up. A [`State`] is numbered, complete and never changed. A [`Solver`] starts from the previous
+//! patterns, moved along with the content where that is closer ([`motion`]). A [`Tracker`] turns
+//! positions of viewers into weights. A [`Player`] schedules the time steps of a video. The crate
+//! reads no clock and no file: times are arguments.
 
 mod mailbox;
 pub mod motion;

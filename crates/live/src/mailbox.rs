@@ -1,10 +1,12 @@
-//! A mailbox that holds the newest value alone.
+//! A mailbox that holds only the newest value.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// The newest value of a series, for any number of readers. Posting and looking take the time of exchanging a pointer: nobody waits for somebody else's work,
-/// and values that were replaced unseen are dropped.
+/// The newest value of a series, for any number of readers.
+///
+/// Posting and reading exchange a pointer, so no thread waits for the work of another. A value that
+/// is replaced before it is read is dropped.
 #[derive(Debug)]
 pub struct Mailbox<T> {
     newest: Mutex<Held<T>>,
@@ -32,17 +34,18 @@ impl<T> Mailbox<T> {
         let (number, before) = (held.number, std::mem::replace(&mut held.value, value));
         drop(held);
         self.posted.notify_all();
-        // outside of the lock: patterns take their time to be freed
+        // freed outside of the lock, since freeing patterns takes time
         drop(before);
         number
     }
 
-    /// The newest value and its number, where it is newer than number `seen`; of a reader that has seen nothing that is 0.
+    /// Returns the newest value with its number, if it is newer than number `seen`. A new reader
+    /// passes 0.
     pub fn after(&self, seen: u64) -> Option<(u64, Arc<T>)> {
         newer(&self.held(), seen)
     }
 
-    /// [`after`](Self::after), for which it waits up to a limit.
+    /// Waits for [`after`](Self::after) up to a limit.
     pub fn wait_after(&self, seen: u64, limit: Duration) -> Option<(u64, Arc<T>)> {
         let held = self.posted.wait_timeout_while(self.held(), limit, |held| held.number <= seen);
         newer(&held.unwrap_or_else(PoisonError::into_inner).0, seen)

@@ -1,32 +1,38 @@
 //! Motion of content across layers, and patterns that move with it.
 //!
 //! ```text
-//! P_n(x) = mean of L over the rays through pixel x of layer n                   content as the layer meets it: sharp where it lies near
-//! v_n(x) = arg min over v of Σ (P_n(x' ) − P_n_before(x' − v))² + λ |v|         x' around x; per block, and smooth between
-//! f_n(x) ← f_n(x − v_n(x))                                                       in every frame; what comes in from beyond the border is fresh
+//! P_n(x) = mean of L over the rays through pixel x of layer n
+//! v_n(x) = arg min over v of Σ (P_n(x' ) − P_n_before(x' − v))² + λ |v|
+//! f_n(x) ← f_n(x − v_n(x))
 //! ```
 //!
-//! The same serves scenes and light fields that were given: it needs light fields alone. Content that moves in depth or turns moves differently on every layer,
-//! and differently from place to place on one.
+//! P_n is the content as layer n sees it: sharp where it lies near the layer. The motion v_n is
+//! found per block, from the pixels around it, and is smooth between blocks. The patterns f_n move
+//! in every frame; values from outside the border come from fresh patterns.
+//!
+//! The method needs only light fields, so it serves scenes and given light fields alike. Content
+//! that turns or moves in depth moves differently on every layer, and differently from place to
+//! place.
 
 use lumistack_display::{BacklightTap, Display, FieldGeometry, LayerStack, LightField, RayMap, spread};
 
-/// Views per axis whose rays are averaged, at most.
+/// Most views per axis whose rays are averaged.
 const VIEWS: usize = 5;
 /// Edge of a block, pixels.
 const BLOCK: usize = 16;
-/// Pixels around a block that are compared, too: a block alone may hold an edge that says nothing of motion along it.
+/// Pixels around a block that are compared too: a block that holds only an edge cannot show motion
+/// along the edge.
 const AROUND: usize = 4;
-/// Farthest motion along an axis, pixels; a multiple of [`COARSE`].
+/// Longest motion along an axis, pixels; a multiple of [`COARSE`].
 const FARTHEST: i32 = 32;
 /// Step of the first search, pixels.
 const COARSE: i32 = 2;
-/// Matches of the first search around which the second goes on.
+/// Best matches of the first search that the second search refines.
 const KEPT: usize = 8;
-/// λ: squared difference per pixel of motion that a match must gain.
+/// λ: the gain in squared difference that a match needs per pixel of motion.
 const COST: f32 = 2e-6;
 
-/// Content as every layer meets it, and the lenslets of a directional backlight after them.
+/// The content as every layer sees it, then as the lenslets of a directional backlight see it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Planes(Vec<Plane>);
 
@@ -38,7 +44,7 @@ struct Plane {
     grey: Vec<f32>,
 }
 
-/// Motion on one plane.
+/// Motion of the content on one plane.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Flow {
     rows: usize,
@@ -50,7 +56,7 @@ pub struct Flow {
 }
 
 impl Planes {
-    /// Averages a light field over the rays of every pixel of every layer.
+    /// Averages a light field over the rays through every pixel of every layer.
     pub fn of(display: &Display, field: &LightField) -> Self {
         let map = RayMap::new(display, field.geometry());
         let layer = |n: usize| {
@@ -69,7 +75,8 @@ impl Planes {
         Self(planes)
     }
 
-    /// Motion from these planes to later ones of the same display; `None` where nothing moves or the displays differ.
+    /// Computes the motion from these planes to later ones of the same display. `None` where
+    /// nothing moves or the displays differ.
     pub fn flows_to(&self, later: &Self) -> Option<Vec<Flow>> {
         let sizes = |planes: &Self| planes.0.iter().map(|plane| [plane.rows, plane.cols]).collect::<Vec<_>>();
         if sizes(self) != sizes(later) {
@@ -81,7 +88,7 @@ impl Planes {
     }
 }
 
-/// A pixel that a ray meets.
+/// Returns the pixel that a ray hits.
 fn pixel(first: u32) -> Option<usize> {
     (first != lumistack_display::Tap::MISSED).then_some(first as usize)
 }
@@ -94,7 +101,8 @@ fn lenslet(tap: BacklightTap) -> Option<usize> {
 }
 
 impl Plane {
-    /// `along` gives the plane's rows that the field's rows of a view meet, and its columns likewise.
+    /// Averages a light field on a plane. For a view, `along` returns the plane's row of each row
+    /// of the field, and likewise the columns.
     fn of(field: &LightField, [rows, cols]: [usize; 2], along: impl Fn([usize; 2]) -> [Vec<Option<usize>>; 2]) -> Self {
         let FieldGeometry { grid, cols: field_cols, .. } = field.geometry();
         let [view_rows, view_cols] = grid.views().map(|count| spread(count, VIEWS));
@@ -114,7 +122,7 @@ impl Plane {
         Self { rows, cols, grey }
     }
 
-    /// Beyond the border lies what lies on it.
+    /// Value at a pixel; outside the border that of the nearest pixel.
     fn at(&self, row: i32, col: i32) -> f32 {
         let row = row.clamp(0, self.rows as i32 - 1) as usize;
         let col = col.clamp(0, self.cols as i32 - 1) as usize;
@@ -134,7 +142,7 @@ impl Flow {
         self.shifts.iter().any(|shift| *shift != [0, 0])
     }
 
-    /// Motion [right, down] at a pixel, whole pixels: linear between the middles of blocks.
+    /// Motion [right, down] at a pixel in whole pixels, linear between the centres of blocks.
     pub fn at(&self, row: usize, col: usize) -> [i32; 2] {
         let place = |at: usize, blocks: usize| {
             let at = ((at as f32 + 0.5) / BLOCK as f32 - 0.5).clamp(0.0, (blocks - 1) as f32);
@@ -150,7 +158,7 @@ impl Flow {
     }
 }
 
-/// Motion [right, down] by which a block of `after` is found in `before`.
+/// Finds the motion [right, down] that takes a block of `before` to a block of `after`.
 fn best_shift(before: &Plane, after: &Plane, [row, col]: [usize; 2]) -> [i32; 2] {
     let span =
         |from: usize, count: usize| (from.saturating_sub(AROUND) as i32)..((from + BLOCK + AROUND).min(count) as i32);
@@ -175,7 +183,8 @@ fn best_shift(before: &Plane, after: &Plane, [row, col]: [usize; 2]) -> [i32; 2]
         every(far, step).flat_map(move |d| every(far, step).map(move |r| [right + r, down + d]))
     };
     let still = ([0, 0], error([0, 0], f32::INFINITY));
-    // waves are like themselves in several places, and a step off the right one is worse than right on a wrong one
+    // Coarse search. It keeps several matches: waves match in several places, and a coarse step
+    // next to the right one may be worse than a wrong one.
     let mut near = vec![still];
     for shift in around([0, 0], FARTHEST, COARSE) {
         let worst = if near.len() < KEPT { f32::INFINITY } else { near[KEPT - 1].1 };
@@ -185,6 +194,7 @@ fn best_shift(before: &Plane, after: &Plane, [row, col]: [usize; 2]) -> [i32; 2]
             near.truncate(KEPT);
         }
     }
+    // Fine search around each of them.
     let mut best = still;
     for shift in near.iter().flat_map(|(shift, _)| around(*shift, COARSE - 1, 1)) {
         let found = error(shift, best.1);
@@ -195,7 +205,7 @@ fn best_shift(before: &Plane, after: &Plane, [row, col]: [usize; 2]) -> [i32; 2]
     best.0
 }
 
-/// Medians of 3 × 3 blocks: single blocks that moved otherwise were misled.
+/// Takes medians of 3 × 3 blocks, which removes single wrong matches.
 fn smoothed([rows, cols]: [usize; 2], shifts: &[[i32; 2]]) -> Vec<[i32; 2]> {
     let around = |at: usize, count: usize| at.saturating_sub(1)..(at + 2).min(count);
     let one = |index: usize| {
@@ -209,7 +219,8 @@ fn smoothed([rows, cols]: [usize; 2], shifts: &[[i32; 2]]) -> Vec<[i32; 2]> {
     (0..shifts.len()).map(one).collect()
 }
 
-/// Patterns that have moved along, in every frame. What comes in from beyond the border is taken from `fresh` patterns.
+/// Moves patterns along the flows, in every frame. Values that come in across the border are taken
+/// from `fresh`.
 ///
 /// # Panics
 /// If the flows are not those of the patterns' planes, or the patterns have different shapes.
@@ -233,7 +244,7 @@ pub fn moved(stack: &LayerStack, flows: &[Flow], fresh: &LayerStack) -> LayerSta
 }
 
 impl Flow {
-    /// The pixel from which one takes its value, by number; `None` beyond the border.
+    /// Number of the pixel from which a pixel takes its value; `None` outside the border.
     fn source(&self, row: usize, col: usize) -> Option<usize> {
         let [right, down] = self.at(row, col);
         let back =

@@ -1,7 +1,7 @@
-//! Factorization that goes on from the patterns before.
+//! Factorization that starts from the previous patterns.
 //!
 //! ```text
-//! new content:   start = the nearest of the patterns as they are, moved along with the content, and fresh ones
+//! new content:   start = the best of: previous patterns, previous patterns moved along, fresh ones
 //! every step:    start ──a few updates──▶ patterns, the next start
 //! ```
 
@@ -14,20 +14,22 @@ use lumistack_factorizer::{AUTO, FactorizeError, Problem, Settings, factorize, w
 use crate::Target;
 use crate::motion::{Planes, moved};
 
-/// Rule that goes on from patterns where the settings leave it open: extrapolation overshoots along a few updates from patterns of another target.
+/// Solver of a warm start where the settings leave it open. Extrapolation would overshoot in a few
+/// updates from patterns of another target.
 const WARM_SOLVER: &str = "block-exact";
 
-/// Patterns that begin from here, dB, are gone on from without a look at fresh ones, which take longer to make than a step.
+/// A warm start of at least this PSNR, dB, is used without a comparison with a fresh start, which
+/// takes longer than a step.
 const GOOD_DB: f64 = 20.0;
 
-/// Where the patterns of a step came from.
+/// The start of a step's patterns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Start {
-    /// From nothing.
+    /// Fresh factors.
     Fresh,
-    /// The patterns of the step before.
+    /// The previous patterns.
     Kept,
-    /// The patterns of the step before, moved along with the content.
+    /// The previous patterns, moved along with the content.
     Moved,
 }
 
@@ -38,39 +40,40 @@ pub struct Solved {
     pub stack: LayerStack,
     /// PSNR in dB of L̃/β against L over all rays with a weight.
     pub psnr_view: f64,
-    /// Their start.
+    /// The start of the updates.
     pub start: Start,
 }
 
-/// Solves targets one after another, each from the patterns of the one before.
+/// Solves targets one after another, each from the patterns of the previous one.
 pub struct Solver {
     settings: Settings,
     last: Option<Last>,
 }
 
-/// The end of the step before.
+/// The result of the previous step.
 struct Last {
     target: Arc<Target>,
-    /// Its content as the layers meet it.
+    /// The target's content as the layers see it.
     planes: Planes,
     stack: LayerStack,
 }
 
 impl Solver {
-    /// With settings of a fresh start; their iterations do not count.
+    /// Makes a solver with the settings of a fresh start; their number of iterations is ignored.
     pub fn new(settings: Settings) -> Self {
         Self { settings, last: None }
     }
 
-    /// Other settings from the next step on.
+    /// Replaces the settings from the next step on.
     pub fn set(&mut self, settings: Settings) {
         self.settings = settings;
     }
 
-    /// Some `updates` towards a target. The patterns stay the start of the next step.
+    /// Makes `updates` towards a target. The patterns become the start of the next step.
     ///
     /// # Errors
-    /// If target, weights and settings do not fit each other, or when cancelled; the patterns before stay the start.
+    /// If target, weights and settings do not fit each other, or when cancelled. The next start
+    /// then stays the same.
     pub fn step(
         &mut self,
         target: &Arc<Target>,
@@ -82,9 +85,10 @@ impl Solver {
         let fresh = Settings { iterations: updates, report_every: u32::MAX, ..self.settings.clone() };
         let rule = if fresh.solver == AUTO { WARM_SOLVER.into() } else { fresh.solver.clone() };
         let warm = Settings { solver: rule, ..fresh.clone() };
-        // patterns of a display of another shape are no start
+        // A display of another shape makes the previous patterns useless.
         let last = self.last.take_if(|last| last.stack.check(&target.display).is_err());
         drop(last);
+        // Choose the start: the same content keeps its patterns, new content compares.
         let same_content = self.last.as_ref().is_some_and(|last| last.target.content == target.content);
         let planes = match &mut self.last {
             Some(last) if same_content => last.planes.clone(),
@@ -103,7 +107,7 @@ impl Solver {
     }
 }
 
-/// The patterns to begin new content from; `None` for fresh ones.
+/// Chooses the start for new content; `None` for fresh patterns.
 fn nearest_start(
     problem: &Problem<'_>,
     [fresh, warm]: [&Settings; 2],
@@ -128,7 +132,8 @@ fn nearest_start(
     }
 }
 
-/// Patterns before any update, or those of a fresh start, and their PSNR.
+/// Returns patterns before any update, and their PSNR. Without `stack` they are those of a fresh
+/// start.
 fn at_start(
     problem: &Problem<'_>,
     settings: &Settings,

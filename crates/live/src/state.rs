@@ -1,25 +1,26 @@
-//! Values that go from thread to thread: light fields to show, and patterns that show them.
+//! Values that threads exchange: light fields to show, and patterns that show them.
 
 use std::sync::Arc;
 
 use lumistack_display::{Display, LayerStack, LightField, Weights};
 
-/// A light field that a display shall show.
+/// A light field that a display should show.
 #[derive(Clone, Debug)]
 pub struct Target {
     /// The display.
     pub display: Arc<Display>,
-    /// Its rays, linear, 0..1.
+    /// The light field, linear, 0..1.
     pub field: LightField,
     /// Weights of its rays while no viewer is tracked.
     pub weights: Weights,
-    /// Raised whenever the content changes; a light field of the same content differs by its noise alone.
+    /// Number of the content. Light fields of the same content differ by their noise alone.
     pub content: u64,
-    /// Passes over all views so far; 1 of a light field that was given.
+    /// Renderings of all views so far; 1 for a given light field.
     pub passes: u32,
 }
 
-/// Patterns that show a light field. A state is made whole and never changed; whoever shows it shows all of it.
+/// Patterns that show a light field. A state is complete and never changes, so a display always
+/// shows matching patterns.
 #[derive(Clone, Debug)]
 pub struct State {
     /// The patterns.

@@ -1,31 +1,35 @@
-//! Tracked viewers: where their eyes are, where they will be, and what that makes of the rays' weights.
+//! Tracked viewers: positions of their eyes, predicted positions, and the weights of rays that
+//! follow.
 //!
 //! ```text
-//! eye(t) = eye + velocity · (t − seen + latency)         latency: from the tracker to patterns on the display
-//! w(ray) = s + (1 − s) · (floor + Σ exp(−½ (r/σ)²))       s: share of the whole zone, 0 while viewers are tracked
+//! eye(t) = eye + velocity · (t − seen + latency)
+//! w(ray) = s + (1 − s) · (floor + Σ exp(−½ (r/σ)²))
 //! ```
+//!
+//! latency: from the tracker to the patterns on the display. s: share of the whole zone, 0 while
+//! viewers are tracked.
 
 use std::time::Duration;
 
 use lumistack_display::{EyeBox, FieldGeometry, WeightError, Weights};
 use thiserror::Error;
 
-/// Without a word from a tracker for this long, the zone begins to fade in.
+/// Time without a report from the tracker, after which the whole zone fades in.
 pub const SILENCE: Duration = Duration::from_secs(1);
-/// Time that fading takes.
+/// Duration of the fade.
 pub const FADE: Duration = Duration::from_secs(1);
-/// Farthest look ahead: constant velocity is a guess that gets worse.
+/// Longest prediction: the error of a constant velocity grows with time.
 const MOST_AHEAD: Duration = Duration::from_millis(250);
-/// Time over which velocity is averaged: trackers are noisy.
+/// Time over which the velocity is averaged, since trackers are noisy.
 const VELOCITY_TIME: Duration = Duration::from_millis(100);
-/// Motion between two sightings that is another viewer, millimetres.
+/// A position that moves farther between two reports belongs to another viewer, mm.
 const JUMP_MM: f64 = 300.0;
 /// Weight of rays far from all viewers while they are tracked.
 pub const FLOOR: f64 = 0.002;
-/// Default σ, millimetres: eyes are some 64 mm apart.
+/// Default σ, mm: eyes are some 64 mm apart.
 pub const SIGMA_MM: f64 = 40.0;
 
-/// Heads, and what is known of their motion.
+/// Positions and velocities of the tracked heads.
 #[derive(Clone, Debug, Default)]
 pub struct Tracker {
     heads: Vec<Head>,
@@ -38,28 +42,28 @@ struct Head {
     velocity_mm_s: [f64; 3],
 }
 
-/// Where light matters at a moment.
+/// The directions that matter at a point in time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Boxes {
-    /// Middles between the eyes of all viewers, in display space, millimetres.
+    /// Points midway between the eyes of all viewers, display space, mm.
     pub heads_mm: Vec<[f64; 3]>,
     /// Share of the whole zone, 0..1.
     pub zone: f64,
 }
 
-/// A position that is none.
+/// A wrong position of a viewer.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("viewer: expected {expected}, found {found}")]
 pub struct HeadError {
-    /// What was needed.
+    /// Description of a valid position.
     pub expected: &'static str,
-    /// What was there.
+    /// The value as found.
     pub found: String,
 }
 
 impl Tracker {
-    /// Takes sightings of all viewers: middles between their eyes in display space, millimetres (right, up, to the viewer). None of them says that
-    /// nobody is there.
+    /// Takes the positions of all viewers: points midway between their eyes, display space, mm
+    /// (right, up, to the viewer). An empty list means that there is no viewer.
     ///
     /// # Errors
     /// If a position is not finite or not in front of the display.
@@ -78,7 +82,8 @@ impl Tracker {
         Ok(())
     }
 
-    /// Where viewers will be `latency` after `now`; the whole zone where nobody has been seen for a while.
+    /// Predicts the viewers at `latency` after `now`. Returns the whole zone where no viewer was
+    /// seen for a while.
     pub fn boxes(&self, now: Duration, latency: Duration) -> Boxes {
         let Some(seen) = self.seen else { return Boxes { heads_mm: Vec::new(), zone: 1.0 } };
         let silent = now.saturating_sub(seen);
@@ -86,7 +91,7 @@ impl Tracker {
         let ahead = (silent + latency).min(MOST_AHEAD).as_secs_f64();
         let at = |head: &Head| {
             let [x, y, z] = [0, 1, 2].map(|i| head.at_mm[i] + ahead * head.velocity_mm_s[i]);
-            // a guess does not walk through the display
+            // the prediction must not pass through the display
             [x, y, z.max(0.5 * head.at_mm[2])]
         };
         if zone == 1.0 || self.heads.is_empty() {
@@ -101,7 +106,7 @@ fn near(a: [f64; 3], b: [f64; 3]) -> bool {
 }
 
 impl Head {
-    /// Velocity after a sighting, averaged over [`VELOCITY_TIME`].
+    /// Velocity after a report, averaged over [`VELOCITY_TIME`].
     fn velocity_to(&self, at_mm: [f64; 3], passed: Duration) -> [f64; 3] {
         let passed = passed.as_secs_f64();
         if passed <= 0.0 {
@@ -116,10 +121,10 @@ impl Head {
 }
 
 impl Boxes {
-    /// Weights of a light field's rays; `whole` are those of the whole zone.
+    /// Weights of a light field's rays. `whole` are the weights of the whole zone.
     ///
     /// # Errors
-    /// If the geometry makes no sense.
+    /// If the geometry is invalid.
     pub fn weights(&self, geometry: &FieldGeometry, whole: &Weights, sigma_mm: f64) -> Result<Weights, WeightError> {
         if self.zone >= 1.0 {
             return Ok(whole.clone());
@@ -129,7 +134,8 @@ impl Boxes {
         Weights::eye_boxes(geometry, &boxes.collect::<Vec<_>>(), floor as f32)
     }
 
-    /// Whether weights of the other are as good: no viewer is farther off than `tolerance_mm`.
+    /// Returns whether the weights of `other` are good enough: no viewer is farther off than
+    /// `tolerance_mm`.
     pub fn is_like(&self, other: &Self, tolerance_mm: f64) -> bool {
         let close = |(a, b): (&[f64; 3], &[f64; 3])| (0..3).all(|i| (a[i] - b[i]).abs() <= tolerance_mm);
         self.zone == other.zone
@@ -141,11 +147,13 @@ impl Boxes {
 /// Bytes of an OpenTrack packet.
 const PACKET: usize = 48;
 
-/// The head's position in an OpenTrack packet ("UDP over network"): six little-endian doubles x, y, z in centimetres and yaw, pitch, roll in degrees. `centre_mm` is the
-/// head's place in display space where OpenTrack was centred; x goes to the viewer's right, y up, z away from the display.
+/// Reads the head's position from an OpenTrack packet ("UDP over network"). It holds six
+/// little-endian doubles: x, y, z in centimetres and yaw, pitch, roll in degrees. `centre_mm` is
+/// the position in display space where OpenTrack was centred. x goes to the viewer's right, y up, z
+/// away from the display.
 ///
 /// # Errors
-/// If the packet has another length or holds a position that is not finite.
+/// If the packet has another length, or its position is not finite.
 pub fn head_of_packet(packet: &[u8], centre_mm: [f64; 3]) -> Result<[f64; 3], HeadError> {
     let error = |expected, found: String| Err(HeadError { expected, found });
     if packet.len() != PACKET {

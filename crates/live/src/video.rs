@@ -1,8 +1,9 @@
-//! Which time of a video is due.
+//! Schedule of the time steps of a video.
 
 use std::time::Duration;
 
-/// Plays times in order at a rate. Times that would come too late are left out and counted.
+/// Plays time steps in order at a rate. Time steps that would come too late are skipped and
+/// counted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Player {
     count: usize,
@@ -10,28 +11,30 @@ pub struct Player {
     most_late: usize,
     next: usize,
     begun: Option<Duration>,
-    /// Times that were left out.
+    /// Number of skipped time steps.
     pub dropped: usize,
 }
 
-/// What to do now.
+/// The action that is due.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Due {
-    /// Take this time, counted from 0.
+    /// Show this time step, counted from 0.
     Time(usize),
-    /// Ask again after this long.
+    /// Call again after this long.
     Wait(Duration),
-    /// All times have been.
+    /// All time steps are over.
     End,
 }
 
 impl Player {
-    /// `count` times at `rate_hz` > 0; one is taken at most `most_late` times after it was due.
+    /// Plays `count` time steps at `rate_hz` > 0. A time step is shown at most `most_late` steps
+    /// after it was due.
     pub fn new(count: usize, rate_hz: f64, most_late: usize) -> Self {
         Self { count, rate_hz, most_late, next: 0, begun: None, dropped: 0 }
     }
 
-    /// The next time, for somebody who is ready for it `now`, on any clock. The first one is due when it is first asked for.
+    /// Returns the next action of a caller that is ready at `now`, on any clock. The first call
+    /// starts the video.
     pub fn next(&mut self, now: Duration) -> Due {
         let begun = *self.begun.get_or_insert(now);
         let newest = (now.saturating_sub(begun).as_secs_f64() * self.rate_hz + EARLY).floor() as usize;
@@ -52,5 +55,5 @@ impl Player {
     }
 }
 
-/// Share of the time between two times by which one may be early: rounding must not make it late by one.
+/// A time step may be early by this share of the interval, so that rounding does not delay it.
 const EARLY: f64 = 1e-6;

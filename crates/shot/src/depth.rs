@@ -1,4 +1,4 @@
-//! How deep the views see.
+//! Depths that the views of a light field see.
 
 use lumistack_core::Task;
 use lumistack_display::{FieldGeometry, SeenDepth};
@@ -8,15 +8,15 @@ use crate::error::ShotError;
 use crate::place::{Placement, probe};
 use crate::renderer::SceneRenderer;
 
-/// Columns at which depth is kept: enough for shares and percentiles.
+/// Columns of the kept depths: enough for shares and percentiles.
 const MOST_COLS: usize = 240;
 
-/// z of the first surface along rays of all views, in the display space of the window.
+/// z of the first surface along rays of all views, in display space.
 #[derive(Clone, Debug)]
 pub struct Depths {
-    /// Its grid is that at which the views are traced.
+    /// Grid and pixels at which the views are traced.
     pub geometry: FieldGeometry,
-    /// `[view_y][view_x][row][col]`, millimetres towards the viewer, NaN where a ray meets nothing.
+    /// `[view_y][view_x][row][col]`, mm towards the viewer, NaN where a ray misses.
     pub z_mm: Vec<f32>,
 }
 
@@ -44,24 +44,24 @@ impl Depths {
         traced.map(|()| Self { geometry, z_mm })
     }
 
-    /// The pixels at which depths of a geometry's views are kept.
+    /// Coarser pixels of a geometry, at which depths are kept.
     pub fn coarse(geometry: &FieldGeometry) -> FieldGeometry {
         probe(geometry, geometry.grid.clone(), MOST_COLS)
     }
 
-    /// Of one view, `[row][col]`.
+    /// Depths of one view, `[row][col]`.
     pub fn view(&self, [y, x]: [usize; 2]) -> &[f32] {
         let size = self.geometry.rows * self.geometry.cols;
         &self.z_mm[(y * self.geometry.grid.views()[1] + x) * size..][..size]
     }
 
-    /// Share of a view, 0..1, where it sees a surface.
+    /// Share of a view that shows a surface, 0..1.
     pub fn coverage(&self, view: [usize; 2]) -> f64 {
         let depth = self.view(view);
         depth.iter().filter(|z| z.is_finite()).count() as f64 / depth.len() as f64
     }
 
-    /// How deep the middle view sees on a display that shows the views with depth scaled as the placement says.
+    /// Depths of the middle view, scaled as the placement says and the display shows them.
     pub fn seen(&self, placement: &Placement) -> SeenDepth {
         let grid = &self.geometry.grid;
         let shown = |z: &f32| grid.projection.scaled_depth(f64::from(*z), placement.depth_scale) as f32;
@@ -70,7 +70,7 @@ impl Depths {
         SeenDepth { rows: self.geometry.rows, cols: self.geometry.cols, z_mm }
     }
 
-    /// Whether the ray through a pixel of a finer geometry of the same size meets a surface.
+    /// Returns whether the ray through a pixel of a finer geometry of the same size hits a surface.
     pub fn is_surface(&self, view: [usize; 2], row: usize, col: usize, of: &FieldGeometry) -> bool {
         let place = |i: usize, from: usize, to: usize| ((2 * i + 1) * to / (2 * from)).min(to - 1);
         let (row, col) = (place(row, of.rows, self.geometry.rows), place(col, of.cols, self.geometry.cols));

@@ -1,11 +1,11 @@
-//! Changes of a scene that was validated.
+//! Changes to a validated scene.
 
 use lumistack_core::Task;
 use lumistack_scene::{Scene, SceneError, SceneParts};
 
 use crate::error::ShotError;
 
-/// Applies `change` to the parts of a scene and validates again.
+/// Applies `change` to the parts of a scene and validates the result.
 ///
 /// # Errors
 /// When the changed scene is not valid.

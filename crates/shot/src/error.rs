@@ -1,4 +1,4 @@
-//! What can be wrong with a scene in front of a display.
+//! Errors of placing, lighting and rendering a scene in front of a display.
 
 use std::path::{Path, PathBuf};
 
@@ -7,13 +7,13 @@ use lumistack_pathtracer::RenderError;
 use lumistack_scene::{SceneError, WindowError};
 use thiserror::Error;
 
-/// A shot that cannot be made, or was stopped.
+/// An error of a shot, or its cancellation.
 #[derive(Clone, Debug, Error)]
 pub enum ShotError {
-    /// Somebody asked to stop.
+    /// The user cancelled the work.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
-    /// A value makes no sense.
+    /// A value is out of range or contradicts another.
     #[error(transparent)]
     Value(Box<BadValue>),
     /// The scene cannot be rendered.
@@ -21,7 +21,7 @@ pub enum ShotError {
     Scene {
         /// The scene's file.
         name: String,
-        /// What is wrong.
+        /// The error of the scene.
         source: SceneError,
     },
     /// The window cannot be placed.
@@ -29,7 +29,7 @@ pub enum ShotError {
     Window {
         /// The scene's file.
         name: String,
-        /// What is wrong.
+        /// The error of the window.
         source: WindowError,
     },
     /// Rendering failed.
@@ -38,7 +38,7 @@ pub enum ShotError {
 }
 
 impl ShotError {
-    /// A value that makes no sense.
+    /// Makes an error about a value.
     pub fn value(
         place: impl Into<Place>,
         key: impl Into<String>,
@@ -49,7 +49,7 @@ impl ShotError {
         Self::Value(Box::new(BadValue { place, key, expected, found }))
     }
 
-    /// A value of the job that makes no sense.
+    /// Makes an error about a value of the job.
     pub fn job(key: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Self {
         Self::value(Place::Job, key, expected, found)
     }
@@ -64,30 +64,30 @@ impl From<RenderError> for ShotError {
     }
 }
 
-/// A value that makes no sense: where it stands, what was needed, and what was there.
+/// A wrong value: its place, the expected and the found value.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("{place}: {key}: expected {expected}, found {found}")]
 pub struct BadValue {
-    /// Where it stands.
+    /// File, option or object that holds the value.
     pub place: Place,
-    /// Its key there.
+    /// Key of the value there.
     pub key: String,
-    /// A sentence about sound values.
+    /// Description of the values that are allowed.
     pub expected: String,
-    /// The value as it is.
+    /// The value as found.
     pub found: String,
 }
 
-/// Where a value stands.
+/// File, option or object that holds a value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Place {
-    /// A job; whoever has read it knows its file.
+    /// A job; the caller knows its file.
     Job,
-    /// Options of all kinds together.
+    /// Several options together.
     CommandLine,
-    /// An option, or a variable of the environment.
+    /// An option, or an environment variable.
     Option(&'static str),
-    /// Something in memory that has a name: a scene, a light field.
+    /// A named object in memory: a scene, a light field.
     Named(String),
     /// A file or a folder.
     File(PathBuf),

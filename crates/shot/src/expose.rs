@@ -1,4 +1,4 @@
-//! Radiance before a background, and the rays by which an exposure is chosen.
+//! Exposure of radiance before a background, and the rays that an automatic exposure measures.
 
 use std::borrow::Cow;
 
@@ -8,11 +8,12 @@ use lumistack_splats::Space;
 use crate::depth::Depths;
 use crate::look::Look;
 
-/// Rays that decide about exposure and tone curve, at most.
+/// Most rays that an automatic exposure measures.
 const MOST_RAYS: usize = 4_000_000;
 
-/// Exposes pixels `[..][rgb]` that are black where no surface is, and puts a background there; `missed` holds m of every pixel. Before a
-/// background splats are blended in their own space, as before a surface.
+/// Exposes pixels `[..][rgb]` that are black outside surfaces, and blends them over a background.
+/// `missed` is the share 0..1 of each pixel's rays without a hit. Splats are blended over the
+/// background in their own colour space, as over a surface.
 pub fn expose_over(look: Look, background: [f32; 3], splats: Option<Space>, missed: &[f32], rgb: &mut [f32]) {
     if let Some(space) = splats {
         look.apply_to(rgb);
@@ -21,6 +22,7 @@ pub fn expose_over(look: Look, background: [f32; 3], splats: Option<Space>, miss
         }
         return;
     }
+    // Expose the covered part alone, so that an edge blends shown values and not radiance.
     for (pixel, &missed) in rgb.chunks_exact_mut(3).zip(missed) {
         let covered = 1.0 - missed;
         if covered > 0.0 {
@@ -35,7 +37,8 @@ pub fn expose_over(look: Look, background: [f32; 3], splats: Option<Space>, miss
     }
 }
 
-/// The brightest channel of evenly spread rays of some views, and whether they meet a surface.
+/// Collects the brightest channel of evenly spread rays of some views, and whether each hits a
+/// surface.
 ///
 /// # Errors
 /// Those of `picture`.
@@ -50,7 +53,7 @@ pub fn brightest<'a, E>(
     let every = all.div_ceil(MOST_RAYS).max(1);
     let mut rays = Vec::with_capacity(all / every + 1);
     for (number, &view) in views.iter().enumerate() {
-        // goes on in the next view where it left off
+        // continue the even spread across views
         let first = (every - number * size % every) % every;
         rays.extend(picture(view)?.chunks_exact(3).enumerate().skip(first).step_by(every).map(|(i, rgb)| {
             let surface = depths.is_surface(view, i / geometry.cols, i % geometry.cols, geometry);

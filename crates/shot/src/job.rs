@@ -1,4 +1,4 @@
-//! Tables of a job that say how a scene is seen.
+//! Tables of a job that describe how a scene is seen.
 
 mod background;
 mod light;

@@ -1,10 +1,12 @@
-//! A scene in front of a display: all that lies between a file that was read and display-referred views, as functions of values in memory.
+//! A scene in front of a display: light, window, depth, exposure and tone curve. Every step is a
+//! function of values in memory.
 //!
 //! ```text
 //! Scene ──light──▶ lit Scene ──place──▶ Placement ──Renderer──▶ radiance ──Look──▶ LightField
 //! ```
 //!
-//! The pipeline keeps what it makes in a run folder, the page in memory; both take it from here. No file system, no clock: the crate compiles to wasm32.
+//! The pipeline keeps the results in a run folder, the browser page in memory. The crate uses no
+//! file system and no clock, and compiles to wasm32.
 
 mod depth;
 mod edit;
@@ -31,5 +33,6 @@ pub use place::{Found, Placement, find_window, place};
 pub use renderer::{SceneRenderer, put_before, slopes};
 pub use subject::Subject;
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, computed at build. It is part of the key of every kept result that
+/// depends on this code.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

@@ -1,4 +1,4 @@
-//! Light for scenes that bring none, and environment maps from files.
+//! Lighting: the studio light for scenes without light, and environment maps.
 
 use std::sync::Arc;
 
@@ -16,21 +16,23 @@ use crate::place::side;
 use crate::renderer::SceneRenderer;
 use crate::surround;
 
-/// Size of the studio map; it is smooth.
+/// Columns and rows of the studio map; it is smooth.
 const STUDIO: [usize; 2] = [128, 64];
-/// Pixels and paths by which it is found out whether lamps light a scene.
+/// Columns, rows and paths of the picture that measures whether lamps light a scene.
 const PROBE: [usize; 2] = [96, 60];
 const PROBE_SAMPLES: u32 = 16;
-/// Surfaces shown darker than this after exposure are not lit.
+/// Surfaces darker than this after exposure count as unlit.
 const DARK: f64 = 0.02;
-/// Share of what is seen that glowing objects must light, and that light sources must: a spot in a dark room is what its author wanted.
+/// Least shares of the visible surfaces that glowing objects and light sources must light. Light
+/// sources need less: their author may want a spot in a dark room.
 const LIT_BY_GLOW: f64 = 0.5;
 const LIT_BY_LAMPS: f64 = 0.05;
-/// Radiance that is seen past a scene in the studio light: a dark neutral ground.
+/// Radiance of the background behind a scene in studio light: a dark neutral ground.
 const GROUND: f32 = 0.035;
 
-/// Reports why a scene that has lamps of its own but no environment gets the studio light as well: an engine that glows lights no hangar, and lamps may shine past
-/// what is seen.
+/// Measures whether a scene's own lamps light its visible surfaces. If not, returns why the scene
+/// gets the studio light too. A glowing engine does not light a hangar, and lamps may shine past
+/// the visible part.
 ///
 /// # Errors
 /// When the scene cannot be rendered, or when cancelled.
@@ -38,11 +40,13 @@ pub(crate) fn probe(scene: &Arc<Scene>, task: Task<'_>) -> Result<Option<&'stati
     if scene.environment.is_some() {
         return Ok(None);
     }
-    // light is judged, not what surfaces make of it: scenes that differ in their materials alone get the same answer
+    // Replace materials by clay: the answer depends on light alone, so scenes that differ in
+    // materials get the same one.
     let scene = &Arc::new(edited::<ShotError>((**scene).clone(), task, |parts| {
         parts.materials.iter_mut().for_each(to_clay);
         Ok(())
     })?);
+    // Render a small picture: of the first camera, or framed from the best side.
     let [cols, rows] = PROBE;
     let grid = ViewGrid::single(Projection::Oblique, [0.0; 2]);
     let geometry = FieldGeometry { rows, cols, pitch_mm: 1.0, grid };
@@ -65,24 +69,26 @@ pub(crate) fn probe(scene: &Arc<Scene>, task: Task<'_>) -> Result<Option<&'stati
     let is_lit = |value: f32| curve.apply([(f64::from(value) * exposure) as f32; 3])[1] >= DARK as f32;
     let surfaces = rays.iter().filter(|(_, surface)| *surface);
     let count = surfaces.clone().count() as f64;
+    // Count the surfaces that are lit after automatic exposure.
     let lit = surfaces.filter(|(value, _)| is_lit(*value)).count() as f64;
     let has_lamps = !scene.lights.is_empty() || scene.materials.iter().any(|material| material.lamp != Lamp::No);
     let message = if has_lamps {
         (lit < LIT_BY_LAMPS * count).then_some(
-            "its lamps leave what is seen black, so the studio light is added; `light.automatic = false` does without",
+            "its own lamps leave the visible surfaces black, so the studio light is added; `light.automatic = false` leaves it out",
         )
     } else {
         (lit < LIT_BY_GLOW * count).then_some(
-            "the surfaces that glow leave most of what is seen dark, so the studio light is added; `light.automatic = false` does without",
+            "its glowing surfaces leave most visible surfaces dark, so the studio light is added; `light.automatic = false` leaves it out",
         )
     };
     Ok(message)
 }
 
-/// Reflectance of the clay that scenes are made of while their light is judged.
+/// Reflectance of the clay that replaces the materials while their light is measured.
 const CLAY: f32 = 0.5;
 
-/// Takes away what an opaque surface does to light, and leaves what it emits. What light passes stays.
+/// Turns an opaque surface into clay that keeps its emission. Surfaces that transmit light stay as
+/// they are.
 fn to_clay(material: &mut Material) {
     if material.unlit || material.transmission > 0.0 || material.alpha_mode != AlphaMode::Opaque {
         return;
@@ -101,8 +107,10 @@ fn to_clay(material: &mut Material) {
     };
 }
 
-/// Gives the scene the built-in studio light: a soft grey surround, darker below, a large key light above to the left in front of the
-/// scene and a weaker fill to the right. Radiance is about 1 where it is brightest outside the lamps. What is seen past the scene is a dark ground instead.
+/// Adds the built-in studio light: a soft grey surround that darkens downwards, with two lamps. The
+/// key light is large, above to the left in front of the scene; the fill to the right is weaker.
+/// Radiance outside the lamps is at most about 1. The viewer sees a dark ground behind the scene
+/// instead.
 pub fn add_studio_light(parts: &mut SceneParts) {
     let [width, height] = STUDIO;
     let mut texels = Vec::with_capacity(width * height);
@@ -111,7 +119,7 @@ pub fn add_studio_light(parts: &mut SceneParts) {
     for row in 0..height {
         let elevation = std::f32::consts::FRAC_PI_2 - (row as f32 + 0.5) / height as f32 * std::f32::consts::PI;
         for col in 0..width {
-            // the centre column is −z, columns to the right turn towards +x
+            // the centre column is −z; columns to the right turn towards +x
             let azimuth = ((col as f32 + 0.5) / width as f32 - 0.5) * std::f32::consts::TAU;
             let direction =
                 Vec3::new(elevation.cos() * azimuth.sin(), elevation.sin(), -elevation.cos() * azimuth.cos());
@@ -128,14 +136,14 @@ pub fn add_studio_light(parts: &mut SceneParts) {
     parts.backdrop = Some(Vec3::splat(GROUND));
 }
 
-/// Makes an image the scene's environment.
+/// Sets an image as the scene's environment.
 pub fn set_environment(parts: &mut SceneParts, image: Image, strength: Vec3, scene_from_environment: Quat) {
     parts.images.push(image);
     parts.environment = Some(Environment { image: parts.images.len() - 1, strength, scene_from_environment });
 }
 
-/// Lights a scene as a job says, and where it has no light. `environment` tells whether its environment came from the job's file, at the job's
-/// strength. Returns the scene, and whether it got the built-in studio light.
+/// Lights a scene as a job says. `environment` says that its environment came from the job's file,
+/// at the job's strength. Returns the scene, and whether it got the studio light.
 ///
 /// # Errors
 /// When the scene cannot be rendered, or when cancelled.
@@ -145,6 +153,7 @@ pub fn lit(
     job: &LightJob,
     task: Task<'_>,
 ) -> Result<(Arc<Scene>, bool), ShotError> {
+    // The job's factor on the environment of the scene's own file.
     if !environment
         && let Some(strength) = scene.environment.map(|environment| environment.strength)
         && job.environment_strength != 1.0
@@ -156,6 +165,7 @@ pub fn lit(
             Ok(())
         })?;
     }
+    // Light sources with a surface: visible or not, as the job says.
     if let Some(visible) = job.visible {
         let wanted = if visible { Lamp::Seen } else { Lamp::Unseen };
         if scene.materials.iter().any(|material| material.lamp != Lamp::No && material.lamp != wanted) {
@@ -170,7 +180,8 @@ pub fn lit(
     if has_environment {
         scene = surround::turned(scene, job, task)?;
     }
-    // splats bring their light with them
+    // Studio light where the scene is unlit. Splats bring their light with them, so captures get
+    // none.
     let automatic = job.automatic && !scene.instances.is_empty();
     let mut studio = automatic && !scene.is_lit();
     let mut scene = Arc::new(scene);
@@ -203,7 +214,7 @@ mod tests {
     use lumistack_core::{Cancel, Collector};
     use lumistack_scene::{Instance, Mesh};
 
-    /// A floor of some material below a panel that shines, from above the floor.
+    /// A floor of some material below a glowing panel, seen from above.
     fn room(floor: Material) -> Arc<Scene> {
         let square = |height: f32, half: f32, material: usize| Mesh {
             place: format!("/{material}"),

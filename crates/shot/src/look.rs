@@ -1,11 +1,12 @@
-//! From scene-linear to display-referred radiance: one exposure and one tone curve for every ray of every view.
+//! Exposure and tone curve: from scene-linear to display-referred radiance, alike for every ray of
+//! every view.
 //!
 //! ```text
 //! L = curve(exposure · radiance)        0..1, linear light
 //! ```
 //!
-//! Both are chosen once, from all views together. Choosing per view would give the same point of the scene another brightness in every view, which no
-//! diffuse surface has.
+//! Both are chosen once, from all views together. A choice per view would change the brightness of
+//! a scene point from view to view, which no diffuse surface does.
 
 use lumistack_core::metrics::percentile;
 use lumistack_core::tone::ToneCurve;
@@ -16,29 +17,30 @@ use rayon::prelude::*;
 
 use crate::job::{LightJob, Tone};
 
-/// What the brightest hundredth of the surfaces is shown as, at least.
+/// Least shown value of the brightest hundredth of the surfaces.
 const WHITE: f32 = 0.95;
-/// What half of the surfaces is shown above, where a few lamps would leave all else dark.
+/// Half of the surfaces are shown above this value, where a few lamps would leave all else dark.
 const MIDDLE: f32 = 0.22;
-/// More than this share of rays above white makes `auto` compress highlights instead of clipping them.
+/// Above this share of rays brighter than white, `auto` compresses highlights instead of clipping.
 const HIGHLIGHTS: f64 = 2e-3;
-/// Surfaces that fill less than this share of the views do not decide alone.
+/// The sky counts too where surfaces fill less than this share of the views.
 const LEAST_SURFACE: f64 = 0.05;
 
-/// One exposure and one curve.
+/// An exposure and a tone curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Look {
     /// Factor on scene-linear radiance.
     pub exposure: f64,
-    /// Curve from exposed radiance to what the display shows.
+    /// Curve from exposed radiance to shown values, 0..1.
     pub curve: ToneCurve,
 }
 
 impl Look {
-    /// Radiance as it is.
+    /// Leaves radiance unchanged.
     pub const NONE: Self = Self { exposure: 1.0, curve: ToneCurve::Linear };
 
-    /// The look of a shot. `brightest` holds the brightest channel of rays from all views, and whether the ray meets a surface.
+    /// Chooses exposure and tone curve of a shot. `brightest` holds the brightest channel of rays
+    /// from all views, and whether each ray hits a surface.
     pub fn choose(job: &LightJob, scene: &Scene, brightest: &[(f32, bool)]) -> Self {
         let stops = 2f64.powf(job.exposure_ev);
         let exposure = |curve| {
@@ -56,7 +58,7 @@ impl Look {
             Tone::Auto => {
                 let linear = fixed(ToneCurve::Linear);
                 if !scene.placed_clouds.is_empty() {
-                    // captures are what a camera made of the light
+                    // the camera has already exposed a capture
                     return linear;
                 }
                 let clipped = brightest.iter().filter(|(value, _)| f64::from(*value) * linear.exposure > 1.0).count();
@@ -69,11 +71,12 @@ impl Look {
         }
     }
 
-    /// The look of a light field that is given: as it is, unless the job asks for an exposure or a curve. None is chosen for it.
+    /// Exposure and tone curve of a given light field, as far as the job sets them. `None` leaves
+    /// the field unchanged.
     pub fn of_given(job: &LightJob) -> Option<Self> {
         let curve = match job.tone {
             Tone::Auto if job.exposure_ev == 0.0 => return None,
-            // clips what does not fit
+            // no curve: values above 1 are clipped
             Tone::Auto | Tone::Linear => ToneCurve::Linear,
             Tone::KhronosNeutral => ToneCurve::KhronosNeutral,
             Tone::Agx => ToneCurve::Agx,
@@ -86,7 +89,7 @@ impl Look {
         self.apply_to(field.radiance_mut().data_mut());
     }
 
-    /// The same for pixels `[..][rgb]`.
+    /// Applies them to pixels `[..][rgb]` in place.
     pub fn apply_to(self, rgb: &mut [f32]) {
         let exposure = self.exposure as f32;
         let apply = |pixels: &mut [f32]| {
@@ -95,7 +98,7 @@ impl Look {
                 rgb.copy_from_slice(&shown);
             }
         };
-        // by pixels; threads do not matter
+        // every pixel on its own, so the number of threads changes nothing
         #[cfg(feature = "parallel")]
         rgb.par_chunks_mut(3 * 4096).for_each(apply);
         #[cfg(not(feature = "parallel"))]
@@ -103,14 +106,15 @@ impl Look {
     }
 }
 
-/// The exposure and the tone curve that a job with nothing set chooses. `brightest` holds the brightest channel of rays, and whether the ray meets a
-/// surface.
+/// Chooses exposure and tone curve with the default settings of a job. `brightest` is as in
+/// [`Look::choose`].
 pub fn automatic_look(scene: &Scene, brightest: &[(f32, bool)]) -> (f64, ToneCurve) {
     let Look { exposure, curve } = Look::choose(&LightJob::default(), scene, brightest);
     (exposure, curve)
 }
 
-/// Whether radiance is display-referred as it is: every surface shows its base colour whatever the light, or splats bring their light with them.
+/// Returns whether radiance is display-referred already: every surface is unlit and shows its base
+/// colour, or splats bring their own light.
 fn is_display_referred(scene: &Scene) -> bool {
     if !scene.placed_clouds.is_empty() {
         return true;
@@ -119,9 +123,11 @@ fn is_display_referred(scene: &Scene) -> bool {
     !scene.instances.is_empty() && scene.instances.iter().all(|instance| material(instance.mesh).unlit)
 }
 
-/// Factor that brings the brightest hundredth of the surfaces to [`WHITE`]. Where that leaves most of them dark, half of them are brought above
-/// [`MIDDLE`] instead, as long as no more than a twentieth is shown above [`WHITE`]. Percentiles leave single bright samples out, and what is
-/// seen past the scene does not count, least of all where it is a ground of our own (`on_ground`).
+/// Computes the factor that shows the brightest hundredth of the surfaces as [`WHITE`].
+///
+/// Where most of them would stay dark, half of them are shown above [`MIDDLE`] instead, with at
+/// most a twentieth above [`WHITE`]. Percentiles ignore single bright samples. Rays past the
+/// surfaces do not count, in particular those to the ground of the studio light (`on_ground`).
 fn exposure_of(brightest: &[(f32, bool)], on_ground: bool, curve: ToneCurve) -> f64 {
     let surfaces = brightest.iter().filter(|(_, surface)| *surface).count();
     let least = if on_ground { f64::MIN_POSITIVE } else { LEAST_SURFACE * brightest.len() as f64 };
@@ -130,7 +136,7 @@ fn exposure_of(brightest: &[(f32, bool)], on_ground: bool, curve: ToneCurve) -> 
     let mut values: Vec<f32> = chosen.map(|(value, _)| *value).filter(|value| value.is_finite()).collect();
     let [p50, p95, p99] = [0.50, 0.95, 0.99].map(|share| f64::from(percentile(&mut values, share)));
     let to = |value: f64, level: f32| if value > 0.0 { f64::from(level) / value } else { 0.0 };
-    // radiance after exposure that the curve shows as white and as middle
+    // radiance after exposure that the curve maps to white and to middle
     let (white, middle) = (curve.grey_shown_as(WHITE), curve.grey_shown_as(MIDDLE));
     let factor = to(p99, WHITE).max(to(p50, middle).min(to(p95, white)));
     if factor.is_finite() && factor > 0.0 { factor } else { 1.0 }
@@ -188,7 +194,7 @@ mod tests {
         assert!((exposure_of(&with, false, ToneCurve::Linear) / plain - 1.0).abs() < 2e-3);
         with.extend(vec![(50.0, false); 40_000]);
         assert!((exposure_of(&with, false, ToneCurve::Linear) / plain - 1.0).abs() < 2e-3);
-        // a speck before the sky does not decide, but one before our own ground does
+        // a speck before the sky does not decide alone, a speck before the studio's ground does
         let mut speck = surfaces(&[0.01; 10]);
         speck.extend(vec![(2.0, false); 10_000]);
         assert!((exposure_of(&speck, false, ToneCurve::Linear) * 2.0 - 0.95).abs() < 1e-3);
@@ -226,7 +232,7 @@ mod tests {
         assert!(Look::choose(&LightJob::default(), &scene(false), &dark).exposure > 2.0);
     }
 
-    /// What a diffuse point looks like must not depend on what else a view shows: equal radiance in, equal out, whatever the view.
+    /// A diffuse point must look alike in every view, and independent of the rest of the view.
     #[test]
     fn equal_radiance_looks_the_same_in_every_view() {
         let grid = ViewGrid::uniform(Projection::Oblique, [4, 1], [20.0, 1.0]).unwrap();
@@ -234,7 +240,7 @@ mod tests {
         for (_, curve) in ToneCurve::ALL {
             let mut field = LightField::black(geometry.clone()).unwrap();
             for (number, view) in geometry.grid.iter().enumerate() {
-                // every view has another brightness around the point
+                // the surroundings of the point differ in brightness from view to view
                 field.view_mut(view).fill(4f32.powi(number as i32));
                 field.view_mut(view)[3 * 10..][..3].copy_from_slice(&[0.7, 0.3, 0.1]);
             }

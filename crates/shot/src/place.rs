@@ -1,18 +1,22 @@
-//! Where the display stands in the scene, and how its depth of field is filled: the window moves along its normal, and depth is compressed where that
-//! is not enough.
+//! Places the display in the scene and fits the scene into its depth of field. The window moves
+//! along its normal; where that does not suffice, depth is compressed.
 //!
-//! Neither changes what is seen straight on. Content at depth z appears, once the window has moved back by t and slopes are scaled by k, at
+//! The straight view stays the same. The window moves back by t and slopes are scaled by k. Then
+//! content at depth z appears at
 //!
 //! ```text
 //! oblique:       z' = k (z + t)
-//! perspective:   z' with z'/(D − z') = k y/(D − y),   y = (z + t) D/(D + t)        the eye stays, the window is scaled to its frustum
+//! perspective:   z' with z'/(D − z') = k y/(D − y),   y = (z + t) D/(D + t)
 //! ```
 //!
-//! Unless a job says otherwise it happens where the scene does not fit as it stands. A window that somebody placed stays where it is, and depth is compressed
-//! about it: what was put into the display's plane remains there.
+//! In perspective the eye stays, and the window scales to the eye's frustum.
 //!
-//! Scaling slopes is what moving viewpoints together does: every displacement between views shrinks by k. In oblique views that is an affine
-//! compression of the scene along the window's normal, in perspective ones a projective one that keeps straight lines straight.
+//! By default this happens only where the scene does not fit. A window that the user placed stays
+//! in place, and depth is compressed about it: content in the display plane remains there.
+//!
+//! Scaling the slopes is the same as moving all viewpoints closer together: every displacement
+//! between views shrinks by k. In oblique views it is an affine compression along the window's
+//! normal. In perspective views it is a projective one, which keeps straight lines straight.
 
 pub(crate) mod side;
 mod window;
@@ -29,64 +33,66 @@ use crate::subject::Subject;
 
 /// Columns of the straight view by which depth is measured.
 const PROBE_COLS: usize = 210;
-/// Shares of the visible depths between which the scene is fitted: a few stray surfaces do not count.
+/// Quantiles of the visible depths that must fit: a few stray surfaces do not count.
 const ENDS: [f64; 2] = [0.02, 0.98];
-/// Shares of the scene this close are equally good.
+/// Shares of the scene that differ by less count as equal.
 const AS_GOOD: f64 = 0.01;
-/// Depths this far outside are inside, millimetres.
+/// Tolerance at the ends of the depth of field, mm.
 const ROUNDED: f64 = 1e-6;
-/// Positions of the window that are tried.
+/// Number of window positions to compare.
 const TRIED: usize = 2001;
-/// What stands before a window that was given by numbers is seen as long as the display can show this share of its pixels' detail there.
+/// Share of a pixel's detail that the display must still show. Content farther before a window
+/// given by numbers is cut off.
 const LEAST_DETAIL: f64 = 0.125;
-/// Depth is not compressed further than this.
+/// Least factor on depth.
 const LEAST_SCALE: f64 = 0.01;
 
-/// The window of a job.
+/// A window in the scene, with the depth that fits it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement {
-    /// The window as the display is seen.
+    /// The window after the movement.
     pub window: Window,
-    /// How far it was moved back to fit, millimetres at the place before.
+    /// Distance by which the window moved back, mm in display space before the movement.
     pub moved_back_mm: f64,
     /// Factor on the slopes at which views are traced.
     pub depth_scale: f64,
-    /// Whether fitting changed one of them.
+    /// Fitting changed the window or the scale.
     pub fitted: bool,
-    /// Azimuth and elevation from which the scene was framed, degrees.
+    /// Azimuth and elevation of the viewer that framed the scene, degrees.
     pub looked_from_deg: Option<[f64; 2]>,
 }
 
-/// What fitting may do.
+/// The changes that fitting is allowed to make.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Means {
     /// The window may move.
     moves: bool,
     /// Depth may be compressed.
     compresses: bool,
-    /// Only where the scene does not fit as it stands.
+    /// Fitting does nothing where the scene fits already.
     at_need: bool,
 }
 
 impl Means {
-    /// What a job allows for a window; `None` for nothing.
+    /// Returns the changes that a job allows; `None` for none. `chosen` says that the user placed
+    /// the window.
     fn of(job: &WindowJob, chosen: bool) -> Option<Self> {
         let scaled = job.depth_scale != 1.0;
         match job.fit_depth {
             FitDepth::Off => None,
             FitDepth::Move => Some(Self { moves: true, compresses: false, at_need: false }),
             FitDepth::Compress => Some(Self { moves: true, compresses: true, at_need: false }),
-            // what somebody chose is left alone: the place of the window, the scale of depth
+            // the user's place of the window and the user's scale of depth stay
             FitDepth::Auto if chosen && scaled => None,
             FitDepth::Auto => Some(Self { moves: !chosen, compresses: !scaled, at_need: true }),
         }
     }
 }
 
-/// Places the display in the scene and fits the scene's depth to it where the job says so.
+/// Places the display in the scene and fits the scene's depth as the job says.
 ///
 /// # Errors
-/// As [`find_window`], and when the display has no depth of field into which depth could be compressed.
+/// Those of [`find_window`]; a display without depth of field, where the job compresses depth.
 pub fn place<S: Subject>(
     subject: &S,
     job: &WindowJob,
@@ -94,21 +100,22 @@ pub fn place<S: Subject>(
     geometry: &FieldGeometry,
     task: Task<'_>,
 ) -> Result<Placement, S::Error> {
+    // Find the window, and the nearest depth that the display can show before it.
     let Found { mut window, chosen, looked_from_deg } = find_window(subject, job, geometry, task)?;
     if job.near == Near::Auto && job.from == WindowFrom::Given {
         window.near_mm = farthest_shown(display, geometry.pitch_mm).map(|z| z / job.depth_scale);
     }
     let unfitted =
         Placement { window, moved_back_mm: 0.0, depth_scale: job.depth_scale, fitted: false, looked_from_deg };
+    // Without a depth of field there is no range into which the scene could be fitted.
     let Some(means) = Means::of(job, chosen) else { return Ok(unfitted) };
     let depth_of_field = display.depth_of_field(geometry.pitch_mm);
     let is_two_sided = |[low, high]: [f64; 2]| low < 0.0 && 0.0 < high;
     if means.at_need && !depth_of_field.is_some_and(is_two_sided) {
-        // nothing could be fitted into it
         return Ok(unfitted);
     }
     let Some([low, high]) = depth_of_field else {
-        task.warn("window.fit_depth", "the display shows its own pixels at no depth: the window stays where it is");
+        task.warn("window.fit_depth", "the display has no depth of field, so the window stays where it is");
         return Ok(unfitted);
     };
     if means.compresses && !is_two_sided([low, high]) {
@@ -116,6 +123,7 @@ pub fn place<S: Subject>(
         let found = format!("a depth of field from {low} to {high} mm");
         return Err(ShotError::job("window.fit_depth", expected, found).into());
     }
+    // Fit the depths of the straight view. The subject keeps the result, since the trace is slow.
     let projection = geometry.grid.projection;
     let of = format!("{window:?} {projection:?} {low} {high} {means:?} {}", job.depth_scale);
     let fit: Fit = subject.remembered("fit", &of, || {
@@ -138,13 +146,14 @@ pub fn place<S: Subject>(
     })
 }
 
-/// z before the window from which on the display shows less than [`LEAST_DETAIL`] of what its pixels could, millimetres; `None` where it shows nothing but its plane.
+/// Returns the z before the window up to which the display shows [`LEAST_DETAIL`] of its pixels'
+/// detail, mm. `None` where it shows detail on its plane alone.
 fn farthest_shown(display: &Display, pitch_mm: f64) -> Option<f64> {
     let [_, far] = display.depths_shown(LEAST_DETAIL * 0.5 / pitch_mm)?;
     (far > 0.0 && far.is_finite()).then_some(far)
 }
 
-/// The same rectangle with fewer pixels and other views.
+/// Returns the same rectangle with fewer pixels and other views.
 pub fn probe(geometry: &FieldGeometry, grid: ViewGrid, most_cols: usize) -> FieldGeometry {
     let [width_mm, height_mm] = geometry.size_mm();
     let cols = geometry.cols.min(most_cols);
@@ -159,8 +168,9 @@ struct Fit {
     depth_scale: f64,
 }
 
-/// The movement and the scale, as far as the means go, that bring most of the sorted `depths` between `low` and `high`. Among movements that are about as good the
-/// one that puts the ends of the depths evenly around the middle, or as near to that as possible.
+/// Finds the movement and the scale that bring most of the sorted `depths` between `low` and
+/// `high`. Among equally good movements it takes the one that puts both ends evenly around the
+/// middle.
 fn best_fit(depths: &[f64], [low, high]: [f64; 2], projection: Projection, scale: f64, means: Means) -> Fit {
     let stay = Fit { moved_back_mm: 0.0, depth_scale: scale };
     let (Some(&nearest), Some(&farthest)) = (depths.last(), depths.first()) else { return stay };
@@ -169,7 +179,7 @@ fn best_fit(depths: &[f64], [low, high]: [f64; 2], projection: Projection, scale
         Projection::Oblique => z + by,
         Projection::Perspective { distance_mm } => (z + by) * distance_mm / (distance_mm + by),
     };
-    // the display's window must stay before the eye
+    // the window must stay before the eye
     let least = match projection {
         Projection::Oblique => f64::NEG_INFINITY,
         Projection::Perspective { distance_mm } => -0.9 * distance_mm,
@@ -178,7 +188,8 @@ fn best_fit(depths: &[f64], [low, high]: [f64; 2], projection: Projection, scale
         if !means.compresses {
             return scale;
         }
-        // parallax is proportional to the scale, and each end of the depths to an end of the depth of field
+        // parallax is proportional to the scale, so each end of the depths limits the scale on its
+        // own
         let parallax = |z: f64| projection_parallax(projection, z);
         ends.into_iter().fold(scale, |scale, end| {
             let end = moved(end, by);
@@ -197,26 +208,26 @@ fn best_fit(depths: &[f64], [low, high]: [f64; 2], projection: Projection, scale
         let inside = depths.partition_point(|z| shown(*z, by, scale) <= high) - below;
         inside as f64 / depths.len() as f64
     };
-    // how uneven the ends lie around the middle
+    // distance of the shown ends' middle from the middle of the depth of field
     let uneven = |by: f64| {
         let scale = scale_at(by);
         (ends.map(|end| shown(end, by, scale)).into_iter().sum::<f64>() - (low + high)).abs()
     };
-    // from all of the scene in front of the depth of field to all of it behind
+    // from the whole scene before the depth of field to the whole scene behind it
     let (first, last) = ((low - nearest).min(0.0).max(least), (high - farthest).max(0.0).max(least));
     let at = |i: usize| first + (last - first) * i as f64 / (TRIED - 1) as f64;
     let moves = if means.moves { TRIED } else { 0 };
     let tried: Vec<(f64, f64, f64)> = (0..moves).map(at).chain([0.0]).map(|by| (by, share(by), scale_at(by))).collect();
     let most = tried.iter().fold(0.0, |most: f64, (_, share, _)| most.max(*share));
     let good = tried.iter().filter(|(_, share, _)| *share >= most - AS_GOOD);
-    // as little compression as possible, then as even as possible
+    // least compression first, then the most even position
     let largest = good.clone().fold(0.0, |largest: f64, (_, _, scale)| largest.max(*scale));
     let good = good.filter(|(_, _, scale)| *scale >= largest * (1.0 - AS_GOOD));
     let best = good.min_by(|a, b| uneven(a.0).total_cmp(&uneven(b.0)));
     best.map_or(stay, |(by, _, scale)| Fit { moved_back_mm: *by, depth_scale: scale.max(LEAST_SCALE) })
 }
 
-/// What parallax is proportional to.
+/// Returns a value proportional to the parallax of depth z.
 fn projection_parallax(projection: Projection, z: f64) -> f64 {
     match projection {
         Projection::Oblique => z,
@@ -251,7 +262,7 @@ mod tests {
 
     #[test]
     fn a_deep_scene_is_placed_where_most_of_it_is_shown() {
-        // nine tenths between −310 and −210 mm, the rest far away
+        // nine tenths between −310 and −210 mm, the rest far behind
         let mut depths = evenly(-310.0, -210.0);
         depths.extend(evenly(-2000.0, -1500.0).iter().step_by(10));
         depths.sort_by(f64::total_cmp);
@@ -285,15 +296,15 @@ mod tests {
     fn unasked_nothing_changes_where_the_scene_fits() {
         let stay = Fit { moved_back_mm: 0.0, depth_scale: 1.0 };
         for means in [AUTO, IN_PLACE] {
-            // a fiftieth at either end may stand out
+            // a fiftieth at either end may lie outside
             assert_eq!(best_fit(&evenly(-81.0, 81.0), RANGE, Projection::Oblique, 1.0, means), stay);
             assert_eq!(best_fit(&evenly(10.0, 60.0), RANGE, PERSPECTIVE, 1.0, means), stay);
             assert_ne!(best_fit(&evenly(-120.0, 81.0), RANGE, Projection::Oblique, 1.0, means), stay);
         }
-        // what does not fit is moved first, and compressed as far as it must be
+        // a scene that does not fit is moved first, then compressed as far as needed
         let moved = best_fit(&evenly(60.0, 200.0), RANGE, Projection::Oblique, 1.0, AUTO);
         assert!((moved.moved_back_mm + 130.0).abs() < 0.5 && moved.depth_scale == 1.0, "{moved:?}");
-        // a window that somebody placed stays: a thing 160 mm before it comes to 80
+        // a window that the user placed stays: content 160 mm before it moves to 80 mm
         let squeezed = best_fit(&evenly(100.0, 160.0), RANGE, Projection::Oblique, 1.0, IN_PLACE);
         assert_eq!(squeezed.moved_back_mm, 0.0);
         assert!((squeezed.depth_scale * 158.8 - 80.0).abs() < 0.2, "{squeezed:?}");
@@ -311,7 +322,8 @@ mod tests {
         assert_eq!(Means::of(&job(FitDepth::Compress, 0.5), true), Some(COMPRESS));
     }
 
-    /// Three layers 40 mm apart show their pixels up to 80 mm away and, the bound being proportional to 1/z, an eighth of their detail up to 640 mm.
+    /// Three layers 40 mm apart show their pixels up to 80 mm away. The bound falls as 1/z, so they
+    /// show an eighth of the detail up to 640 mm.
     #[test]
     fn before_a_given_window_is_seen_what_can_be_shown() {
         let display = Display::uniform([84, 52], 1.0, [5, 5], [20.0, 20.0], &[-40.0, 0.0, 40.0], 2);
@@ -327,7 +339,7 @@ mod tests {
         assert_eq!(none, Fit { moved_back_mm: 0.0, depth_scale: 0.7 });
         let flat = best_fit(&[30.0; 9], RANGE, Projection::Oblique, 1.0, COMPRESS);
         assert!((flat.moved_back_mm + 30.0).abs() < 0.2 && flat.depth_scale == 1.0, "{flat:?}");
-        // a display of one layer: the depth of field is a plane
+        // the depth of field of a single layer is a plane
         let plane = best_fit(&[10.0, 10.0, 10.0, 90.0], [0.0, 0.0], Projection::Oblique, 1.0, MOVE);
         assert!(plane.moved_back_mm.is_finite());
     }

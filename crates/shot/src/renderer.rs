@@ -1,10 +1,13 @@
-//! A scene prepared for rendering: its triangles by the path tracer, its splats before them.
+//! A scene prepared for rendering: the path tracer renders its triangles, and splats are blended
+//! before them.
 //!
 //! ```text
-//! view = splats.over(traced view)        blended in the space of the splats; what stands behind a surface is not seen
+//! view = splats.over(traced view)
 //! ```
 //!
-//! Splats have no noise, so they join the views after denoising; until then they lie beside them in the cache.
+//! They are blended in the splats' own colour space. Surfaces hide splats behind them.
+//! Splats have no noise, so they are blended after denoising. Until then the cache holds them
+//! beside the views.
 
 use std::sync::Arc;
 
@@ -18,14 +21,14 @@ use rayon::prelude::*;
 
 use crate::error::ShotError;
 
-/// Rays per pixel and axis by which surfaces cut splats off.
+/// Rays per pixel and axis that find the surface at which splats end.
 const CUTS: usize = 2;
 
 /// A scene prepared for rendering.
 pub struct SceneRenderer {
-    /// Of its triangles and its light.
+    /// Renders triangles and light.
     pub tracer: Renderer,
-    /// Of its splats, where it has any.
+    /// Renders splats, where the scene has any.
     pub splats: Option<Splats>,
     has_surfaces: bool,
 }
@@ -37,14 +40,15 @@ impl SceneRenderer {
     /// When it cannot be rendered, or when cancelled.
     pub fn new(scene: Arc<Scene>, task: Task<'_>) -> Result<Self, ShotError> {
         let has_surfaces = !scene.instances.is_empty();
-        // captures bring their light with them
-        let unheard = Collector::default();
-        let quiet = if has_surfaces { task } else { Task { warnings: &unheard, ..task } };
+        // captures bring their light with them, so warnings about missing light do not apply
+        let unused = Collector::default();
+        let quiet = if has_surfaces { task } else { Task { warnings: &unused, ..task } };
         let tracer = Renderer::new(scene.clone(), quiet)?;
         Ok(Self { tracer, splats: Splats::new(scene), has_surfaces })
     }
 
-    /// z in display space of what the central ray of every pixel of a view sees first, millimetres, `[row][col]`; NaN where it sees nothing.
+    /// Returns z of the first surface or splat along the central ray of every pixel of a view: mm
+    /// in display space, `[row][col]`, NaN where there is none.
     ///
     /// # Errors
     /// When the geometry or the view is out of range, or when cancelled.
@@ -63,10 +67,11 @@ impl SceneRenderer {
         Ok(found)
     }
 
-    /// [`depth`](Self::depth) of several views, given to `done` with their numbers, in order.
+    /// Computes [`depth`](Self::depth) of several views, and calls `done` with each number, in
+    /// order.
     ///
     /// # Errors
-    /// As there, and when `done` fails.
+    /// Those of [`depth`](Self::depth) and of `done`.
     pub fn depths<E: From<ShotError> + From<Cancelled>>(
         &self,
         window: &Window,
@@ -81,6 +86,7 @@ impl SceneRenderer {
             });
         };
         let slopes = slopes(geometry, views);
+        // Splats first; where a ray passes them all, the surface behind counts.
         let surfaces = |number: usize| self.surfaces(window, geometry, slopes[number], 1, task).map_err(E::from);
         splats.render(window, geometry, &slopes, &surfaces, Wanted::Depth, task, |number, view| {
             let mut z_mm = view.z_mm;
@@ -92,7 +98,8 @@ impl SceneRenderer {
         })
     }
 
-    /// 1 for every pixel of a view whose central ray meets a surface or ends in splats, else 0: `[row][col]`.
+    /// Returns 1 for every pixel of a view whose central ray hits a surface or ends in splats, else
+    /// 0: `[row][col]`.
     ///
     /// # Errors
     /// When the geometry or the view is out of range, or when cancelled.
@@ -111,11 +118,12 @@ impl SceneRenderer {
         Ok(mask)
     }
 
-    /// What views of these slopes see of the splats, given to `done` with their numbers, in order; nothing where there are none. The slopes
-    /// of the geometry's grid do not count.
+    /// Renders the splats of views at `slopes`, and calls `done` with each number, in order.
+    /// Without splats it does nothing. Only size and projection of `geometry` count, its slopes do
+    /// not.
     ///
     /// # Errors
-    /// When the geometry is out of range, when cancelled, and when `done` fails.
+    /// When the geometry is out of range, when cancelled, and those of `done`.
     pub fn splat_views<E: From<ShotError> + From<Cancelled>>(
         &self,
         window: &Window,
@@ -129,7 +137,8 @@ impl SceneRenderer {
         splats.render(window, geometry, slopes, &surfaces, Wanted::Light, task, done)
     }
 
-    /// Depths of the first surfaces on `per_axis`² rays of every pixel; `None` where there are no surfaces.
+    /// Traces depths of the first surfaces on `per_axis`² rays of every pixel; `None` where there
+    /// are no surfaces.
     fn surfaces(
         &self,
         window: &Window,
@@ -156,13 +165,13 @@ impl SceneRenderer {
     }
 }
 
-/// Slopes (s_x, s_y) of views [y, x] of the geometry's grid.
+/// Slopes (s_x, s_y) of the views [y, x] of a geometry's grid.
 pub fn slopes(geometry: &FieldGeometry, views: &[[usize; 2]]) -> Vec<[f64; 2]> {
     let grid = &geometry.grid;
     views.iter().map(|[y, x]| [grid.slope_x[*x], grid.slope_y[*y]]).collect()
 }
 
-/// Puts the splats of a view, `[..][r, g, b, T]`, before radiance `[..][rgb]`.
+/// Blends the splats of a view, `[..][r, g, b, T]`, over radiance `[..][rgb]` in place.
 pub fn put_before(space: Space, splats: &[f32], radiance: &mut [f32]) {
     let put = |(radiance, splats): (&mut [f32], &[f32])| {
         for (behind, pixel) in radiance.as_chunks_mut::<3>().0.iter_mut().zip(splats.as_chunks::<4>().0) {

@@ -1,4 +1,4 @@
-//! What a display is put in front of.
+//! The scene in front of which a display is placed.
 
 use lumistack_core::{Cancelled, Task};
 use lumistack_scene::Scene;
@@ -8,24 +8,25 @@ use serde::de::DeserializeOwned;
 use crate::error::ShotError;
 use crate::renderer::SceneRenderer;
 
-/// A lit scene, its renderer, and a memory for what was found out about it.
+/// A lit scene, its renderer, and a cache of results about it.
 pub trait Subject {
-    /// What can go wrong beside what a shot can.
+    /// Errors of the implementation, beside those of a shot.
     type Error: From<ShotError> + From<Cancelled>;
 
     /// The scene.
     fn scene(&self) -> &Scene;
 
-    /// The scene prepared for rendering, once for all who ask.
+    /// The scene prepared for rendering; prepared at the first call.
     ///
     /// # Errors
     /// When it cannot be rendered, or when cancelled.
     fn renderer(&self, task: Task<'_>) -> Result<&SceneRenderer, Self::Error>;
 
-    /// The answer to a question of some `kind` about the scene, which `of` tells from others of that kind: one that was kept, or what `make` finds.
+    /// Returns the cached result of `kind` with the key `of`, or computes it by `make` and caches
+    /// it.
     ///
     /// # Errors
-    /// Those of `make`, and when the answer cannot be kept.
+    /// Those of `make`, and when the result cannot be written to the cache.
     fn remembered<T: Serialize + DeserializeOwned>(
         &self,
         kind: &str,

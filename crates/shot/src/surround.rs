@@ -1,4 +1,4 @@
-//! The environment turned about the up axis.
+//! Rotation of the environment about the up axis, and warnings about keys that need one.
 
 use glam::Quat;
 use lumistack_core::Task;
@@ -8,7 +8,7 @@ use crate::edit::edited;
 use crate::error::ShotError;
 use crate::job::LightJob;
 
-/// Warns where a key about the environment changes nothing, since the scene has none.
+/// Warns where a key about the environment has no effect, since the scene has none.
 pub(crate) fn warn_of_unused(scene: &Scene, job: &LightJob, task: Task<'_>) {
     let changed = [
         ("light.environment_strength", job.environment_strength != 1.0),
@@ -19,7 +19,7 @@ pub(crate) fn warn_of_unused(scene: &Scene, job: &LightJob, task: Task<'_>) {
     }
 }
 
-/// Turns the environment as the job says, the studio light like any other.
+/// Rotates the environment as the job says, be it a file's or the studio light.
 ///
 /// # Errors
 /// When the changed scene is not valid.

@@ -1,4 +1,4 @@
-//! One error for people.
+//! The crate's error type.
 
 use lumistack_core::Cancelled;
 use lumistack_display::{DisplayError, GridError};
@@ -7,12 +7,12 @@ use lumistack_gltf::GltfError;
 use lumistack_pathtracer::RenderError;
 use lumistack_shot::ShotError;
 
-/// A sentence that names the file, the place in it, what was expected and what was found.
+/// A sentence that names the file, the place in it, the expected and the found value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Error(pub(crate) String);
 
 impl Error {
-    /// A value that makes no sense.
+    /// Makes an error about a value.
     pub(crate) fn value(place: &str, expected: &str, found: impl std::fmt::Display) -> Self {
         Self(format!("{place}: expected {expected}, found {found}"))
     }

@@ -1,4 +1,4 @@
-//! Files in memory, and the scene among them.
+//! Dropped files in memory, and the scene among them.
 
 use std::collections::BTreeMap;
 
@@ -8,15 +8,16 @@ use lumistack_scene::Scene;
 
 use crate::error::Error;
 
-/// Bytes that a scene may decode to, and that its pictures may take beside that. A module has 4 GiB at most, for everything.
+/// Limits on the decoded bytes of a scene and of its pictures. A wasm module has at most 4 GiB in
+/// total.
 const MOST_DECODED: u64 = 1 << 30;
 const MOST_PICTURES: u64 = 512 << 20;
 
-/// Files by their paths, as they were dropped.
+/// Dropped files by path.
 #[derive(Clone, Debug, Default)]
 pub struct Files(BTreeMap<String, Vec<u8>>);
 
-/// The files as one of them sees them: names are relative to its folder.
+/// Resolves names relative to the folder of one of the files.
 struct Beside<'a> {
     files: &'a Files,
     folder: &'a str,
@@ -28,10 +29,10 @@ impl Files {
         self.0.insert(path.into(), bytes);
     }
 
-    /// Reads the scene that one of the files is: glTF by its content, splats otherwise.
+    /// Reads the scene of one of the files: splats by the file's extension, else glTF.
     ///
     /// # Errors
-    /// As the command says it: with the place in the file, what was expected and what was found.
+    /// Those of the command: the place in the file, the expected and the found value.
     pub fn scene(&self, path: &str, task: Task<'_>) -> Result<Scene, Error> {
         let bytes = self.0.get(path).ok_or_else(|| Error::value(path, "a readable file", "none"))?;
         let (folder, name) = path.rsplit_once('/').map_or(("", path), |(folder, name)| (folder, name));

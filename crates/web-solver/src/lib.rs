@@ -1,11 +1,14 @@
-//! From a dropped file to patterns, a little at a time: what the command does in one go, for a page that must stay awake.
+//! From a dropped file to patterns in small pieces. The command computes the same at once; a page
+//! must stay responsive.
 //!
 //! ```text
-//! Files ──scene──▶ Scene ──subject──▶ Subject ──views──▶ light field ──work──▶ patterns ──▶ codes for the viewer, a zip for the command
+//! Files ──scene──▶ Scene ──subject──▶ Subject ──views──▶ light field ──work──▶ patterns
 //! ```
 //!
-//! [`Work::advance`] does one piece: a view, or an iteration of the solver. Rough views of a few directions come first and patterns of them; then views with
-//! all their samples, from time to time patterns of what is there; at last the views and the patterns that the command makes for the same job.
+//! [`Work::advance`] computes one piece: a view, or an iteration of the solver. First come noisy
+//! views of a few directions and their patterns. Then come views with all samples, and now and then
+//! patterns of the views so far. The last views and patterns are those that the command computes
+//! for the same job. [`patterns`] encodes them for the viewer, and as a zip for the command.
 
 mod error;
 mod files;

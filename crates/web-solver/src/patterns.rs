@@ -1,4 +1,4 @@
-//! Patterns for the viewer and for the command.
+//! Encodings of patterns for the viewer and for the command.
 
 use std::io::{Cursor, Write};
 
@@ -10,7 +10,8 @@ use zip::write::SimpleFileOptions;
 
 use crate::error::Error;
 
-/// Codes of all pictures of a stack in the order of [`preview`]'s files, `[row][col][rgb]` each: value = code / 255.
+/// Encodes all masks of a stack as `[row][col][rgb]` in the order of [`preview`]'s files: value =
+/// code / 255.
 pub fn codes(display: &Display, stack: &LayerStack) -> Vec<u8> {
     let code = |value: &f32| (255.0 * value).round() as u8;
     let mut codes = Vec::new();
@@ -30,10 +31,11 @@ pub fn codes(display: &Display, stack: &LayerStack) -> Vec<u8> {
     codes
 }
 
-/// The viewer's `preview.json` of a stack, whose pictures come by another way than files.
+/// Writes the viewer's `preview.json` of a stack. The page passes the pictures in memory, so the
+/// named files do not exist.
 ///
 /// # Errors
-/// When the display's views make no sense.
+/// When the views of the display are invalid.
 pub fn preview(display: &Display, title: &str) -> Result<String, Error> {
     let geometry = display.geometry()?;
     let mut files = Vec::new();
@@ -80,10 +82,11 @@ pub fn preview(display: &Display, title: &str) -> Result<String, Error> {
     Ok(preview.to_string())
 }
 
-/// A run folder of the patterns as a zip: `display.toml` and `layers/`, which the command reads, and `job.toml`, which tells how to make the same.
+/// Packs a run folder of the patterns as a zip. The command reads `display.toml` and `layers/`;
+/// `job.toml` computes the same patterns again.
 ///
 /// # Errors
-/// When it becomes too large.
+/// When the zip becomes too large.
 pub fn zip(display: &Display, stack: &LayerStack, job: &str) -> Result<Vec<u8>, Error> {
     let written = || -> std::io::Result<Vec<u8>> {
         let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
@@ -108,7 +111,7 @@ pub fn zip(display: &Display, stack: &LayerStack, job: &str) -> Result<Vec<u8>, 
     written().map_err(|error| Error(format!("zip: {error}")))
 }
 
-/// A row-major array of `float32` as NumPy's file.
+/// Writes a row-major array of `float32` as a NumPy file.
 fn npy(shape: &[usize], data: &[f32]) -> std::io::Result<Vec<u8>> {
     let shape: Vec<u64> = shape.iter().map(|&n| n as u64).collect();
     let dtype = DType::new_scalar("<f4".parse().map_err(|_| std::io::Error::other("no float32 type"))?);
@@ -118,7 +121,7 @@ fn npy(shape: &[usize], data: &[f32]) -> std::io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// The display's look in a sentence of JSON for the page: what its sliders stand at.
+/// Values of a display to which the page sets its sliders, as JSON.
 pub fn about(display: &Display) -> Value {
     let gaps = display.layers.windows(2).map(|pair| pair[1].d_mm - pair[0].d_mm);
     let count = display.layers.len().saturating_sub(1).max(1);

@@ -1,4 +1,4 @@
-//! What the page chooses: a display, and how much of it.
+//! The page's choices: a display and its variation.
 
 use lumistack_display::{Display, PRESETS, Variation, Views};
 use lumistack_factorizer::{ZONE_ITERATIONS, held_bytes};
@@ -7,34 +7,35 @@ use serde::Deserialize;
 
 use crate::error::Error;
 
-/// Memory that the views of a light field may take, MiB: with all that is made of them they stay well below what a module can have.
+/// Memory of a light field's views, MiB. With all that is computed from them they stay well below
+/// the memory of a module.
 const FIELD_MIB: u64 = 256;
-/// Bytes that a solve may take beside its views.
+/// Memory of a solve beside its views, bytes.
 const MOST_SOLVING: u64 = 700 << 20;
-/// Paths per pixel of all views together: what the command takes where it measures nothing.
+/// Paths per pixel of all views together: the command's value where it measures nothing.
 const ZONE_SAMPLES: u32 = 800;
-/// Columns of a light field.
+/// Allowed columns of a light field.
 const COLS: std::ops::RangeInclusive<usize> = 16..=640;
 
-/// Choices, as JSON. What is not given is the preset's.
+/// The page's choices, read from JSON. A missing key keeps the preset's value.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// Name of a preset.
     pub preset: String,
-    /// Columns of the light field, 16 to 640; masks scale along, the width in millimetres stays.
+    /// Columns of the light field, 16 to 640. Masks scale with it; the width in millimetres stays.
     pub cols: usize,
     /// Number of layers.
     pub layers: Option<usize>,
-    /// Frames of a period.
+    /// Frames of a display.
     pub frames: Option<usize>,
     /// Brightness β, above 0, at most 1.
     pub brightness: Option<f64>,
-    /// Distance of neighbouring layers, millimetres.
+    /// Gap of the layers, mm.
     pub gap_mm: Option<f64>,
-    /// Paths per pixel of all views together, as the command's `render.zone_samples`.
+    /// Paths per pixel of all views together, like the command's `render.zone_samples`.
     pub zone_samples: u32,
-    /// Full updates of the last solve; without it as many as the command makes.
+    /// Iterations of the last solve; by default those of the command.
     pub iterations: Option<u32>,
 }
 
@@ -54,7 +55,7 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// Reads what the page says.
+    /// Reads settings from JSON.
     ///
     /// # Errors
     /// On malformed text and unknown keys.
@@ -62,10 +63,11 @@ impl Settings {
         serde_json::from_str(text).map_err(|error| Error(format!("settings: {error}")))
     }
 
-    /// The display that is asked for, with its choice of views made.
+    /// Makes the chosen display, and resolves its choice of views.
     ///
     /// # Errors
-    /// When there is no such preset, a value is out of range, or the display takes more memory than a page has.
+    /// When there is no such preset, a value is out of range, or the display needs more memory than
+    /// a page has.
     pub fn display(&self) -> Result<Display, Error> {
         let preset = PRESETS.iter().find(|(name, _)| *name == self.preset);
         let (_, text) = preset.ok_or_else(|| Error::value("preset", "the name of a preset", &self.preset))?;
@@ -88,7 +90,8 @@ impl Settings {
         Ok(display)
     }
 
-    /// A job for the command that makes the same of a file beside it. The display stands in `display.toml`.
+    /// Writes a job by which the command computes the same patterns, beside the scene's file and
+    /// `display.toml`.
     pub fn job(&self, path: &str) -> String {
         let mut text = format!("scene = {path:?}\n\n[display]\nfile = \"display.toml\"\n");
         text += &format!("\n[render]\nzone_samples = {}\n", self.zone_samples);
@@ -98,17 +101,17 @@ impl Settings {
         text
     }
 
-    /// How views are rendered.
+    /// Settings of the rendering of views.
     pub(crate) fn render(&self) -> RenderJob {
         RenderJob { zone_samples: ZoneSamples::Count(self.zone_samples), field_mib: FIELD_MIB, ..RenderJob::default() }
     }
 
-    /// What takes noise out of the views of a display, as the command chooses it.
+    /// Filter of the views of a display, as the command chooses it.
     pub(crate) fn denoise(display: &Display) -> Denoise {
         if matches!(display.field.views, Views::Fixed(_)) { Denoise::Off } else { Denoise::Shared }
     }
 
-    /// Full updates of the last solve.
+    /// Iterations of the last solve.
     pub(crate) fn iterations(&self, display: &Display) -> u32 {
         let fixed = matches!(display.field.views, Views::Fixed(_));
         let default = if fixed { lumistack_factorizer::Settings::default().iterations } else { ZONE_ITERATIONS };

@@ -1,4 +1,5 @@
-//! The classes that JavaScript sees. Every method passes on to the tested code beside it.
+//! The classes that JavaScript sees. Every method passes its call on to the code beside it, which
+//! is tested natively.
 
 use js_sys::Uint8Array;
 use lumistack_display::PRESETS;
@@ -15,7 +16,7 @@ impl From<Error> for JsValue {
 
 type Thrown<T> = Result<T, JsValue>;
 
-/// Names of the presets, and what each is, as JSON.
+/// Names, titles and values of the presets, as JSON.
 #[wasm_bindgen]
 pub fn presets() -> String {
     let about = |(name, text): &(&str, &str)| {
@@ -25,14 +26,14 @@ pub fn presets() -> String {
     json!(PRESETS.iter().filter_map(about).collect::<Vec<_>>()).to_string()
 }
 
-/// Files that are about to be solved.
+/// Dropped files to solve.
 #[wasm_bindgen]
 #[derive(Default)]
 pub struct Dropped(Files);
 
 #[wasm_bindgen]
 impl Dropped {
-    /// None yet.
+    /// No files.
     #[wasm_bindgen(constructor)]
     pub fn new() -> Dropped {
         Self::default()
@@ -49,13 +50,13 @@ impl Dropped {
 pub struct Solver {
     work: Work,
     path: String,
-    /// The command's job that makes the same.
+    /// The command's job for the same patterns.
     job: String,
 }
 
 #[wasm_bindgen]
 impl Solver {
-    /// Of one of the files, with settings as JSON.
+    /// Solves one of the files, with settings as JSON.
     #[wasm_bindgen(constructor)]
     pub fn new(files: Dropped, path: &str, settings: &str) -> Thrown<Solver> {
         let settings = Settings::from_json(settings)?;
@@ -63,7 +64,7 @@ impl Solver {
         Ok(Self { work: Work::new(files.0, path, settings)?, path: path.into(), job })
     }
 
-    /// The same file with other settings; what was read of it stays.
+    /// Restarts with other settings; the scene stays in memory.
     pub fn change(&mut self, settings: &str) -> Thrown<()> {
         let settings = Settings::from_json(settings)?;
         let job = settings.job(&self.path);
@@ -72,7 +73,7 @@ impl Solver {
         Ok(())
     }
 
-    /// Does the next piece.
+    /// Computes the next piece.
     pub fn advance(&mut self) -> Thrown<()> {
         Ok(self.work.advance()?)
     }
@@ -88,7 +89,7 @@ impl Solver {
         .into()
     }
 
-    /// Share of the work that is done, 0..1.
+    /// Share of the finished work, 0..1.
     pub fn share(&self) -> f64 {
         self.work.share()
     }
@@ -98,7 +99,8 @@ impl Solver {
         self.work.shown()
     }
 
-    /// PSNR over the views that the present patterns were made for, dB; NaN before there are any.
+    /// PSNR of the current patterns over the views that they were made for, dB; NaN before the
+    /// first patterns.
     pub fn psnr(&self) -> f64 {
         self.work.psnr()
     }
@@ -108,18 +110,18 @@ impl Solver {
         self.work.warnings()
     }
 
-    /// The viewer's `preview.json` of patterns of this display.
+    /// The viewer's `preview.json` for patterns of this display.
     pub fn preview(&self, title: &str) -> Thrown<String> {
         Ok(patterns::preview(self.work.display(), title)?)
     }
 
-    /// Codes of the present patterns, in the order of the preview's files.
+    /// Codes of the current patterns, in the order of the preview's files.
     pub fn codes(&self) -> Uint8Array {
         let codes = self.work.stack().map(|stack| patterns::codes(self.work.display(), stack));
         Uint8Array::from(codes.unwrap_or_default().as_slice())
     }
 
-    /// The present patterns as a zip.
+    /// The current patterns as a zip.
     pub fn zip(&self) -> Thrown<Uint8Array> {
         let stack = self.work.stack().ok_or_else(|| Error::value("zip", "patterns", "none yet"))?;
         Ok(Uint8Array::from(patterns::zip(self.work.display(), stack, &self.job)?.as_slice()))

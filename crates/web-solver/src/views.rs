@@ -1,4 +1,4 @@
-//! The views of a scene that a display wants, rendered one by one, and the light field that those so far give.
+//! The views that a display needs, rendered one by one, and the light field of the views so far.
 
 use std::borrow::Cow;
 
@@ -16,12 +16,12 @@ use crate::error::Error;
 use crate::settings::Settings;
 use crate::subject::Held;
 
-/// Random numbers of the target, as the command's.
+/// Stream of random numbers of the target, as in the command.
 const TARGET: u64 = 0;
-/// The job's seed, as the command's.
+/// Seed of the job, as in the command.
 const SEED: u64 = 1;
 
-/// Rows and columns of views.
+/// A selection of views: their rows and columns.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Picked {
     pub(crate) rows: Vec<usize>,
@@ -32,17 +32,17 @@ pub(crate) struct Picked {
 pub(crate) struct Views {
     held: Held,
     placement: Placement,
-    /// Of the display.
+    /// Geometry of the display's light field.
     geometry: FieldGeometry,
-    /// The same in the scene: with the slopes at which it is traced.
+    /// The same with the slopes at which the scene is traced.
     traced: FieldGeometry,
     paths: Paths,
     denoise: Denoise,
     light: LightJob,
-    /// By views in the order of the grid, those that are rendered.
+    /// Rendered views in the order of the grid; `None` for those to come.
     splits: Vec<Option<SplitView>>,
     splats: Vec<Option<Tensor<3>>>,
-    /// Of all views, once it is known.
+    /// Depths of all views, once they are traced.
     depths: Option<Depths>,
 }
 
@@ -53,7 +53,7 @@ impl Picked {
         Self { rows: (0..rows).collect(), cols: (0..cols).collect() }
     }
 
-    /// At most so many rows and columns, evenly spread, the outermost among them.
+    /// At most `most` rows and columns, evenly spread, with the outermost ones.
     pub(crate) fn some(grid: &ViewGrid, most: usize) -> Self {
         let pick = |count: usize| match count.min(most) {
             1 => vec![count / 2],
@@ -83,7 +83,7 @@ impl Views {
     /// Places the display in a lit scene.
     ///
     /// # Errors
-    /// When scene and display do not fit.
+    /// When scene and display do not fit each other.
     pub(crate) fn new(held: Held, display: &Display, settings: &Settings, task: Task<'_>) -> Result<Self, Error> {
         let geometry = display.geometry()?;
         let placement = place(&held, &WindowJob::default(), display, &geometry, task)?;
@@ -111,7 +111,7 @@ impl Views {
         })
     }
 
-    /// The scene, for another display.
+    /// Returns the scene for another display.
     pub(crate) fn into_held(self) -> Held {
         self.held
     }
@@ -133,7 +133,7 @@ impl Views {
         self.held.renderer.splats.is_some()
     }
 
-    /// Traces a view with so many paths per pixel, in place of what was traced before.
+    /// Traces a view with `samples` paths per pixel, in place of its earlier trace.
     ///
     /// # Errors
     /// When it cannot be rendered.
@@ -146,7 +146,7 @@ impl Views {
         Ok(())
     }
 
-    /// Renders what some views see of the splats.
+    /// Renders the splats of some views.
     ///
     /// # Errors
     /// When they cannot be rendered.
@@ -166,7 +166,8 @@ impl Views {
         y * self.geometry.grid.views()[1] + x
     }
 
-    /// The light field of views that are rendered: shared light, splats before it, exposure and tone curve, rounded as the command's.
+    /// Makes the light field of rendered views as the command does: shared light, splats, exposure
+    /// and tone curve, rounding.
     ///
     /// # Errors
     /// When depths cannot be traced.
@@ -177,6 +178,8 @@ impl Views {
         let mut field = LightField::black(shown)?;
         let places: Vec<[usize; 2]> = field.geometry().grid.iter().collect();
         let splits: Vec<&SplitView> = numbers.iter().filter_map(|&number| self.splits[number].as_ref()).collect();
+        // Radiance of surfaces, with light that is shared between views where the job's filter does
+        // so.
         if splits.len() == numbers.len() {
             let shared = if self.denoise == Denoise::Shared {
                 let mut light = SharedLight::new(&traced);
@@ -193,6 +196,7 @@ impl Views {
                 field.view_mut(place).copy_from_slice(radiance.data());
             }
         }
+        // Splats before the surfaces; they have no noise.
         if let Some(space) = Space::of(&self.held.scene) {
             for (&place, &number) in places.iter().zip(&numbers) {
                 if let Some(splats) = &self.splats[number] {
@@ -200,11 +204,12 @@ impl Views {
                 }
             }
         }
+        // One exposure and tone curve for all views.
         let picture = |view| Ok::<_, Error>(Cow::Borrowed(field.view(view)));
         let rays = brightest(field.geometry(), &places, &depths, picture)?;
         let look = Look::choose(&self.light, &self.held.scene, &rays);
         look.apply(&mut field);
-        // display-referred, so far below what a half float can hold
+        // the command rounds to half floats; display-referred values cannot overflow them
         field.radiance_mut().data_mut().iter_mut().for_each(|value| *value = float_from_half(nearest_half(*value)));
         Ok(field)
     }

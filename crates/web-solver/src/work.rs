@@ -1,4 +1,4 @@
-//! The work, a piece at a time.
+//! The work of a solve, piece by piece.
 
 use std::collections::VecDeque;
 
@@ -14,27 +14,27 @@ use crate::settings::Settings;
 use crate::subject::Held;
 use crate::views::{Picked, Views};
 
-/// Rows and columns of views of the first patterns.
+/// Most rows and columns of views of the first patterns.
 const FIRST: usize = 5;
-/// Iterations on views that are not finished: patterns begin where the last ones were.
+/// Iterations on unfinished views: they start from the last patterns.
 const WARM: u32 = 3;
-/// Views of splats that are rendered at a time: sorting them once serves several.
+/// Views of splats per piece: one sort of the splats serves several views.
 const SPLAT_VIEWS: usize = 5;
-/// Times that patterns are made while views get all their samples.
+/// Number of updates of the patterns while views get all their samples.
 const REFRESHES: usize = 4;
-/// Seed of the solver, as the command's.
+/// Seed of the solver, as in the command.
 const SEED: u64 = 1;
 
-/// How far the work is.
+/// Progress of the work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
     /// Reads the file, lights the scene, places the display.
     Scene,
-    /// Renders views, and makes patterns of those so far.
+    /// Renders views, and solves patterns of the views so far.
     Views,
-    /// Solves for the finished views.
+    /// Solves patterns of the finished views.
     Patterns,
-    /// Nothing is left to do.
+    /// No work remains.
     Done,
 }
 
@@ -48,17 +48,17 @@ enum Piece {
         samples: u32,
     },
     Splats(Vec<[usize; 2]>),
-    /// Takes the light field of these views, and goes on from the present patterns.
+    /// Makes the light field of these views, and starts a solve from the current patterns.
     Begin(Picked),
-    /// Takes the light field of all views, and begins anew, as the command does.
+    /// Makes the light field of all views, and starts a fresh solve, as the command does.
     BeginAnew,
     Step,
-    /// Patterns to show.
+    /// Updates the patterns to show.
     Show,
     Finish,
 }
 
-/// A solve under way. Dropped at any time, it leaves nothing behind.
+/// A solve in progress. It can be dropped at any time.
 pub struct Work {
     settings: Settings,
     display: Display,
@@ -72,7 +72,7 @@ pub struct Work {
     run: Option<Ongoing>,
     target: Option<LightField>,
     stack: Option<LayerStack>,
-    /// Grows with every stack that is to be shown.
+    /// Number of stacks shown so far.
     shown: u32,
     psnr: f64,
     warnings: Collector,
@@ -80,10 +80,10 @@ pub struct Work {
 }
 
 impl Work {
-    /// Work on one of the files.
+    /// Prepares the work on one of the files.
     ///
     /// # Errors
-    /// When the settings make no sense.
+    /// When the settings are invalid.
     pub fn new(files: Files, path: &str, settings: Settings) -> Result<Self, Error> {
         Ok(Self {
             display: settings.display()?,
@@ -105,10 +105,10 @@ impl Work {
         })
     }
 
-    /// The same scene on another display, from its placing on: what was read stays.
+    /// Restarts with another display; the scene stays in memory.
     ///
     /// # Errors
-    /// When the settings make no sense; the work then stays as it was.
+    /// When the settings are invalid; the work then stays the same.
     pub fn change(&mut self, settings: Settings) -> Result<(), Error> {
         self.display = settings.display()?;
         self.settings = settings;
@@ -124,12 +124,12 @@ impl Work {
         Ok(())
     }
 
-    /// The display.
+    /// The chosen display.
     pub fn display(&self) -> &Display {
         &self.display
     }
 
-    /// The patterns to show; `None` before there are any.
+    /// The patterns to show; `None` before the first ones.
     pub fn stack(&self) -> Option<&LayerStack> {
         self.stack.as_ref()
     }
@@ -139,22 +139,23 @@ impl Work {
         self.shown
     }
 
-    /// PSNR of the present patterns over the views that they were made for, dB; NaN before there are any.
+    /// PSNR of the current patterns over the views that they were made for, dB; NaN before the
+    /// first patterns.
     pub fn psnr(&self) -> f64 {
         self.psnr
     }
 
-    /// What the user should know; each text once.
+    /// Warnings for the user since the last call; each text once.
     pub fn warnings(&self) -> Vec<String> {
         self.warnings.take().iter().map(ToString::to_string).collect()
     }
 
-    /// Share of the work that is done, 0..1.
+    /// Share of the finished work, 0..1.
     pub fn share(&self) -> f64 {
         if self.planned == 0 { 0.0 } else { 1.0 - self.pieces.len() as f64 / self.planned as f64 }
     }
 
-    /// How far the work is.
+    /// Progress of the work.
     pub fn stage(&self) -> Stage {
         match (&self.views, self.pieces.is_empty()) {
             (_, true) => Stage::Done,
@@ -164,10 +165,10 @@ impl Work {
         }
     }
 
-    /// Does the next piece.
+    /// Computes the next piece.
     ///
     /// # Errors
-    /// When the file is broken, or scene and display do not fit; the work then ends.
+    /// When the file is broken, or scene and display do not fit each other; the work then ends.
     pub fn advance(&mut self) -> Result<(), Error> {
         let Some(piece) = self.pieces.pop_front() else { return Ok(()) };
         let done = self.work_on(piece);
@@ -178,6 +179,7 @@ impl Work {
     }
 
     fn work_on(&mut self, piece: Piece) -> Result<(), Error> {
+        // Each arm moves its results into `self`, so the work can be dropped between two pieces.
         let task = Task::quiet(&self.warnings, &self.cancel);
         match piece {
             Piece::Read => {
@@ -239,7 +241,7 @@ impl Work {
 }
 
 fn views(views: &mut Option<Views>) -> Result<&mut Views, Error> {
-    views.as_mut().ok_or_else(|| Error("the scene is not there yet".into()))
+    views.as_mut().ok_or_else(|| Error("the scene is not loaded yet".into()))
 }
 
 fn begin(
@@ -253,7 +255,8 @@ fn begin(
     Ok(Ongoing::begin(&Problem { display, target, weights: &Weights::Uniform }, &settings, warm, task)?)
 }
 
-/// All pieces after the scene is placed: rough views of a few directions, rough views of all, views with all their samples, the last solve.
+/// Plans all pieces after the scene is placed: noisy views of a few directions, noisy views of all,
+/// views with all samples, the last solve.
 fn plan(views: &Views, iterations: u32) -> VecDeque<Piece> {
     let (first, all) = (Picked::some(views.grid(), FIRST), Picked::all(views.grid()));
     let mut pieces = VecDeque::new();
@@ -272,6 +275,7 @@ fn plan(views: &Views, iterations: u32) -> VecDeque<Piece> {
             pieces.extend(some.chunks(SPLAT_VIEWS).map(|some| Piece::Splats(some.to_vec())));
         }
     };
+    // Noisy views come first, so that the page shows patterns early.
     let rough: Vec<[usize; 2]> = first.views().collect();
     render(&mut pieces, &rough, 1, true);
     refresh(&mut pieces, &first);
@@ -280,8 +284,9 @@ fn plan(views: &Views, iterations: u32) -> VecDeque<Piece> {
         render(&mut pieces, &others, 1, true);
         refresh(&mut pieces, &all);
     }
+    // Then all samples, in parts.
     if traced && views.samples() > 1 {
-        // from all over the zone at any time
+        // every part is spread over the zone
         let every: Vec<[usize; 2]> = all.views().collect();
         let parts = (0..REFRESHES).map(|part| every.iter().copied().skip(part).step_by(REFRESHES).collect::<Vec<_>>());
         for (number, part) in parts.enumerate() {
@@ -291,6 +296,7 @@ fn plan(views: &Views, iterations: u32) -> VecDeque<Piece> {
             }
         }
     }
+    // The last solve starts anew, so that it ends with the command's patterns.
     pieces.push_back(Piece::BeginAnew);
     pieces.extend((0..iterations).map(|_| Piece::Step));
     pieces.push_back(Piece::Finish);

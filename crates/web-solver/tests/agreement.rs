@@ -1,4 +1,4 @@
-//! The page's work ends where the command does, and its zip is a run folder.
+//! The page's patterns agree with those of the command, and its zip is a run folder.
 
 use std::io::{Cursor, Read as _};
 use std::path::{Path, PathBuf};
@@ -22,7 +22,7 @@ fn files(folder: &Path) -> Files {
     files
 }
 
-/// Works to the end; returns the numbers of all stacks that were shown on the way.
+/// Works to the end. Returns the number of stacks that were shown.
 fn finish(work: &mut Work) -> u32 {
     let mut last = work.share();
     while work.stage() != Stage::Done {
@@ -45,7 +45,7 @@ fn unpacked(zip: Vec<u8>, folder: &Path) {
     }
 }
 
-/// Root mean square difference of the patterns that the page and the command make of a scene.
+/// Root mean square difference between the patterns of the page and of the command.
 fn difference(folder: &str, file: &str) -> f64 {
     let settings = Settings::from_json(CHOICE).unwrap();
     let mut work = Work::new(files(&scene(folder)), file, settings.clone()).unwrap();
@@ -82,7 +82,7 @@ fn difference(folder: &str, file: &str) -> f64 {
 
 #[test]
 fn patterns_are_those_of_the_command() {
-    // what is left is the rounding of views in the command's cache
+    // the command's cache rounds views, which leaves a difference
     for (folder, file) in [("letters", "letters.gltf"), ("dandelion", "dandelion.spz")] {
         let difference = difference(folder, file);
         assert!(difference < 2e-3, "{folder}: {difference}");
@@ -94,7 +94,7 @@ fn another_display_takes_the_same_scene() {
     let quick =
         |more: &str| Settings::from_json(&format!(r#"{{"cols": 32, "zone_samples": 9, "iterations": 1{more}}}"#));
     let mut work = Work::new(files(&scene("letters")), "letters.gltf", quick("").unwrap()).unwrap();
-    // in the middle of it
+    // in the middle of the work
     while work.shown() == 0 {
         work.advance().unwrap();
     }
@@ -102,7 +102,7 @@ fn another_display_takes_the_same_scene() {
     assert!(work.stack().is_none() && work.stage() == Stage::Scene);
     finish(&mut work);
     assert_eq!((work.stack().unwrap().layers.len(), work.stack().unwrap().frames()), (2, 2));
-    // and the same as from scratch
+    // the result is the same as from scratch
     let mut fresh =
         Work::new(files(&scene("letters")), "letters.gltf", quick(r#", "layers": 2, "frames": 2"#).unwrap()).unwrap();
     finish(&mut fresh);

@@ -5,7 +5,7 @@ use std::sync::Mutex;
 use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::{Display, Host, Input, OutputPlugin, Param, PluginError, Port, Schema, Time, export_plugin};
 
-/// The plugin: what it was given, and the lines so far.
+/// The plugin: its host and parameters, and the lines so far.
 pub struct Means {
     host: Host,
     params: MeansParams,
@@ -20,7 +20,7 @@ pub struct MeansParams {
     separator: Separator,
 }
 
-/// The words of the parameter `separator`.
+/// The values of the parameter `separator`.
 #[derive(Deserialize)]
 #[serde(crate = "lumistack_plugin::serde", rename_all = "lowercase")]
 pub enum Separator {
@@ -42,7 +42,7 @@ impl OutputPlugin for Means {
                 "separator",
                 "comma",
                 [("comma", "A comma."), ("tab", "A tabulator.")],
-                "What stands between the columns.",
+                "Separator of the columns.",
             ),
         ])
     }
@@ -51,7 +51,7 @@ impl OutputPlugin for Means {
         Ok(Self { host, params, lines: Mutex::default() })
     }
 
-    // from any thread, in any order, once for every time of a sequence
+    // from any thread, in any order, once for every time step of a sequence
     fn submit(&self, time: Time, data: &Input<'_>) -> Result<(), PluginError> {
         let Input::LayerStack(stack) = data else { return Err(PluginError::unexpected(data)) };
         let separator = match self.params.separator {
@@ -75,7 +75,7 @@ impl OutputPlugin for Means {
         Ok(())
     }
 
-    // all times are in
+    // after the last time step
     fn finish(self) -> Result<(), PluginError> {
         self.host.check_cancelled()?;
         let mut lines = self.lines.into_inner().expect("no submit panicked");

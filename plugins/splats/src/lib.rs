@@ -1,18 +1,21 @@
-//! Importer plugin `splats`: captures as Gaussian splats, as a glTF 2.0 document (`.glb`) with `KHR_gaussian_splatting`.
+//! Importer plugin `splats`: converts captures of Gaussian splats to a glTF 2.0 document (`.glb`)
+//! with `KHR_gaussian_splatting`.
 //!
-//! | file | what is read |
+//! | file | forms |
 //! |---|---|
-//! | `.ply` | as the reference trainers write it, and PlayCanvas' compressed form |
+//! | `.ply` | files of the reference training programs, and PlayCanvas' compressed form |
 //! | `.spz` | versions 1 to 4 |
 //! | `.sog`, `meta.json` | SOG, packed or as a folder; versions 1 and 2 |
 //!
-//! Harmonics to degree 3. A capture has no agreed upward axis: `up` says it where the format's own is wrong.
+//! Harmonics are read to degree 3. Formats do not agree on the upward axis: the parameter `up` sets
+//! it where the format's default is wrong.
 
 use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::{Assets, Host, ImporterPlugin, Param, PluginError, Schema, export_plugin};
 use lumistack_splats::read::{Axes, Found, read};
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, computed at build. It is part of the key of every kept result that
+/// depends on this code.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
 /// The plugin.
@@ -26,7 +29,7 @@ pub struct SplatsParams {
     scale: f64,
 }
 
-/// Which axis of the file points upwards.
+/// Axis of the file that points upwards.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 enum Up {
@@ -43,7 +46,7 @@ enum Up {
 }
 
 impl Up {
-    /// The turn that brings it up, as a quaternion x, y, z, w.
+    /// Rotation that turns the axis upwards.
     fn rotation(self, axes: Axes) -> glam::Quat {
         use std::f32::consts::FRAC_PI_2;
         match self {
@@ -57,7 +60,8 @@ impl Up {
 }
 
 impl ImporterPlugin for Splats {
-    const DOC: &'static str = "Reads captures as Gaussian splats: .ply of trainers and of PlayCanvas, .spz, SOG.";
+    const DOC: &'static str =
+        "Reads captures as Gaussian splats: .ply of training programs and of PlayCanvas, .spz, SOG.";
     const EXTENSIONS: &'static [&'static str] = &["ply", "spz", "sog", "json"];
     type Params = SplatsParams;
 
@@ -67,13 +71,13 @@ impl ImporterPlugin for Splats {
                 "up",
                 "auto",
                 [
-                    ("auto", "As the format says: -y in .ply and SOG, y in .spz."),
+                    ("auto", "The format's own axis: -y in .ply and SOG, y in .spz."),
                     ("y", "The y axis."),
-                    ("-y", "The y axis points downwards, as cameras have it."),
-                    ("z", "The z axis, as maps and CAD programs do."),
+                    ("-y", "The y axis points downwards, as in camera space."),
+                    ("z", "The z axis, as in maps and CAD programs."),
                     ("-z", "The z axis points downwards."),
                 ],
-                "Which axis of the file points upwards.",
+                "Axis of the file that points upwards.",
             ),
             Param::float("scale", 1.0, 1e-9..=1e9, "Size of the file's unit.").unit("scene units"),
         ])

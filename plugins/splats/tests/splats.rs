@@ -1,4 +1,4 @@
-//! Captures through the plugin's C function, our glTF reader and the renderer.
+//! Captures pass the plugin's C function, the glTF reader and the renderer.
 
 use std::sync::Arc;
 
@@ -22,7 +22,7 @@ impl AssetResolver for NoFiles {
     }
 }
 
-/// A bumpy ball of flat splats with colours that change with the direction, upright in its file's axes: y up.
+/// A bumpy ball of flat splats whose colours change with the direction; y is up.
 fn ball() -> Cloud {
     let mut cloud = Cloud { degree: 1, ..Cloud::default() };
     for i in 0..2000 {
@@ -39,14 +39,15 @@ fn ball() -> Cloud {
     cloud
 }
 
-/// The same as a trainer has it, y down and z away: half a turn about x, of positions, rotations and harmonics.
+/// The ball in the axes of training programs: y down and z away. That is half a turn about x, of
+/// positions, rotations and harmonics.
 fn as_trained(cloud: &Cloud) -> Cloud {
     let mut turned = cloud.clone();
     let turn = Quat::from_xyzw(1.0, 0.0, 0.0, 0.0);
     turned.positions.iter_mut().for_each(|at| *at = turn * *at);
     turned.rotations.iter_mut().for_each(|rotation| *rotation = turn * *rotation);
     for splat in turned.harmonics.chunks_exact_mut(12) {
-        // those of order −1 and 0 go with y and z
+        // harmonics of order −1 and 0 change their sign with y and z
         splat[3..9].iter_mut().for_each(|value| *value = -*value);
     }
     turned
@@ -72,7 +73,7 @@ fn scene(file: &str, bytes: &[u8], params: &Value) -> Arc<Scene> {
     loaded(&document(file, bytes, params).unwrap())
 }
 
-/// Views of a scene from somewhere to the side.
+/// Views of a scene from the side.
 fn pictures(scene: &Arc<Scene>) -> Vec<f32> {
     let grid = ViewGrid::uniform(Projection::Perspective { distance_mm: 500.0 }, [2, 2], [20.0, 20.0]).unwrap();
     let geometry = FieldGeometry { rows: 60, cols: 80, pitch_mm: 3.0, grid };
@@ -109,7 +110,7 @@ fn conforms() {
 fn one_cloud_looks_the_same_from_every_file() {
     let ball = ball();
     let original = pictures(&loaded(&glb(&ball, [0.0, 0.0, 0.0, 1.0], 1.0).unwrap()));
-    assert!(original.chunks_exact(4).filter(|pixel| pixel[3] < 0.5).count() > 3000, "the ball is seen");
+    assert!(original.chunks_exact(4).filter(|pixel| pixel[3] < 0.5).count() > 3000, "the ball is visible");
     let from_ply = pictures(&scene("a.ply", &write::ply(&as_trained(&ball)), &json!({})));
     let quality = psnr(&original, &from_ply);
     assert!(quality > 70.0, "{quality} dB");
@@ -117,7 +118,7 @@ fn one_cloud_looks_the_same_from_every_file() {
     let from_spz = pictures(&scene("a.spz", &write::spz(&ball).unwrap(), &json!({})));
     let quality = psnr(&original, &from_spz);
     assert!(quality > 42.0, "{quality} dB");
-    // the wrong way up it is another picture
+    // another axis gives another picture
     let other = pictures(&scene("a.spz", &write::spz(&ball).unwrap(), &json!({"up": "-y"})));
     assert!(psnr(&original, &other) < 25.0);
 }
@@ -128,7 +129,7 @@ fn up_and_scale_place_the_splats() {
     let bounds = |params: Value| scene("a.ply", &ply, &params).bounds();
     let upright = bounds(json!({"up": "y"}));
     assert!(upright.max.y > 1.2 && upright.min.y > -0.95, "{upright:?}");
-    assert!(bounds(json!({})).min.y < -1.2, "trainers have y downwards");
+    assert!(bounds(json!({})).min.y < -1.2, "training programs have y downwards");
     let on_its_back = bounds(json!({"up": "z", "scale": 10.0}));
     assert!(on_its_back.min.z < -12.0, "{on_its_back:?}");
     assert!(bounds(json!({"up": "-z"})).max.z > 1.2);

@@ -1,4 +1,4 @@
-//! Cards that move before a display: light fields in closed form.
+//! Light fields in closed form: cards that move before a display.
 
 use std::sync::Arc;
 
@@ -6,14 +6,14 @@ use lumistack_display::{Display, FieldGeometry, LightField, Weights};
 
 use crate::Target;
 
-/// Kinds of content that move.
+/// Kinds of moving content.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Content {
     /// A card of waves at the front layer.
     Waves,
     /// A card of patches of random grey behind the stack.
     Patches,
-    /// A round card before another.
+    /// A round card before a card of patches.
     Two,
 }
 
@@ -24,12 +24,12 @@ pub(super) fn display() -> Display {
     Display { brightness: 0.3, ..Display::uniform([80, 50], 1.0, [5, 3], [20.0, 12.0], &[-12.0, 0.0, 12.0], 4) }
 }
 
-/// The same with twice the columns: less of it is new when content moves.
+/// The same with twice the columns, so that less of it is new when content moves.
 pub(super) fn wide() -> Display {
     Display { brightness: 0.3, ..Display::uniform([160, 50], 1.0, [5, 3], [20.0, 12.0], &[-12.0, 0.0, 12.0], 4) }
 }
 
-/// A number in 0..1 of a patch of a card.
+/// Random grey in 0..1 of a patch of a card.
 fn patch(x: f64, y: f64) -> f64 {
     let mut bits = (x.floor() as i64 as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15)
         ^ (y.floor() as i64 as u64).wrapping_mul(0xC2B2_AE3D_27D4_EB4F);
@@ -37,7 +37,7 @@ fn patch(x: f64, y: f64) -> f64 {
     ((bits ^ (bits >> 32)) & 0xffff) as f64 / 65535.0
 }
 
-/// Grey at (x, y) on z = 0 along a slope, with the content moved to the right.
+/// Grey at (x, y) on z = 0 along a slope, of content moved to the right.
 fn grey(content: Content, [x, y]: [f64; 2], [sx, sy]: [f64; 2], moved_mm: f64) -> f64 {
     let on = |d: f64| [x + d * sx - moved_mm, y + d * sy];
     let waves = |[x, y]: [f64; 2]| 0.5 + 0.2 * (0.7 * x + 0.1 * y).sin() * (0.5 * y).cos() + 0.2 * (0.11 * x).sin();
@@ -52,7 +52,7 @@ fn grey(content: Content, [x, y]: [f64; 2], [sx, sy]: [f64; 2], moved_mm: f64) -
     }
 }
 
-/// A view of the content where it stands, of a geometry's first view: `[row][col][rgb]`.
+/// The first view of a geometry, of content that has not moved: `[row][col][rgb]`.
 pub(super) fn view(content: Content, geometry: &FieldGeometry) -> Vec<f32> {
     picture(content, geometry, [0, 0], 0.0)
 }
@@ -66,7 +66,7 @@ fn picture(content: Content, geometry: &FieldGeometry, view: [usize; 2], moved_m
     pixels.flat_map(pixel).collect()
 }
 
-/// The content, moved to the right.
+/// A target of the content, moved to the right.
 pub(super) fn target(display: &Display, content: Content, moved_mm: f64, number: u64) -> Arc<Target> {
     let mut field = LightField::black(display.geometry().unwrap()).unwrap();
     let geometry = field.geometry().clone();

@@ -13,7 +13,7 @@ fn content_that_moves_is_found_on_every_layer_and_patterns_move_with_it() {
                 continue;
             };
             for flow in &flows {
-                // away from the border, where content comes in that was not there
+                // away from the border, where new content comes in
                 let inner: Vec<[i32; 2]> = (12..38)
                     .flat_map(|row| (24..68).map(move |col| [row, col]))
                     .map(|[row, col]| flow.at(row, col))
@@ -26,7 +26,7 @@ fn content_that_moves_is_found_on_every_layer_and_patterns_move_with_it() {
     }
 }
 
-/// Every value of a layer numbers its pixel, so that it is seen where it went.
+/// Every value of a layer numbers its pixel, so the test sees where it moved.
 #[test]
 fn values_move_by_whole_pixels_in_every_frame() {
     let display = display();
@@ -39,7 +39,7 @@ fn values_move_by_whole_pixels_in_every_frame() {
     let fresh = lumistack_display::LayerStack::filled(&display, -1.0);
     let out = moved(&stack, &flows, &fresh);
     for (layer, before) in out.layers.iter().zip(&stack.layers) {
-        assert_eq!(layer.get([1, 25, 2, 1]), -1.0, "what comes in is fresh");
+        assert_eq!(layer.get([1, 25, 2, 1]), -1.0, "values from outside are fresh");
         for (frame, channel) in [(0, 0), (3, 2)] {
             assert_eq!(layer.get([frame, 25, 40, channel]), before.get([frame, 25, 34, channel]));
         }

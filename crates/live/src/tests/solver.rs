@@ -7,9 +7,9 @@ use lumistack_factorizer::{Problem, Settings, factorize};
 use super::fields::{CONTENTS, Content, target, wide};
 use crate::{Solver, Start, Target};
 
-/// Updates per step that a slow display affords.
+/// Updates per step of a slow display.
 const WARM: u32 = 5;
-/// Updates from scratch that are compared with.
+/// Iterations of the solve from scratch.
 const FROM_SCRATCH: u32 = 30;
 
 fn from_scratch(target: &Target, weights: &Weights, iterations: u32) -> f64 {
@@ -20,7 +20,8 @@ fn from_scratch(target: &Target, weights: &Weights, iterations: u32) -> f64 {
     done.history.last().unwrap().psnr_view
 }
 
-/// The end of a chain of times, each `step_px` from the one before: PSNR with a few warm updates, and how the last began.
+/// Solves a chain of time steps, each moved by `step_px`. Returns the PSNR of the last with a few
+/// warm updates, its start and its target.
 fn chain(content: Content, step_px: f64) -> (f64, Start, Arc<Target>) {
     let (warnings, cancel, display) = (Collector::default(), Cancel::default(), wide());
     let task = Task::quiet(&warnings, &cancel);
@@ -40,7 +41,7 @@ fn chain(content: Content, step_px: f64) -> (f64, Start, Arc<Target>) {
 fn a_few_warm_updates_follow_content_that_moves() {
     let mut behind = Vec::new();
     for content in CONTENTS {
-        // waves come nearest to what patterns can show, and columns that come in are farthest from that
+        // columns that come in differ most from the patterns of waves, which otherwise fit best
         let far = if matches!(content, Content::Waves) { 3.0 } else { 2.0 };
         for (step_px, loss_db) in [(2.0, 1.0), (10.0, far)] {
             let (warm, start, target) = chain(content, step_px);

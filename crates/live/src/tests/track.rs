@@ -11,7 +11,7 @@ fn ms(ms: u64) -> Duration {
     Duration::from_millis(ms)
 }
 
-/// A head that walks at 200 mm/s, seen 50 times a second.
+/// A head that walks at 200 mm/s, reported 50 times a second.
 fn walking(until_ms: u64) -> Tracker {
     let mut tracker = Tracker::default();
     for at in (0..=until_ms).step_by(20) {
@@ -26,7 +26,7 @@ fn heads_are_looked_for_where_they_will_be() {
     let boxes = tracker.boxes(ms(1010), ms(90));
     assert!((boxes.heads_mm[0][0] - 220.0).abs() < 1.0, "{boxes:?}");
     assert_eq!((boxes.heads_mm[0][1], boxes.heads_mm[0][2], boxes.zone), (0.0, 600.0, 0.0));
-    // a guess is not trusted for long
+    // a prediction is used only for a short time
     let late = tracker.boxes(ms(1900), ms(0));
     assert!((late.heads_mm[0][0] - 250.0).abs() < 1.0, "{late:?}");
 }
@@ -40,10 +40,10 @@ fn without_a_tracker_the_zone_fades_back_in() {
     let geometry = display().geometry().unwrap();
     let weights = |at| tracker.boxes(ms(at), ms(0)).weights(&geometry, &Weights::Uniform, SIGMA_MM).unwrap();
     assert_eq!(weights(3000), Weights::Uniform);
-    // rays far from the head count more and more
+    // the weight of rays far from the head grows
     let far = [2000, 2500].map(|at| weights(at).at([1, 0], 25, 0));
     assert!(far[0] < 0.01 && (0.45..0.55).contains(&far[1]), "{far:?}");
-    // and whoever comes back is followed at once
+    // a viewer who comes back is followed at once
     let mut back = tracker.clone();
     back.see(&[[0.0, 0.0, 500.0]], ms(4000)).unwrap();
     assert_eq!(back.boxes(ms(4000), ms(100)), Boxes { heads_mm: vec![[0.0, 0.0, 500.0]], zone: 0.0 });
@@ -54,7 +54,7 @@ fn somebody_else_has_no_velocity_of_who_was_there_before() {
     let mut tracker = walking(1000);
     tracker.see(&[[-400.0, 0.0, 600.0]], ms(1020)).unwrap();
     assert_eq!(tracker.boxes(ms(1020), ms(200)).heads_mm, [[-400.0, 0.0, 600.0]]);
-    // nobody is there: the zone comes back after the same silence
+    // no viewer is there: the zone comes back after the same silence
     tracker.see(&[], ms(1040)).unwrap();
     assert_eq!(tracker.boxes(ms(1040), ms(0)).zone, 1.0);
 }
@@ -74,7 +74,7 @@ fn positions_that_make_no_sense_are_refused() {
     assert!(head_of_packet(&nan, [0.0; 3]).unwrap_err().to_string().contains("finite"));
 }
 
-/// Mean squared error of what the display shows of [`Content::Two`] from a slope.
+/// Mean squared error of the shown picture of [`Content::Two`] from a slope.
 fn seen_from(stack: &LayerStack, target: &Target, slope: [f64; 2]) -> f64 {
     let geometry = target.field.geometry();
     let from = geometry.with_grid(ViewGrid::single(geometry.grid.projection, slope));
@@ -93,14 +93,14 @@ fn seen_from(stack: &LayerStack, target: &Target, slope: [f64; 2]) -> f64 {
     sum / f64::from(count)
 }
 
-/// Two viewers at ±10° before a display for ±16° of content that is too deep for it: in narrow boxes around them the display shows at least 10 dB more than solved
-/// for the whole zone.
+/// Two viewers stand at ±10° before a display for ±16°, whose content is too deep for it. With
+/// narrow boxes around the viewers the display shows at least 10 dB more than with the whole zone.
 #[test]
 fn two_viewers_get_what_the_whole_zone_cannot_have() {
     const UPDATES: u32 = 60;
     const DISTANCE_MM: f64 = 1500.0;
     const NARROW_MM: f64 = 20.0;
-    /// Angle of view at which the third of 13 views from either side stands at 10°, degrees.
+    /// Field of view whose third of 13 views from either side stands at 10°, degrees.
     const FOV_DEG: f64 = 31.97;
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);

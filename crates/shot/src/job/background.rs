@@ -1,4 +1,4 @@
-//! `light.background`: what is seen where no surface is.
+//! `light.background`: the background of the views.
 
 use std::borrow::Cow;
 use std::str::FromStr;
@@ -8,13 +8,14 @@ use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::{Error, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// What the views show where they see no surface.
+/// The background of the views, where a ray misses every surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Background {
     /// The environment that lights the scene, or black where there is none.
     #[default]
     Environment,
-    /// A colour as the display shows it, linear RGB in 0..1: neither exposure nor tone curve change it.
+    /// A linear RGB colour, 0..1, as the display shows it: neither exposure nor tone curve change
+    /// it.
     Colour([f32; 3]),
 }
 
@@ -54,7 +55,7 @@ impl JsonSchema for Background {
     }
 }
 
-/// `[r, g, b]`, so that no digit is lost; the name of the environment.
+/// Writes a code such as `#202028` where it is exact, else `[r, g, b]`, so that no digit is lost.
 impl Serialize for Background {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self {

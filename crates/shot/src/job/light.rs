@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::background::Background;
 use crate::error::ShotError;
 
-/// Light and exposure.
+/// Light, exposure and tone curve.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LightJob {
@@ -20,22 +20,25 @@ pub struct LightJob {
     pub environment: Option<PathBuf>,
     /// Factor on the environment's radiance.
     pub environment_strength: f32,
-    /// Turn of the environment about the scene's up axis, degrees; above 0 what lies straight ahead moves to the left.
+    /// Rotation of the environment about the scene's up axis, degrees. Above 0, the part straight
+    /// ahead moves to the left.
     pub environment_rotation_deg: f64,
-    /// What is seen where no surface is; the light on surfaces does not depend on it.
+    /// Background where a ray misses every surface; it does not light surfaces.
     pub background: Background,
-    /// Whether the scene's splats light its meshes, in place of an environment.
+    /// Light meshes by the scene's splats instead of an environment.
     pub from_splats: bool,
-    /// Whether a scene without any light gets the built-in studio light.
+    /// Add the studio light to a scene without any light.
     pub automatic: bool,
-    /// Whether the file's light sources that have a surface are seen as such; without it as the file says, and where it says nothing they are not.
+    /// Show the file's light sources that have a surface. Without this key the file decides, and by
+    /// default they are invisible.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub visible: Option<bool>,
-    /// Exposure in stops added to the automatic one, or to scene radiance when `automatic_exposure` is off.
+    /// Exposure in stops, added to the automatic one, or to scene radiance where
+    /// `automatic_exposure` is off.
     pub exposure_ev: f64,
-    /// Whether exposure follows the brightness of all views together.
+    /// Choose the exposure from the brightness of all views together.
     pub automatic_exposure: bool,
-    /// Curve from exposed radiance to what the display shows; one for all views.
+    /// Curve from exposed radiance to shown values; one for all views.
     pub tone: Tone,
 }
 
@@ -43,14 +46,14 @@ pub struct LightJob {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Tone {
-    /// `linear` where next to nothing is brighter than white, else `khronos-neutral`.
+    /// `linear` where almost nothing is brighter than white, else `khronos-neutral`.
     #[default]
     Auto,
-    /// Clips what is brighter than white.
+    /// Clips values above white.
     Linear,
     /// Khronos PBR Neutral.
     KhronosNeutral,
-    /// AgX base look.
+    /// AgX without a creative grade.
     Agx,
 }
 
@@ -82,7 +85,7 @@ impl Default for LightJob {
 }
 
 impl LightJob {
-    /// Checks values that no parser checks.
+    /// Checks the ranges of values, which the parser does not check.
     pub fn check(&self) -> Result<(), ShotError> {
         let fail = |key: &str, expected: &str, found: String| Err(ShotError::job(key, expected, found));
         if !(self.exposure_ev.is_finite() && self.exposure_ev.abs() <= 100.0) {

@@ -1,4 +1,4 @@
-//! `[render]`: settings of the path tracer.
+//! `[render]`: settings of the rendering of views.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -11,51 +11,57 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::error::ShotError;
 
-/// How views are rendered.
+/// Settings of the rendering of views.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RenderJob {
-    /// Who renders them.
+    /// Program that renders them.
     pub engine: Engine,
     /// Paths per pixel and view. Without it `zone_samples` are spread over the views.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub samples: Option<u32>,
-    /// Paths per pixel of all views together: the solver averages over all rays that meet a layer's pixel, so more views need fewer each.
+    /// Paths per pixel of all views together. The solver averages all rays through a layer's pixel,
+    /// so more views need fewer paths each.
     pub zone_samples: ZoneSamples,
-    /// Memory that the light field may take while it is rendered and solved for, MiB: fewer views are chosen where `views = "auto"` would take more, and a
-    /// light field of fixed views that is larger lies in a file meanwhile.
+    /// Memory of the light field while it is rendered and solved, MiB. `views = "auto"` chooses
+    /// fewer views to fit. A larger light field of fixed views is kept in a file.
     pub field_mib: u64,
     /// Bounces after the first hit.
     pub max_bounces: u32,
-    /// Largest value of a single path, which dims brighter ones and so loses light; none keeps all.
+    /// Largest value of a single path. Brighter paths are dimmed, which loses light. Without it all
+    /// light is kept.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub clamp: Option<f32>,
-    /// `point`: rays at the view's slope; `bin`: spread over the view's bin; `display`: over what the display cannot tell apart far from itself.
+    /// `point`: rays at the view's slope. `bin`: rays spread over the view's bin. `display`: rays
+    /// spread over the slopes that the display cannot separate far from itself.
     pub angular_filter: AngularFilter,
-    /// Full angle under which a lens focused on the window is seen from it, degrees; 0 for a pinhole. Instead of `angular_filter`.
+    /// Full angle of a lens that is focused on the window, as seen from the window, degrees; 0 for
+    /// a pinhole. It excludes `angular_filter`.
     pub lens_deg: f64,
-    /// What takes noise out of finished views, at the price of a bias that the report tells.
+    /// Filter that removes noise from finished views, at the price of a bias that the report
+    /// states.
     pub denoise: Denoise,
-    /// In-between views per axis that are rendered for the report only; 0 for none.
+    /// In-between views per axis, rendered for the report only; 0 for none.
     pub held_out: usize,
-    /// Views on either side beyond the outermost ones, one view spacing apart, that are rendered for the report only; 0 for none.
+    /// Views on either side past the outermost ones, one view spacing apart, rendered for the
+    /// report only; 0 for none.
     pub outside: usize,
 }
 
-/// Paths per pixel of all views together. In files `"auto"` or a number.
+/// Paths per pixel of all views together: `"auto"` or a number in files.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ZoneSamples {
-    /// As many as the display profits from, measured on small parts of the picture.
+    /// As many as improve the display's picture, measured on small parts of it.
     #[default]
     Auto,
-    /// So many, 1 to 2²⁴.
+    /// A fixed number, 1 to 2²⁴.
     Count(u32),
 }
 
 impl ZoneSamples {
-    /// Paths where nothing is measured: filters that compare halves, views by Blender, estimates before the work.
+    /// Paths where nothing is measured: filters that compare halves, views by Blender, estimates.
     const UNMEASURED: u32 = 800;
-    /// The most paths.
+    /// Largest allowed number of paths.
     const MOST: u32 = 1 << 24;
 
     fn count(self) -> u32 {
@@ -99,13 +105,13 @@ impl JsonSchema for ZoneSamples {
 
     fn json_schema(_: &mut SchemaGenerator) -> Schema {
         json_schema!({
-            "description": "Paths per pixel of all views together: as many as the display profits from, or a number.",
+            "description": "Paths per pixel of all views together: `auto` measures how many improve the display's picture, or a number.",
             "anyOf": [{ "const": "auto" }, { "type": "integer", "minimum": 1, "maximum": Self::MOST }],
         })
     }
 }
 
-/// Both forms, so that an error names them.
+/// Reads both forms, so that an error names them.
 struct ZoneSamplesForm;
 
 impl Visitor<'_> for ZoneSamplesForm {
@@ -130,14 +136,15 @@ impl Visitor<'_> for ZoneSamplesForm {
     }
 }
 
-/// What renders the views.
+/// Program that renders the views.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Engine {
-    /// Our path tracer, unless the scene is a `.blend` file with what it cannot show.
+    /// Lumistack's path tracer, unless the scene is a `.blend` file with content that it does not
+    /// support.
     #[default]
     Auto,
-    /// Our path tracer.
+    /// Lumistack's path tracer.
     Lumistack,
     /// Blender, with the engine and the settings of the `.blend` file.
     Blender,
@@ -156,7 +163,7 @@ impl std::str::FromStr for Engine {
     }
 }
 
-/// Angular extent of a view.
+/// Angular filter of a view: the slopes that it averages.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum AngularFilter {
@@ -165,29 +172,31 @@ pub enum AngularFilter {
     Point,
     /// Slopes spread over the view's bin.
     Bin,
-    /// Slopes spread over [`Display::angular_footprint`](lumistack_display::Display::angular_footprint): the display's own prefilter.
+    /// Slopes spread over the display's own prefilter,
+    /// [`Display::angular_footprint`](lumistack_display::Display::angular_footprint).
     Display,
 }
 
-/// What takes noise out of finished views.
+/// Filter that removes noise from finished views.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Denoise {
-    /// [`Shared`](Self::Shared) where the display chooses the views and our path tracer renders them, else nothing.
+    /// [`Shared`](Self::Shared) where the display chooses the views and Lumistack's path tracer
+    /// renders them, else [`Off`](Self::Off).
     #[default]
     Auto,
-    /// Nothing: views are unbiased.
+    /// No filter: views are unbiased.
     Off,
-    /// Light that does not depend on the view is averaged over all views that see the point.
+    /// Averages light that does not depend on the view over all views that see the point.
     Shared,
-    /// Our own filter, over all views together.
+    /// Lumistack's own filter, over all views together.
     Guided,
     /// Intel's Open Image Denoise, view by view, where it is installed.
     Oidn,
 }
 
 impl Denoise {
-    /// All of them, by the names that jobs use.
+    /// All filters, with their names in jobs.
     pub const ALL: [(&str, Self); 5] = [
         ("auto", Self::Auto),
         ("off", Self::Off),
@@ -196,17 +205,17 @@ impl Denoise {
         ("oidn", Self::Oidn),
     ];
 
-    /// Whether views are changed.
+    /// Returns whether a filter changes the views; [`Auto`](Self::Auto) is not resolved yet.
     pub fn filters(self) -> bool {
         !matches!(self, Self::Auto | Self::Off)
     }
 
-    /// Whether it compares two halves of the samples.
+    /// Returns whether the filter compares two halves of the samples.
     pub fn takes_halves(self) -> bool {
         matches!(self, Self::Guided | Self::Oidn)
     }
 
-    /// Its name.
+    /// Its name in jobs.
     pub fn name(self) -> &'static str {
         Self::ALL[self as usize].0
     }
@@ -240,36 +249,39 @@ impl Default for RenderJob {
 }
 
 impl RenderJob {
-    /// Memory that a ray takes, bytes: light that is shared, and the view that it is put on.
+    /// Memory of a ray while views are rendered, bytes: shared light and the view that receives it.
     pub const BYTES_PER_RAY: u64 = 32;
-    /// Memory that a ray takes while patterns are solved for: three channels as f32, and as half floats in the solver's own order.
+    /// Memory of a ray while patterns are solved, bytes: three channels as `f32`, and as half
+    /// floats in the solver's own order.
     const BYTES_WHILE_SOLVING: u64 = 18;
 
-    /// Whether a light field is kept in memory; a larger one lies in a file.
+    /// Returns whether a light field is kept in memory; a larger one is kept in a file.
     pub fn is_held(&self, geometry: &FieldGeometry) -> bool {
         let rays = geometry.grid.iter().count() * geometry.rows * geometry.cols;
         Self::BYTES_WHILE_SOLVING * rays as u64 <= self.field_mib << 20
     }
 
-    /// Paths per pixel of one of so many views, as far as the job says it.
+    /// Paths per pixel of one of `views` views, where nothing is measured.
     pub fn samples_of_view(&self, views: usize) -> u32 {
         let spread = (f64::from(self.zone_samples.count()) / views.max(1) as f64).round().clamp(1.0, 65536.0) as u32;
-        // a filter compares two halves
+        // a filter compares two halves, so it needs two paths
         self.samples.unwrap_or(if self.denoise.takes_halves() { spread.max(2) } else { spread })
     }
 
-    /// Whether the number of paths is to be found by what the display profits from: filters that compare halves take too much away for that to be told.
+    /// Returns whether the number of paths is measured. Filters that compare halves change the
+    /// noise too much for that.
     pub fn samples_are_measured(&self) -> bool {
         self.samples.is_none() && self.zone_samples == ZoneSamples::Auto && !self.denoise.takes_halves()
     }
 
-    /// Views within the memory that a light field of so many pixels may take.
+    /// Number of views of `pixels` pixels within the memory of a light field.
     pub fn affordable_views(&self, pixels: usize) -> usize {
         (self.field_mib << 20).div_ceil(Self::BYTES_PER_RAY * pixels as u64) as usize
     }
 
-    /// Settings of the path tracer for views of so many paths per pixel, which see no environment where it is `hidden`. `footprint` is the width of slopes of the
-    /// display's own prefilter, before its depth is scaled.
+    /// Makes the path tracer's settings for views of `samples` paths per pixel. With `hidden` no
+    /// ray sees the environment. `footprint` is the width of slopes of the display's own prefilter
+    /// before its depth is scaled.
     pub fn settings(&self, seed: u64, samples: u32, hidden: bool, depth_scale: f64, footprint: [f64; 2]) -> Settings {
         use lumistack_pathtracer::AngularFilter as Filter;
         Settings {
@@ -288,13 +300,13 @@ impl RenderJob {
         }
     }
 
-    /// Whether nothing is asked for that our path tracer alone does.
+    /// Returns whether every setting is supported by renderers other than Lumistack's path tracer.
     pub fn is_plain(&self) -> bool {
         let kind = (self.angular_filter, self.lens_deg);
         kind == (AngularFilter::Point, 0.0) && !self.denoise.filters() && self.clamp.is_none()
     }
 
-    /// Checks values that no parser checks.
+    /// Checks the ranges of values, which the parser does not check.
     pub fn check(&self) -> Result<(), ShotError> {
         let fail = |key: &str, expected: &str, found: String| Err(ShotError::job(key, expected, found));
         if let Some(samples) = self.samples.filter(|samples| !(1..=65536).contains(samples)) {
@@ -332,7 +344,8 @@ impl RenderJob {
     }
 }
 
-/// Settings with the seed of one of a job's light fields (0 is the target), and of a part of it.
+/// Derives the settings' seed for one of a job's light fields (`stream` 0 is the target), and for a
+/// part of it.
 pub fn seeded(settings: Settings, stream: u64, part: &[u64]) -> Settings {
     Settings { seed: lumistack_core::seed::derive(settings.seed, &[&[stream], part].concat()), ..settings }
 }

@@ -1,4 +1,4 @@
-//! `[window]`: where the display stands in the scene.
+//! `[window]`: the place of the display in the scene.
 
 use std::borrow::Cow;
 
@@ -7,21 +7,23 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::ShotError;
 
-/// Where the display stands in the scene.
+/// The place of the display in the scene.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct WindowJob {
-    /// `auto`: the first camera's plane of focus, or framed on the bounds when there is none; `camera`; `bounds`; `given`.
+    /// `auto`: the first camera's plane of focus, or a frame around the scene without a camera;
+    /// `camera`; `bounds`; `given`.
     pub from: WindowFrom,
     /// Name or number of the camera.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub camera: Option<String>,
-    /// Azimuth and elevation from which a scene is framed, degrees: [0, 0] from the front, +z; azimuth goes to the viewer's right, elevation up.
+    /// Azimuth and elevation of the viewer where the scene is framed, degrees. [0, 0] is the front,
+    /// +z; azimuth goes to the viewer's right, elevation up.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub look_from: Option<[f64; 2]>,
-    /// Where what is seen begins.
+    /// Nearest visible distance.
     pub near: Near,
-    /// Distance of the camera's plane of focus, scene units, instead of the file's.
+    /// Distance of the camera's plane of focus, scene units; it replaces the file's.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub focus_distance: Option<f32>,
     /// `given`: centre in the scene.
@@ -36,45 +38,50 @@ pub struct WindowJob {
     /// `given`: width in scene units.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub width: Option<f64>,
-    /// Whether the window is moved, or depth compressed as well, so that the scene lies in the display's depth of field.
+    /// Move the window, or also compress depth, so that the scene lies in the display's depth of
+    /// field.
     pub fit_depth: FitDepth,
-    /// Factor on the parallax between views, and so on depth: views are traced at slopes this much smaller. The central view stays.
+    /// Factor on the parallax between views, and so on depth: views are traced at scaled slopes.
+    /// The central view stays.
     pub depth_scale: f64,
 }
 
-/// How the scene is brought into the display's depth of field.
+/// The ways to bring the scene into the display's depth of field.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum FitDepth {
-    /// Nothing where the scene fits. Else as [`Compress`](Self::Compress), but a window whose place somebody chose stays there and depth is compressed about it;
-    /// with a depth scale that somebody chose the window moves alone.
+    /// Nothing where the scene fits, else as [`Compress`](Self::Compress). A window that the user
+    /// placed stays, and depth is compressed about it. With a depth scale that the user set, the
+    /// window only moves.
     #[default]
     Auto,
-    /// The window stays where it is, and depth as it is.
+    /// Neither window nor depth change.
     Off,
     /// The window moves along its normal.
     Move,
-    /// It moves, and depth is compressed where it still does not fit.
+    /// The window moves, and depth is compressed where it still does not fit.
     Compress,
 }
 
-/// Where what is seen begins: nothing nearer to the viewer is seen, nor counts for framing or exposure.
+/// Nearest visible distance: content nearer to the viewer is invisible, and counts neither for
+/// framing nor for exposure.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Near {
-    /// A camera's near plane; before the four keys of a place, where the display can show next to nothing any more; else everything that is framed is seen.
+    /// The camera's near plane. For a `given` window, the distance where the display shows hardly
+    /// any detail. Otherwise the whole framed scene is visible.
     #[default]
     Auto,
-    /// Everything before the window is seen.
+    /// All content before the window is visible.
     Off,
-    /// This far before the window, scene units; below 0 behind it.
+    /// Distance before the window, scene units; below 0 behind it.
     At(f64),
 }
 
-/// How files write it.
+/// The forms in files.
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 enum NearText {
-    /// This far before the window, scene units; below 0 behind it.
+    /// Distance before the window, scene units; below 0 behind it.
     At(f64),
     /// `auto` or `off`.
     #[schemars(extend("enum" = ["auto", "off"]))]
@@ -125,7 +132,7 @@ impl<'de> Deserialize<'de> for Near {
     }
 }
 
-/// How the window is found.
+/// Source of the window.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum WindowFrom {
@@ -134,7 +141,8 @@ pub enum WindowFrom {
     Auto,
     /// A camera.
     Camera,
-    /// The scene's bounds, seen from `look_from`, else from the front or, where that shows next to nothing, from where more is seen.
+    /// The scene's bounds from `look_from`. Without that key from the front, or from another side
+    /// where the front shows hardly anything.
     Bounds,
     /// `centre`, `forward`, `up`, `width`.
     Given,
@@ -159,7 +167,7 @@ impl Default for WindowJob {
 }
 
 impl WindowJob {
-    /// Checks values that no parser checks.
+    /// Checks the ranges of values, which the parser does not check.
     pub fn check(&self) -> Result<(), ShotError> {
         if !(1e-3..=10.0).contains(&self.depth_scale) {
             let found = self.depth_scale.to_string();

@@ -1,15 +1,18 @@
-//! From which side a scene without a camera is seen.
+//! The side from which a scene without a camera is seen.
 //!
-//! The front of an asset is +z (glTF 2.0, section 3.4). Some scenes show next to nothing from there: a board that lies flat, a card that stands across, a
-//! pane that faces away. A grid of rays along each candidate direction counts
+//! The front of an asset is +z (glTF 2.0, section 3.4). Some scenes show hardly anything from
+//! there: a board that lies flat, a card seen edge-on, a pane that faces away. A grid of rays along
+//! each candidate direction measures
 //!
 //! ```text
-//! A(direction) = pixels that meet a surface · area of a pixel          the area that is seen, in scene units
+//! A(direction) = pixels that hit a surface · area of a pixel
 //! ```
 //!
-//! Faces seen at a slant count less by their cosine, and faces that are culled from behind count nothing, so A prefers directions that surfaces face.
-//! The front stays unless another direction shows several times as much. Then the first direction is taken, in order of its distance from
-//! the front, that shows nearly as much as any.
+//! It is the visible area in squared scene units.
+//! The cosine of the slant reduces a face's area, and a face culled from behind adds nothing, so A
+//! prefers directions that surfaces face. The front stays unless another direction shows several
+//! times as much. Then the choice is the direction nearest to the front that shows nearly the
+//! largest area.
 
 use glam::{DVec3, Vec3};
 use lumistack_core::Task;
@@ -21,28 +24,28 @@ use crate::renderer::SceneRenderer;
 
 /// Azimuth and elevation of the front, degrees.
 pub(crate) const FRONT: [f64; 2] = [0.0; 2];
-/// Candidate directions in order of preference, degrees: azimuths, and elevations at each.
+/// Candidate directions in order of preference, degrees: azimuths, and the elevations at each.
 const AZIMUTHS: [f64; 8] = [0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0];
 const ELEVATIONS: [f64; 7] = [0.0, 20.0, 40.0, 55.0, -20.0, -40.0, -55.0];
 /// The front stays where it shows this share of the largest area.
 const FRONT_SHARE: f64 = 0.125;
-/// The same for captures. Their axes are a trainer's, so +z counts no more than any other direction:
-/// a guitar on its stand shows its edge to +z (0.69), a person in profile shows 0.79.
+/// The same for captures. Their axes come from training, so +z counts no more than other
+/// directions. A guitar on its stand shows its edge to +z (0.69), a person in profile shows 0.79.
 const CAPTURE_SHARE: f64 = ENOUGH;
-/// Another direction is good enough from this share of the largest area on: a board is seen from 40° (sin 40° / sin 55° = 0.78), and a card face
-/// on rather than from 45° (0.71).
+/// Another direction is good enough from this share of the largest area on. A board is seen from
+/// 40° (sin 40° / sin 55° = 0.78), and a card is seen face on instead of from 45° (0.71).
 const ENOUGH: f64 = 0.745;
-/// Rays of a candidate.
+/// Columns and rows of the rays along a candidate direction.
 const PROBE: [usize; 2] = [96, 60];
 
-/// Directions forward and up of a viewer at an azimuth to the right of +z and an elevation, degrees.
+/// Computes forward and up of a viewer at an azimuth to the right of +z and an elevation, degrees.
 pub(crate) fn directions([azimuth_deg, elevation_deg]: [f64; 2]) -> [DVec3; 2] {
     let [(sin_a, cos_a), (sin_e, cos_e)] = [azimuth_deg, elevation_deg].map(|angle| angle.to_radians().sin_cos());
     let forward = -DVec3::new(sin_a * cos_e, sin_e, cos_a * cos_e);
     [forward, DVec3::new(-sin_a * sin_e, cos_e, -cos_a * sin_e)]
 }
 
-/// The window that just holds what is seen of the scene from a direction.
+/// Returns the smallest window that holds the visible scene from a direction.
 ///
 /// # Errors
 /// As [`Window::framing`].
@@ -59,13 +62,13 @@ pub(crate) fn framed(scene: &Scene, from_deg: [f64; 2], size_mm: [f64; 2]) -> Re
     Window::framing_points(points.chain(seen_splats(scene)), forward, up, size_mm)
 }
 
-/// Centres of splats but floaters.
+/// Centres of splats without floaters, the stray splats outside the visible bounds.
 fn seen_splats(scene: &Scene) -> impl Iterator<Item = DVec3> {
     let bounds = scene.seen_bounds();
     scene.splat_positions().filter(move |at| bounds.contains(*at)).map(|at| at.as_dvec3())
 }
 
-/// Azimuth and elevation from which the scene is seen well, degrees.
+/// Chooses azimuth and elevation, degrees, that show much of the scene.
 ///
 /// # Errors
 /// When the scene has no extent, or when cancelled.
@@ -75,7 +78,7 @@ pub(crate) fn choose(
     size_mm: [f64; 2],
     task: Task<'_>,
 ) -> Result<[f64; 2], ShotError> {
-    // boxes stand for what is in them: the frame only has to hold it
+    // Boxes replace the meshes: the frame only has to hold them.
     let boxes: Vec<Bounds> = scene
         .meshes
         .iter()
@@ -90,6 +93,7 @@ pub(crate) fn choose(
         .collect();
     let splats = (!scene.placed_clouds.is_empty()).then(|| scene.seen_bounds().corners());
     let corners: Vec<Vec3> = corners.into_iter().chain(splats.into_iter().flatten()).collect();
+    // Trace a coarse mask of hits along a direction, framed on the boxes.
     let area = |from_deg: [f64; 2]| -> Result<f64, ShotError> {
         let [forward, up] = directions(from_deg);
         let points = corners.iter().map(|corner| corner.as_dvec3());
@@ -102,6 +106,7 @@ pub(crate) fn choose(
         let hits: f64 = mask?.data().iter().map(|&hit| f64::from(hit)).sum();
         Ok(hits * (pitch_mm * window.scene_from_display.scale).powi(2))
     };
+    // Try every candidate in order of preference.
     let mut tried = Vec::new();
     for azimuth in AZIMUTHS {
         for elevation in ELEVATIONS {
@@ -112,7 +117,8 @@ pub(crate) fn choose(
     Ok(best(&tried, if is_capture { CAPTURE_SHARE } else { FRONT_SHARE }))
 }
 
-/// The first of the directions that shows enough, the front before all where it shows `front_share` of the most.
+/// Returns the first direction that shows enough. The front wins where it shows `front_share` of
+/// the largest area.
 fn best(tried: &[([f64; 2], f64)], front_share: f64) -> [f64; 2] {
     let most = tried.iter().fold(0.0f64, |most, (_, area)| most.max(*area));
     let Some((front, area)) = tried.first() else { return FRONT };
@@ -122,7 +128,7 @@ fn best(tried: &[([f64; 2], f64)], front_share: f64) -> [f64; 2] {
     tried.iter().find(|(_, area)| *area >= ENOUGH * most).map_or(*front, |(from_deg, _)| *from_deg)
 }
 
-/// The instances that the viewer sees; all where there are no others than unseen lamps.
+/// The visible instances; all of them where every instance is an unseen lamp.
 fn seen(scene: &Scene) -> impl Iterator<Item = &Instance> {
     let none = !scene.instances.iter().any(|instance| scene.is_seen(instance));
     scene.instances.iter().filter(move |instance| none || scene.is_seen(instance))
@@ -188,7 +194,7 @@ mod tests {
     #[test]
     fn solid_things_are_seen_from_the_front() {
         assert_eq!(chosen(&scene(block(Vec3::ONE, Vec3::ZERO), false)), FRONT);
-        // a figure: slender from the front, a head on a body
+        // a figure, slender from the front: a head on a body
         let mut figure = block(Vec3::new(0.5, 1.2, 0.3), Vec3::new(2.0, 0.6, -3.0));
         figure.extend(block(Vec3::new(0.25, 0.3, 0.25), Vec3::new(2.0, 1.4, -3.0)));
         assert_eq!(chosen(&scene(figure, false)), FRONT);
@@ -202,17 +208,17 @@ mod tests {
         let turned = |turn: Quat| vec![(card(3.0, 2.0), Affine3A::from_quat(turn))];
         let quarter = std::f32::consts::FRAC_PI_2;
         for double_sided in [false, true] {
-            // lies in xz, its front up; stands in yz, its front to +x
+            // one lies in xz with its front up, the other stands in yz with its front to +x
             assert_eq!(chosen(&scene(turned(Quat::from_rotation_x(-quarter)), double_sided)), [0.0, 40.0]);
             assert_eq!(chosen(&scene(turned(Quat::from_rotation_y(quarter)), double_sided)), [90.0, 0.0]);
         }
-        // its front to −x, down, and away
+        // fronts to −x, down, and away from the viewer
         assert_eq!(chosen(&scene(turned(Quat::from_rotation_y(-quarter)), false)), [-90.0, 0.0]);
         assert_eq!(chosen(&scene(turned(Quat::from_rotation_x(quarter)), false)), [0.0, -40.0]);
         assert_eq!(chosen(&scene(turned(Quat::from_rotation_y(2.0 * quarter)), false)), [180.0, 0.0]);
     }
 
-    /// 32 pieces on a board: from the front a strip.
+    /// 32 pieces on a board, which is a narrow strip from the front.
     #[test]
     fn a_chess_board_is_seen_from_above() {
         let mut parts = block(Vec3::new(8.0, 0.2, 8.0), Vec3::ZERO);
@@ -225,7 +231,7 @@ mod tests {
         let board = scene(parts, false);
         let from_deg = chosen(&board);
         assert!(from_deg[0] == 0.0 && (20.0..=55.0).contains(&from_deg[1]), "{from_deg:?}");
-        // and its frame holds all of it
+        // the frame holds the whole board
         let window = framed(&board, from_deg, SIZE_MM).unwrap();
         for corner in block(Vec3::new(8.0, 0.2, 8.0), Vec3::ZERO) {
             for position in corner.0.positions {
@@ -257,7 +263,7 @@ mod tests {
         let unseen = with(Lamp::Unseen);
         assert_eq!(chosen(&unseen), [0.0, 40.0]);
         assert!(framed(&unseen, [0.0, 40.0], SIZE_MM).unwrap().scene_from_display.scale * SIZE_MM[0] < 2.0);
-        assert_eq!(chosen(&with(Lamp::Seen)), FRONT, "a lamp that is seen is what is seen");
+        assert_eq!(chosen(&with(Lamp::Seen)), FRONT, "a visible lamp counts like any surface");
     }
 
     #[test]

@@ -1,4 +1,5 @@
-//! The window through which the display looks at a scene: by numbers, a camera, or framed on what is seen.
+//! The window through which the display looks at a scene: given by numbers, by a camera, or framed
+//! on the visible scene.
 
 use glam::DVec3;
 use lumistack_core::{Task, Tensor};
@@ -10,33 +11,34 @@ use crate::error::ShotError;
 use crate::job::{Near, WindowFrom, WindowJob};
 use crate::subject::Subject;
 
-/// What stays free on each side of what an automatic window shows, as a share of it.
+/// Free margin on each side of a framed scene, as a share of its size.
 const MARGIN: f64 = 0.03;
-/// Share of a camera's view that the scene should cover, where nobody asked for the camera.
+/// Share of a camera's view that the scene should cover, where the job does not name the camera.
 const COVERAGE: f64 = 0.26;
 /// Least width of a window relative to the view of such a camera.
 const CLOSEST: f64 = 0.58;
-/// Columns of the straight view by which it is found out where the scene is seen.
+/// Columns of the straight view that finds where the scene is visible.
 const PROBE_COLS: usize = 336;
 
-/// A window as it is found, before depth is fitted.
+/// A window before depth is fitted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Found {
-    /// As it was found.
+    /// The window.
     pub window: Window,
-    /// Whether somebody chose the depth at which it stands: by numbers or by a focus distance.
+    /// The user chose the depth of the window: by numbers or by a focus distance.
     pub chosen: bool,
-    /// Azimuth and elevation from which the scene was framed, degrees.
+    /// Azimuth and elevation of the viewer that framed the scene, degrees.
     pub looked_from_deg: Option<[f64; 2]>,
 }
 
-/// Places the display in the scene.
+/// Finds the window in the scene.
 ///
-/// Without a camera the scene is framed from the front, or, where that shows next to nothing, from where more of it is seen. The frame is moved
-/// to what is seen, all of which it holds. A camera that nobody asked for and that has no focus is moved closer as long as nothing is cut off.
+/// Without a camera the scene is framed from the front, or from the side that [`side::choose`]
+/// finds. The frame then shrinks to the visible scene and holds all of it. A camera that the job
+/// does not name and that has no focus moves closer until the scene would be cut off.
 ///
 /// # Errors
-/// When the job names a camera that does not exist or gives numbers that make no rectangle.
+/// When the job names a camera that does not exist, or gives numbers that make no rectangle.
 pub fn find_window<S: Subject>(
     subject: &S,
     job: &WindowJob,
@@ -61,6 +63,7 @@ fn unlimited_window<S: Subject>(
     let scene = subject.scene();
     let size_mm = geometry.size_mm();
     let error = |source| ShotError::Window { name: scene.name.clone(), source };
+    // The four keys of a given window.
     if job.from == WindowFrom::Given {
         let missing =
             |key: &str| ShotError::job(format!("window.{key}"), "a value, as `from = \"given\"` needs", "nothing");
@@ -70,16 +73,18 @@ fn unlimited_window<S: Subject>(
         let window = Window::given(centre, forward, up, width, size_mm).map_err(error)?;
         return Ok(Found { window, chosen: true, looked_from_deg: None });
     }
+    // The job's camera, else the first one of the file.
     let camera = match (job.from, &job.camera) {
         (WindowFrom::Bounds, _) => None,
         (_, Some(wanted)) => Some(find_camera(scene, wanted)?),
-        // a direction that somebody asked for goes before a camera that nobody asked for
+        // a direction in the job takes precedence over a camera that the job does not name
         (_, None) if job.look_from.is_some() => None,
         (_, None) => scene.cameras.first(),
     };
     if job.from == WindowFrom::Camera && camera.is_none() {
         return Err(ShotError::value(&scene.name, "window.from", "a camera in the scene", "none").into());
     }
+    // The frame: from the job's direction or the best side, then shrunk to the visible scene.
     let framed = || -> Result<Found, S::Error> {
         let from_deg = match job.look_from {
             Some(from_deg) => from_deg,
@@ -91,6 +96,7 @@ fn unlimited_window<S: Subject>(
         let window = close_up(subject, window, geometry, true, task)?;
         Ok(Found { window, chosen: false, looked_from_deg: Some(from_deg) })
     };
+    // A camera's own plane of focus stays; one without focus may move closer.
     let Some(camera) = camera else { return framed() };
     let focus_distance = job.focus_distance.or(camera.focus_distance);
     let found = |window| Found { window, chosen: focus_distance.is_some(), looked_from_deg: None };
@@ -99,14 +105,15 @@ fn unlimited_window<S: Subject>(
             Ok(found(window))
         }
         Ok(window) => close_up(subject, window, geometry, false, task).map(found),
-        // a camera that nobody asked for must not stand in the way
+        // a camera that the job does not name must not cause an error
         Err(_) if job.from == WindowFrom::Auto && job.camera.is_none() => framed(),
         Err(source) => Err(error(source).into()),
     }
 }
 
-/// Moves a window to what is seen of the scene, with `recentre`; without, closer along its axis, until the scene covers [`COVERAGE`] of it. Nothing that the
-/// window shows is cut off.
+/// Fits a window to the visible scene. With `recentre` it frames the scene. Otherwise it moves
+/// closer along its axis until the scene covers [`COVERAGE`] of it. All visible content stays
+/// visible.
 fn close_up<S: Subject>(
     subject: &S,
     window: Window,
@@ -117,7 +124,7 @@ fn close_up<S: Subject>(
     let of = format!("{window:?} {recentre}");
     let (place, factor): ([f64; 2], f64) = subject.remembered("window", &of, || {
         let renderer = subject.renderer(task)?;
-        // a coarse straight view is enough to find out where the scene is
+        // a coarse straight view suffices to locate the scene
         let cols = geometry.cols.min(PROBE_COLS);
         let pitch_mm = window.size_mm[0] / cols as f64;
         let rows = ((window.size_mm[1] / pitch_mm).round() as usize).max(1);
@@ -131,7 +138,7 @@ fn close_up<S: Subject>(
     Ok(window.scaled_about(place, factor))
 }
 
-/// First and end of the rows and of the columns where the mask is set.
+/// First and end index of the rows and of the columns where the mask is set.
 fn extents(mask: &Tensor<2>) -> Option<[[usize; 2]; 2]> {
     let [rows, cols] = mask.shape();
     let is_hit = |row: usize, col: usize| mask.get([row, col]) > 0.0;
@@ -145,17 +152,19 @@ fn extents(mask: &Tensor<2>) -> Option<[[usize; 2]; 2]> {
     Some([seen(0, rows)?, seen(1, cols)?])
 }
 
-/// The part of a picture that holds all that is set in the mask and a [margin](MARGIN), as a factor on its size and its centre [row, column] in pixels.
+/// Returns the part of a picture that holds every set pixel and a [margin](MARGIN): a factor on its
+/// size, and its centre [row, column] in pixels.
 fn whole(mask: &Tensor<2>) -> (f64, [f64; 2]) {
     let size = mask.shape();
     let Some(seen) = extents(mask) else { return (1.0, size.map(|count| 0.5 * count as f64)) };
-    // one pixel more, since what is seen may end anywhere in its last one
+    // one pixel more, since content may end anywhere in its last pixel
     let share = |axis: usize| (seen[axis][1] - seen[axis][0] + 1) as f64 / size[axis] as f64;
     let factor = (1.0 + 2.0 * MARGIN) * share(0).max(share(1));
     (factor, seen.map(|[first, end]| 0.5 * (first + end) as f64))
 }
 
-/// The middle of a picture of which [`COVERAGE`] is set in the mask, or as much of it as holds all that is set; no smaller than [`CLOSEST`].
+/// Returns the middle part of a picture of which [`COVERAGE`] is set, or the smallest that holds
+/// every set pixel. It is no smaller than [`CLOSEST`].
 fn closer(mask: &Tensor<2>) -> (f64, [f64; 2]) {
     let [rows, cols] = mask.shape();
     let middle = [rows, cols].map(|count| 0.5 * count as f64);
@@ -165,7 +174,7 @@ fn closer(mask: &Tensor<2>) -> (f64, [f64; 2]) {
         (1.0 + 2.0 * MARGIN) * first.max(end) / middle[axis]
     };
     let least = reach(0).max(reach(1)).max(CLOSEST);
-    // nothing is cut off, so the same pixels cover more of a smaller picture
+    // all set pixels stay inside, so they cover more of a smaller picture
     let covered = mask.data().iter().map(|&hit| f64::from(hit)).sum::<f64>() / (rows * cols) as f64;
     ((covered / COVERAGE).sqrt().max(least).min(1.0), middle)
 }
@@ -192,7 +201,7 @@ mod tests {
         mask
     }
 
-    /// Edges of the part that is kept: top, bottom, left, right.
+    /// Edges of a part: top, bottom, left, right.
     fn edges(mask: &Tensor<2>, (factor, [row, col]): (f64, [f64; 2])) -> [f64; 4] {
         let [height, width] = mask.shape().map(|count| 0.5 * factor * count as f64);
         [row - height, row + height, col - width, col + width]
@@ -200,7 +209,8 @@ mod tests {
 
     #[test]
     fn what_is_framed_is_shown_whole() {
-        // a head above a thin stand; a slender animal; a wide row of small things; a speck in a corner; all there is
+        // a head on a thin stand; a slender animal; a wide row of small things; a speck in a
+        // corner; a full mask
         let cases: [(&str, Box<dyn Fn(usize, usize) -> bool>); 5] = [
             ("bust", Box::new(|row, col| col.abs_diff(80) < if row < 40 { 22 } else { 3 })),
             ("animal", Box::new(|row, col| (2..98).contains(&row) && col.abs_diff(80) < 9)),
@@ -213,7 +223,7 @@ mod tests {
             let [[top, bottom], [left, right]] = extents(&mask).unwrap().map(|ends| ends.map(|end| end as f64));
             let kept = edges(&mask, whole(&mask));
             assert!(kept[0] < top && kept[1] > bottom && kept[2] < left && kept[3] > right, "{name}: {kept:?}");
-            // no larger than it must be: a margin on both sides of the longer axis
+            // no larger than needed: a margin on both sides of the longer axis
             let spare = ((kept[1] - kept[0]) / (bottom - top + 1.0)).min((kept[3] - kept[2]) / (right - left + 1.0));
             assert!((spare - 1.06).abs() < 1e-9, "{name}: {spare}");
         }
@@ -224,20 +234,21 @@ mod tests {
 
     #[test]
     fn a_camera_comes_closer_but_cuts_nothing_off() {
-        // half of the height, beside the middle: it would cover enough at 0.7, but would lose its right edge
+        // half of the height, beside the middle: at 0.7 it covers enough, but its right edge is cut
+        // off
         let beside = mask(100, 160, |row, col| (25..75).contains(&row) && (80..150).contains(&col));
         let (factor, centre) = closer(&beside);
         assert_eq!(centre, [50.0, 80.0], "a camera's axis stays in the middle");
         assert!(edges(&beside, (factor, centre))[3] >= 150.0, "{factor}");
-        // a small thing in the middle comes as close as it may
+        // a small thing in the middle gets the closest view
         let small = mask(100, 160, |row, col| row.abs_diff(50) < 5 && col.abs_diff(80) < 5);
         assert_eq!(closer(&small).0, CLOSEST);
-        // one that covers a seventh is moved until it covers a quarter
+        // one that covers a seventh gets a view of which it covers a quarter
         let seventh = mask(100, 160, |row, col| row.abs_diff(50) < 24 && col.abs_diff(80) < 24);
         let factor = closer(&seventh).0;
         let covered = seventh.data().iter().sum::<f32>() / 16000.0;
         assert!((f64::from(covered) / factor.powi(2) - COVERAGE).abs() < 1e-6, "{factor}");
-        // what runs out of the picture stays as it is
+        // content that reaches the border stays as it is
         assert_eq!(closer(&mask(100, 160, |row, _| row > 90)).0, 1.0);
     }
 }
