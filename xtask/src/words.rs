@@ -29,6 +29,7 @@ const CLEAN: &[&str] = &[
     "docs/GLOSSARY.md",
     "docs/GLTF.md",
     "docs/ZONE.md",
+    "plugins/images",
     "xtask/src/prose.rs",
     "xtask/src/words.rs",
 ];
