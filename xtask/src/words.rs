@@ -30,6 +30,7 @@ const CLEAN: &[&str] = &[
     "docs/GLTF.md",
     "docs/ZONE.md",
     "plugins/images",
+    "plugins/quilt",
     "xtask/src/prose.rs",
     "xtask/src/words.rs",
 ];
