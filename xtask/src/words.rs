@@ -29,6 +29,7 @@ const CLEAN: &[&str] = &[
     "docs/GLOSSARY.md",
     "docs/GLTF.md",
     "docs/ZONE.md",
+    "plugins/baselines",
     "plugins/images",
     "plugins/quilt",
     "xtask/src/prose.rs",
