@@ -31,6 +31,7 @@ const CLEAN: &[&str] = &[
     "docs/ZONE.md",
     "plugins/baselines",
     "plugins/images",
+    "plugins/obj",
     "plugins/quilt",
     "xtask/src/prose.rs",
     "xtask/src/words.rs",
