@@ -32,6 +32,7 @@ const CLEAN: &[&str] = &[
     "plugins/baselines",
     "plugins/images",
     "plugins/obj",
+    "plugins/panels",
     "plugins/quilt",
     "xtask/src/prose.rs",
     "xtask/src/words.rs",
