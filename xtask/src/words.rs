@@ -26,6 +26,7 @@ const CLEAN: &[&str] = &[
     "crates/scene",
     "crates/simd",
     "crates/testkit",
+    "crates/usd",
     "docs/GLOSSARY.md",
     "docs/GLTF.md",
     "docs/ZONE.md",
