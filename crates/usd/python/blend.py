@@ -1,10 +1,11 @@
-"""Runs in the user's Blender, or in a Python with the module bpy: opens a .blend file and hands it over.
+"""Runs in the user's Blender, or in a Python with the module bpy: opens a .blend file and exports
+it.
 
-    blender -b --python-exit-code 1 --python blend.py -- FOLDER
+    blend -b --python-exit-code 1 --python blend.py -- FOLDER
     python blend.py -- FOLDER
 
-FOLDER holds request.json; answer.json is written there last, scene.glb before it. The modules that do the work are those of the Python package
-`lumistack.blender`; their source comes in the request.
+FOLDER contains request.json. The result is scene.glb, and then answer.json. The modules that do the
+work are those of the Python package `lumistack.blender`; the request contains their source.
 """
 
 import json
@@ -20,6 +21,7 @@ def main():
     folder = sys.argv[sys.argv.index("--") + 1]
     with open(os.path.join(folder, "request.json"), encoding="utf-8") as file:
         request = json.load(file)
+    # Report every failure in answer.json, with its kind: another Blender may help, or nothing can.
     answer = {"warnings": [], "files": []}
     try:
         import bpy
@@ -27,7 +29,7 @@ def main():
         answer["blender"] = bpy.app.version_string
         answer["program"] = bpy.app.binary_path or bpy.__file__
         if bpy.app.version < OLDEST:
-            raise Unfit("Blender %s, and 4.2 is the oldest that does" % bpy.app.version_string)
+            raise Unfit("Blender %s; 4.2 is the oldest supported version" % bpy.app.version_string)
         work(bpy, request, folder, answer)
     except ImportError as error:
         answer["error"] = {"kind": "bpy", "message": "Python %s without bpy (%s)" % (sys.version.split()[0], error)}
@@ -38,33 +40,36 @@ def main():
     except Exception as error:
         text = str(error).strip().replace("Error: ", "", 1)
         answer["error"] = {"kind": "other", "message": "%s: %s" % (type(error).__name__, text)}
+    # Write under another name first, so that an incomplete answer is never read.
     written = os.path.join(folder, "answer.json.new")
     with open(written, "w", encoding="utf-8") as file:
         json.dump(answer, file)
     os.replace(written, os.path.join(folder, "answer.json"))
     sys.stdout.flush()
     sys.stderr.flush()
-    # as a module Blender may hang or crash while Python ends
+    # As a module, Blender may hang or crash when Python ends.
     if "bpy" not in sys.modules or sys.modules["bpy"].app.module:
         os._exit(0)
 
 
 class Unfit(Exception):
-    """Another Blender may do."""
+    """Another Blender may be able to read the file."""
 
 
 class Refused(Exception):
-    """The file, or what is asked of it, makes no sense."""
+    """The file or the request is invalid."""
 
 
 def work(bpy, request, folder, answer):
     modules = package(request["modules"])
+    # Open the file; scripts in it do not run.
     try:
         bpy.ops.wm.open_mainfile(filepath=request["path"], load_ui=False, use_scripts=False)
     except RuntimeError as error:
         raise Refused(str(error).replace("Error: ", "", 1).strip().splitlines()[0]) from error
     scene = bpy.context.scene
     rate = scene.render.fps / scene.render.fps_base
+    # List the choices and the content that an export loses.
     answer["contents"] = {
         "scenes": [each.name for each in bpy.data.scenes],
         "frames": [scene.frame_start, scene.frame_end],
@@ -77,12 +82,13 @@ def work(bpy, request, folder, answer):
     if request["contents_only"]:
         return
     if lost and request["views"] is None:
-        # whoever takes the scene over may want to have it rendered here instead
+        # The caller may request a render here instead, so check that the engine can render.
         try:
             modules["rig"].check_engine(bpy, scene)
         except modules["rig"].NoOpenGL as error:
             answer["contents"]["unfit"] = str(error)
     modules["rig"].remove_leftovers(bpy)
+    # Set the time: the requested one, or that of the saved frame.
     if request["time_s"] is not None:
         frame = scene.frame_start + request["time_s"] * rate
         whole = int(frame // 1)
@@ -104,7 +110,7 @@ def work(bpy, request, folder, answer):
 
 
 def render(bpy, scene, modules, asked, folder):
-    """The views that are asked for: one picture each, renamed when it is whole."""
+    """Renders the requested views: one picture each, renamed when it is complete."""
     cameras, rig = modules["cameras"], modules["rig"]
     try:
         rig.check_engine(bpy, scene)

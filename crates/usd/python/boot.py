@@ -1,14 +1,15 @@
-# What the child runs by `python -c`. Any Python, however old, must get through the first lines: they say what is missing.
+# The script that a child runs by `python -c`. Every Python, old ones too, must be able to parse it
+# and to report the missing package.
 import sys
 
-sys.path[:] = [place for place in sys.path if place]  # files in the working folder are not ours
+sys.path[:] = [place for place in sys.path if place]  # modules in the working folder must not shadow Python's
 import json
 import os
 import signal
 
-signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends a call into C++, too
+signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C also ends a call into C++
 request = json.loads(sys.stdin.buffer.read().decode("utf-8"))
-# the package goes to what was standard output; what libraries print there goes to standard error
+# The package goes to the original standard output, output of libraries to standard error.
 out = os.dup(1)
 os.dup2(2, 1)
 os.lseek(out, 0, os.SEEK_SET)
@@ -56,6 +57,6 @@ except Exception:
     fail("walker", traceback.format_exc())
 with os.fdopen(out, "wb") as package_file:
     writer.write(package_file)
-# destructors of a large stage take longer than all of this
+# Exit without destructors: those of a large stage take longer than the work itself.
 sys.stderr.flush()
 os._exit(0)

@@ -1,15 +1,15 @@
-"""Shapes: what a mesh holds at a time, as references to arrays."""
+"""Meshes at a time, as references to arrays."""
 
 from pxr import UsdGeom, Vt
 
-# primvars of other types and names no renderer of surfaces reads
+# Types and names of primvars that renderers of surfaces read.
 TEXTURE_COORDINATES = ("texCoord2f[]", "texCoord2d[]", "texCoord2h[]", "float2[]", "double2[]", "half2[]")
 COLOURS = ("displayColor", "displayOpacity")
 SINGLE = {"color3f": Vt.Vec3fArray, "color3d": Vt.Vec3dArray, "color3h": Vt.Vec3hArray, "float": Vt.FloatArray}
 
 
 def value(attribute, time, writer):
-    """A reference to the array of an attribute, or None where it has no value."""
+    """A reference to the array of an attribute, or None without a value."""
     array = attribute.Get(time) if attribute else None
     if array is None:
         return None
@@ -21,7 +21,7 @@ def value(attribute, time, writer):
 
 
 def mesh(prim, writer, time, pose=None):
-    """A `UsdGeomMesh`; a pose is points and normals in place of those of the file."""
+    """The entry of a `UsdGeomMesh`; a pose replaces the points and normals of the file."""
     points, normals = pose or (None, None)
     source = UsdGeom.Mesh(prim)
     entry = {
@@ -37,6 +37,7 @@ def mesh(prim, writer, time, pose=None):
         "subsets": [],
     }
     scheme = source.GetSubdivisionSchemeAttr().Get(time)
+    # Subdivision rules; the reader refines the mesh.
     if scheme != "none":
         entry["subdivision"] = {
             "scheme": str(scheme),
@@ -50,7 +51,7 @@ def mesh(prim, writer, time, pose=None):
             "corner_sharpnesses": value(source.GetCornerSharpnessesAttr(), time, writer),
         }
     if pose:
-        # those of the rest shape are wrong by now
+        # The file's normals belong to the rest shape.
         entry["primvars"] = [primvar for primvar in entry["primvars"] if primvar["name"] != "normals"]
         if normals:
             entry["primvars"].append({"name": "normals", "interpolation": normals[0], "values": writer.array(normals[1])})
@@ -63,13 +64,14 @@ def mesh(prim, writer, time, pose=None):
 
 
 def one_sided(gprim, time):
-    """Whether the file says that only the front is seen. Where it says nothing both sides are, as USD's renderers show them."""
+    """True if the file declares that only the front is visible. Without a declaration both sides
+    are, as in USD's renderers."""
     attribute = gprim.GetDoubleSidedAttr()
     return attribute.HasAuthoredValue() and not attribute.Get(time)
 
 
 def primvars(prim, writer, time):
-    """The primvars that surfaces are drawn with, those inherited from above included."""
+    """The primvars that affect the shading of surfaces, with inherited ones."""
     found = []
     for primvar in UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance():
         name, kind = str(primvar.GetPrimvarName()), str(primvar.GetTypeName())

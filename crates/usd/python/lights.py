@@ -1,6 +1,7 @@
-"""Lights (UsdLux): what each holds at a time, its colour and brightness reduced to one radiance.
+"""Lights (UsdLux) at a time; colour and brightness are combined to one radiance.
 
-`radiance` is colour · colour temperature · intensity · 2^exposure, before any normalization; sizes are in the space of the light.
+`radiance` is colour · colour temperature · intensity · 2^exposure, before any normalization. Sizes
+are in the light's space.
 """
 
 import math
@@ -30,7 +31,7 @@ SHAPING = {"shaping:cone:angle": 90.0, "shaping:cone:softness": 0.0, "shaping:fo
 
 
 def light(prim, writer, time):
-    """The entry of a light, or None where the prim is none."""
+    """The entry of a light, or None if the prim is none."""
     if not prim.HasAPI(UsdLux.LightAPI):
         return None
     name = str(prim.GetTypeName())
@@ -43,7 +44,7 @@ def light(prim, writer, time):
         return None
     entry = dict(emission(prim, writer, time), kind=kind)
     if kind == "distant":
-        # the schema's own default
+        # The schema has a different default for distant lights.
         entry["radiance"] = brightness(prim, time, 50000.0)
     for size, default in SIZES[kind].items():
         entry[size] = number(prim, size, time, default)
@@ -62,11 +63,11 @@ def light(prim, writer, time):
 
 
 def emission(prim, writer, time):
-    """What all kinds of lights share."""
+    """The parts of an entry that all kinds of lights share."""
     for collection in ("lightLink", "shadowLink"):
         roots = prim.GetRelationship("collection:%s:includes" % collection), prim.GetRelationship("collection:%s:excludes" % collection)
         if any(targets and targets.GetTargets() for targets in roots):
-            writer.warn(prim.GetPath(), "its %s is not followed: it lights everything, and everything casts shadows" % collection)
+            writer.warn(prim.GetPath(), "its %s is not supported: it lights everything, and everything casts shadows" % collection)
     filters = prim.GetRelationship("light:filters")
     if filters and filters.GetTargets():
         writer.warn(prim.GetPath(), "its light filters are not applied")
@@ -99,7 +100,7 @@ def brightness(prim, time, default):
 
 
 def value(prim, name, time):
-    """An input; files from before 2021 lack the prefix."""
+    """An input; the names in files from before 2021 lack the prefix."""
     for full in ("inputs:" + name, name):
         attribute = prim.GetAttribute(full)
         if attribute and attribute.HasValue():
@@ -130,14 +131,14 @@ def picture(prim, writer, time):
     place = "%s.inputs:texture:file" % prim.GetPath()
     resolved = str(found.resolvedPath)
     if not resolved:
-        writer.warn(place, "%s is not there; the light has its colour alone" % found.path)
+        writer.warn(place, "%s does not exist; the light has only its colour" % found.path)
         return None
     writer.file(resolved.split("[")[0])
     return writer.image(resolved, lambda: materials.image_entry(writer, place, found.path, resolved))
 
 
 def pole_is_z(prim, name):
-    """Whether the top of a dome's picture is its +z instead of its +y."""
+    """True if the top of a dome's picture is its +z instead of its +y."""
     if name != "DomeLight_1":
         return False
     axis = prim.GetAttribute("poleAxis").Get()

@@ -1,8 +1,9 @@
-"""Materials: the surface shader of each, its inputs reduced to constants, textures and primvars.
+"""Materials: the surface shader of each, with inputs reduced to constants, textures and primvars.
 
-An input is `{"value": [..]}`, `{"primvar": name}`, or `{"texture": t}`: component k of the input is scale[k] · texel[channels[k]] + bias[k], where the texel
-is read at the texture coordinates `primvar` after `transform` (u' = t0 u + t2 v + t4, v' = t1 u + t3 v + t5, v up). What the graph does beyond that is
-reported, and the nearest constant is used.
+An input is `{"value": [..]}`, `{"primvar": name}`, or `{"texture": t}`. Component k of a texture is
+scale[k] · texel[channels[k]] + bias[k]. Its coordinates are the primvar `primvar` after
+`transform`: u' = t0 u + t2 v + t4, v' = t1 u + t3 v + t5, v up. Other operations of the graph cause
+a warning and are replaced by the nearest constant.
 """
 
 import math
@@ -19,7 +20,7 @@ MODELS = {
     "ND_gltf_pbr_surfaceshader": "gltf_pbr",
     "ND_surface_unlit": "surface_unlit",
 }
-# what depends on a node that is not understood
+# The value of inputs that depend on an unknown node.
 UNKNOWN = {"unknown": True}
 IDENTITY = [1.0, 0.0, 0.0, 1.0, 0.0, 0.0]
 OPERATIONS = (
@@ -31,15 +32,17 @@ SIZES = {"float": 1, "integer": 1, "boolean": 1, "vector2": 2, "color3": 3, "vec
 OUTPUT_CHANNELS = {"r": [0], "g": [1], "b": [2], "a": [3], "rgb": [0, 1, 2], "rgba": [0, 1, 2, 3]}
 ADDRESS_MODES = {"constant": "black", "clamp": "clamp", "periodic": "repeat", "mirror": "mirror"}
 SRGB = ("srgb_texture", "sRGB", "srgb_rec709_scene", "srgb_rec709_display", "g22_rec709")
-# linear Rec. 709 from the primaries of ACES AP1, with Bradford adaptation from its white to D65
+# Linear Rec. 709 from the primaries of ACES AP1, with Bradford adaptation from its white to D65.
 ACESCG = ((1.70505, -0.62179, -0.08326), (-0.13026, 1.14080, -0.01055), (-0.02400, -0.12897, 1.15297))
 
 
 def material(prim, writer, time):
-    """What a material's entry holds: place, name, `model` (None where no shader is known) and `inputs`."""
+    """The entry of a material: place, name, `model` (None if the shader is unknown) and `inputs`.
+    """
     entry = {"place": str(prim.GetPath()), "name": prim.GetName(), "model": None, "inputs": {}}
     source = UsdShade.Material(prim)
     unknown = []
+    # Take the first surface shader that is known, MaterialX before universal ones.
     for context in ("mtlx", ""):
         shader = source.ComputeSurfaceSource(context)[0]
         if not shader:
@@ -53,11 +56,12 @@ def material(prim, writer, time):
                 if found is not None and found is not UNKNOWN:
                     entry["inputs"][given.GetBaseName()] = found
             if graph.unknown:
-                what = "the nodes %s are not supported; inputs that depend on them keep their defaults, mixtures take half of each"
+                what = "the nodes %s are not supported; inputs that depend on them keep their defaults, mixtures use half of each"
                 writer.warn(prim.GetPath(), what % ", ".join(sorted(graph.unknown)))
             return entry
         if kind not in unknown:
             unknown.append(kind)
+    # Otherwise report why the display colour is used.
     entry["place"] = str(prim.GetPath())
     if unknown:
         shown = ", ".join(kind or "one without an id" for kind in unknown)
@@ -71,7 +75,8 @@ def material(prim, writer, time):
 
 
 def needs_materialx(prim):
-    """Whether a prim, or one above it, refers to a MaterialX file that OpenUSD cannot open."""
+    """True if a prim, or one of its ancestors, refers to a MaterialX file that OpenUSD cannot open.
+    """
     if Sdf.FileFormat.FindByExtension("mtlx"):
         return False
     while prim and not prim.IsPseudoRoot():
@@ -84,7 +89,7 @@ def needs_materialx(prim):
 
 
 def numbers(value):
-    """A value as a list of floats, or None for what is not numbers."""
+    """A value as a list of floats, or None if it is not numeric."""
     if isinstance(value, (bool, int, float)):
         return [float(value)]
     if isinstance(value, (Gf.Vec2f, Gf.Vec3f, Gf.Vec4f, Gf.Vec2d, Gf.Vec3d, Gf.Vec4d, Gf.Vec2h, Gf.Vec3h, Gf.Vec4h)):
@@ -106,12 +111,12 @@ def constant(values):
 
 
 def widened(values, count):
-    """A list of numbers as one of `count`: a single one is repeated."""
+    """Returns `count` numbers: repeats a single one, or pads or cuts the list."""
     return (list(values) * count)[:count] if len(values) == 1 else (list(values) + [0.0] * count)[:count]
 
 
 def fallback(found, count):
-    """What to use where a calculation is not understood: an input that is constant."""
+    """The replacement for an unknown calculation: its input, if constant."""
     return None if found is None or "value" not in found else constant(widened(found["value"], count))
 
 
@@ -138,7 +143,7 @@ class Graph:
         return attribute, None, None
 
     def input(self, given):
-        """What an input comes to; None where it has neither value nor connection."""
+        """The value of an input; None if it has neither value nor connection."""
         attribute, shader, output = self.producer(given)
         if attribute:
             values = numbers(attribute.Get(self.time))
@@ -162,11 +167,11 @@ class Graph:
         return found
 
     def get(self, shader, name):
-        """What an input of a shader comes to."""
+        """The value of a shader's input."""
         return self.input(shader.GetInput(name))
 
     def value(self, shader, name, default):
-        """A constant input; a texture in its place is reported."""
+        """The value of a constant input; a texture in its place causes a warning."""
         found = self.get(shader, name)
         if found is None:
             return default
@@ -183,7 +188,7 @@ class Graph:
     # Nodes
 
     def node(self, shader, output):
-        """What an output of a node comes to."""
+        """The value of a node's output."""
         kind = str(shader.GetIdAttr().Get() or "")
         if kind.startswith(("UsdUVTexture", "ND_UsdUVTexture")):
             return self.preview_texture(shader, output)
@@ -202,7 +207,7 @@ class Graph:
         name = self.text(shader, "varname", None) or self.text(shader, "geomprop", None) or "st"
         if name == "displayColor":
             return {"primvar": name}
-        # a primvar that is not read: what the reader falls back to
+        # Other primvars are not supported; use the reader's fallback.
         found = self.get(shader, "fallback") or self.get(shader, "default")
         self.writer.warn(shader.GetPath(), "the primvar %s is not read as a value (displayColor is); the reader's fallback is used" % name)
         return found
@@ -246,7 +251,7 @@ class Graph:
             "bias": [0.0] * count,
             "fallback": back,
             "wrap": [ADDRESS_MODES.get(mode, "repeat") for mode in modes],
-            # MaterialX converts what names a space, and colours alone
+            # MaterialX converts only inputs that name a colour space, and only colours.
             "color_space": self.color_space(shader, "raw") if "color" in kind else "raw",
         }
         texture["primvar"], transform = self.coordinates(shader.GetInput("texcoord"), 0)
@@ -265,7 +270,8 @@ class Graph:
         found = self.get(shader, "in")
         if found is None or "texture" not in found:
             return None
-        # UsdPreviewSurface takes a decoded vector in tangent space, which is what decoding "in object space" gives
+        # A decoded vector in tangent space is the result of decoding "in object space", so
+        # UsdPreviewSurface accepts both.
         if self.text(shader, "space", "tangent") != "tangent" and self.model != "UsdPreviewSurface":
             self.writer.warn(shader.GetPath(), "normal maps in object space are not supported; it is left out")
             return None
@@ -274,7 +280,8 @@ class Graph:
         return {"texture": rescaled(texture, [scale[0], scale[1], 1.0], [0.0] * 3)}
 
     def operation(self, shader, kind, output):
-        """Arithmetic of MaterialX on constants, and on textures as far as it stays scale and bias."""
+        """Arithmetic of MaterialX on constants, and on textures if the result is a scale and a
+        bias."""
         parts = kind[3:].split("_")
         name, count = parts[0], SIZES.get(parts[-1].replace("FA", ""), 3)
         if name == "convert":
@@ -284,7 +291,7 @@ class Graph:
             found = self.get(shader, "value") if name == "constant" else self.get(shader, "in")
             return found
         if name in FRAME:
-            # the surface's own frame, which normals are relative to anyway
+            # The surface's own frame; normals are relative to it anyway.
             return None
         if name in OPERATIONS:
             count = SIZES.get(parts[1].replace("FA", ""), 3)
@@ -363,13 +370,13 @@ class Graph:
         front, back = front or zero, back or zero
         if share and "value" in share:
             share = share["value"][0]
-            # one picture and one constant stay a scale and a bias
+            # A texture and a constant result in a scale and a bias.
             for texture, other, weight in ((front, back, share), (back, front, 1.0 - share)):
                 if "texture" in texture and "value" in other:
                     rest = [(1.0 - weight) * value for value in widened(other["value"], count)]
                     return {"texture": rescaled(texture["texture"], [weight] * count, rest)}
         else:
-            self.unknown.add("mix by what is not a constant")
+            self.unknown.add("mix by an amount that is not constant")
             share = 0.5
         front, back = fallback(front, count), fallback(back, count)
         if front is None or back is None:
@@ -382,11 +389,11 @@ class Graph:
             values = widened(found["value"], count)
             length = math.sqrt(sum(value * value for value in values))
             return constant([value / length for value in values] if length > 0.0 else values)
-        # of a normal map the direction alone counts, whatever its length
+        # Only the direction of a normal map matters, not its length.
         return found
 
     def do_transformnormal(self, shader, count, output):
-        """Between spaces: a normal map is relative to the surface in all of them."""
+        """Converts between spaces; a normal map is relative to the surface in all of them."""
         return self.get(shader, "in")
 
     do_transformvector = do_transformnormal
@@ -398,14 +405,14 @@ class Graph:
         if found and "value" in found:
             return constant([min(max(v, a), b) for v, a, b in zip(widened(found["value"], count), low, high)])
         if found and "texture" in found:
-            # between the darkest and the brightest that codes of 0 to 1 come to, a clamp does nothing
+            # A clamp has no effect if its limits enclose the values of codes 0 and 1.
             pairs = zip(found["texture"]["scale"], found["texture"]["bias"], low, high)
             if all(a <= min(bias, scale + bias) and max(bias, scale + bias) <= b for scale, bias, a, b in pairs):
                 return found
         return None
 
     def do_remap(self, shader, count, output):
-        """From inlow .. inhigh to outlow .. outhigh."""
+        """Maps inlow .. inhigh to outlow .. outhigh."""
         found = self.get(shader, "in")
         ends = {"inlow": 0.0, "inhigh": 1.0, "outlow": 0.0, "outhigh": 1.0}
         ends = {name: widened(self.value(shader, name, [default]), count) for name, default in ends.items()}
@@ -439,7 +446,8 @@ class Graph:
         textures = [found["texture"] for found in parts if "texture" in found]
         if not textures:
             return constant([found["value"][0] for found in parts]) if all("value" in found for found in parts) else None
-        # channels of one picture, read at one place, put together again: as where the green of a normal map is turned over
+        # Join channels of one picture that are read at one place, as in a normal map with inverted
+        # green.
         first = textures[0]
         shared = ("image", "wrap", "color_space", "primvar", "transform")
         if any(texture[key] != first[key] for texture in textures for key in shared):
@@ -449,7 +457,7 @@ class Graph:
             if "texture" in found:
                 picked_part = {key: found["texture"][key][0] for key in ("channels", "scale", "bias", "fallback")}
             elif "value" in found:
-                # a constant is a channel of which nothing is left but the bias
+                # A constant is a channel with scale 0 and the constant as bias.
                 value = found["value"][0]
                 picked_part = {"channels": first["channels"][0], "scale": 0.0, "bias": value, "fallback": value}
             else:
@@ -461,7 +469,7 @@ class Graph:
     # Textures
 
     def picture(self, shader):
-        """Index of the image of a texture, or None (reported) where there is none."""
+        """Index of a texture's image, or None after a warning."""
         attribute = self.producer(shader.GetInput("file"))[0]
         asset = attribute.Get(self.time) if attribute else None
         path = getattr(asset, "path", "")
@@ -469,10 +477,10 @@ class Graph:
             return None
         resolved = str(asset.resolvedPath)
         if "<UDIM>" in path:
-            self.writer.warn(attribute.GetPath(), "%s: of a texture in tiles (UDIM) only tile 1001 is used" % path)
+            self.writer.warn(attribute.GetPath(), "%s: only tile 1001 of a tiled texture (UDIM) is used" % path)
             resolved = self.tile(attribute, path.replace("<UDIM>", "1001"))
         if not resolved:
-            self.writer.warn(attribute.GetPath(), "%s is not there; the texture's fallback colour is used" % path)
+            self.writer.warn(attribute.GetPath(), "%s does not exist; the texture's fallback colour is used" % path)
             return None
         self.writer.file(resolved.split("[")[0])
         return self.writer.image(resolved, lambda: self.image_entry(attribute, path, resolved))
@@ -490,11 +498,12 @@ class Graph:
     # Texture coordinates
 
     def coordinates(self, given, depth):
-        """The primvar that texture coordinates come from, and the affine map applied to it."""
+        """The primvar of texture coordinates, and the affine map that is applied to it."""
         attribute, shader, _ = self.producer(given)
         if not shader or depth > 50:
             return "st", IDENTITY
         kind = str(shader.GetIdAttr().Get() or "")
+        # Primvar readers end the chain.
         if "UsdPrimvarReader" in kind:
             return self.text(shader, "varname", "st"), IDENTITY
         if kind.startswith("ND_geompropvalue"):
@@ -502,6 +511,7 @@ class Graph:
         if kind.startswith("ND_texcoord"):
             index = int(self.value(shader, "index", 0.0))
             return "st" if index == 0 else "st%d" % index, IDENTITY
+        # Transform nodes add an affine map to that of their input.
         if "UsdTransform2d" in kind:
             name, before = self.coordinates(shader.GetInput("in"), depth + 1)
             scale, shift = self.value(shader, "scale", [1.0, 1.0]), self.value(shader, "translation", [0.0, 0.0])
@@ -516,7 +526,8 @@ class Graph:
             if not all(scale):
                 return name, before
             cosine, sine = math.cos(turn), math.sin(turn)
-            # MaterialX: (uv − pivot) / scale, turned by −rotate, − offset, + pivot; a positive angle turns the picture counter-clockwise
+            # MaterialX: (uv − pivot) / scale, rotated by −rotate, − offset, + pivot.
+            # A positive angle turns the picture counter-clockwise.
             steps = (
                 [1.0, 0.0, 0.0, 1.0, -pivot[0], -pivot[1]],
                 [1.0 / scale[0], 0.0, 0.0, 1.0 / scale[1], 0.0, 0.0],
@@ -539,12 +550,12 @@ class Graph:
                     [1.0, 0.0, 0.0, 1.0, -a, -b],
                 )[place]
                 return name, composed(own, before)
-        self.writer.warn(shader.GetPath(), "the node %s does not give texture coordinates; the primvar st is used" % (kind or "without an id"))
+        self.writer.warn(shader.GetPath(), "the node %s is not supported for texture coordinates; the primvar st is used" % (kind or "without an id"))
         return "st", IDENTITY
 
 
 def image_entry(writer, place, path, resolved):
-    """The entry of a picture: a path on disk, or the bytes of an entry of a package."""
+    """The entry of a picture: a path on disk, or the bytes of a file in a package."""
     entry = {"place": str(place), "name": path, "path": resolved}
     if "[" in resolved and resolved.endswith("]"):
         entry["path"] = None
@@ -556,7 +567,7 @@ def image_entry(writer, place, path, resolved):
 
 
 def packaged(path):
-    """Bytes of `package.usdz[entry]`; packages may hold packages."""
+    """Bytes of `package.usdz[file]`; packages may be nested."""
     outer, inner = path[:-1].split("[", 1)
     file = outer
     while True:
@@ -571,7 +582,7 @@ def packaged(path):
 
 
 def composed(after, before):
-    """The affine map `after` of what `before` gives."""
+    """The composition of two affine maps: `after` applied to the result of `before`."""
     a, b, c, d, x, y = after
     e, f, g, h, u, v = before
     return [a * e + c * f, b * e + d * f, a * g + c * h, b * g + d * h, a * u + c * v + x, b * u + d * v + y]
@@ -593,7 +604,7 @@ def rescaled(texture, scale, bias):
 
 
 def picked(found, order):
-    """Some components of what an input comes to."""
+    """Selected components of an input's value."""
     if found is None or not order:
         return None
     if "value" in found:

@@ -1,7 +1,8 @@
-"""What MaterialX' surface shaders take, for an OpenUSD whose MaterialX library does not tell.
+"""Definitions of MaterialX's surface shaders, for an OpenUSD whose MaterialX library lacks them.
 
-OpenUSD drops the shaders of a .mtlx file for which it knows no definition, and the wheel usd-exchange brings the definition of OpenPBR alone. This
-gives it the inputs (names, types, defaults) of the other surface shaders and of the nodes of UsdPreviewSurface that `materials` reads.
+OpenUSD drops shaders of a .mtlx file without a known definition, and the wheel usd-exchange
+contains the definition of OpenPBR alone. This module adds the inputs (names, types, defaults) of
+the other surface shaders. It also adds those nodes of UsdPreviewSurface that `materials` reads.
 """
 
 import contextlib
@@ -12,7 +13,7 @@ import tempfile
 from pxr import Plug, Sdf
 
 SEARCHED = "PXR_MTLX_PLUGIN_SEARCH_PATHS"
-# type: name=default, ...; colours and vectors of equal components are given by one number
+# type: name=default, ...; one number stands for all components of a colour or vector
 SHADERS = {
     ("ND_standard_surface_surfaceshader", "standard_surface"): """
         float: base=1 diffuse_roughness=0 metalness=0 specular=1 specular_roughness=0.2 specular_IOR=1.5 specular_anisotropy=0 specular_rotation=0
@@ -80,7 +81,7 @@ def document():
 
 @contextlib.contextmanager
 def definitions():
-    """While this is open, OpenUSD finds the definitions; it looks when it first needs any."""
+    """Makes the definitions known to OpenUSD, which searches them when it first uses MaterialX."""
     if not Sdf.FileFormat.FindByExtension("mtlx") or complete():
         yield
         return
@@ -99,7 +100,7 @@ def definitions():
 
 
 def complete():
-    """Whether OpenUSD has a library with the shaders, or somebody has named one."""
+    """True if OpenUSD has a library with the shaders, or the environment names one."""
     plugin = Plug.Registry().GetPluginWithName("usdMtlx")
     library = os.path.join(plugin.resourcePath, "libraries", "bxdf", "standard_surface.mtlx") if plugin else ""
     return os.path.exists(library) or bool(os.environ.get("PXR_MTLX_STDLIB_SEARCH_PATHS"))

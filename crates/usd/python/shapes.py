@@ -5,7 +5,7 @@ from pxr import UsdGeom
 from lumistack_usd import geometry
 
 AXIS = {"X": "x", "Y": "y", "Z": "z"}
-# type: the attributes that say its size
+# type: the attributes that define its size
 SOLIDS = {
     "Sphere": ("radius",),
     "Cube": ("size",),
@@ -19,7 +19,7 @@ SOLIDS = {
 
 
 def is_shape(prim, writer):
-    """Whether `shape` knows the prim; shapes that nobody here knows are reported."""
+    """True if `shape` can read the prim; unknown types of shapes cause a warning."""
     name = str(prim.GetTypeName())
     if name in SOLIDS or prim.IsA(UsdGeom.BasisCurves) or prim.IsA(UsdGeom.Points):
         return True

@@ -1,4 +1,4 @@
-"""Skinned and blended shapes, posed by UsdSkel's own queries."""
+"""Skinned shapes and blend shapes of UsdSkel, posed by its own queries."""
 
 from pxr import Gf, Tf, Usd, UsdGeom, UsdSkel, Vt
 
@@ -6,12 +6,12 @@ EVERYWHERE = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
 
 
 def source(prim):
-    """The prim in its prototype, if it is in one."""
+    """The prim itself, or its counterpart in the prototype of an instance."""
     return prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim
 
 
 class Skeletons:
-    """All skeletons of the roots seen so far."""
+    """All skeletons of the roots so far."""
 
     def __init__(self, time):
         self.time = time
@@ -19,7 +19,8 @@ class Skeletons:
         self.skinned = {}
 
     def add(self, root, writer):
-        """Finds what a `UsdSkelRoot` poses; where that fails, its shapes stay as they are."""
+        """Collects the shapes that a `UsdSkelRoot` poses; after an error they keep their rest pose.
+        """
         try:
             root = UsdSkel.Root(root)
             if not self.cache.Populate(root, EVERYWHERE):
@@ -29,10 +30,10 @@ class Skeletons:
                 for target in binding.GetSkinningTargets():
                     self.skinned[target.GetPrim().GetPath()] = (query, target)
         except Exception as error:
-            writer.warn(root.GetPath(), "its skeletons cannot be read, so its shapes are not posed: %s" % said(error))
+            writer.warn(root.GetPath(), "its skeletons cannot be read, so its shapes keep their rest pose: %s" % said(error))
 
     def key(self, prim):
-        """What tells the poses of one shape apart."""
+        """A key that differs where the poses of a shape differ."""
         found = self.skinned.get(prim.GetPath())
         if found is None:
             return None
@@ -43,15 +44,17 @@ class Skeletons:
         )
 
     def pose(self, prim, writer):
-        """(points, normals as (interpolation, values) or None) of a posed mesh in its own space; None where it stays as it is."""
+        """(points, normals as (interpolation, values) or None) of a posed mesh in its own space;
+        None without a pose."""
         found = self.skinned.get(prim.GetPath())
         if found is None:
             return None
-        # bindings of Python differ between versions of OpenUSD: whatever fails there must not take the mesh away
+        # Python bindings differ between versions of OpenUSD; an error there must not remove the
+        # mesh.
         try:
             return self.posed(prim, writer, *found)
         except Exception as error:
-            writer.warn(prim.GetPath(), "cannot be posed and is shown as it is without its skeleton: %s" % said(error))
+            writer.warn(prim.GetPath(), "cannot be posed and keeps its rest pose: %s" % said(error))
             return None
 
     def posed(self, prim, writer, query, target):
@@ -70,7 +73,7 @@ class Skeletons:
         if not joints:
             raise ValueError("its skeleton has no transforms of joints")
         to_world = UsdGeom.XformCache(self.time)
-        # the skeleton poses in its own space
+        # The skeleton's transforms are in its own space.
         back = to_world.GetLocalToWorldTransform(query.GetPrim()) * to_world.GetLocalToWorldTransform(prim).GetInverse()
         joints = Vt.Matrix4dArray([joint * back for joint in joints])
         own = self.of_mesh(query, target, joints, writer)
@@ -82,12 +85,13 @@ class Skeletons:
         try:
             return points, self.normals(mesh, target, own, len(points))
         except Exception as error:
-            writer.warn(prim.GetPath(), "its normals cannot be posed, so it has those of its polygons: %s" % said(error))
+            writer.warn(prim.GetPath(), "its normals cannot be posed, so those of its polygons are used: %s" % said(error))
             return points, None
 
     def of_mesh(self, query, target, joints, writer):
-        """The joints that a mesh names itself, in its order; those that its skeleton lacks stay where they are, as UsdSkel has it."""
-        # AnimMapper.RemapTransforms does the same, with other arguments in every few versions
+        """Transforms of the joints that a mesh lists, in its order. Joints that the skeleton lacks
+        do not move, as in UsdSkel."""
+        # AnimMapper.RemapTransforms does the same, but its arguments changed several times.
         order = target.GetJointOrder()
         if not order:
             return joints
@@ -95,7 +99,7 @@ class Skeletons:
         strangers = [str(name) for name in order if str(name) not in place]
         if strangers:
             named = ", ".join(strangers[:4]) + (" and %d more" % (len(strangers) - 4) if len(strangers) > 4 else "")
-            writer.warn(target.GetPrim().GetPath(), "follows joints that its skeleton lacks, which stay as they are: %s" % named)
+            writer.warn(target.GetPrim().GetPath(), "names joints that its skeleton lacks, which do not move: %s" % named)
         return [joints[place[str(name)]] if str(name) in place else Gf.Matrix4d(1) for name in order]
 
     def blend(self, query, target, points):
@@ -113,7 +117,7 @@ class Skeletons:
             shapes.ComputeDeformedPoints(*parts, indices, offsets, points)
 
     def normals(self, mesh, target, joints, point_count):
-        """Authored normals, turned as the points are."""
+        """Authored normals, rotated with the points."""
         normals, interpolation = mesh.GetNormalsAttr().Get(self.time), mesh.GetNormalsInterpolation()
         primvar = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("normals")
         if primvar and primvar.HasValue():
@@ -145,6 +149,6 @@ def said(error):
 
 
 def inverse_transpose(matrix):
-    """The map of normals."""
+    """The transform of normals."""
     linear = matrix.ExtractRotationMatrix()
     return linear.GetInverse().GetTranspose() if abs(linear.GetDeterminant()) > 1e-30 else Gf.Matrix3d(1)

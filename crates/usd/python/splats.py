@@ -1,6 +1,7 @@
-"""Particle fields: Gaussian splats, as UsdVol has them since OpenUSD 26.03.
+"""Particle fields: Gaussian splats, as in UsdVol since OpenUSD 26.03.
 
-An older OpenUSD does not know the types: it shows such a prim as one without a type, and still gives its attributes by their names.
+An older OpenUSD does not know the types. It reports a prim without a type, but its attributes can
+be read by name.
 """
 
 from pxr import Usd
@@ -13,21 +14,22 @@ HARMONICS = "radiance:sphericalHarmonicsCoefficients"
 
 
 def is_field(prim):
-    """Whether the prim is a particle field, whatever its kernel."""
+    """True if the prim is a particle field with any kernel."""
     return str(prim.GetTypeName()) in ("ParticleField", SPLAT) or "ParticleField" in known_bases(prim)
 
 
 def known_bases(prim):
-    """Types that this OpenUSD derives the prim's type from."""
+    """The base types of the prim's type that this OpenUSD knows."""
     kind = prim.GetPrimTypeInfo().GetSchemaType()
     return [Usd.SchemaRegistry.GetSchemaTypeName(base) for base in kind.GetAllAncestorTypes()] if kind else []
 
 
 def is_shown(prim, writer):
-    """Whether a particle field is of splats, and to be rendered; fields of others are reported."""
+    """True if a particle field consists of splats that are rendered; other kernels cause a warning.
+    """
     purpose = prim.GetAttribute("purpose")
     if purpose and purpose.Get() in ("proxy", "guide"):
-        # which an older OpenUSD does not compute of a type that it does not know
+        # An older OpenUSD does not compute the purpose of unknown types.
         return False
     kernels = [kernel for kernel in schemas(prim) if "Kernel" in kernel and not kernel.endswith("BaseAPI")]
     if str(prim.GetTypeName()) == SPLAT or ELLIPSOID in kernels or SURFLET in kernels:
@@ -64,7 +66,8 @@ def field(prim, writer, time):
 
 
 def values(prim, name, writer, time):
-    """The array of an attribute in float precision, or else in half precision, whose name ends with h."""
+    """The array of an attribute in float precision, otherwise in half precision; that name ends
+    with h."""
     for name in (name, name + "h"):
         found = geometry.value(prim.GetAttribute(name), time, writer)
         if found is not None and found["shape"][0]:
@@ -73,7 +76,8 @@ def values(prim, name, writer, time):
 
 
 def colour_space(prim):
-    """Name of the space of the colours: that of the attribute, or of the nearest prim that has one; empty where none has."""
+    """Name of the colour space: the attribute's, or that of the nearest ancestor that has one;
+    empty without any."""
     for name in (HARMONICS, HARMONICS + "h"):
         attribute = prim.GetAttribute(name)
         if attribute and attribute.GetColorSpace():

@@ -1,7 +1,8 @@
-"""From a stage to a scene package: what is shown at a time, where, and with which material.
+"""From a stage to a scene package: the visible prims at a time, their transforms and materials.
 
-Prototypes of native instancing and of point instancers are read once. A placement is a chain of links, innermost first: a point goes through
-the links from left to right (`p' = p · M`, USD's row vectors). A link is one matrix, or an array of them, of which each makes a copy.
+Prototypes of native instancing and of point instancers are read once. A placement is a chain of
+links, innermost first: a point is transformed by the links from left to right (`p' = p · M`, row
+vectors as in USD). A link is one matrix, or an array of matrices that makes a copy for each.
 """
 
 import array
@@ -15,7 +16,7 @@ from lumistack_usd.writer import Refused, Writer
 
 IDENTITY = Gf.Matrix4d(1)
 SHOWN = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
-# prototypes may stand under an `over` or a `class`, so that they are not drawn in their own place
+# Prototypes may be below an `over` or a `class`, which hides them in their own place.
 IN_PROTOTYPE = Usd.TraverseInstanceProxies(Usd.PrimIsActive & Usd.PrimIsLoaded & Usd.PrimHasDefiningSpecifier)
 ANYWHERE = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
 INHERITED_PRIMVARS = ("primvars:displayColor", "primvars:displayOpacity")
@@ -35,9 +36,9 @@ def open_stage(path):
 
 
 def errors(error):
-    """What pxr's exception says, without the places in its source code."""
+    """The messages of an exception of pxr, without places in its source code."""
     texts = [getattr(part, "commentary", None) or str(part) for part in error.args] or [str(error)]
-    # the last says no more than the first
+    # The last message repeats the first.
     texts = [text for text in texts if not text.startswith("Failed to open layer")] or texts
     return "; ".join(dict.fromkeys(" ".join(text.split()) for text in texts))
 
@@ -62,14 +63,15 @@ def walk_stage(stage, request):
 
 
 def meters_per_unit(stage):
-    """Some writers store it as a 32-bit number, which UsdGeom's own function refuses."""
+    """The stage's unit. Some programs store it as a 32-bit number, which UsdGeom's own function
+    refuses."""
     value = stage.GetMetadata("metersPerUnit")
     return float(value) if isinstance(value, (int, float)) and value > 0 else UsdGeom.LinearUnits.centimeters
 
 
 def composition_errors(stage):
-    """What OpenUSD could not put together, as (place, message)."""
-    # 24.08 and newer list them for a stage; before, prims and layers tell
+    """Parts that OpenUSD could not compose, as (place, message)."""
+    # 24.08 and newer list them per stage; older versions list them per prim and layer.
     if hasattr(stage, "GetCompositionErrors"):
         for error in stage.GetCompositionErrors():
             site = getattr(error, "rootSite", None)
@@ -85,7 +87,8 @@ def composition_errors(stage):
 
 
 def warn_of_composition(stage, writer):
-    """What OpenUSD could not put together: the scene is shown without it, as every USD program does."""
+    """Warns of parts that OpenUSD could not compose: the scene is shown without them, as in every
+    USD program."""
     without_materialx = 0
     for place, message in composition_errors(stage):
         if ".mtlx" in message and "Could not open" in message and not Sdf.FileFormat.FindByExtension("mtlx"):
@@ -101,7 +104,7 @@ def warn_of_composition(stage, writer):
 
 
 def time_code(stage, time_s):
-    """Seconds count from the stage's start."""
+    """The time code at `time_s` seconds after the stage's start."""
     start = stage.GetStartTimeCode() if stage.HasAuthoredTimeCodeRange() else None
     if time_s is not None:
         return Usd.TimeCode((start or 0.0) + time_s * stage.GetTimeCodesPerSecond())
@@ -119,7 +122,8 @@ def variant_sets(stage):
 
 
 def choose_variants(stage, wanted, writer):
-    """Selects variants: `set=variant` on every prim that has them, `/prim{set=variant}` on one."""
+    """Selects variants: `set=variant` on every prim that has the set, `/prim{set=variant}` on one.
+    """
     if not wanted:
         return
     stage.SetEditTarget(stage.GetSessionLayer())
@@ -127,7 +131,7 @@ def choose_variants(stage, wanted, writer):
         path, _, rest = text.rpartition("{")
         name, _, variant = rest.rstrip("}").partition("=")
         found, known = False, {}
-        # a variant may bring prims with variants of their own, so until nothing changes
+        # A variant may add prims with variants of their own, so repeat until nothing changes.
         for _ in range(8):
             changed = False
             for prim, set_name, choices, selection in list(variant_sets(stage)):
@@ -147,11 +151,11 @@ def choose_variants(stage, wanted, writer):
         if not found:
             shown = list(known.values())
             listed = "; ".join(shown[:12]) + ("; and %d more" % (len(shown) - 12) if len(shown) > 12 else "")
-            raise Refused("expected a variant that there is (%s), found %s" % (listed or "there are none", text))
+            raise Refused("expected one of the variants (%s), found %s" % (listed or "the file has none", text))
 
 
 def contents(stage):
-    """What the file offers to choose from, and how much is in it."""
+    """The choices that the file offers, and the size of its content."""
     sets = [
         {"place": "%s{%s}" % (prim.GetPath(), name), "choices": list(choices), "selected": selection}
         for prim, name, choices, selection in variant_sets(stage)
@@ -176,7 +180,7 @@ def contents(stage):
 
 
 class Walker:
-    """Visits what a stage shows."""
+    """Visits the visible prims of a stage."""
 
     def __init__(self, stage, writer, time):
         self.stage, self.writer, self.time = stage, writer, time
@@ -216,7 +220,7 @@ class Walker:
         self.writer.instances.append({"geometry": index, "materials": list(bound), "chain": chain})
 
     def single(self, kind, entry, links):
-        """A light or a camera."""
+        """Adds a light or a camera, which cannot be copied."""
         if len(links) != 1:
             self.writer.warn(entry["place"], "a %s inside a point instancer is left out" % kind)
             return
@@ -226,7 +230,8 @@ class Walker:
     # Prims
 
     def frame(self, root, predicate, children_only=False):
-        """All that stands at or below a prim: (kind, payload, links), relative to the space that the prim stands in."""
+        """All visible content at or below a prim: (kind, payload, links), relative to the prim's
+        parent space."""
         placed = []
         info = UsdGeom.Imageable(root).ComputePurposeInfo() if not root.IsPseudoRoot() else None
         todo = [(root, IDENTITY, info)]
@@ -236,7 +241,7 @@ class Walker:
             prim, above, parent = todo.pop()
             imageable = UsdGeom.Imageable(prim)
             if not imageable and not splats.is_field(prim):
-                # a prim without type, or a scope of materials: what is below may be shown
+                # A prim without a type, or a scope of materials: its children may be visible.
                 todo.extend((child, above, parent) for child in reversed(prim.GetFilteredChildren(predicate)))
                 continue
             if imageable.GetVisibilityAttr().Get(self.time) == UsdGeom.Tokens.invisible:
@@ -263,7 +268,8 @@ class Walker:
         return placed
 
     def attempt(self, read, prim, *rest):
-        """What `read` makes of a prim. One that holds values of another type than it should does not take the others away."""
+        """The result of `read` for a prim. A prim with values of a wrong type does not remove the
+        others."""
         try:
             return read(prim, *rest)
         except (Tf.ErrorException, TypeError, ValueError, OverflowError) as error:
@@ -282,9 +288,9 @@ class Walker:
         return local * above
 
     def item(self, prim):
-        """(kind, payload) of a prim that shows something, lights it or looks at it."""
+        """(kind, payload) of a shape, a light or a camera; None for other prims."""
         if splats.is_field(prim):
-            # their colours are their own, whatever material is bound
+            # Splats have their own colours, so a bound material has no effect.
             return ("geometry", (self.geometry(prim)[0], (None,))) if splats.is_shown(prim, self.writer) else None
         if prim.IsA(UsdGeom.Mesh) or shapes.is_shape(prim, self.writer):
             index, subsets = self.geometry(prim)
@@ -317,14 +323,14 @@ class Walker:
         return index, [prim.GetChild(name) for name in names]
 
     def inherited_primvars(self, prim):
-        """What a prim takes over from above, as a key."""
+        """The primvars that a prim inherits, as a key."""
         found = UsdGeom.PrimvarsAPI(prim.GetParent()).FindInheritablePrimvars()
         return tuple(
             (primvar.GetName(), str(primvar.Get(self.time))) for primvar in found if primvar.GetName() in INHERITED_PRIMVARS
         )
 
     def bound(self, prim):
-        """The material bound to a prim and the relationship that says so."""
+        """The material bound to a prim, and the relationship that binds it."""
         api = UsdShade.MaterialBindingAPI(prim)
         for purpose in (UsdShade.Tokens.full, UsdShade.Tokens.preview):
             material, relationship = api.ComputeBoundMaterial(purpose)
@@ -347,7 +353,7 @@ class Walker:
     # Instances
 
     def prototype(self, prim, purpose):
-        """What an instance shows, relative to the space of the instance."""
+        """The content of an instance, relative to the instance's space."""
         material, relationship = self.bound(prim)
         key = (
             prim.GetPrototype().GetPath(),
@@ -369,7 +375,8 @@ class Walker:
         return self.frames[key]
 
     def is_unlike_others(self, prim):
-        """Whether two instances of a prototype may differ inside: materials bound by lists of paths above, a skeleton outside."""
+        """True if instances of one prototype may differ inside: by collection bindings above or a
+        skeleton outside."""
         while prim and not prim.IsPseudoRoot():
             if prim.IsA(UsdSkel.Root) or any("material:binding:collection" in name for name in prim.GetPropertyNames()):
                 return True
@@ -383,6 +390,7 @@ class Walker:
         if place in self.open_frames:
             self.writer.warn(place, "is its own prototype; left out")
             return []
+        # Compute the matrix of every copy.
         indices = instancer.GetProtoIndicesAttr().Get(self.time)
         if not indices:
             return []
@@ -396,6 +404,7 @@ class Walker:
             found = "%d prototype indices and %d placements" % (len(indices), len(matrices))
             self.writer.warn(place, "expected as many placements as prototype indices, found %s; left out" % found)
             return []
+        # All prototypes share these arrays; each selects its own copies.
         shared = {"matrices": self.writer.array(matrices), "prototypes": self.writer.array(indices)}
         mask = instancer.ComputeMaskAtTime(self.time)
         if mask and not all(mask):
@@ -414,21 +423,21 @@ class Walker:
         return placed
 
     def put_preferred_camera_first(self):
-        """Some programs note the camera through which the scene is to be seen."""
+        """Some programs record the camera that the scene is meant to be seen through."""
         settings = self.stage.GetRootLayer().customLayerData.get("cameraSettings")
         preferred = settings.get("boundCamera") if isinstance(settings, dict) else None
         self.writer.cameras.sort(key=lambda entry: entry["place"] != preferred)
 
 
 def extended(links, matrix):
-    """A chain, placed by one more matrix."""
+    """A chain, followed by one more matrix."""
     if isinstance(links[-1], dict):
         return links + (matrix,)
     return links[:-1] + (links[-1] * matrix,)
 
 
 def camera(prim, time):
-    """A camera; apertures and focal length are in the same unit, tenths of the scene's."""
+    """The entry of a camera; apertures and focal length share a unit: a tenth of the scene's."""
     source = UsdGeom.Camera(prim)
     values = source.GetCamera(time)
     return {
@@ -438,6 +447,6 @@ def camera(prim, time):
         "aperture": [values.horizontalAperture, values.verticalAperture],
         "aperture_offset": [values.horizontalApertureOffset, values.verticalApertureOffset],
         "focus_distance": values.focusDistance,
-        # the schema's own default of one unit is nobody's wish
+        # The schema's default of one unit is no choice of the author.
         "near": values.clippingRange.min if source.GetClippingRangeAttr().HasAuthoredValue() else None,
     }

@@ -1,8 +1,9 @@
 """Collects a scene package: a JSON header and the arrays that it refers to.
 
-A file is the magic `LUMIPKG1`, the header's length as a little-endian u64, the header, and the arrays, each at a multiple of 64 bytes from the
-start of the file. An array in the header is `{"buffer": k, "type": "f32", "shape": [n, 3]}`; `buffers` lists offset and length of each, counted from
-the first multiple of 64 after the header.
+A file consists of the magic `LUMIPKG1`, the header's length as a little-endian u64, the header, and
+the arrays. Each array starts at a multiple of 64 bytes from the start of the file. The header
+refers to an array as `{"buffer": k, "type": "f32", "shape": [n, 3]}`. `buffers` lists offset and
+length of each, from the first multiple of 64 after the header.
 """
 
 import json
@@ -15,7 +16,8 @@ TYPES = {"f": "f32", "d": "f64", "e": "f16", "i": "i32", "I": "u32", "b": "i8", 
 
 
 def finite(value):
-    """JSON has no NaN and no infinity: null instead, which the reader refuses where it needs a number."""
+    """Replaces NaN and infinity, which JSON lacks, by null. The reader refuses null where it
+    expects a number."""
     if isinstance(value, dict):
         return {key: finite(inner) for key, inner in value.items()}
     if isinstance(value, (list, tuple)):
@@ -45,7 +47,7 @@ class Writer:
         self._images = {}
 
     def array(self, values):
-        """A reference to an array that has the buffer protocol; it is kept, not copied."""
+        """A reference to an array with the buffer protocol; the array is kept, not copied."""
         view = memoryview(values)
         code = view.format
         if code in ("l", "L", "q", "Q"):
@@ -56,31 +58,31 @@ class Writer:
         return {"buffer": len(self.buffers) - 1, "type": kind, "shape": list(view.shape)}
 
     def warn(self, place, message):
-        """Something that the user should know; each text once."""
+        """Adds a warning for the user; each text once."""
         entry = (str(place), message)
         if entry not in self._warned:
             self._warned.add(entry)
             self.warnings.append({"place": entry[0], "message": entry[1]})
 
     def file(self, path):
-        """A file on disk that the scene depends on."""
+        """Adds a file on disk that the scene depends on."""
         if path and os.path.isfile(path):
             self._files[os.path.abspath(path)] = True
 
     def image(self, key, make):
-        """The index of an image; `make` gives its entry when `key` is new."""
+        """The index of an image; `make` creates the entry of a new key."""
         if key not in self._images:
             self.images.append(make())
             self._images[key] = len(self.images) - 1
         return self._images[key]
 
     def finished_header(self):
-        """The header, complete but for the places of its buffers."""
+        """The header, complete except for the offsets of its buffers."""
         lists = ("warnings", "geometries", "instances", "materials", "images", "lights", "cameras")
         return dict(self.header, files=list(self._files), **{name: getattr(self, name) for name in lists})
 
     def header_text(self, **places):
-        """The header as JSON in UTF-8; a file's says where its buffers lie."""
+        """The header as JSON in UTF-8; in a file it contains the offsets of its buffers."""
         header = dict(self.finished_header(), **places)
         try:
             return json.dumps(header, allow_nan=False).encode("utf-8")

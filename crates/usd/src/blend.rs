@@ -1,11 +1,12 @@
-//! `.blend` files, by way of the user's Blender.
+//! `.blend` files, read by the user's Blender.
 //!
 //! ```text
-//! .blend file ─▶ child: Blender, or a Python with bpy ─▶ scene.glb with lights, cameras and world ─▶ the glTF reader
+//! .blend file ─▶ child: Blender, or a Python with bpy ─▶ scene.glb ─▶ the glTF reader
 //! ```
 //!
-//! Blender itself opens the file, so whatever it reads is read. What runs there is `python/blend.py` and the modules of the Python package that the Blender
-//! extension uses too; `docs/BLENDER.md` says what is handed over.
+//! Blender itself opens the file, so every file that it can open is read. `scene.glb` contains
+//! lights, cameras and the world too. Blender runs `python/blend.py` and the modules of the Python
+//! package that the Blender extension uses too. `docs/BLENDER.md` lists what the export contains.
 
 use std::env::var_os;
 use std::path::{Path, PathBuf};
@@ -20,10 +21,12 @@ use crate::python::{Candidate, Surroundings, on_path};
 
 /// Extension of Blender's files.
 pub const EXTENSION: &str = "blend";
-/// Names the Blender to take, and no other: the program, or a Python with the module bpy.
+/// Environment variable that names the only Blender to try: the program, or a Python with the
+/// module bpy.
 pub const VARIABLE: &str = "LUMISTACK_BLENDER";
 
-/// What runs in Blender; a later one may import those before it. The Python package has them as `lumistack.blender`.
+/// Modules that run in Blender, in the order of their imports. In the Python package they are
+/// `lumistack.blender`.
 const MODULES: [(&str, &str); 5] = [
     ("cameras", include_str!("../../python/python/lumistack/blender/cameras.py")),
     ("glb", include_str!("../../python/python/lumistack/blender/glb.py")),
@@ -31,24 +34,26 @@ const MODULES: [(&str, &str); 5] = [
     ("unshown", include_str!("../../python/python/lumistack/blender/unshown.py")),
     ("handover", include_str!("../../python/python/lumistack/blender/handover.py")),
 ];
-/// What starts them.
+/// The script that starts [`MODULES`] in Blender.
 const BOOT: &str = include_str!("../python/blend.py");
 
-/// What a `.blend` file offers to choose from.
+/// The choices that a `.blend` file offers.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct BlendContents {
-    /// Its scenes; the open one is taken.
+    /// Its scenes; the active one is read.
     pub scenes: Vec<String>,
-    /// First and last frame of the open scene.
+    /// First and last frame of the active scene.
     pub frames: [i32; 2],
     /// Frames per second.
     pub frames_per_second: f64,
     /// The engine that the scene is set up for.
     pub engine: String,
-    /// What its renders show and the hand-over loses: a line for each kind, with names.
+    /// Lines for the user about content that renders show and the export drops: one per kind, with
+    /// names.
     pub lost: Vec<String>,
-    /// Why that engine cannot render here, where it was asked for: something was lost.
+    /// The reason why the scene's engine cannot render here; `None` if it can, or if nothing was
+    /// lost.
     pub unfit: Option<String>,
 }
 
@@ -59,16 +64,16 @@ impl BlendContents {
     }
 }
 
-/// A scene that Blender handed over.
+/// A scene that Blender exported.
 #[derive(Debug)]
 pub struct HandedOver {
     /// A binary glTF file that needs no other.
     pub glb: Vec<u8>,
-    /// What Blender says of it.
+    /// Blender's report on the export.
     pub account: BlendAccount,
 }
 
-/// What Blender says of a scene that it handed over.
+/// Blender's report on an exported scene.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct BlendAccount {
@@ -76,22 +81,23 @@ pub struct BlendAccount {
     pub blender: String,
     /// Its program, or the file of its module.
     pub program: PathBuf,
-    /// Files besides the `.blend` that the scene was made from: libraries, pictures.
+    /// Files besides the `.blend` that the scene depends on: libraries, pictures.
     pub files: Vec<PathBuf>,
-    /// Files that are named and were not there.
+    /// Referenced files that do not exist.
     pub missing: Vec<PathBuf>,
-    /// What was read besides, of which nothing tells whether it has changed.
+    /// Other input whose changes cannot be detected.
     pub untracked: Option<String>,
-    /// What could not be handed over: place and message.
+    /// Content that could not be exported: place and message.
     pub warnings: Vec<(String, String)>,
-    /// What the file offers to choose from.
+    /// The choices that the file offers.
     pub contents: BlendContents,
 }
 
-/// Has Blender export a file's scene at a time: seconds after its first frame, or the frame that the file was saved at. Its warnings are in the account.
+/// Exports a file's scene in Blender. The time is in seconds after the scene's first frame; `None`
+/// is the frame at which the file was saved. Warnings are in the account.
 ///
 /// # Errors
-/// When no Blender is found, the file is refused, Blender breaks down, or the task is cancelled.
+/// If no Blender is found, Blender refuses the file or fails, or the task is cancelled.
 pub fn hand_over(path: &Path, time_s: Option<f64>, task: Task<'_>) -> Result<HandedOver, UsdError> {
     let folder = temporary()?;
     let account = ask(&Request::new(path, time_s, false)?, folder.path(), task.cancel)?;
@@ -100,8 +106,9 @@ pub fn hand_over(path: &Path, time_s: Option<f64>, task: Task<'_>) -> Result<Han
     Ok(HandedOver { glb, account })
 }
 
-/// What decides which Blender answers and what runs in it. As long as this is the same, and the [`BlendAccount::program`] that answered, files are handed
-/// over in the same way.
+/// Returns a text that identifies the Blender that would be run and the code that it would run.
+/// While this text and [`BlendAccount::program`] stay the same, an export of the same file is the
+/// same.
 pub fn blend_surroundings() -> String {
     let found: Vec<String> = candidates()
         .iter()
@@ -113,14 +120,14 @@ pub fn blend_surroundings() -> String {
     format!("{MODULES:?} {BOOT} {found:?}")
 }
 
-/// Length of a file and when it was changed, nanoseconds; `None` where there is none.
+/// Length of a file and time of its last change in nanoseconds; `None` if it does not exist.
 pub fn file_stamp(path: &Path) -> Option<[u64; 2]> {
     let known = std::fs::metadata(path).ok()?;
     let changed = known.modified().ok()?.duration_since(std::time::UNIX_EPOCH).ok()?;
     Some([known.len(), changed.as_nanos() as u64])
 }
 
-/// Lists what a file offers to choose from.
+/// Lists the choices that a file offers.
 ///
 /// # Errors
 /// As [`hand_over`].
@@ -129,7 +136,7 @@ pub fn blend_contents(path: &Path, task: Task<'_>) -> Result<BlendContents, UsdE
     Ok(ask(&Request::new(path, None, true)?, folder.path(), task.cancel)?.contents)
 }
 
-/// Views that Blender is to render.
+/// Views for Blender to render.
 #[derive(Clone, Debug, Serialize)]
 pub struct BlendViews {
     /// The window in the scene, in glTF's axes.
@@ -138,30 +145,31 @@ pub struct BlendViews {
     pub size_mm: [f64; 2],
     /// Columns and rows.
     pub resolution: [usize; 2],
-    /// Distance of the eyes, millimetres; `None` of oblique views.
+    /// Distance of the eyes, millimetres; `None` for oblique views.
     pub distance_mm: Option<f64>,
     /// Slope of every view, right and up.
     pub slopes: Vec<[f64; 2]>,
 }
 
-/// A window as `Window::given` takes it.
+/// A window, as `Window::given` reads it.
 #[derive(Clone, Debug, Serialize)]
 pub struct BlendWindow {
     /// Its centre.
     pub centre: [f64; 3],
-    /// Where its viewer looks.
+    /// Direction in which its viewer looks.
     pub forward: [f64; 3],
-    /// Upwards.
+    /// Upward direction.
     pub up: [f64; 3],
     /// Width in scene units.
     pub width: f64,
 }
 
-/// Has the file's own engine render views at a time, with the file's settings. `finished` hears of every view, by its number, as soon as its picture, linear OpenEXR,
-/// is whole; the picture is removed afterwards.
+/// Renders views at a time with the file's own engine and settings. `finished` is called with a
+/// view's number and picture as soon as the linear OpenEXR file is complete. The picture is removed
+/// after the call.
 ///
 /// # Errors
-/// As [`hand_over`].
+/// As for [`hand_over`].
 pub fn render_views(
     path: &Path,
     time_s: Option<f64>,
@@ -171,7 +179,7 @@ pub fn render_views(
 ) -> Result<(), UsdError> {
     let folder = temporary()?;
     let mut next = 0;
-    // they come in their order
+    // Blender finishes the views in order.
     let mut collect = || {
         while next < views.slopes.len() {
             let picture = folder.path().join(format!("done_{next:05}.exr"));
@@ -179,7 +187,7 @@ pub fn render_views(
                 break;
             }
             finished(next, &picture);
-            // a full disk is told by the next picture
+            // A failed removal needs no report: a full disk fails the next picture.
             let _ = std::fs::remove_file(&picture);
             next += 1;
         }
@@ -225,9 +233,9 @@ struct Failure {
     message: String,
 }
 
-/// How one Blender fails.
+/// The failure of one program.
 enum Failed {
-    /// It does not do; another may.
+    /// It cannot read the file; another may.
     Unfit(String),
     Final(UsdError),
 }
@@ -236,7 +244,7 @@ fn temporary() -> Result<tempfile::TempDir, UsdError> {
     tempfile::tempdir().map_err(|source| UsdError::Io { place: "a temporary folder".into(), source })
 }
 
-/// The programs to try, in this order: Blender, then Pythons that may have bpy.
+/// Programs to try, in this order: Blender, then Pythons that may have bpy.
 pub(crate) fn candidates() -> Vec<Candidate> {
     let named = |program: PathBuf, from| Candidate { program, from, given: false };
     if let Some(program) = var_os(VARIABLE).filter(|value| !value.is_empty()) {
@@ -292,10 +300,12 @@ fn ask_program(
 ) -> Result<BlendAccount, Failed> {
     let io = |place: &Path, source| Failed::Final(UsdError::Io { place: place.display().to_string(), source });
     let (boot, asked, answered) = (folder.join("blend.py"), folder.join("request.json"), folder.join("answer.json"));
+    // Write the script and the request into a folder that is the program's only argument.
     std::fs::write(&boot, BOOT).map_err(|error| io(&boot, error))?;
     std::fs::write(&asked, serde_json::to_vec(request).expect("requests serialize"))
         .map_err(|error| io(&asked, error))?;
     let _ = std::fs::remove_file(&answered);
+    // Run the program; Blender needs a flag to run a script and to fail with it.
     let mut command = Command::new(program);
     if !is_python(program) {
         command.args(["-b", "--python-exit-code", "1", "--python"]);
@@ -306,19 +316,19 @@ fn ask_program(
     let (said, printed) = (read_end(child.stderr.take()), read_end(child.stdout.take()));
     let status = wait(&mut child, cancel, meanwhile).map_err(|error| Failed::Final(error.into()))?;
     let (said, printed) = (said.join().unwrap_or_default(), printed.join().unwrap_or_default());
+    // Without an answer the program's last output is the best explanation.
     let failed = |found: String| {
         let python = program.display().to_string();
         Failed::Final(UsdError::Child { file: request.path.clone(), python, found })
     };
     let Ok(text) = std::fs::read(&answered) else {
-        // it never got as far as our first line, or broke down
         let last = last_lines(&said, &printed);
-        let last = if last.is_empty() { String::new() } else { format!("; the last it said: {last}") };
-        let found = format!("its end with {status}{last}");
+        let last = if last.is_empty() { String::new() } else { format!("; last output: {last}") };
+        let found = format!("{status}{last}");
         return Err(if is_python(program) && status.code() == Some(1) { Failed::Unfit(found) } else { failed(found) });
     };
     let answer: Answer =
-        serde_json::from_slice(&text).map_err(|error| failed(format!("an answer that is none: {error}")))?;
+        serde_json::from_slice(&text).map_err(|error| failed(format!("an unreadable answer: {error}")))?;
     match &answer.error {
         None => Ok(answer.account),
         Some(Failure { kind, message }) => Err(match kind.as_str() {
@@ -329,7 +339,7 @@ fn ask_program(
     }
 }
 
-/// Python runs a script by its name alone.
+/// Returns true for a Python, which takes the script without a flag.
 pub(crate) fn is_python(program: &Path) -> bool {
     program.file_name().is_some_and(|name| name.to_string_lossy().to_ascii_lowercase().starts_with("py"))
 }
@@ -340,7 +350,7 @@ mod tests {
 
     use super::*;
 
-    /// A program that stands in for Blender.
+    /// A script that stands in for Blender.
     fn fake(folder: &Path, name: &str, script: &str) -> Candidate {
         let program = folder.join(name);
         std::fs::write(&program, format!("#!/bin/sh\nfor last; do :; done\n{script}\n")).unwrap();
@@ -362,7 +372,7 @@ mod tests {
         let old = fake(
             folder.path(),
             "old-blender",
-            r#"echo '{"error": {"kind": "bpy", "message": "Blender 3.4.1, and 4.2 is the oldest that does"}}' > "$last/answer.json""#,
+            r#"echo '{"error": {"kind": "bpy", "message": "Blender 3.4.1; 4.2 is the oldest supported version"}}' > "$last/answer.json""#,
         );
         let text = asked(folder.path(), &[missing.clone(), old]).unwrap_err().to_string();
         for part in [
@@ -382,8 +392,8 @@ mod tests {
     fn what_goes_wrong_in_blender_is_one_message() {
         let folder = tempfile::tempdir().unwrap();
         for (name, script, expected) in [
-            ("crash", "echo 'last words' >&2; kill -SEGV $$", "the last it said: last words"),
-            ("garbage", r#"echo '{' > "$last/answer.json""#, "an answer that is none"),
+            ("crash", "echo 'no memory' >&2; kill -SEGV $$", "last output: no memory"),
+            ("garbage", r#"echo '{' > "$last/answer.json""#, "an unreadable answer"),
             (
                 "refused",
                 r#"echo '{"error": {"kind": "scene", "message": "File format is not supported"}}' > "$last/answer.json""#,

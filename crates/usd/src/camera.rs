@@ -6,7 +6,10 @@ use lumistack_scene::{Camera, Projection};
 use crate::package::CameraEntry;
 use crate::placing::affine;
 
-/// A camera, named by its prim where no other has that name; the reason where it sees nothing.
+/// Converts a camera. Its name is its prim's, or the path where that is not unique.
+///
+/// # Errors
+/// The reason why it sees nothing, after "the camera has".
 pub(crate) fn camera(entry: &CameraEntry, all: &[CameraEntry], scene_from_stage: &DAffine3) -> Result<Camera, String> {
     let name = entry.place.rsplit('/').next().unwrap_or_default();
     let is_unique = all.iter().filter(|other| other.place.rsplit('/').next() == Some(name)).count() == 1;

@@ -1,7 +1,8 @@
-//! Runs the walker in the user's Python and takes the package over.
+//! Runs the walker in the user's Python and reads its package.
 //!
-//! The child's standard output is a file without a name: whatever happens to either process, nothing is left behind. The request goes in as JSON,
-//! together with the walker's source, and what the child says on standard error is kept for the message in case it fails.
+//! The child's standard output is a file without a name, so nothing is left behind when either
+//! process dies. The request is JSON and contains the walker's source. The end of standard error is
+//! kept for error messages.
 
 use std::fs::File;
 use std::io::{Read, Write};
@@ -18,7 +19,7 @@ use crate::UsdError;
 use crate::package::Package;
 use crate::python::{Candidate, Surroundings};
 
-/// The walker's modules; a later one may import those before it.
+/// The walker's modules, in the order of their imports.
 pub const MODULES: [(&str, &str); 9] = [
     ("writer", include_str!("../python/writer.py")),
     ("geometry", include_str!("../python/geometry.py")),
@@ -30,14 +31,14 @@ pub const MODULES: [(&str, &str); 9] = [
     ("skel", include_str!("../python/skel.py")),
     ("walk", include_str!("../python/walk.py")),
 ];
-/// What starts them in a child.
+/// The script that starts [`MODULES`] in a child.
 const BOOT: &str = include_str!("../python/boot.py");
-/// How often the child is looked at.
+/// Interval at which a child is checked.
 const POLL: Duration = Duration::from_millis(5);
-/// Of standard error the last bytes are kept.
+/// Number of bytes that are kept of the end of standard error.
 const SAID: usize = 16 << 10;
 
-/// What the walker is to do.
+/// Input of the walker.
 #[derive(Debug, Serialize)]
 pub(crate) struct Request<'a> {
     pub(crate) path: &'a str,
@@ -49,32 +50,32 @@ pub(crate) struct Request<'a> {
 /// A package in a file.
 pub(crate) struct Answer {
     file: Option<Mmap>,
-    /// The Python that made it.
+    /// The Python that wrote it.
     python: String,
 }
 
 impl Answer {
-    /// What the file holds.
+    /// Parses the file.
     ///
     /// # Errors
-    /// When it is no package.
+    /// If it is no package.
     pub(crate) fn package(&self, name: &str) -> Result<Package<'_>, UsdError> {
         let bytes = self.file.as_deref().unwrap_or_default();
         Package::parse(bytes).map_err(|found| UsdError::Child { file: name.into(), python: self.python.clone(), found })
     }
 }
 
-/// Why one Python gives no package.
+/// The failure of one Python.
 enum Failed {
-    /// It does not do; another may.
+    /// It cannot read USD; another may.
     Unfit(String),
     Final(UsdError),
 }
 
-/// Asks the first Python that has OpenUSD.
+/// Runs the walker in the first Python that has OpenUSD.
 ///
 /// # Errors
-/// When none has, the file is refused, or the child breaks down.
+/// If none has OpenUSD, OpenUSD refuses the file, or the child fails.
 pub(crate) fn ask(request: &Request<'_>, cancel: &Cancel) -> Result<Answer, UsdError> {
     ask_one_of(&Surroundings::of_system().candidates(), request, cancel)
 }
@@ -102,8 +103,9 @@ fn ask_python(program: &Path, request: &Request<'_>, cancel: &Cancel) -> Result<
     let python = program.display().to_string();
     let io = |source| Failed::Final(UsdError::Io { place: "a temporary file".into(), source });
     let file = tempfile::tempfile().map_err(io)?;
+    // Start the child: modules in the working folder do not shadow Python's, and file names are
+    // UTF-8.
     let mut command = Command::new(program);
-    // files in the working folder are not Python's; file names are UTF-8
     command.args(["-c", BOOT]).env("PYTHONSAFEPATH", "1").env("PYTHONUTF8", "1");
     command.stdin(Stdio::piped()).stdout(file.try_clone().map_err(io)?).stderr(Stdio::piped());
     let mut child = command.spawn().map_err(|error| Failed::Unfit(format!("cannot be started: {error}")))?;
@@ -116,9 +118,11 @@ fn ask_python(program: &Path, request: &Request<'_>, cancel: &Cancel) -> Result<
             request: &'a Request<'a>,
         }
         let text = serde_json::to_vec(&WithModules { modules: &MODULES, request }).expect("requests serialize");
-        // it is longer than a pipe holds, and the child may never read it; one that ended already says why below
+        // Write in a thread, since the text is longer than a pipe holds. A child that has ended
+        // already fails below.
         std::thread::spawn(move || input.write_all(&text));
     }
+    // Wait for the end of the child; Ctrl-C reaches it too.
     let status = wait(&mut child, cancel, &mut || ()).map_err(|error| Failed::Final(error.into()))?;
     if is_interrupted(status) {
         return Err(Failed::Final(Cancelled.into()));
@@ -127,7 +131,7 @@ fn ask_python(program: &Path, request: &Request<'_>, cancel: &Cancel) -> Result<
     let failed = |found| Failed::Final(UsdError::Child { file: request.path.into(), python: python.clone(), found });
     let answer = Answer { file: map(&file).map_err(io)?, python: python.clone() };
     if answer.file.is_none() && status.code().is_some_and(|code| code != 0) {
-        // it never got as far as the first line of ours, or could not understand it
+        // The boot script never ran, or this Python could not parse it.
         return Err(Failed::Unfit(ended(status, &said)));
     }
     if !status.success() {
@@ -137,6 +141,7 @@ fn ask_python(program: &Path, request: &Request<'_>, cancel: &Cancel) -> Result<
         UsdError::Child { found, .. } => failed(format!("{found}{}", last_line(&said))),
         other => Failed::Final(other),
     })?;
+    // Separate a Python without OpenUSD from a refused file and an error in the walker.
     if let Some(failure) = package.header.error {
         let file = request.path.to_owned();
         return Err(match failure.kind.as_str() {
@@ -148,26 +153,26 @@ fn ask_python(program: &Path, request: &Request<'_>, cancel: &Cancel) -> Result<
     Ok(answer)
 }
 
-/// Whether Ctrl-C ended the child: on a terminal it reaches both processes, in any order.
+/// Returns true if Ctrl-C ended the child: a terminal sends it to both processes, in any order.
 #[cfg(unix)]
 fn is_interrupted(status: ExitStatus) -> bool {
     std::os::unix::process::ExitStatusExt::signal(&status) == Some(2)
 }
 
-/// Whether Ctrl-C ended the child: `STATUS_CONTROL_C_EXIT`.
+/// Returns true if Ctrl-C ended the child: `STATUS_CONTROL_C_EXIT`.
 #[cfg(not(unix))]
 fn is_interrupted(status: ExitStatus) -> bool {
     status.code() == Some(-1_073_741_510)
 }
 
-/// Waits for the end of a child, or ends it; calls `meanwhile` now and then.
+/// Waits for the end of a child, and kills it on cancellation. Calls `meanwhile` at every check.
 pub(crate) fn wait(child: &mut Child, cancel: &Cancel, meanwhile: &mut dyn FnMut()) -> Result<ExitStatus, Cancelled> {
     loop {
         if let Ok(Some(status)) = child.try_wait() {
             return Ok(status);
         }
         if cancel.is_cancelled() {
-            // it may have ended by itself in between
+            // a child that has just ended cannot be killed
             let _ = child.kill();
             let _ = child.wait();
             return Err(Cancelled);
@@ -177,7 +182,7 @@ pub(crate) fn wait(child: &mut Child, cancel: &Cancel, meanwhile: &mut dyn FnMut
     }
 }
 
-/// Reads a stream to its end in a thread of its own, and keeps the last of it.
+/// Reads a stream to its end in its own thread; returns its last [`SAID`] bytes.
 pub(crate) fn read_end(stream: Option<impl Read + Send + 'static>) -> JoinHandle<String> {
     std::thread::spawn(move || {
         let mut kept = Vec::new();
@@ -200,16 +205,16 @@ fn map(file: &File) -> std::io::Result<Option<Mmap>> {
     unsafe { Mmap::map(file) }.map(Some)
 }
 
-/// How a process ended, and the last line that it said.
+/// The status of a process, and its last line of output, for messages.
 fn ended(status: ExitStatus, said: &str) -> String {
     #[cfg(unix)]
     if let Some(signal) = std::os::unix::process::ExitStatusExt::signal(&status) {
-        return format!("its end by signal {signal}{}", last_line(said));
+        return format!("signal {signal}{}", last_line(said));
     }
-    format!("its end with {status}{}", last_line(said))
+    format!("{status}{}", last_line(said))
 }
 
-/// The last lines of standard error, or of what was printed where that is silent.
+/// The last lines of standard error, or of standard output if standard error is empty.
 pub(crate) fn last_lines(said: &str, printed: &str) -> String {
     let text = if said.trim().is_empty() { printed } else { said };
     let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
@@ -218,7 +223,7 @@ pub(crate) fn last_lines(said: &str, printed: &str) -> String {
 
 fn last_line(said: &str) -> String {
     let line = said.lines().rfind(|line| !line.trim().is_empty());
-    line.map_or_else(String::new, |line| format!("; the last it said: {}", line.trim()))
+    line.map_or_else(String::new, |line| format!("; last output: {}", line.trim()))
 }
 
 #[cfg(all(test, unix))]
@@ -231,7 +236,7 @@ mod tests {
 
     const REQUEST: Request<'static> = Request { path: "scene.usda", time_s: None, variants: &[], contents_only: false };
 
-    /// A program that stands in for Python.
+    /// A script that stands in for Python.
     fn fake(folder: &Path, name: &str, script: &str) -> Candidate {
         let program = folder.join(name);
         std::fs::write(&program, format!("#!/bin/sh\n{script}\n")).unwrap();
@@ -240,7 +245,7 @@ mod tests {
     }
 
     fn error(candidates: &[Candidate]) -> String {
-        ask_one_of(candidates, &REQUEST, &Cancel::default()).err().expect("no scene comes of it").to_string()
+        ask_one_of(candidates, &REQUEST, &Cancel::default()).err().expect("this Python gives no scene").to_string()
     }
 
     #[test]
@@ -257,7 +262,7 @@ mod tests {
         for part in [
             "`lumistack setup usd`",
             "/no/such/python from lumistack setup usd: cannot be started",
-            "shim from PATH: its end with exit status: 127; the last it said: pyenv: python3: command not found",
+            "shim from PATH: exit status: 127; last output: pyenv: python3: command not found",
             "bare from PATH: Python 3.9.1 without OpenUSD",
         ] {
             assert!(text.contains(part), "{part}: {text}");
@@ -274,18 +279,14 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let sound = fake(folder.path(), "sound", "exit 9");
         for (name, script, expected) in [
-            (
-                "crash",
-                "cat >/dev/null; echo 'last words' >&2; kill -SEGV $$",
-                "its end by signal 11; the last it said: last words",
-            ),
-            ("chatter", "cat >/dev/null; echo 'Hello from a plugin'", "something else than a scene package"),
+            ("crash", "cat >/dev/null; echo 'no memory' >&2; kill -SEGV $$", "signal 11; last output: no memory"),
+            ("chatter", "cat >/dev/null; echo 'Hello from a plugin'", "data that is not a scene package"),
             (
                 "cut",
                 "cat >/dev/null; printf 'LUMIPKG1\\100\\0\\0\\0\\0\\0\\0\\0{'",
                 "a scene package that ends too early",
             ),
-            ("late", "cat >/dev/null; echo half; exit 3", "its end with exit status: 3"),
+            ("late", "cat >/dev/null; echo half; exit 3", "exit status: 3"),
             ("silent", "cat >/dev/null", "nothing"),
         ] {
             let text = error(&[fake(folder.path(), name, script), sound.clone()]);
@@ -294,9 +295,10 @@ mod tests {
         }
     }
 
-    /// Not by a child of ours: shells and test runners may have told it to ignore the signal.
+    /// This test sends no signal to a child: shells and test runners may have made it ignore the
+    /// signal.
     #[test]
-    fn ctrl_c_in_the_child_is_told_from_a_crash() {
+    fn ctrl_c_in_the_child_is_no_crash() {
         use std::os::unix::process::ExitStatusExt;
         assert!(is_interrupted(ExitStatus::from_raw(2)));
         assert!(![0, 11, 2 << 8, 130 << 8].map(ExitStatus::from_raw).map(is_interrupted).contains(&true));
@@ -323,12 +325,12 @@ mod tests {
         });
         assert!(start.elapsed().as_secs() < 20);
         let pid = std::fs::read_to_string(&pid).unwrap();
-        // signal 0 asks whether a process is there
+        // signal 0 tests whether a process exists
         let alive = Command::new("kill").args(["-0", pid.trim()]).stderr(Stdio::null()).status().unwrap();
         assert!(!alive.success(), "process {pid} is still there");
     }
 
-    /// The first lines of the child say what is missing in a Python without OpenUSD.
+    /// The boot script finds out that OpenUSD is missing.
     #[test]
     fn a_real_python_answers() {
         let python = Candidate { program: "python3".into(), from: "PATH", given: false };

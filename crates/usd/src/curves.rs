@@ -1,9 +1,11 @@
 //! Curves as tubes and ribbons, points as balls (UsdGeomBasisCurves, UsdGeomPoints).
 //!
-//! A cubic segment is Σ bᵢ(t) pᵢ with the basis of its kind; where a curve is pinned, a point 2 p₀ − p₁ before the first (and its like after
-//! the last) makes it start at p₀. Tubes are swept along frames carried from sample to sample without twist (Wang et al. 2008, double
-//! reflection); the twist that is left when a closed curve comes round is spread over its length. Widths are diameters, in scene units of the
-//! curve's space.
+//! A cubic segment is Σ bᵢ(t) pᵢ with the basis of its kind. A pinned curve gets an extra point 2
+//! p₀ − p₁ before the first, and its mirror image after the last, so it starts at p₀.
+//!
+//! Frames are carried from sample to sample without twist (double reflection, Wang et al. 2008).
+//! The remaining twist of a closed curve is spread over its length. Widths are diameters in the
+//! units of the curve's space.
 
 use std::f32::consts::TAU;
 
@@ -11,12 +13,12 @@ use glam::{Quat, Vec2, Vec3, Vec4};
 
 use crate::geometry::Geometry;
 
-/// How control points make a curve.
+/// How control points define a curve.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Basis {
     /// Straight lines.
     Linear,
-    /// Cubic, four points a segment of which it shares one with the next.
+    /// Cubic, four points per segment; neighbouring segments share one.
     #[default]
     Bezier,
     /// Cubic.
@@ -25,10 +27,10 @@ pub(crate) enum Basis {
     CatmullRom,
 }
 
-/// What happens at the ends.
+/// Treatment of the ends.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Wrap {
-    /// Ends with the last whole segment.
+    /// Stops after the last complete segment.
     #[default]
     Nonperiodic,
     /// Closed.
@@ -37,7 +39,7 @@ pub(crate) enum Wrap {
     Pinned,
 }
 
-/// How many values a curve's data have.
+/// Number of values that a curve has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Interpolation {
     /// One.
@@ -50,7 +52,7 @@ pub(crate) enum Interpolation {
     Vertex,
 }
 
-/// Data on curves: `width` numbers per value. Values that are missing read 0.
+/// Data on curves: `width` numbers per value. Missing values are 0.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Data<'a> {
     pub(crate) values: &'a [f32],
@@ -67,33 +69,35 @@ pub(crate) struct Curves<'a> {
     pub(crate) wrap: Wrap,
     /// Diameters.
     pub(crate) widths: Data<'a>,
-    /// Present: the curves are ribbons that face these ways (and are to be seen from both sides).
+    /// If present, the curves are ribbons with these normals, visible from both sides.
     pub(crate) normals: Option<Data<'a>>,
     /// RGB or RGBA.
     pub(crate) colors: Option<Data<'a>>,
-    /// USD's (v up).
+    /// Texture coordinates as in USD: v points up.
     pub(crate) uvs: [Option<Data<'a>>; 2],
 }
 
-/// Triangles that curves may become before they get fewer sides and samples.
+/// If the triangles exceed this number, tubes get fewer sides and samples.
 const MOST_TRIANGLES: usize = 2_000_000;
 
 /// Samples per segment and sides per tube, best first.
 const DETAIL: [(usize, usize); 4] = [(8, 12), (6, 8), (4, 5), (2, 3)];
 
-/// Curves shorter than this times their coordinates are points that rounding has moved apart.
+/// Curves shorter than this fraction of their coordinates are single points, moved apart by
+/// rounding.
 const ROUNDING: f32 = 1e-5;
 
-/// Control points of one sample and their weights.
+/// Control points of one sample, with their weights.
 #[derive(Clone, Debug, Default)]
 struct Sample {
     /// Point numbers within the curve.
     points: Vec<(usize, f32)>,
-    /// Ends of segments.
+    /// Ends of segments, with their weights.
     ends: Vec<(usize, f32)>,
 }
 
-/// Triangles of all curves; `face_of_triangle` is the curve. Curves of too few points are left out.
+/// Triangles of all curves; `face_of_triangle` is the curve's number. Curves with too few points
+/// are left out.
 pub(crate) fn tessellate(curves: &Curves<'_>) -> Geometry {
     let segments: usize =
         curves.vertex_counts.iter().map(|&count| segment_count(curves, usize::try_from(count).unwrap_or(0))).sum();
@@ -160,11 +164,11 @@ fn weights(basis: Basis, t: f32) -> [f32; 4] {
     }
 }
 
-/// Samples from one end to the other; of closed curves, the last is the first again.
+/// Samples from one end to the other. The last sample of a closed curve repeats the first.
 fn samples(curves: &Curves<'_>, count: usize, segments: usize, steps: usize) -> Vec<Sample> {
     let periodic = curves.wrap == Wrap::Periodic;
     let stride = if curves.basis == Basis::Bezier { 3 } else { 1 };
-    // number of the first of a segment's four points
+    // index of the first of a segment's four points, relative to the segment
     let shift = match (curves.basis, curves.wrap) {
         (Basis::BSpline | Basis::CatmullRom, Wrap::Pinned) => -1,
         _ => 0,
@@ -196,7 +200,7 @@ fn samples(curves: &Curves<'_>, count: usize, segments: usize, steps: usize) -> 
     samples
 }
 
-/// Where a curve's data start, and where its triangles go.
+/// Offsets of a curve's data, and the geometry that receives its triangles.
 struct Place<'g> {
     curve: usize,
     first_point: usize,
@@ -224,16 +228,16 @@ impl Place<'_> {
     }
 }
 
-/// One ring or rib.
+/// Cross-section of a tube, or rib of a ribbon, at one sample.
 struct Rib {
     position: Vec3,
     tangent: Vec3,
-    /// Across the tangent.
+    /// Unit vector perpendicular to the tangent.
     across: Vec3,
     radius: f32,
-    /// Growth of the radius along the curve.
+    /// Derivative of the radius along the curve.
     slope: f32,
-    /// Distance from the start over the length.
+    /// Arc length from the start, as a fraction of the curve's length.
     along: f32,
 }
 
@@ -246,6 +250,7 @@ fn sweep(curves: &Curves<'_>, mut place: Place<'_>, samples: &[Sample], sides: u
         samples.iter().map(|sample| 0.5 * place.value::<1>(&curves.widths, sample)[0].max(0.0)).collect();
     let closed = curves.wrap == Wrap::Periodic && positions.first() == positions.last();
     let Some(ribs) = ribs(&positions, &radii, closed) else { return };
+    // Add the vertices: one rib per sample, then those of the caps.
     let first = place.geometry.positions.len();
     let count = match &curves.normals {
         Some(normals) => {
@@ -257,7 +262,8 @@ fn sweep(curves: &Curves<'_>, mut place: Place<'_>, samples: &[Sample], sides: u
             sides + 1
         }
     };
-    // data are the same all round a rib; the caps' vertices, which follow the ribs, are those of the ends
+    // Data are constant around a rib. The caps' vertices follow the ribs and have the data of the
+    // ends.
     let added = place.geometry.positions.len() - first;
     let sample_of = |vertex: usize| match vertex / count {
         rib if rib < samples.len() => &samples[rib],
@@ -280,7 +286,7 @@ fn sweep(curves: &Curves<'_>, mut place: Place<'_>, samples: &[Sample], sides: u
     }
 }
 
-/// `None` for curves without length.
+/// Ribs of a curve; `None` for curves without length.
 fn ribs(positions: &[Vec3], radii: &[f32], closed: bool) -> Option<Vec<Rib>> {
     let last = positions.len() - 1;
     let mut lengths = vec![0.0; positions.len()];
@@ -292,7 +298,7 @@ fn ribs(positions: &[Vec3], radii: &[f32], closed: bool) -> Option<Vec<Rib>> {
     if !(total > ROUNDING * largest && total.is_finite()) {
         return None;
     }
-    // of points that coincide, the tangent is that of the neighbours
+    // coincident points have the tangent of their neighbours
     let tangent = |i: usize| -> Option<Vec3> {
         let before = if i == 0 && closed {
             positions[last] - positions[last - 1]
@@ -303,6 +309,7 @@ fn ribs(positions: &[Vec3], radii: &[f32], closed: bool) -> Option<Vec<Rib>> {
             if i == last && closed { positions[1] - positions[0] } else { positions[(i + 1).min(last)] - positions[i] };
         (before.normalize_or_zero() + after.normalize_or_zero()).try_normalize()
     };
+    // Carry the frame from rib to rib.
     let mut ribs: Vec<Rib> = Vec::with_capacity(positions.len());
     let first_tangent = (0..=last).find_map(tangent)?;
     for i in 0..=last {
@@ -317,6 +324,7 @@ fn ribs(positions: &[Vec3], radii: &[f32], closed: bool) -> Option<Vec<Rib>> {
         let slope = slope.clamp(-100.0, 100.0);
         ribs.push(Rib { position: positions[i], tangent, across, radius: radii[i], slope, along: lengths[i] / total });
     }
+    // Spread the twist of a closed curve over its length.
     if closed {
         let (start, end) = (ribs[0].across, ribs[last].across);
         let twist = end.cross(start).dot(ribs[last].tangent).atan2(end.dot(start));
@@ -327,7 +335,7 @@ fn ribs(positions: &[Vec3], radii: &[f32], closed: bool) -> Option<Vec<Rib>> {
     Some(ribs)
 }
 
-/// The direction across, taken from one rib to the next by two reflections.
+/// Carries the perpendicular vector from one rib to the next by two reflections.
 fn carried(rib: &Rib, position: Vec3, tangent: Vec3) -> Vec3 {
     let reflect = |v: Vec3, mirror: Vec3| match mirror.length_squared() {
         0.0 => v,
@@ -349,6 +357,7 @@ fn tube(place: &mut Place<'_>, ribs: &[Rib], sides: usize, closed: bool) {
         let (sine, cosine) = (TAU * (side % sides) as f32 / sides as f32).sin_cos();
         cosine * rib.across + sine * rib.tangent.cross(rib.across)
     };
+    // Side: one ring of vertices per rib, joined to the next ring.
     for rib in ribs {
         for side in 0..=sides {
             let out = around(rib, side);
@@ -366,6 +375,7 @@ fn tube(place: &mut Place<'_>, ribs: &[Rib], sides: usize, closed: bool) {
     if closed {
         return;
     }
+    // Caps: discs at both ends of an open curve.
     for (rib, up) in [(&ribs[0], false), (&ribs[ribs.len() - 1], true)] {
         let normal = if up { rib.tangent } else { -rib.tangent };
         let v = 1.0 - rib.along;
@@ -400,10 +410,10 @@ fn ribbon(place: &mut Place<'_>, normals: &Data<'_>, samples: &[Sample], ribs: &
     }
 }
 
-/// Parts of the edges of the octahedron that points become.
+/// Subdivisions of each edge of the octahedron that becomes a ball.
 const BALL_PARTS: u32 = 4;
 
-/// A ball of diameter 1: an octahedron, each edge of it cut into `parts`, 8 parts² triangles.
+/// A ball of diameter 1: an octahedron with each edge cut into `parts`, 8 parts² triangles.
 pub(crate) fn ball(parts: u32) -> Geometry {
     let mut geometry = Geometry::default();
     for octant in 0..8 {
@@ -431,8 +441,8 @@ pub(crate) fn ball(parts: u32) -> Geometry {
     geometry
 }
 
-/// Balls at points, each of its colour; `face_of_triangle` is the point. For points without colours of their own, placing [`ball`]
-/// many times takes less memory.
+/// Balls at points, each with its colour; `face_of_triangle` is the point's number. Points without
+/// colours of their own take less memory as instances of [`ball`].
 pub(crate) fn colored_balls(
     points: &[Vec3],
     diameter: impl Fn(usize) -> f32,
@@ -466,7 +476,7 @@ mod tests {
         Curves { points, vertex_counts: counts, basis, wrap, widths: ONE, normals: None, colors: None, uvs: [None; 2] }
     }
 
-    /// Spine positions: means of the rings.
+    /// Positions on the spine: means of the rings.
     fn spine(geometry: &Geometry, rings: usize, sides: usize) -> Vec<Vec3> {
         (0..rings)
             .map(|ring| geometry.positions[ring * (sides + 1)..][..sides].iter().sum::<Vec3>() / sides as f32)
@@ -479,7 +489,7 @@ mod tests {
         let geometry = tessellate(&curves(&points, &[3], Basis::Linear, Wrap::Nonperiodic));
         geometry.assert_sound();
         geometry.assert_closed();
-        // of twelve sides: area of the polygon 12/2 r² sin 30°
+        // with twelve sides: the polygon's area is 12/2 r² sin 30°
         let base = 6.0 * 0.25 * 0.5;
         assert!((geometry.volume() - 3.0 * base).abs() < 1e-5, "{}", geometry.volume());
         assert!((geometry.area() - (2.0 * base + 3.0 * 12.0 * (PI / 12.0).sin())).abs() < 1e-5);
@@ -496,7 +506,7 @@ mod tests {
             spine(&geometry, 8 * segments + 1, 12)
         };
         let close = |a: Vec3, b: Vec3| assert!(a.distance(b) < 1e-5, "{a} {b}");
-        // Bézier: through every third point, half way at (p0 + 3 p1 + 3 p2 + p3)/8
+        // Bézier: through every third point; at t = ½ it is (p0 + 3 p1 + 3 p2 + p3)/8
         let bezier = run(Basis::Bezier, Wrap::Nonperiodic);
         assert_eq!(bezier.len(), 17);
         close(bezier[8], points[3]);
@@ -525,7 +535,7 @@ mod tests {
 
     #[test]
     fn a_closed_tube_is_a_torus() {
-        // control points of a B-spline that is near a circle of radius 2
+        // control points of a B-spline close to a circle of radius 2
         let points: Vec<Vec3> = (0..24)
             .map(|i| TAU * i as f32 / 24.0)
             .map(|a| 2.0 * Vec3::new(a.cos(), a.sin(), 0.3 * (2.0 * a).sin()))

@@ -1,4 +1,4 @@
-//! Errors of USD ingest: each names the file, the place in it, what was needed and what was there.
+//! Errors of USD input: each names the file, the place in it, what was expected and what was found.
 
 use std::fmt::Display;
 
@@ -14,17 +14,17 @@ pub enum UsdError {
     NoPython {
         /// The file as the caller named it.
         file: String,
-        /// Every Python that was tried, and why it does not do.
+        /// Every Python that was tried, with its failure.
         tried: Vec<String>,
     },
-    /// The Python in `LUMISTACK_PYTHON` does not do.
+    /// The Python in `LUMISTACK_PYTHON` cannot read USD files.
     #[error(
         "LUMISTACK_PYTHON: expected a Python with the package usd-core, found {found}. Type `{python} -m pip install usd-core`, or unset the variable and type `lumistack setup usd`"
     )]
     GivenPython {
         /// Its value.
         python: String,
-        /// Why it does not do.
+        /// Its failure.
         found: String,
     },
     /// No Blender was found.
@@ -32,13 +32,13 @@ pub enum UsdError {
     NoBlender {
         /// The file as the caller named it.
         file: String,
-        /// Every program that was tried, and why it does not do.
+        /// Every program that was tried, with its failure.
         tried: Vec<String>,
     },
-    /// The program in `LUMISTACK_BLENDER` does not do.
+    /// The program in `LUMISTACK_BLENDER` cannot read `.blend` files.
     #[error("LUMISTACK_BLENDER: expected Blender 4.2 or newer, or a Python with the package bpy, found {found}")]
     GivenBlender {
-        /// Its name, and why it does not do.
+        /// Its name and its failure.
         found: String,
     },
     /// Python or Blender ended without a scene.
@@ -48,10 +48,10 @@ pub enum UsdError {
         file: String,
         /// The interpreter.
         python: String,
-        /// How it ended, and the last that it said.
+        /// Its status, and its last output.
         found: String,
     },
-    /// OpenUSD, or the walker, refuses the file.
+    /// OpenUSD or the walker refuses the file.
     #[error("{}", refused(file, message))]
     Refused {
         /// The file as the caller named it.
@@ -59,45 +59,45 @@ pub enum UsdError {
         /// The reason.
         message: String,
     },
-    /// The scene holds something that cannot be rendered.
+    /// A value in the scene cannot be rendered.
     #[error("{file}: {place}: expected {expected}, found {found}")]
     Malformed {
         /// The file as the caller named it.
         file: String,
-        /// Prim path, and what it is about.
+        /// Prim path, and the attribute.
         place: String,
-        /// What was needed.
+        /// The expected value.
         expected: String,
-        /// What was there.
+        /// The found value.
         found: String,
     },
-    /// A file that the work needs cannot be read or written.
+    /// A file cannot be read or written.
     #[error("{place}: {source}")]
     Io {
-        /// The file or folder, or what it is for.
+        /// The file or folder, or its purpose.
         place: String,
-        /// The system's answer.
+        /// The system's error.
         source: std::io::Error,
     },
     /// Setting up a Python failed.
     #[error("setup: expected {expected}, found {found}")]
     Setup {
-        /// What was to happen.
+        /// The result of a successful step.
         expected: String,
-        /// What happened.
+        /// The failure.
         found: String,
     },
-    /// The task was stopped.
+    /// The task was cancelled.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
 }
 
-/// OpenUSD's own message often begins with the file, its line and column.
+/// Avoids naming the file twice: OpenUSD's own messages often begin with the file, line and column.
 fn refused(file: &str, message: &str) -> String {
     if message.starts_with(file) { message.to_owned() } else { format!("{file}: {message}") }
 }
 
-/// [`UsdError`] before it knows the file's name.
+/// A [`UsdError`] without the file's name.
 #[derive(Debug)]
 pub(crate) enum Fault {
     Malformed { place: String, expected: String, found: String },

@@ -2,19 +2,19 @@
 
 use glam::{Vec2, Vec3, Vec4};
 
-/// What every kind of shape becomes. Attributes are per vertex; an empty list means that there is none.
+/// Triangles of any shape. Attributes are per vertex; an absent attribute is an empty list.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Geometry {
     pub(crate) positions: Vec<Vec3>,
-    /// Unit, on the side from which triangles wind counter-clockwise.
+    /// Unit vectors on the side from which triangles wind counter-clockwise.
     pub(crate) normals: Vec<Vec3>,
-    /// Texture coordinates of the scene, whose v points down (USD's points up).
+    /// Texture coordinates as in the scene: v points down (in USD it points up).
     pub(crate) uvs: [Vec<Vec2>; 2],
     /// Linear RGBA.
     pub(crate) colors: Vec<Vec4>,
     /// Vertex indices.
     pub(crate) triangles: Vec<[u32; 3]>,
-    /// The face of the source (a polygon, a curve) that each triangle is a part of.
+    /// The face of the source (a polygon or a curve) that contains each triangle.
     pub(crate) face_of_triangle: Vec<u32>,
 }
 
@@ -27,13 +27,12 @@ impl Geometry {
         (self.positions.len() - 1) as u32
     }
 
-    /// Adds a triangle that belongs to a face.
     pub(crate) fn triangle(&mut self, corners: [u32; 3], face: u32) {
         self.triangles.push(corners);
         self.face_of_triangle.push(face);
     }
 
-    /// Adds the quadrilateral `a b c d`, counter-clockwise; halves without area are left out.
+    /// Adds the quadrilateral `a b c d`, counter-clockwise; a half without area is left out.
     pub(crate) fn quad(&mut self, [a, b, c, d]: [u32; 4], face: u32) {
         for corners in [[a, b, c], [a, c, d]] {
             let [p, q, r] = corners.map(|i| self.positions[i as usize]);
@@ -58,12 +57,14 @@ impl Geometry {
 
 #[cfg(test)]
 impl Geometry {
-    /// Volume inside, by the divergence theorem: positive where triangles wind counter-clockwise seen from outside.
+    /// Enclosed volume by the divergence theorem: positive if triangles wind counter-clockwise seen
+    /// from outside.
     pub(crate) fn volume(&self) -> f64 {
         self.corners().map(|[a, b, c]| a.dot(b.cross(c)) / 6.0).sum()
     }
 
-    /// Fails where lists differ in length, indices point nowhere, or normals are not unit vectors on the outer side.
+    /// Fails if lists differ in length, indices are out of range, or normals are not unit vectors
+    /// on the outer side.
     pub(crate) fn assert_sound(&self) {
         let count = self.positions.len();
         assert_eq!(self.normals.len(), count);
@@ -83,7 +84,8 @@ impl Geometry {
         }
     }
 
-    /// Fails unless every edge, by position, has one triangle on either side: a closed, consistently wound surface.
+    /// Fails unless the surface is closed and wound alike: every edge, by position, has one
+    /// triangle on either side.
     pub(crate) fn assert_closed(&self) {
         use std::collections::HashMap;
         let key = |i: u32| self.positions[i as usize].to_array().map(|x| (x * 1e4).round() as i64);

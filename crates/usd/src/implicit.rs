@@ -1,8 +1,11 @@
 //! USD's implicit shapes as triangles: sphere, cube, cylinder, cone, capsule, plane.
 //!
-//! Round shapes are surfaces of revolution about +z, (r(t) cos φ, r(t) sin φ, z(t)), turned to the axis of the shape by a cyclic
-//! exchange of coordinates. Vertices lie on the true surface and have its normals. Source: UsdGeom schemas; what they leave open
-//! (texture coordinates) is longitude for u and the way from the top down for v, on faces of cubes and on caps their bounding square.
+//! Round shapes are surfaces of revolution about +z, (r(t) cos φ, r(t) sin φ, z(t)). A cyclic
+//! exchange of coordinates turns them to the shape's axis. Vertices and normals are those of the
+//! exact surface.
+//!
+//! Source: UsdGeom schemas. They do not define texture coordinates; here u is the longitude and v
+//! runs from the top down. On caps and faces of cubes, u and v span the bounding square.
 
 use std::f32::consts::{FRAC_PI_2, TAU};
 
@@ -10,7 +13,8 @@ use glam::{Vec2, Vec3};
 
 use crate::geometry::Geometry;
 
-/// Parts of a full turn: a circle's outline is short of the true one by at most 1 − cos(π/96) = 0.05 % of its radius.
+/// Steps of a full turn. The outline of a circle is short of the exact one by at most 1 − cos(π/96)
+/// = 0.05 % of its radius.
 const TURN_PARTS: usize = 96;
 
 /// The direction of a shape's spine.
@@ -26,7 +30,7 @@ pub(crate) enum Axis {
 }
 
 impl Axis {
-    /// A vector of a shape whose spine is +z, for this spine.
+    /// Turns a vector of a shape with spine +z to this spine.
     fn turn(self, v: Vec3) -> Vec3 {
         match self {
             Self::X => Vec3::new(v.z, v.x, v.y),
@@ -41,7 +45,8 @@ impl Axis {
     }
 }
 
-/// A point of a profile: distance from the spine, height, the normal in the same half plane and v.
+/// A point of a profile: distance from the spine and height, the normal in the same half plane, and
+/// v.
 type Knot = (Vec2, Vec2, f32);
 
 /// Adds the surface of revolution of a profile that runs from the top down.
@@ -49,7 +54,7 @@ fn revolve(geometry: &mut Geometry, profile: &[Knot]) {
     let first = geometry.positions.len() as u32;
     let columns = TURN_PARTS as u32 + 1;
     for (row, &(point, normal, v)) in profile.iter().enumerate() {
-        // what ends in a point has u and normal of the middle of its one triangle a column
+        // a pole's vertices have u and normal of the middle of their single triangle
         let shift = match point.x {
             0.0 if row == 0 => 0.5,
             0.0 => -0.5,
@@ -57,7 +62,7 @@ fn revolve(geometry: &mut Geometry, profile: &[Knot]) {
         };
         for column in 0..columns {
             let lift = |v: Vec2, shift: f32| {
-                // the last column is the first one exactly
+                // the last column has exactly the positions of the first
                 let turn = ((column % TURN_PARTS as u32) as f32 + shift) / TURN_PARTS as f32;
                 let (sine, cosine) = (TAU * turn).sin_cos();
                 Vec3::new(v.x * cosine, v.x * sine, v.y)
@@ -75,7 +80,7 @@ fn revolve(geometry: &mut Geometry, profile: &[Knot]) {
     }
 }
 
-/// Adds a disc at a height, which faces up or down.
+/// Adds a disc at height z that faces up or down.
 fn cap(geometry: &mut Geometry, radius: f32, z: f32, up: bool) {
     let side = if up { 1.0 } else { -1.0 };
     let normal = Vec3::new(0.0, 0.0, side);
@@ -95,14 +100,14 @@ fn cap(geometry: &mut Geometry, radius: f32, z: f32, up: bool) {
     }
 }
 
-/// Knots of a part of a circle about (0, `z`) from the polar angle `from` to `to`, `v` from 0 to 1 over `from_v..to_v`.
+/// Knots of an arc about (0, `z`) from polar angle `from` to `to`; v runs from `from_v` to `to_v`.
 fn arc(radius: f32, z: f32, [from, to]: [f32; 2], [from_v, to_v]: [f32; 2]) -> Vec<Knot> {
     let parts = ((to - from) / TAU * TURN_PARTS as f32).round().max(1.0) as usize;
     (0..=parts)
         .map(|i| {
             let share = i as f32 / parts as f32;
             let angle = from + (to - from) * share;
-            // poles are exactly on the spine
+            // poles lie exactly on the spine
             let sine = if angle == 0.0 || angle == 2.0 * FRAC_PI_2 { 0.0 } else { angle.sin() };
             let normal = Vec2::new(sine, angle.cos());
             (radius * normal + Vec2::new(0.0, z), normal, from_v + (to_v - from_v) * share)
@@ -117,7 +122,7 @@ pub(crate) fn sphere(radius: f32) -> Geometry {
     geometry
 }
 
-/// `UsdGeomCube`: an edge length; `face_of_triangle` numbers −x, +x, −y, +y, −z, +z.
+/// `UsdGeomCube` with the edge length `size`; `face_of_triangle` numbers −x, +x, −y, +y, −z, +z.
 pub(crate) fn cube(size: f32) -> Geometry {
     let mut geometry = Geometry::default();
     let half = 0.5 * size;
@@ -133,7 +138,7 @@ pub(crate) fn cube(size: f32) -> Geometry {
     geometry
 }
 
-/// `UsdGeomCylinder` with two radii (equal but for `UsdGeomCylinder_1`), closed at both ends.
+/// `UsdGeomCylinder`, closed at both ends. The radii differ only for `UsdGeomCylinder_1`.
 pub(crate) fn cylinder(top_radius: f32, bottom_radius: f32, height: f32, axis: Axis) -> Geometry {
     let mut geometry = Geometry::default();
     let half = 0.5 * height;
@@ -145,14 +150,14 @@ pub(crate) fn cylinder(top_radius: f32, bottom_radius: f32, height: f32, axis: A
     axis.apply(geometry)
 }
 
-/// `UsdGeomCone`: the tip at half the height up, the base closed.
+/// `UsdGeomCone` with a closed base; the tip is at +height/2.
 pub(crate) fn cone(radius: f32, height: f32, axis: Axis) -> Geometry {
     let mut geometry = Geometry::default();
     let half = 0.5 * height;
     let normal = Vec2::new(height, radius).normalize_or(Vec2::X);
     let tip = Vec2::new(0.0, half);
     let base = Vec2::new(radius, -half);
-    // normals of the tip differ from triangle to triangle; rows in between keep that to a small part of the cone
+    // The tip has another normal in each triangle; the extra rows keep these triangles small.
     let rows = [0.0, 0.05, 0.3, 1.0];
     let profile = rows.map(|share: f32| (tip.lerp(base, share), normal, share));
     revolve(&mut geometry, &profile);
@@ -160,13 +165,15 @@ pub(crate) fn cone(radius: f32, height: f32, axis: Axis) -> Geometry {
     axis.apply(geometry)
 }
 
-/// `UsdGeomCapsule` with two radii (equal but for `UsdGeomCapsule_1`); `height` without the rounded ends. The side meets the
-/// caps where they have the side's normal, so the whole is smooth for any radii: a cap reaches down to the polar angle
-/// acos((bottom − top) / height), which for unequal radii lies off the equator.
+/// `UsdGeomCapsule`; the radii differ only for `UsdGeomCapsule_1`. `height` excludes the rounded
+/// ends.
+///
+/// The side is tangent to the caps, so the surface is smooth for any radii. A cap reaches down to
+/// the polar angle acos((bottom − top) / height), which lies off the equator for unequal radii.
 pub(crate) fn capsule(top_radius: f32, bottom_radius: f32, height: f32, axis: Axis) -> Geometry {
     let mut geometry = Geometry::default();
     let half = 0.5 * height;
-    // of two balls where one holds the other only the larger is seen
+    // where one ball contains the other, only the larger is visible
     let slope = (bottom_radius - top_radius) / height.max(f32::MIN_POSITIVE);
     if slope.abs() >= 1.0 {
         let (radius, z) = if slope > 0.0 { (bottom_radius, -half) } else { (top_radius, half) };
@@ -174,7 +181,7 @@ pub(crate) fn capsule(top_radius: f32, bottom_radius: f32, height: f32, axis: Ax
         return axis.apply(geometry);
     }
     let seam = slope.acos();
-    // v by arc length
+    // v follows the arc length
     let lengths = [seam * top_radius, height * slope.acos().sin(), (2.0 * FRAC_PI_2 - seam) * bottom_radius];
     let total = lengths.iter().sum::<f32>().max(f32::MIN_POSITIVE);
     let (first, second) = (lengths[0] / total, (lengths[0] + lengths[1]) / total);
@@ -184,10 +191,12 @@ pub(crate) fn capsule(top_radius: f32, bottom_radius: f32, height: f32, axis: Ax
     axis.apply(geometry)
 }
 
-/// `UsdGeomPlane`: width along the first of the two other coordinates in cyclic order for z and y (x, then z for y), length along the second.
+/// `UsdGeomPlane`. In the cyclic order of coordinates, width is along the first of the two other
+/// axes and length along the second; for the axis y it is the reverse.
 pub(crate) fn plane(width: f32, length: f32, axis: Axis) -> Geometry {
     let mut geometry = Geometry::default();
-    // the schema's tables: axis X: width along z, length along y; axis Y: width x, length z; axis Z: width x, length y
+    // From the schema: axis X has width along z and length along y; Y width x, length z; Z width x,
+    // length y.
     let (normal, along_width, along_length) = match axis {
         Axis::X => (Vec3::X, Vec3::NEG_Z, Vec3::Y),
         Axis::Y => (Vec3::Y, Vec3::X, Vec3::NEG_Z),
@@ -206,7 +215,7 @@ mod tests {
     use super::*;
     use std::f64::consts::PI;
 
-    /// How far a tessellated area or volume may be from the true one: a circle of 96 parts lacks 0.07 % of its area.
+    /// Tolerance of a tessellated area or volume: a circle of 96 parts lacks 0.07 % of its area.
     const TESSELLATION: f64 = 2e-3;
 
     fn check(geometry: &Geometry, area: f64, volume: f64) {
@@ -239,7 +248,7 @@ mod tests {
         let geometry = capsule(top, bottom, height, Axis::Z);
         geometry.assert_sound();
         geometry.assert_closed();
-        // every vertex lies on the hull: its support in the direction of its normal is the larger ball's
+        // every vertex lies on the hull: its support along its normal is that of the larger ball
         for (&position, &normal) in geometry.positions.iter().zip(&geometry.normals) {
             let support = (top + normal.z * 0.5 * height).max(bottom - normal.z * 0.5 * height);
             assert!((position.dot(normal) - support).abs() < 1e-5, "{position} {normal}");
@@ -278,7 +287,8 @@ mod tests {
 
     #[test]
     fn textures_are_upright_and_not_mirrored() {
-        // seen from outside, u × (−v) follows the winding: the sign of the area in (u, −v) is positive everywhere
+        // Seen from outside, u × (−v) follows the winding: the area in (u, −v) is positive
+        // everywhere.
         for geometry in [
             sphere(1.0),
             cube(1.0),

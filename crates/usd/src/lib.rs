@@ -1,12 +1,13 @@
-//! USD to [`Scene`], by way of the user's Python, and Blender's files, by way of the user's Blender.
+//! USD to [`Scene`] by the user's Python, and Blender's files by the user's Blender.
 //!
 //! ```text
-//! .usd file ─▶ child: pxr stage ─▶ walker (python/) ─▶ package ─▶ meshes, materials, instances ─▶ Scene
+//! .usd file ─▶ child: pxr stage ─▶ walker (python/) ─▶ package ─▶ meshes, materials ─▶ Scene
 //! ```
 //!
-//! OpenUSD itself composes and evaluates the stage, so that whatever it reads is read. The walker is plain Python over `pxr`; its source is part of
-//! this crate, and a package of a JSON header and raw arrays comes back. A caller that has Python in its own process runs [`MODULES`] there and calls
-//! [`scene_from_package`]. What is read of USD is in `docs/USD.md`.
+//! OpenUSD itself composes and evaluates the stage, so every file that it can open is read. The
+//! walker is plain Python over `pxr`; its source is part of this crate. It returns a package: a
+//! JSON header and raw arrays. A caller with Python in its own process runs [`MODULES`] there and
+//! calls [`scene_from_package`]. `docs/USD.md` lists the supported schemas.
 
 mod blend;
 mod camera;
@@ -52,18 +53,20 @@ pub use scene::scene_from_package;
 pub use setup::Setup;
 pub use there::{There, blender, openusd};
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, made at build. It belongs in the keys of all cached results that
+/// this code affects.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
 /// Extensions of USD files.
 pub const EXTENSIONS: [&str; 4] = ["usd", "usda", "usdc", "usdz"];
 
-/// What to take of a file that has a choice.
+/// Selects among the choices of a file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LoadOptions {
-    /// Seconds after the stage's first time code. `None`: there; in a stage without one the first time sample of every attribute.
+    /// Seconds after the stage's first time code. `None`: the first time code. In a stage without
+    /// one, the first time sample of every attribute.
     pub time_s: Option<f64>,
-    /// Variants: `set=variant` on every prim that has them, `/prim{set=variant}` on one.
+    /// Variants: `set=variant` on every prim that has the set, `/prim{set=variant}` on one.
     pub variants: Vec<String>,
 }
 
@@ -76,7 +79,7 @@ pub struct Loaded {
     pub files: Vec<PathBuf>,
 }
 
-/// The Pythons that are asked for packages, in this order, each with where it was found.
+/// Pythons that are tried, in this order, each with its origin.
 pub fn pythons() -> Vec<(PathBuf, &'static str)> {
     let candidates = python::Surroundings::of_system().candidates().into_iter();
     candidates.map(|candidate| (candidate.program, candidate.from)).collect()
@@ -85,7 +88,8 @@ pub fn pythons() -> Vec<(PathBuf, &'static str)> {
 /// Loads a USD file.
 ///
 /// # Errors
-/// [`UsdError`]: when no Python with OpenUSD is found, the file is refused, nothing in it can be rendered, or the task is cancelled.
+/// [`UsdError`]: if no Python with OpenUSD is found, the file is refused, nothing in it can be
+/// rendered, or the task is cancelled.
 pub fn load(path: &Path, options: &LoadOptions, task: Task<'_>) -> Result<Loaded, UsdError> {
     let name = file_name(path)?;
     let LoadOptions { time_s, variants } = options;
@@ -96,10 +100,10 @@ pub fn load(path: &Path, options: &LoadOptions, task: Task<'_>) -> Result<Loaded
     Ok(Loaded { scene: scene_from_package(name, &package, task)?, files })
 }
 
-/// Lists what a USD file offers to choose from.
+/// Lists the choices that a USD file offers.
 ///
 /// # Errors
-/// As [`load`], of what has to be read for the list.
+/// As for [`load`].
 pub fn contents(path: &Path, task: Task<'_>) -> Result<Contents, UsdError> {
     let name = file_name(path)?;
     let request = child::Request { path: name, time_s: None, variants: &[], contents_only: true };
@@ -107,7 +111,7 @@ pub fn contents(path: &Path, task: Task<'_>) -> Result<Contents, UsdError> {
     Ok(answer.package(name)?.header.contents)
 }
 
-/// The name, once the file is known to be there.
+/// The file's name, after a check that the file exists.
 fn file_name(path: &Path) -> Result<&str, UsdError> {
     lumistack_files::open(path).map_err(|source| UsdError::Io { place: path.display().to_string(), source })?;
     path.to_str().ok_or_else(|| {

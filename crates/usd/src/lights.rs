@@ -1,9 +1,17 @@
 //! Lights of a package (UsdLux).
 //!
-//! A light with a surface has one radiance L = intensity · 2^exposure · colour · colour temperature on it, divided by its area in the scene if it is
-//! normalized, and becomes a black emitting mesh, which is not seen unless asked for. A distant light of angle 2θ has that radiance in a cone, hence the irradiance L π sin²θ; normalized, L.
-//! A sphere as a point has the intensity L π r²; a disc or rectangle with a cone is a spot of the intensity L · area. A dome is the environment; the centre
-//! of its picture is +z and its right edge lies towards −x (as OpenEXR has it), where the scene's centre is −z. Source: UsdLux schemas of OpenUSD 25.
+//! A light with a surface has the radiance L = intensity · 2^exposure · colour · colour
+//! temperature, divided by its area in the scene if normalized. It becomes a black emitting mesh
+//! that the viewer does not see directly.
+//!
+//! * A distant light of angle 2θ has radiance L in a cone, so its irradiance is L π sin²θ;
+//!   normalized, it is L.
+//! * A sphere that is treated as a point has the intensity L π r².
+//! * A disc or rectangle with a cone is a spot light of intensity L · area.
+//! * A dome is the environment. The centre of its picture is +z and its right edge is towards −x,
+//!   as in OpenEXR; the centre of the scene's picture is −z.
+//!
+//! Source: UsdLux schemas of OpenUSD 25.
 
 use std::f32::consts::{FRAC_PI_2, PI};
 
@@ -16,12 +24,12 @@ use crate::curves::ball;
 use crate::geometry::Geometry;
 use crate::texture::{Channel, Kind, Source, Textures};
 
-/// Sides of round lights.
+/// Sides of a round light's polygon.
 const SIDES: usize = 48;
-/// Parts of the edges of an octahedron that a spherical light is: 288 triangles.
+/// Subdivisions of each edge of the octahedron that stands for a sphere: 288 triangles.
 const SPHERE_PARTS: u32 = 6;
 
-/// What the walker says of a light.
+/// A light as the walker describes it.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
 struct Entry {
@@ -41,7 +49,7 @@ struct Entry {
     image: Option<usize>,
     format: String,
     pole_z: bool,
-    /// Rows.
+    /// Row vectors, as in USD.
     matrix: Option<[f64; 16]>,
 }
 
@@ -52,7 +60,7 @@ struct Shaping {
     /// Half angle, degrees.
     #[serde(rename = "cone:angle")]
     angle: f32,
-    /// Share of the angle over which light falls off.
+    /// Fraction of the angle over which the light falls off.
     #[serde(rename = "cone:softness")]
     softness: f32,
     focus: f32,
@@ -60,7 +68,7 @@ struct Shaping {
 
 /// A light with a surface.
 #[derive(Clone, Debug)]
-pub(crate) struct Shining {
+pub(crate) struct LightMesh {
     pub(crate) place: String,
     pub(crate) geometry: Geometry,
     pub(crate) material: Material,
@@ -70,13 +78,13 @@ pub(crate) struct Shining {
 /// All lights of a scene.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Lights {
-    pub(crate) surfaces: Vec<Shining>,
+    pub(crate) surfaces: Vec<LightMesh>,
     pub(crate) points: Vec<Light>,
     pub(crate) environment: Option<Environment>,
 }
 
 impl Lights {
-    /// Adds the light of an entry. What is wrong with it is reported.
+    /// Adds the light of an entry, or reports why it is left out.
     pub(crate) fn add(
         &mut self,
         entry: &serde_json::Value,
@@ -88,7 +96,12 @@ impl Lights {
             Ok(entry) => entry,
             Err(error) => {
                 let place = entry.get("place").and_then(|place| place.as_str()).unwrap_or("/lights");
-                return task.warn(place, format!("is not as the walker writes it ({error}); the light is left out"));
+                return task.warn(
+                    place,
+                    format!(
+                        "expected an entry of the walker, found an unreadable one ({error}); the light is left out"
+                    ),
+                );
             }
         };
         let matrix =
@@ -153,8 +166,10 @@ impl Lights {
         });
     }
 
-    /// Lights that are surfaces, or so small or shaped that they are taken as points.
+    /// Adds a light with a surface: a mesh, or a point or spot if it is small or has a cone.
     fn surface(&mut self, entry: &Entry, scene_from_light: &DAffine3, textures: &mut Textures<'_>, task: Task<'_>) {
+        // Build the mesh, and correct for its area, which is a little less than that of the exact
+        // shape.
         let (geometry, true_area) = match entry.kind.as_str() {
             "sphere" => (sphere(entry.radius), 4.0 * PI * entry.radius.powi(2)),
             "disk" => (disc(entry.radius), PI * entry.radius.powi(2)),
@@ -164,20 +179,20 @@ impl Lights {
         };
         let is_sphere = entry.kind == "sphere";
         let [flat_area, scene_area] = [DAffine3::IDENTITY, *scene_from_light].map(|matrix| area(&geometry, &matrix));
-        // the mesh has a little less area than what it stands for
         let missing = if flat_area > 0.0 { f64::from(true_area) / flat_area } else { 1.0 };
         let scene_area = (scene_area * missing) as f32;
         let given = Vec3::from(entry.radiance);
         if entry.shaping.is_some_and(|shaping| shaping.focus > 0.0) {
-            task.warn(&entry.place, "its shaping:focus is not followed");
+            task.warn(&entry.place, "its shaping:focus is not supported");
         }
+        // A small sphere or a light with a cone becomes a point or a spot.
         let cone = entry.shaping.filter(|shaping| shaping.angle < 90.0);
         let small = is_sphere && (entry.as_point || entry.radius == 0.0);
         if cone.is_some() || small {
             if entry.kind == "cylinder" {
                 return task.warn(&entry.place, "a cylinder with a cone is not supported and is left out");
             }
-            // of the sphere's surface, a quarter is seen from any side
+            // from any side, a quarter of a sphere's surface contributes
             let seen = if is_sphere { 0.25 } else { 1.0 };
             let intensity = if entry.normalize { seen * given } else { seen * scene_area * given };
             if entry.image.is_some() {
@@ -202,6 +217,7 @@ impl Lights {
         if scene_area.is_nan() || scene_area <= 0.0 {
             return task.warn(&entry.place, "has no size and hence no light");
         }
+        // All other lights become meshes with an emitting material.
         let radiance = given * missing as f32 / if entry.normalize { scene_area } else { 1.0 };
         let mut material = Material {
             name: entry.place.clone(),
@@ -220,13 +236,14 @@ impl Lights {
             material.emission_texture = textures.slot(slot, Kind::Light, 0, &entry.place);
         }
         let (place, scene_from_mesh) = (entry.place.clone(), scene_from_light.as_affine3a());
-        self.surfaces.push(Shining { place, geometry, material, scene_from_mesh });
+        self.surfaces.push(LightMesh { place, geometry, material, scene_from_mesh });
     }
 }
 
-/// The emission that a mesh which is a light gets, on top of a material: walker's entry of `MeshLightAPI`. What the material itself glows
-/// with tints the light; where it does not glow, the light is of its own colour. `area` is that of the mesh in the scene.
-pub(crate) fn glowing(entry: &serde_json::Value, material: &Material, area: f32) -> Option<Material> {
+/// Returns a copy of a material with the emission of a mesh that is a light (`MeshLightAPI`). The
+/// material's own emission tints the light; a material without emission leaves the light's colour.
+/// `area` is the mesh's area in the scene.
+pub(crate) fn emissive(entry: &serde_json::Value, material: &Material, area: f32) -> Option<Material> {
     let entry: MeshEntry = serde_json::from_value(entry.clone()).ok()?;
     let mut radiance = Vec3::from(entry.radiance);
     if entry.normalize && area > 0.0 {
@@ -235,14 +252,14 @@ pub(crate) fn glowing(entry: &serde_json::Value, material: &Material, area: f32)
     if !(radiance.is_finite() && radiance.max_element() > 0.0) {
         return None;
     }
-    let mut glowing = material.clone();
+    let mut emissive = material.clone();
     match entry.sync.as_str() {
-        "materialGlowTintsLight" if material.emission != Vec3::ZERO => glowing.emission = material.emission * radiance,
+        "materialGlowTintsLight" if material.emission != Vec3::ZERO => emissive.emission = material.emission * radiance,
         "materialGlowTintsLight" | "independent" => {
-            (glowing.emission, glowing.emission_texture) = (radiance, None);
+            (emissive.emission, emissive.emission_texture) = (radiance, None);
         }
         _ => {
-            glowing = Material {
+            emissive = Material {
                 emission: radiance,
                 base_color: Vec4::W,
                 specular: 0.0,
@@ -250,13 +267,13 @@ pub(crate) fn glowing(entry: &serde_json::Value, material: &Material, area: f32)
                 roughness: 1.0,
                 ..Material::default()
             };
-            glowing.double_sided = material.double_sided;
+            emissive.double_sided = material.double_sided;
         }
     }
-    Some(glowing)
+    Some(emissive)
 }
 
-/// What the walker says of a mesh that is a light.
+/// A mesh light as the walker describes it.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
 struct MeshEntry {
@@ -265,7 +282,7 @@ struct MeshEntry {
     sync: String,
 }
 
-/// The rotation in a placement; scale, shear and mirroring left out.
+/// The rotation of a matrix, without its scale, shear and mirroring.
 fn rotation(matrix: &DAffine3) -> DQuat {
     let y = matrix.matrix3.y_axis.normalize_or(DVec3::Y);
     let z = matrix.matrix3.z_axis;
@@ -273,7 +290,7 @@ fn rotation(matrix: &DAffine3) -> DQuat {
     DQuat::from_mat3(&DMat3::from_cols(y.cross(z), y, z))
 }
 
-/// Surface area after a map.
+/// Surface area after an affine map.
 fn area(geometry: &Geometry, matrix: &DAffine3) -> f64 {
     let at = |i: u32| matrix.transform_point3(geometry.positions[i as usize].as_dvec3());
     geometry.triangles.iter().map(|&[a, b, c]| 0.5 * (at(b) - at(a)).cross(at(c) - at(a)).length()).sum()
@@ -285,7 +302,7 @@ fn sphere(radius: f32) -> Geometry {
     ball
 }
 
-/// Faces −z; seen from there its picture is upright.
+/// Faces −z; seen from that side its picture is upright.
 fn rectangle(width: f32, height: f32) -> Geometry {
     let mut geometry = Geometry::default();
     let corners = [(1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)].map(|(x, y): (f32, f32)| {

@@ -1,8 +1,12 @@
 //! Materials of a package: the inputs of a surface shader in the slots of a [`Material`].
 //!
-//! Shaders: UsdPreviewSurface (both workflows), and of MaterialX standard_surface, open_pbr_surface, gltf_pbr and surface_unlit as far as their parameters have
-//! a counterpart in metallic-roughness with its extensions. Inputs that have none are named in one warning per material when they differ from
-//! their defaults. Sources: UsdPreviewSurface specification 2.6, Autodesk Standard Surface 1.0.1, OpenPBR Surface 1.1, glTF 2.0.
+//! Supported shaders: UsdPreviewSurface (both workflows); of MaterialX standard_surface,
+//! open_pbr_surface, gltf_pbr and surface_unlit. They are mapped to metallic-roughness and its
+//! extensions. One warning per material lists the inputs without a counterpart that differ from
+//! their defaults.
+//!
+//! Sources: UsdPreviewSurface specification 2.6, Autodesk Standard Surface 1.0.1, OpenPBR Surface
+//! 1.1, glTF 2.0.
 
 use std::collections::BTreeMap;
 
@@ -14,17 +18,17 @@ use crate::slots::{Builder, Input, Inputs};
 use crate::texture::Textures;
 use crate::{preview, uber};
 
-/// A material, and what it needs of the meshes that it is on.
+/// A material, and the vertex attributes that it reads.
 #[derive(Clone, Debug)]
 pub(crate) struct Loaded {
     pub(crate) material: Material,
     /// Primvars that become texture coordinate sets 0 and 1.
     pub(crate) uv_names: [Option<String>; 2],
-    /// Whether the colours of vertices (displayColor) multiply the base colour.
+    /// True if vertex colours (displayColor) multiply the base colour.
     pub(crate) reads_colors: bool,
 }
 
-/// What the walker says of a material.
+/// A material as the walker describes it.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
 struct Entry {
@@ -34,14 +38,19 @@ struct Entry {
     inputs: BTreeMap<String, Input>,
 }
 
-/// Makes a material of an entry; `None` where no shader is known, and the display colour is to be used. A texture that cannot be read
-/// becomes its fallback.
+/// Converts an entry to a material; `None` if the shader is unknown, so the display colour applies.
+/// A texture that cannot be read is replaced by its fallback.
 pub(crate) fn load<'a>(entry: &serde_json::Value, textures: &mut Textures<'a>, task: Task<'a>) -> Option<Loaded> {
     let mut entry: Entry = match serde_json::from_value(entry.clone()) {
         Ok(entry) => entry,
         Err(error) => {
             let place = entry.get("place").and_then(|place| place.as_str()).unwrap_or("/materials");
-            task.warn(place, format!("is not as the walker writes it ({error}); the display colour is used"));
+            task.warn(
+                place,
+                format!(
+                    "expected an entry of the walker, found an unreadable one ({error}); the display colour is used"
+                ),
+            );
             return None;
         }
     };
@@ -63,7 +72,7 @@ pub(crate) fn load<'a>(entry: &serde_json::Value, textures: &mut Textures<'a>, t
         name,
         metallic: 0.0,
         roughness: 0.5,
-        // both sides are seen, as every USD renderer shows them unless it is told to cull
+        // USD renderers show both sides unless culling is requested
         double_sided: true,
         ..Material::default()
     };
@@ -82,7 +91,7 @@ pub(crate) fn load<'a>(entry: &serde_json::Value, textures: &mut Textures<'a>, t
         task.warn(&builder.place, message);
     }
     let Builder { material, mut uv_names, reads_colors, .. } = builder;
-    // normals and anisotropy follow coordinates even where no texture names any
+    // normals and anisotropy need texture coordinates, even if no texture names any
     if material.tangent_uv_set().is_some() && uv_names[0].is_none() {
         uv_names[0] = Some("st".into());
     }

@@ -1,14 +1,15 @@
 //! Polygons to triangles.
 //!
-//! A quadrilateral is cut along the diagonal that stays inside, larger polygons that are not convex by ear clipping in the plane of their
-//! (Newell) normal. Corners at one point become one vertex where all that varies over them is the same.
+//! A quadrilateral is cut along the diagonal that stays inside. Larger polygons that are not convex
+//! are cut by ear clipping in the plane of their Newell normal. Corners at one point share a vertex
+//! if all their attributes are equal.
 
 use glam::{DVec2, DVec3, Vec2, Vec3, Vec4};
 
 use crate::geometry::Geometry;
 use crate::polygons::{Attribute, Corner, Polygons};
 
-/// Triangles of a mesh. Faces with fewer than three corners and holes are left out.
+/// Triangles of a mesh. Holes and faces with fewer than three corners are left out.
 pub(crate) fn triangulate(polygons: &Polygons) -> Geometry {
     let mut vertices = Vertices::new(polygons);
     let mut hole = vec![false; polygons.counts.len()];
@@ -40,14 +41,14 @@ pub(crate) fn triangulate(polygons: &Polygons) -> Geometry {
     vertices.geometry
 }
 
-/// Twice the area times the normal of a polygon.
+/// A polygon's normal, with the length of twice its area.
 fn newell(ring: impl Iterator<Item = DVec3> + Clone) -> DVec3 {
     let Some(origin) = ring.clone().next() else { return DVec3::ZERO };
     let next = ring.clone().skip(1).chain([origin]);
     ring.zip(next).map(|(a, b)| (a - origin).cross(b - origin)).sum()
 }
 
-/// Vertices so far; those at one point form a list.
+/// The vertices so far; those at one point form a linked list.
 struct Vertices<'a> {
     polygons: &'a Polygons,
     geometry: Geometry,
@@ -55,7 +56,8 @@ struct Vertices<'a> {
     first: Vec<u32>,
     /// Next vertex at the same point.
     next: Vec<u32>,
-    /// Without attributes that vary between the corners at a point, one vertex is enough.
+    /// True if no attribute varies between the corners at a point; then one vertex per point is
+    /// enough.
     single: bool,
 }
 
@@ -71,14 +73,14 @@ impl<'a> Vertices<'a> {
         Self { polygons, geometry: Geometry::default(), first, next: Vec::new(), single }
     }
 
-    /// The vertex of a corner.
+    /// The vertex of a corner, shared with an equal corner at the same point.
     fn get(&mut self, at: Corner) -> u32 {
         let polygons = self.polygons;
         if self.single && self.first[at.point] != NONE {
             return self.first[at.point];
         }
         let normal = polygons.normals.as_ref().map(|normals| Vec3::from(normals.at(at)).normalize_or(Vec3::Y));
-        // v of USD points up, that of the scene down
+        // v points up in USD and down in the scene
         let uvs =
             polygons.uvs.each_ref().map(|uvs| uvs.as_ref().map(|uvs| uvs.at(at)).map(|[u, v]| Vec2::new(u, 1.0 - v)));
         let color = (polygons.colors.is_some() || polygons.opacities.is_some()).then(|| {
@@ -87,6 +89,7 @@ impl<'a> Vertices<'a> {
             color.extend(opacity).clamp(Vec4::ZERO, Vec4::ONE)
         });
         let geometry = &mut self.geometry;
+        // Search the point's list for a vertex with the same attributes.
         let mut known = self.first[at.point];
         while known != NONE {
             let i = known as usize;
@@ -98,6 +101,7 @@ impl<'a> Vertices<'a> {
             }
             known = self.next[i];
         }
+        // Otherwise add a vertex at the head of the list.
         let new = geometry.positions.len() as u32;
         geometry.positions.push(Vec3::from(polygons.points[at.point]));
         geometry.normals.extend(normal);
@@ -110,7 +114,7 @@ impl<'a> Vertices<'a> {
     }
 }
 
-/// Cuts polygons into triangles.
+/// Cuts polygons into triangles; keeps its buffers between calls.
 #[derive(Default)]
 struct Cutter {
     earcut: earcut::Earcut<f64>,
@@ -120,7 +124,7 @@ struct Cutter {
 }
 
 impl Cutter {
-    /// Triangles of the polygon through `ring`, as places in it; of its orientation.
+    /// Triangles of the polygon through `ring`, as indices into it; they keep its orientation.
     fn cut(&mut self, points: &[[f32; 3]], ring: &[usize]) -> &[[usize; 3]] {
         let count = ring.len();
         self.triangles.clear();
@@ -136,11 +140,12 @@ impl Cutter {
         };
         let convex = (0..count).all(|i| turn(i) >= 0.0);
         if count == 4 && !convex {
-            // from the corner that turns the other way
+            // both triangles share the concave corner
             let hub = if turn(1) < 0.0 || turn(3) < 0.0 { 1 } else { 0 };
             self.triangles.extend([[hub, hub + 1, hub + 2], [hub, hub + 2, (hub + 3) % 4]]);
             return &self.triangles;
         }
+        // Project a concave polygon to its plane and clip its ears there.
         if !convex && normal != DVec3::ZERO {
             let (x, y) = normal.normalize().any_orthonormal_pair();
             self.flat.clear();
@@ -156,6 +161,7 @@ impl Cutter {
             let found = found.filter(|triangle| triangle.iter().all(|&i| i < count));
             self.triangles.extend(found.map(|[a, b, c]| if area([a, b, c]) < 0.0 { [a, c, b] } else { [a, b, c] }));
         }
+        // A convex or degenerate polygon becomes a fan.
         if self.triangles.is_empty() {
             self.triangles.extend((1..count - 1).map(|i| [0, i, i + 1]));
         }
@@ -168,7 +174,7 @@ mod tests {
     use super::*;
     use crate::polygons::Interpolation;
 
-    /// One face through points in the plane z = 0.
+    /// One face in the plane z = 0.
     fn face(points: &[[f32; 2]]) -> Polygons {
         Polygons {
             points: points.iter().map(|&[x, y]| [x, y, 0.0]).collect(),
@@ -184,7 +190,7 @@ mod tests {
         0.5 * points.iter().zip(next).map(|(a, b)| f64::from(a[0] * b[1] - b[0] * a[1])).sum::<f64>()
     }
 
-    /// Signed area of all triangles, and the sum of their absolute areas: equal where none lies outside or on another.
+    /// Signed and absolute area of all triangles: equal if none is outside or overlaps another.
     fn areas(geometry: &Geometry) -> [f64; 2] {
         let signed: Vec<f64> = geometry.corners().map(|[a, b, c]| 0.5 * (b - a).cross(c - a).z).collect();
         [signed.iter().sum(), signed.iter().map(|area| area.abs()).sum()]
@@ -235,7 +241,7 @@ mod tests {
         assert!(!triangulate(&face(&crossed)).triangles.is_empty());
     }
 
-    /// Two unit squares side by side, sharing two points.
+    /// Two unit squares side by side that share two points.
     fn pair() -> Polygons {
         Polygons {
             points: [[0., 0.], [1., 0.], [1., 1.], [0., 1.], [2., 0.], [2., 1.]].map(|[x, y]| [x, y, 0.0]).to_vec(),
@@ -252,7 +258,7 @@ mod tests {
         for (interpolation, count) in all {
             for indexed in [false, true] {
                 let values: Vec<[f32; 2]> = (0..count).map(|i| [i as f32, 0.5]).collect();
-                // reversed, so that a value is not its own index
+                // reversed, so that an index differs from its value
                 let indices: Vec<u32> = (0..count as u32).rev().collect();
                 let attribute = Attribute { values, interpolation, indices: indexed.then_some(indices) };
                 let polygons = Polygons { uvs: [Some(attribute), None], ..pair() };

@@ -1,8 +1,11 @@
-//! Scene packages: what the walker hands over. A JSON header, and arrays that it refers to.
+//! Scene packages: the walker's output. A JSON header, and arrays that it refers to.
 //!
-//! A file is the magic `LUMIPKG1`, the header's length as a little-endian u64, the header, and the arrays; each lies at a multiple of
-//! 64 bytes, where the header's `buffers` says. In one process the arrays come as they are. Nothing in a package is trusted: every
-//! number is checked where it is used, and no content can cause a panic.
+//! A file consists of the magic `LUMIPKG1`, the header's length as a little-endian u64, the header,
+//! and the arrays. Each array starts at a multiple of 64 bytes; `buffers` in the header lists their
+//! offsets. Inside one process the arrays are passed as they are.
+//!
+//! Packages are not trusted: every number is checked before its use, and no content can cause a
+//! panic.
 
 use serde::Deserialize;
 
@@ -15,15 +18,15 @@ const ALIGNMENT: usize = 64;
 /// The header's `schema`.
 const SCHEMA: &str = "lumistack.scene-package";
 
-/// A scene as the walker found it.
+/// A scene as the walker describes it.
 pub struct Package<'a> {
-    /// What there is.
+    /// The content.
     pub header: Header,
-    /// Raw little-endian arrays that the header refers to by number.
+    /// Raw little-endian arrays; the header refers to them by index.
     pub buffers: Vec<&'a [u8]>,
 }
 
-/// What a package says in JSON.
+/// The JSON part of a package.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
 pub struct Header {
@@ -31,7 +34,7 @@ pub struct Header {
     pub schema: String,
     /// Always 1.
     pub version: u32,
-    /// Why there is no scene.
+    /// The reason why there is no scene.
     pub error: Option<Failure>,
     /// Name of the stage.
     pub name: String,
@@ -41,9 +44,9 @@ pub struct Header {
     pub meters_per_unit: f64,
     /// Every layer and texture on disk that was read.
     pub files: Vec<String>,
-    /// What the user should know.
+    /// Warnings for the user.
     pub warnings: Vec<Note>,
-    /// Choices that the file offers.
+    /// The choices that the file offers.
     pub contents: Contents,
     pub(crate) geometries: Vec<Shape>,
     pub(crate) instances: Vec<Placement>,
@@ -55,10 +58,11 @@ pub struct Header {
     buffers: Vec<[u64; 2]>,
 }
 
-/// Why the walker gives no scene.
+/// The reason why the walker has no scene.
 #[derive(Clone, Debug, Deserialize)]
 pub struct Failure {
-    /// `python` (too old), `pxr` (no OpenUSD), `scene` (the file is refused) or `walker` (a mistake of ours).
+    /// `python` (too old), `pxr` (no OpenUSD), `scene` (the file is refused) or `walker` (an error
+    /// in the walker).
     pub kind: String,
     /// The reason, for the user.
     pub message: String,
@@ -73,15 +77,15 @@ pub struct Note {
     pub message: String,
 }
 
-/// What a stage offers to choose from, and how much is in it.
+/// The choices that a stage offers, and the size of its content.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(default)]
 pub struct Contents {
-    /// Variant sets, those inside instances aside.
+    /// Variant sets, without those inside instances.
     pub variant_sets: Vec<VariantSet>,
     /// Paths of cameras.
     pub cameras: Vec<String>,
-    /// First and last time code, where the file says so.
+    /// First and last time code, if the file has them.
     pub time_range: Option<TimeRange>,
     /// Prims of the default traversal.
     pub prims: usize,
@@ -98,11 +102,11 @@ pub struct VariantSet {
     pub place: String,
     /// Names of the variants.
     pub choices: Vec<String>,
-    /// The one that is shown; may be empty.
+    /// The selected one; may be empty.
     pub selected: String,
 }
 
-/// When a stage plays.
+/// The time codes of a stage's animation.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 pub struct TimeRange {
     /// First and last.
@@ -147,25 +151,24 @@ impl Shape {
 pub(crate) struct MeshEntry {
     pub(crate) place: String,
     pub(crate) points: Option<Array>,
-    /// Corners per face.
     pub(crate) counts: Option<Array>,
-    /// Points of all corners.
+    /// Point index of every corner.
     pub(crate) indices: Option<Array>,
     #[serde(default)]
     pub(crate) left_handed: bool,
-    /// Whether the file says that only the front is seen.
+    /// True if the file declares that only the front side is visible.
     #[serde(default)]
     pub(crate) one_sided: bool,
-    /// Faces that are not there.
+    /// Indices of faces that are holes.
     pub(crate) holes: Option<Array>,
     #[serde(default)]
     pub(crate) primvars: Vec<Primvar>,
     #[serde(default)]
     pub(crate) subsets: Vec<Subset>,
-    /// What it shines with, if it is a light.
+    /// Emission, if the mesh is a light.
     #[serde(default)]
     pub(crate) light: Option<serde_json::Value>,
-    /// Absent where the mesh is what it is: polygons.
+    /// Absent for a plain polygon mesh.
     #[serde(default)]
     pub(crate) subdivision: Option<Subdivision>,
 }
@@ -187,7 +190,7 @@ pub(crate) struct Subset {
     pub(crate) faces: Array,
 }
 
-/// What a subdivision surface needs to know besides its cage.
+/// Parameters of a subdivision surface besides its control mesh.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Subdivision {
     pub(crate) scheme: String,
@@ -215,7 +218,7 @@ pub(crate) struct SolidEntry {
     pub(crate) place: String,
     /// `sphere`, `cube`, `cylinder`, `cone`, `capsule`, `plane`.
     pub(crate) solid: String,
-    /// In the order of the schema's attributes; two radii come first.
+    /// In the order of the schema's attributes; shapes with two radii list them first.
     pub(crate) sizes: Vec<f32>,
     /// `x`, `y` or `z`.
     #[serde(default)]
@@ -271,36 +274,36 @@ pub(crate) struct SplatsEntry {
     #[serde(default)]
     pub(crate) harmonics: Option<Array>,
     pub(crate) degree: i64,
-    /// Whether the kernel lies in the plane of x and y.
+    /// True if the kernel is flat, in its xy plane.
     #[serde(default)]
     pub(crate) flat: bool,
-    /// USD's name, empty where the file says nothing.
+    /// USD's name; empty if the file has none.
     #[serde(default)]
     pub(crate) colour_space: String,
 }
 
-/// A shape's copies.
+/// Copies of a shape.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Placement {
     pub(crate) geometry: usize,
-    /// Material of the shape, then those of its subsets.
+    /// Material of the shape, then one per subset.
     pub(crate) materials: Vec<Option<usize>>,
     /// Innermost first.
     pub(crate) chain: Vec<Link>,
 }
 
-/// Matrices, of which each makes a copy of all before it in the chain.
+/// Matrices; each makes a copy of everything earlier in the chain.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Link {
     /// `[n][4][4]`, USD's row vectors: the translation is the last row.
     pub(crate) matrices: Array,
-    /// `[n]`: which prototype each matrix places; with [`prototype`](Self::prototype).
+    /// `[n]`: the prototype of each matrix; only matrices of [`prototype`](Self::prototype) apply.
     #[serde(default)]
     pub(crate) prototypes: Option<Array>,
-    /// The one that this chain places.
+    /// The prototype that this chain places.
     #[serde(default)]
     pub(crate) prototype: i64,
-    /// `[n]`: 0 for copies that are not shown.
+    /// `[n]`: 0 for hidden copies.
     #[serde(default)]
     pub(crate) mask: Option<Array>,
 }
@@ -315,17 +318,17 @@ pub(crate) struct CameraEntry {
     pub(crate) aperture: [f64; 2],
     pub(crate) aperture_offset: [f64; 2],
     pub(crate) focus_distance: f64,
-    /// Distance of the near plane, where one is authored.
+    /// Distance of the near plane, if authored.
     #[serde(default)]
     pub(crate) near: Option<f64>,
-    /// USD's row vectors.
+    /// Row vectors, as in USD.
     pub(crate) matrix: [f64; 16],
 }
 
 /// A reference to an array.
 #[derive(Clone, Debug, Deserialize)]
 pub struct Array {
-    /// Its number.
+    /// Index in [`Package::buffers`].
     pub buffer: usize,
     /// `f16`, `f32`, `f64`, or an integer: `i8` to `i64`, `u8` to `u64`.
     #[serde(rename = "type")]
@@ -338,7 +341,7 @@ impl Header {
     /// Reads a header.
     ///
     /// # Errors
-    /// A sentence that says what is wrong with it.
+    /// The reason, as a phrase after "found".
     pub fn parse(json: &[u8]) -> Result<Self, String> {
         let header: Self =
             serde_json::from_slice(json).map_err(|error| format!("a scene package with a broken header: {error}"))?;
@@ -353,11 +356,11 @@ impl<'a> Package<'a> {
     /// Reads a file.
     ///
     /// # Errors
-    /// A sentence that says what is wrong with the file.
+    /// The reason, as a phrase after "found".
     pub fn parse(bytes: &'a [u8]) -> Result<Self, String> {
         let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| match bytes.is_empty() {
             true => "nothing".to_owned(),
-            false => "something else than a scene package".to_owned(),
+            false => "data that is not a scene package".to_owned(),
         })?;
         let truncated = || "a scene package that ends too early".to_owned();
         let (length, rest) = rest.split_first_chunk::<8>().ok_or_else(truncated)?;
@@ -375,7 +378,8 @@ impl<'a> Package<'a> {
         Ok(Self { header, buffers })
     }
 
-    /// The raw bytes of an array with rows of `width` elements, its number of rows, and the size of an element.
+    /// The raw bytes of an array with rows of `width` elements, the number of rows, and the bytes
+    /// per element.
     fn bytes(&self, array: &Array, width: usize, place: &str) -> Result<(&'a [u8], usize), Fault> {
         let fault = |expected: String, found: String| Fault::new(place, expected, found);
         let size = match array.kind.as_str() {
@@ -401,7 +405,7 @@ impl<'a> Package<'a> {
         Ok((bytes, rows))
     }
 
-    /// Rows of `N` real numbers.
+    /// Rows of `N` numbers, converted to `f32`.
     pub(crate) fn reals<const N: usize>(&self, array: &Array, place: &str) -> Result<Vec<[f32; N]>, Fault> {
         let (bytes, rows) = self.bytes(array, N, place)?;
         let values: Vec<f32> = match array.kind.as_str() {
@@ -446,7 +450,7 @@ where
     bytes.as_chunks::<N>().0.iter().map(move |&chunk| convert(chunk))
 }
 
-/// IEEE 754 binary16.
+/// Converts an IEEE 754 binary16 number.
 fn from_half(bits: u16) -> f32 {
     let sign = if bits >> 15 == 1 { -1.0 } else { 1.0 };
     let (exponent, mantissa) = (i32::from(bits >> 10 & 31), f32::from(bits & 1023));
@@ -462,7 +466,7 @@ fn from_half(bits: u16) -> f32 {
 mod tests {
     use super::*;
 
-    /// A package of one array.
+    /// A package with one array.
     fn file(header: &str, data: &[u8]) -> Vec<u8> {
         let mut bytes = MAGIC.to_vec();
         bytes.extend((header.len() as u64).to_le_bytes());
@@ -511,9 +515,9 @@ mod tests {
     }
 
     #[test]
-    fn garbage_is_told_from_silence() {
+    fn garbage_and_silence_have_their_own_messages() {
         assert_eq!(Package::parse(b"").err().unwrap(), "nothing");
-        assert!(Package::parse(b"Traceback (most recent call last)").err().unwrap().contains("something else"));
+        assert!(Package::parse(b"Traceback (most recent call last)").err().unwrap().contains("not a scene package"));
         let huge = [MAGIC.as_slice(), &u64::MAX.to_le_bytes()].concat();
         assert!(Package::parse(&huge).err().unwrap().contains("too early"));
         assert!(Package::parse(&file("{]", &[])).err().unwrap().contains("broken header"));

@@ -1,7 +1,8 @@
-//! Decoding of textures: PNG, JPEG, WebP, TGA, Radiance HDR and OpenEXR, from a file on disk or from an entry of a .usdz package.
+//! Decodes textures: PNG, JPEG, WebP, TGA, Radiance HDR and OpenEXR, from a file on disk or an
+//! entry of a .usdz package.
 //!
-//! The content decides the format (TGA, which has no mark, the name). The bytes are not trusted: sizes are limited before anything
-//! is decoded, and a library that panics on them counts as an error.
+//! The content determines the format; TGA has no signature, so its file name does. The bytes are
+//! not trusted: sizes are limited before decoding, and a panic in a library is an error.
 
 use std::io::Cursor;
 use std::panic::AssertUnwindSafe;
@@ -9,16 +10,17 @@ use std::panic::AssertUnwindSafe;
 use exr::prelude::{Compression, FlatSamples, MetaData, ReadChannels, ReadLayers, read as read_exr};
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
-/// Largest side in texels.
+/// Largest side, in texels.
 const MOST_TEXELS_A_SIDE: u32 = 1 << 15;
-/// Memory that decoding one picture may take.
+/// Largest memory that decoding one picture may take.
 const MOST_BYTES: u64 = 2 << 30;
-/// Blocks of compressed pixels are at least so long; a header that promises more of them than fit is refused.
+/// Least size of a block of compressed pixels. A header with more blocks than fit into the file is
+/// refused.
 const LEAST_BYTES_PER_BLOCK: usize = 8;
-/// First bytes of OpenEXR.
+/// Signature of OpenEXR.
 const EXR: [u8; 4] = [0x76, 0x2f, 0x31, 0x01];
 
-/// A decoded picture, row 0 on top.
+/// A decoded picture; row 0 is the top row.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Picture {
     pub(crate) width: usize,
@@ -26,29 +28,29 @@ pub(crate) struct Picture {
     pub(crate) texels: Texels,
 }
 
-/// RGBA; grey is in all of RGB, and alpha is 1 where there is none.
+/// RGBA. Grey pictures repeat their value in RGB; without an alpha channel alpha is 1.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Texels {
     /// Codes 0..=255.
     Codes8(Vec<[u8; 4]>),
     /// Codes 0..=65535.
     Codes16(Vec<[u16; 4]>),
-    /// Linear values, finite, of HDR and OpenEXR.
+    /// Linear finite values, from HDR and OpenEXR.
     Float(Vec<[f32; 4]>),
 }
 
 impl Picture {
-    /// Decodes a picture; `name` is needed for formats that have no mark.
+    /// Decodes a picture; `name` selects a format that has no signature.
     ///
     /// # Errors
-    /// What is wrong, as the end of a sentence that begins with the picture's name and "is ".
+    /// The reason, as the end of a sentence after the picture's name and "is".
     pub(crate) fn decode(name: &str, bytes: &[u8]) -> Result<Self, String> {
         let decode = || if bytes.starts_with(&EXR) { exr(bytes) } else { codes(name, bytes) };
         std::panic::catch_unwind(AssertUnwindSafe(decode))
             .unwrap_or_else(|_| Err("damaged in a way on which its decoder stops".into()))
     }
 
-    /// Raw RGBA of a texel, codes scaled to 0..1.
+    /// RGBA of a texel; codes are scaled to 0..1.
     pub(crate) fn texel(&self, index: usize) -> [f32; 4] {
         match &self.texels {
             Texels::Codes8(texels) => texels[index].map(|code| f32::from(code) / 255.0),
@@ -60,6 +62,7 @@ impl Picture {
 
 fn codes(name: &str, bytes: &[u8]) -> Result<Picture, String> {
     use ImageFormat::{Hdr, Jpeg, Png, Tga, WebP};
+    // Find the format: by the signature, for TGA by the name.
     let format = match image::guess_format(bytes) {
         Ok(format @ (Png | Jpeg | WebP | Hdr)) => format,
         Err(_) if name.to_ascii_lowercase().ends_with(".tga") => Tga,
@@ -72,6 +75,7 @@ fn codes(name: &str, bytes: &[u8]) -> Result<Picture, String> {
             ));
         }
     };
+    // Check the size before pixels are decoded.
     let mut limits = Limits::default();
     limits.max_image_width = Some(MOST_TEXELS_A_SIDE);
     limits.max_image_height = Some(MOST_TEXELS_A_SIDE);
@@ -81,7 +85,7 @@ fn codes(name: &str, bytes: &[u8]) -> Result<Picture, String> {
     let broken = |error: image::ImageError| format!("no readable {format:?} picture ({error})");
     let decoder = reader.into_decoder().map_err(broken)?;
     let (width, height) = decoder.dimensions();
-    // four channels of four bytes at most
+    // four channels of at most four bytes
     if u64::from(width) * u64::from(height) * 16 > MOST_BYTES || width.max(height) > MOST_TEXELS_A_SIDE {
         return Err(format!("{width} × {height} texels, more than fit into {} MiB", MOST_BYTES >> 20));
     }
@@ -101,10 +105,12 @@ fn finite(texel: [f32; 4]) -> [f32; 4] {
 }
 
 fn exr(bytes: &[u8]) -> Result<Picture, String> {
+    // Check sizes in the header before pixels are decoded.
     let broken = |error: exr::error::Error| format!("no readable OpenEXR picture ({error})");
     let meta = MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(broken)?;
     let header = meta.headers.first().ok_or("an OpenEXR file without a layer")?;
-    // the decoder of these two takes memory by sizes that the compressed data claim, which ends the program on damaged files
+    // For these two the decoder allocates memory by sizes in the compressed data. A damaged file
+    // would end the program.
     if header.deep || matches!(header.compression, Compression::DWAA(_) | Compression::DWAB(_)) {
         let found = if header.deep { "deep data".to_owned() } else { header.compression.to_string() };
         return Err(format!("OpenEXR with {found}; none, RLE, ZIP, PIZ, PXR24 and B44 are read"));
@@ -118,6 +124,7 @@ fn exr(bytes: &[u8]) -> Result<Picture, String> {
     if blocks.saturating_mul(LEAST_BYTES_PER_BLOCK) > bytes.len() {
         return Err("an OpenEXR file that is cut short".into());
     }
+    // Read the first layer, and find its channels by the last part of their names.
     let layers = read_exr().no_deep_data().largest_resolution_level().all_channels().first_valid_layer();
     let picture = layers.all_attributes().non_parallel().from_buffered(Cursor::new(bytes)).map_err(broken)?;
     let list = &picture.layer_data.channel_data.list;
@@ -131,6 +138,7 @@ fn exr(bytes: &[u8]) -> Result<Picture, String> {
     let colors = [find("R").or(grey), find("G").or(grey), find("B").or(grey)];
     let lone = (list.len() == 1).then_some(0);
     let sources = [colors[0].or(lone), colors[1].or(lone), colors[2].or(lone), find("A")];
+    // Copy each channel into its component; a lone channel is grey.
     let mut texels = vec![[0.0, 0.0, 0.0, 1.0]; width * height];
     for (channel, source) in sources.into_iter().enumerate() {
         let Some(source) = source else { continue };
@@ -160,7 +168,7 @@ mod tests {
         picture.write_to(&mut Cursor::new(&mut png), ImageFormat::Png).unwrap();
         let decoded = Picture::decode("anything.jpg", &png).unwrap();
         assert_eq!(decoded.texels, Texels::Codes16(vec![[0, 0, 0, 65535], [65535; 4]]));
-        // an uncompressed TGA of one blue texel, from the top left
+        // an uncompressed TGA with one blue texel, stored from the top left
         let mut tga = vec![0, 0, 2, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 1, 0, 24, 0x20];
         tga.extend([255, 0, 0]);
         assert_eq!(Picture::decode("a.TGA", &tga).unwrap().texels, Texels::Codes8(vec![[0, 0, 255, 255]]));

@@ -1,9 +1,9 @@
-//! A polygon mesh as a package holds it, checked: every index is in range, every list is as long as it must be.
+//! A checked polygon mesh of a package: every index is in range and every list has its length.
 
 use crate::error::Fault;
 use crate::package::{MeshEntry, Package, Primvar};
 
-/// Faces, points and what varies over them.
+/// Faces, points and primvars.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Polygons {
     pub(crate) points: Vec<[f32; 3]>,
@@ -12,7 +12,7 @@ pub(crate) struct Polygons {
     /// Point of every corner.
     pub(crate) corners: Vec<i32>,
     pub(crate) left_handed: bool,
-    /// Faces that are not there; may be out of range.
+    /// Indices of faces that are holes; may be out of range.
     pub(crate) holes: Vec<i32>,
     pub(crate) normals: Option<Attribute<3>>,
     pub(crate) uvs: [Option<Attribute<2>>; 2],
@@ -20,16 +20,16 @@ pub(crate) struct Polygons {
     pub(crate) opacities: Option<Attribute<1>>,
 }
 
-/// Values over a surface, by interpolation.
+/// A primvar: values and their interpolation.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Attribute<const N: usize> {
     pub(crate) values: Vec<[f32; N]>,
     pub(crate) interpolation: Interpolation,
-    /// Number of the value of each element; without it element i has value i.
+    /// Index of the value of each element; without it element i has value i.
     pub(crate) indices: Option<Vec<u32>>,
 }
 
-/// What an attribute has a value for.
+/// The elements that have values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Interpolation {
     /// The whole mesh.
@@ -44,7 +44,7 @@ pub(crate) enum Interpolation {
     FaceVarying,
 }
 
-/// Numbers of a corner, of the face that it belongs to and of the point where it is.
+/// Indices of a corner, of its face and of its point.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Corner {
     pub(crate) face: usize,
@@ -53,7 +53,7 @@ pub(crate) struct Corner {
 }
 
 impl<const N: usize> Attribute<N> {
-    /// Number of the value at a corner.
+    /// Index of the value at a corner.
     pub(crate) fn index(&self, at: Corner) -> usize {
         let element = match self.interpolation {
             Interpolation::Constant => 0,
@@ -64,24 +64,23 @@ impl<const N: usize> Attribute<N> {
         self.indices.as_ref().map_or(element, |indices| indices[element] as usize)
     }
 
-    /// The value at a corner.
     pub(crate) fn at(&self, at: Corner) -> [f32; N] {
         self.values[self.index(at)]
     }
 
-    /// Whether corners at one point share their value.
+    /// True if corners at one point share their value.
     pub(crate) fn is_smooth(&self) -> bool {
         matches!(self.interpolation, Interpolation::Constant | Interpolation::Varying | Interpolation::Vertex)
     }
 }
 
-/// Which primvars become texture coordinate sets 0 and 1.
+/// Primvars that become texture coordinate sets 0 and 1.
 pub(crate) type UvNames<'a> = [Option<&'a str>; 2];
 
-/// Reads a mesh; `warn` takes what is left out.
+/// Reads a mesh; `warn` receives a message for each primvar that is left out.
 ///
 /// # Errors
-/// When the topology contradicts itself.
+/// If the topology is inconsistent.
 pub(crate) fn read(
     package: &Package<'_>,
     entry: &MeshEntry,
@@ -93,6 +92,7 @@ pub(crate) fn read(
         Some(array) => package.integers(array, &format!("{place}.{name}")),
         None => Ok(Vec::new()),
     };
+    // Check the topology: later steps index without checks.
     let points = match &entry.points {
         Some(array) => package.reals::<3>(array, &format!("{place}.points"))?,
         None => Vec::new(),
@@ -114,6 +114,7 @@ pub(crate) fn read(
         let expected = format!("a point below {}", points.len());
         return Err(Fault::new(format!("{place}.faceVertexIndices[{at}]"), expected, corners[at]));
     }
+    // Read the primvars that the scene supports.
     let sizes = Sizes { faces: counts.len(), points: points.len(), corners: corners.len() };
     let find = |name: &str| entry.primvars.iter().find(|primvar| primvar.name == name);
     let mut reader = Reader { package, place, sizes, warn };
@@ -125,7 +126,7 @@ pub(crate) fn read(
         left_handed: entry.left_handed,
         ..Polygons::default()
     };
-    // in range as checked above
+    // in range, as checked above
     polygons.counts = counts.into_iter().map(|count| count as i32).collect();
     polygons.corners = corners.into_iter().map(|point| point as i32).collect();
     polygons.holes = list(&entry.holes, "holeIndices")?.into_iter().filter_map(|face| face.try_into().ok()).collect();
@@ -133,7 +134,7 @@ pub(crate) fn read(
     Ok(polygons)
 }
 
-/// How many of each element there are.
+/// Number of elements of each kind.
 struct Sizes {
     faces: usize,
     points: usize,
@@ -148,7 +149,8 @@ struct Reader<'a, 'w> {
 }
 
 impl Reader<'_, '_> {
-    /// An attribute that fits the mesh; one that does not is left out with a warning, as every USD program does.
+    /// Reads a primvar. One that does not fit the mesh is left out with a warning, as in every USD
+    /// program.
     fn attribute<const N: usize>(&mut self, primvar: Option<&Primvar>) -> Option<Attribute<N>> {
         let primvar = primvar?;
         let attribute = self.fitting(primvar);

@@ -1,28 +1,28 @@
-//! Which Python reads USD files.
+//! Finds Pythons that may read USD files.
 
 use std::env::var_os;
 use std::path::{Path, PathBuf};
 
-/// Names the Python to take, and no other.
+/// Environment variable that names the only Python to try.
 pub(crate) const VARIABLE: &str = "LUMISTACK_PYTHON";
 
 /// A Python that may have OpenUSD.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Candidate {
     pub(crate) program: PathBuf,
-    /// Where it was found, for messages.
+    /// Its origin, for messages.
     pub(crate) from: &'static str,
-    /// Somebody asked for this one.
+    /// True if the user requested this one.
     pub(crate) given: bool,
 }
 
-/// What of the environment decides.
+/// The parts of the environment that determine the candidates.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Surroundings {
     pub(crate) given: Option<PathBuf>,
     /// Folders of the active virtual and conda environments.
     pub(crate) active: [Option<PathBuf>; 2],
-    /// The one that `lumistack setup usd` makes.
+    /// The environment that `lumistack setup usd` makes.
     pub(crate) own: Option<PathBuf>,
 }
 
@@ -36,7 +36,7 @@ impl Surroundings {
         }
     }
 
-    /// The Pythons to try, in this order.
+    /// Pythons to try, in this order.
     pub(crate) fn candidates(&self) -> Vec<Candidate> {
         if let Some(program) = &self.given {
             return vec![Candidate { program: program.clone(), from: VARIABLE, given: true }];
@@ -53,7 +53,7 @@ impl Surroundings {
     }
 }
 
-/// The file that a name stands for: itself, or the first of that name in the folders of `PATH`.
+/// The file that a name refers to: itself, or the first of that name in the folders of `PATH`.
 pub(crate) fn on_path(program: &Path) -> Option<PathBuf> {
     let file = if cfg!(windows) { program.with_extension("exe") } else { program.to_owned() };
     if file.components().count() > 1 {
@@ -71,7 +71,7 @@ fn conda_interpreter(environment: &Path) -> PathBuf {
     if cfg!(windows) { environment.join("python.exe") } else { environment.join("bin/python") }
 }
 
-/// Where `lumistack setup usd` puts its Python: `lumistack/python` among the user's data.
+/// The environment that `lumistack setup usd` makes: `lumistack/python` in the user's data folder.
 pub(crate) fn own_environment() -> Option<PathBuf> {
     let folder = |name: &str| var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
     let data = if cfg!(windows) {

@@ -1,4 +1,4 @@
-//! A polygon mesh that is a subdivision surface, refined: all that varies over it goes along by its interpolation.
+//! Refines a subdivision surface: a polygon mesh with its primvars.
 
 use lumistack_core::Task;
 
@@ -6,7 +6,8 @@ use crate::package::{Array, MeshEntry, Package, Subdivision};
 use crate::polygons::{Attribute, Interpolation, Polygons};
 use crate::subdivide::{Boundary, Cage, FaceVarying, Refinement, Scheme, level_for};
 
-/// The refined mesh with its normals, and for each of its faces the face of the file that it is a part of.
+/// The refined mesh with its normals, and for each of its faces the face of the file that contains
+/// it.
 pub(crate) fn refined(
     package: &Package<'_>,
     entry: &MeshEntry,
@@ -22,6 +23,7 @@ pub(crate) fn refined(
         let read = array.as_ref().and_then(|array| package.reals::<1>(array, &entry.place).ok()).unwrap_or_default();
         read.into_flattened()
     };
+    // Read the creases and rules. Arrays that cannot be read are treated as absent.
     let lists = [&subdivision.crease_indices, &subdivision.crease_lengths, &subdivision.corner_indices].map(integers);
     let [crease_indices, crease_lengths, corner_indices] = &lists;
     let sharpnesses = [&subdivision.crease_sharpnesses, &subdivision.corner_sharpnesses].map(reals);
@@ -60,6 +62,7 @@ pub(crate) fn refined(
         "all" => FaceVarying::All,
         _ => FaceVarying::CornersPlus1,
     };
+    // Refine the topology.
     let level = level_for(polygons.corners.len());
     let refinement = Refinement::new(&cage, level);
     let (mut counts, mut corners, mut parents) = (Vec::new(), Vec::new(), Vec::new());
@@ -68,6 +71,7 @@ pub(crate) fn refined(
         corners.extend(face.iter().map(|&vertex| vertex as i32));
         parents.push(parent);
     }
+    // Carry points and primvars to the refined mesh.
     let carrier = Carrier { refinement: &refinement, rule, parents: &parents, polygons: &polygons };
     let flat = polygons.points.as_flattened();
     let normals = refinement.normals(flat);
@@ -99,7 +103,7 @@ struct Carrier<'r> {
 }
 
 impl Carrier<'_> {
-    /// An attribute of the cage on the refined mesh.
+    /// Carries an attribute from the control mesh to the refined mesh.
     fn carried<const N: usize>(&self, attribute: &Attribute<N>) -> Option<Attribute<N>> {
         let interpolation = attribute.interpolation;
         let number = |element: usize| attribute.indices.as_ref().map_or(element as u32, |indices| indices[element]);

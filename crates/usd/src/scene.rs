@@ -1,7 +1,8 @@
-//! From a package to the parts of a scene.
+//! Converts a package to the parts of a scene.
 //!
-//! A shape becomes meshes once for every choice of materials that it is shown with; copies are instances, however deep prototypes are
-//! nested. Scenes whose z points up are turned by −90° about x.
+//! A shape becomes meshes once per combination of materials. Its copies are instances of these
+//! meshes, at any depth of nested prototypes. A stage whose z axis points up is turned by −90°
+//! about x.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -14,7 +15,7 @@ use crate::UsdError;
 use crate::camera::camera;
 use crate::error::Fault;
 use crate::geometry::Geometry;
-use crate::lights::{self, Lights, Shining};
+use crate::lights::{self, LightMesh, Lights};
 use crate::material::{self, Loaded};
 use crate::package::{Link, MeshEntry, Package, Placement, Shape, SplatsEntry};
 use crate::placing::{affine, expand};
@@ -22,15 +23,15 @@ use crate::polygons::{self, Corner, Interpolation, Polygons, UvNames};
 use crate::texture::Textures;
 use crate::{mesh, refine, shapes, splats};
 
-/// Copies of meshes and clouds that a scene may have: small files can ask for any number by nesting.
+/// Limit for instances of meshes and clouds: small files can define any number by nesting.
 const MOST_INSTANCES: usize = 1 << 26;
-/// Reflectance without a material and without a display colour, as UsdPreviewSurface has it.
+/// Albedo without a material and a display colour, as in UsdPreviewSurface.
 const GREY: f32 = 0.18;
 
-/// Makes a scene of a package; `name` stands for the file in messages.
+/// Converts a package to a scene; `name` stands for the file in messages.
 ///
 /// # Errors
-/// When the package contradicts itself or nothing in it can be rendered.
+/// If the package is inconsistent or nothing in it can be rendered.
 pub fn scene_from_package(name: &str, package: &Package<'_>, task: Task<'_>) -> Result<Scene, UsdError> {
     let warnings = InFile { name, inner: task.warnings };
     let task = Task { warnings: &warnings, ..task };
@@ -40,7 +41,7 @@ pub fn scene_from_package(name: &str, package: &Package<'_>, task: Task<'_>) -> 
     assemble(name, package, task).map_err(|fault| fault.in_file(name))
 }
 
-/// Puts the file's name before the place of every warning.
+/// Prefixes the place of every warning with the file's name.
 struct InFile<'a> {
     name: &'a str,
     inner: &'a dyn Warnings,
@@ -63,6 +64,7 @@ fn assemble(name: &str, package: &Package<'_>, task: Task<'_>) -> Result<Scene, 
             DAffine3::IDENTITY
         }
     };
+    // Materials come first: meshes depend on them for their texture coordinates.
     let mut assembly = Assembly {
         package,
         task,
@@ -80,6 +82,7 @@ fn assemble(name: &str, package: &Package<'_>, task: Task<'_>) -> Result<Scene, 
     }
     assembly.light(&mut textures, &scene_from_stage);
     (assembly.parts.images, assembly.parts.textures) = (textures.images, textures.textures);
+    // Cameras that see nothing are left out.
     for entry in &header.cameras {
         if entry.aperture_offset != [0.0, 0.0] {
             task.warn(&entry.place, "the camera's aperture is off its axis; it is taken on it");
@@ -92,7 +95,7 @@ fn assemble(name: &str, package: &Package<'_>, task: Task<'_>) -> Result<Scene, 
     }
     let parts = assembly.parts;
     parts.validate(task).map_err(|mut error| {
-        // the validator speaks of the whole scene by its name, which the message begins with anyway
+        // A message begins with the file's name, so the whole scene's place is the root.
         if error.place == name {
             error.place = "/".into();
         }
@@ -100,13 +103,13 @@ fn assemble(name: &str, package: &Package<'_>, task: Task<'_>) -> Result<Scene, 
     })
 }
 
-/// A material of the package as the scene has it.
+/// A material of the package in the scene.
 struct Bound {
-    /// Index in the scene.
+    /// Index in the scene's materials.
     material: usize,
-    /// Primvars that its textures are placed by.
+    /// Primvars that its textures read as coordinates.
     uv_names: [Option<String>; 2],
-    /// Whether it is multiplied with the colours of vertices.
+    /// True if vertex colours multiply it.
     reads_colors: bool,
 }
 
@@ -114,13 +117,13 @@ struct Assembly<'a> {
     package: &'a Package<'a>,
     task: Task<'a>,
     parts: SceneParts,
-    /// By number in the package; `None` where no shader is known, and display colours are used.
+    /// By index in the package; `None` if the shader is unknown, so display colours apply.
     materials: Vec<Option<Bound>>,
-    /// Materials of display colours, by the bits of the colour and whether it lets light through.
+    /// Materials for display colours, by the colour's bits and whether it is transparent.
     plain: HashMap<([u32; 4], bool), usize>,
-    /// Copies of materials for surfaces of which only the front is seen.
+    /// One-sided copies of materials, by index.
     one_sided: HashMap<usize, usize>,
-    /// Meshes of a shape with these materials, or the cloud of splats.
+    /// Indices of the meshes, or of the cloud, of a shape with these materials.
     shown: HashMap<(usize, Vec<Option<usize>>), Vec<usize>>,
 }
 
@@ -137,13 +140,13 @@ impl<'a> Assembly<'a> {
         Ok(())
     }
 
-    /// Adds the lights: surfaces that shine, points, the environment.
+    /// Adds the lights: meshes, point lights, the environment.
     fn light(&mut self, textures: &mut Textures<'_>, scene_from_stage: &DAffine3) {
         let mut lights = Lights::default();
         for entry in &self.package.header.lights {
             lights.add(entry, scene_from_stage, textures, self.task);
         }
-        for Shining { place, geometry, material, scene_from_mesh } in lights.surfaces {
+        for LightMesh { place, geometry, material, scene_from_mesh } in lights.surfaces {
             self.parts.materials.push(material);
             let mesh = self.mesh(place, geometry, self.parts.materials.len() - 1);
             self.parts.meshes.push(mesh);
@@ -158,7 +161,7 @@ impl<'a> Assembly<'a> {
         Mesh { place, positions, normals, tangents: Vec::new(), uvs, colors, triangles, material }
     }
 
-    /// Meshes of shapes other than polygons, which have one material.
+    /// Meshes of shapes other than polygon meshes; these have one material.
     fn other(&mut self, shape: &Shape, materials: &[Option<usize>]) -> Result<Vec<Mesh>, Fault> {
         let bound = materials.first().copied().flatten().and_then(|index| self.materials[index].as_ref());
         let uv_names = bound.map_or([None, None], |bound| bound.uv_names.clone());
@@ -172,7 +175,7 @@ impl<'a> Assembly<'a> {
             }
             Shape::Points(entry) => (shapes::balls(self.package, entry, self.task)?, &entry.primvars),
         };
-        // the display colour of the whole, if there is one
+        // A display colour of the whole shape applies where its vertices have none.
         let constant = primvars.iter().filter(|primvar| primvar.interpolation == "constant").cloned().collect();
         let whole = MeshEntry { place: shape.place().to_owned(), primvars: constant, ..MeshEntry::default() };
         let whole = polygons::read(self.package, &whole, [None, None], &mut |_| {})?;
@@ -197,7 +200,7 @@ impl<'a> Assembly<'a> {
         Ok(vec![self.mesh(shape.place().to_owned(), geometry, material)])
     }
 
-    /// Makes the meshes or the cloud of a placement where they are new, and an instance of each for every copy.
+    /// Adds the meshes or the cloud of a placement if they are new, and an instance for every copy.
     fn place(&mut self, placement: &Placement, scene_from_stage: &DAffine3) -> Result<(), Fault> {
         let shapes = &self.package.header.geometries;
         let shape = shapes.get(placement.geometry);
@@ -207,7 +210,7 @@ impl<'a> Assembly<'a> {
         if let Some(&material) = placement.materials.iter().flatten().find(|&&index| index >= self.materials.len()) {
             return Err(Fault::new(place, format!("a material below {}", self.materials.len()), material));
         }
-        // numbers of the meshes, or of the cloud
+        // Convert a shape only once per combination of materials.
         let shown = match self.shown.entry((placement.geometry, placement.materials.clone())) {
             Entry::Occupied(entry) => entry.into_mut().clone(),
             Entry::Vacant(_) => {
@@ -229,6 +232,7 @@ impl<'a> Assembly<'a> {
         if shown.is_empty() {
             return Ok(());
         }
+        // Count the copies before any is made, since nested prototypes multiply.
         let links = placement.chain.iter().map(|link| self.link(link, place)).collect::<Result<Vec<_>, _>>()?;
         let copies = links.iter().try_fold(1usize, |product, link| product.checked_mul(link.len()));
         let there = self.parts.instances.len() + self.parts.placed_clouds.len();
@@ -237,6 +241,7 @@ impl<'a> Assembly<'a> {
             let found = format!("{} levels of copies that make more", links.len());
             return Err(Fault::new(place, format!("at most {MOST_INSTANCES} placed shapes in all"), found));
         }
+        // Add an instance per product of matrices.
         let is_cloud = matches!(shape, Shape::Splats(_));
         let mut left_out = 0;
         expand(scene_from_stage, &links, &mut |scene_from_shape| {
@@ -256,7 +261,8 @@ impl<'a> Assembly<'a> {
         Ok(())
     }
 
-    /// The cloud of a field of splats; `None` where it has none, or where its arrays contradict themselves, which is told.
+    /// The cloud of a field of splats; `None` without splats, or after a warning if its arrays are
+    /// inconsistent.
     fn cloud(&mut self, entry: &SplatsEntry) -> Result<Option<Cloud>, Fault> {
         match splats::cloud(self.package, entry, self.task) {
             Ok(cloud) => Ok((!cloud.is_empty()).then_some(cloud)),
@@ -268,7 +274,7 @@ impl<'a> Assembly<'a> {
         }
     }
 
-    /// Copies of a link that are shown.
+    /// Matrices of a link's visible copies.
     fn link(&self, link: &Link, place: &str) -> Result<Vec<DAffine3>, Fault> {
         let matrices = self.package.matrices(&link.matrices, place)?;
         let column = |array: &Option<crate::package::Array>| -> Result<Option<Vec<i64>>, Fault> {
@@ -287,7 +293,7 @@ impl<'a> Assembly<'a> {
         Ok((0..matrices.len()).filter(|&i| is_shown(i)).map(|i| affine(&matrices[i])).collect())
     }
 
-    /// The meshes of a shape: one for each material.
+    /// The meshes of a shape: one per material.
     fn meshes(&mut self, shape: &Shape, materials: &[Option<usize>]) -> Result<Vec<Mesh>, Fault> {
         let Shape::Mesh(entry) = shape else {
             return match self.other(shape, materials) {
@@ -304,7 +310,7 @@ impl<'a> Assembly<'a> {
         }
         match self.mesh_parts(entry, materials) {
             Err(Fault::Malformed { place, expected, found }) => {
-                // one broken mesh does not take the others away
+                // one broken mesh does not remove the others
                 self.task.warn(place, format!("expected {expected}, found {found}; the mesh is left out"));
                 Ok(Vec::new())
             }
@@ -314,6 +320,7 @@ impl<'a> Assembly<'a> {
 
     fn mesh_parts(&mut self, entry: &MeshEntry, materials: &[Option<usize>]) -> Result<Vec<Mesh>, Fault> {
         let slot_of_face = self.slots(entry)?;
+        // List the materials that faces use, so no mesh is empty.
         let mut used: Vec<usize> = Vec::new();
         match &slot_of_face {
             None => used.push(0),
@@ -325,6 +332,8 @@ impl<'a> Assembly<'a> {
         }
         let mut made: Vec<([Option<String>; 2], Polygons, Geometry)> = Vec::new();
         let mut meshes = Vec::new();
+        // Convert the polygons once per set of texture coordinates, and cut out each material's
+        // faces.
         for slot in used {
             let bound = materials[slot].and_then(|material| self.materials[material].as_ref());
             let uv_names = bound.map_or([None, None], |bound| bound.uv_names.clone());
@@ -333,7 +342,7 @@ impl<'a> Assembly<'a> {
                 let task = self.task;
                 let mut warn = |message: String| task.warn(&entry.place, message);
                 let polygons = polygons::read(self.package, entry, names, &mut warn)?;
-                // of bilinear surfaces, the polygons are the surface
+                // the polygons of a bilinear surface are the surface itself
                 let smooth = entry.subdivision.as_ref().filter(|subdivision| subdivision.scheme != "bilinear");
                 let (polygons, parents) = match smooth {
                     Some(subdivision) => {
@@ -364,9 +373,9 @@ impl<'a> Assembly<'a> {
             }
             let mut material = material;
             if let Some(light) = &entry.light
-                && let Some(glowing) = lights::glowing(light, &self.parts.materials[material], geometry.area() as f32)
+                && let Some(emissive) = lights::emissive(light, &self.parts.materials[material], geometry.area() as f32)
             {
-                self.parts.materials.push(glowing);
+                self.parts.materials.push(emissive);
                 material = self.parts.materials.len() - 1;
             }
             meshes.push(self.mesh(entry.place.clone(), geometry, material));
@@ -374,7 +383,7 @@ impl<'a> Assembly<'a> {
         Ok(meshes)
     }
 
-    /// A material, seen from the front alone.
+    /// A copy of a material that is visible from the front only.
     fn one_sided(&mut self, material: usize) -> usize {
         let materials = &mut self.parts.materials;
         *self.one_sided.entry(material).or_insert_with(|| {
@@ -383,7 +392,8 @@ impl<'a> Assembly<'a> {
         })
     }
 
-    /// For every face 0, or one more than the number of its subset; `None` without subsets. Of several subsets the first counts.
+    /// For every face 0, or 1 + the index of its subset; `None` without subsets. The first of
+    /// overlapping subsets applies.
     fn slots(&self, entry: &MeshEntry) -> Result<Option<Vec<u32>>, Fault> {
         if entry.subsets.is_empty() {
             return Ok(None);
@@ -395,14 +405,14 @@ impl<'a> Assembly<'a> {
                 match usize::try_from(face).ok().and_then(|face| slots.get_mut(face)) {
                     Some(slot) if *slot == 0 => *slot = number,
                     Some(_) => {}
-                    None => self.task.warn(&subset.place, format!("names a face that is not there ({face})")),
+                    None => self.task.warn(&subset.place, format!("refers to face {face}, which does not exist")),
                 }
             }
         }
         Ok(Some(slots))
     }
 
-    /// The material of a mesh to which none is bound, and whether its vertices bring their colours.
+    /// The material of a mesh without a binding, and whether its vertex colours multiply it.
     fn plain(&mut self, polygons: &Polygons) -> (usize, bool) {
         let constant = |interpolation| interpolation == Interpolation::Constant;
         let color = polygons.colors.as_ref();
@@ -442,7 +452,7 @@ fn plain(base_color: Vec4, blends: bool) -> Material {
     }
 }
 
-/// The triangles of some faces, with the vertices that they use.
+/// The triangles of selected faces, with the vertices that they use.
 fn part(geometry: &Geometry, takes: impl Fn(u32) -> bool) -> Geometry {
     const NONE: u32 = u32::MAX;
     let mut new = vec![NONE; geometry.positions.len()];

@@ -1,4 +1,4 @@
-//! `lumistack setup usd`: a Python environment of our own with OpenUSD.
+//! `lumistack setup usd`: makes a Python environment with OpenUSD.
 
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -10,29 +10,30 @@ use crate::UsdError;
 use crate::child::{last_lines, read_end, wait};
 use crate::python::{Surroundings, interpreter, own_environment};
 
-/// How a Python says of what kind it is.
+/// Prints the version of a Python; fails if it is too old.
 const VERSION: &str =
     "import sys, platform; print('Python', platform.python_version()); sys.exit(sys.version_info < (3, 8))";
-/// How OpenUSD says which it is.
+/// Prints the version of OpenUSD; fails if there is none.
 pub(crate) const CHECK: &str = "import sys\ntry: from pxr import Usd, Sdf\nexcept ImportError as error: sys.exit(str(error))\n\
     v = Usd.GetVersion(); print('OpenUSD %d.%02d' % v[1:], 'with' if Sdf.FileFormat.FindByExtension('mtlx') else 'without', 'MaterialX')";
 
-/// What is to be set up.
+/// Options of the setup.
 #[derive(Clone, Debug, Default)]
 pub struct Setup {
-    /// The Python that the environment is made from; `None`: the first on PATH.
+    /// The Python that creates the environment; `None`: the first on PATH.
     pub python: Option<PathBuf>,
     /// Install usd-exchange, whose OpenUSD reads MaterialX files, instead of usd-core.
     pub materialx: bool,
-    /// Where; `None`: `lumistack/python` among the user's data, where it is found again.
+    /// Folder of the environment; `None`: `lumistack/python` in the user's data folder, where it is
+    /// found later.
     pub folder: Option<PathBuf>,
 }
 
 impl Setup {
-    /// Makes the environment anew; `say` takes a line about every step. Returns its interpreter.
+    /// Creates the environment anew; `say` receives a line per step. Returns its interpreter.
     ///
     /// # Errors
-    /// When there is no Python, a step of it fails, or it is cancelled; then nothing is left behind.
+    /// If there is no Python, a step fails, or it is cancelled; then no folder is left behind.
     pub fn run(&self, say: &mut dyn FnMut(&str), cancel: &Cancel) -> Result<PathBuf, UsdError> {
         let fault = |expected: &str, found: String| UsdError::Setup { expected: expected.into(), found };
         let folder = self.folder.clone().or_else(own_environment);
@@ -42,13 +43,13 @@ impl Setup {
         say(&format!("{version} ({}) makes an environment in {}", base.display(), folder.display()));
         let made = self.make(&base, &folder, package, say, cancel);
         if made.is_err() {
-            // it may be half of one
+            // the folder may be incomplete
             let _ = std::fs::remove_dir_all(&folder);
         }
         made
     }
 
-    /// The Python to start from, and what it calls itself.
+    /// The Python that creates the environment, and its version.
     fn base(&self, cancel: &Cancel) -> Result<(PathBuf, String), UsdError> {
         let on_path = Surroundings::default().candidates().into_iter().map(|candidate| candidate.program);
         let programs: Vec<PathBuf> = match &self.python {
@@ -91,7 +92,8 @@ impl Setup {
     }
 }
 
-/// Runs a program to its end: what it printed, or how it failed. `line` takes every line as it comes.
+/// Runs a program to its end. Returns its output, or its failure; `line` receives every line at
+/// once.
 pub(crate) fn run(
     command: &mut Command,
     line: &mut dyn FnMut(&str),
@@ -101,6 +103,7 @@ pub(crate) fn run(
         Ok(child) => child,
         Err(error) => return Ok(Err(format!("cannot be started: {error}"))),
     };
+    // Read both streams in threads, so that neither pipe blocks the program.
     let said = read_end(child.stderr.take());
     let (lines, printed) = std::sync::mpsc::channel();
     let output = child.stdout.take();
@@ -110,6 +113,7 @@ pub(crate) fn run(
             let _ = lines.send(text);
         }
     });
+    // Pass lines on while the program runs.
     let mut all = String::new();
     let mut take = |text: String| {
         line(text.trim());
@@ -124,5 +128,5 @@ pub(crate) fn run(
         return Ok(Ok(all));
     }
     let last = last_lines(&said, &all);
-    Ok(Err(if last.is_empty() { status.to_string() } else { format!("{status}; the last it said: {last}") }))
+    Ok(Err(if last.is_empty() { status.to_string() } else { format!("{status}; last output: {last}") }))
 }

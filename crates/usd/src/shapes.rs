@@ -11,13 +11,13 @@ use crate::package::{Array, CurvesEntry, Package, PointsEntry, Primvar, SolidEnt
 use crate::polygons::UvNames;
 use crate::spacing::{self, Rule};
 
-/// Width of curves that have none: between hairs some ground is seen.
+/// Width of curves without widths: hairs leave some ground visible.
 const CURVES: Rule = Rule { of_spacing: 0.25, largest: 0.005, smallest: 0.0001 };
-/// Width of points that have none: they nearly touch.
+/// Width of points without widths: neighbours nearly touch.
 const POINTS: Rule = Rule { of_spacing: 0.75, largest: 0.02, smallest: 0.0001 };
-/// Width where neither spacing nor bounds say any.
+/// Width if there is neither a spacing nor an extent.
 const WIDTH: f32 = 1.0;
-/// Points that one prim may have: each becomes a ball of 128 triangles.
+/// Limit for the points of a prim: each becomes a ball of 128 triangles.
 const MOST_POINTS: usize = 1 << 18;
 
 /// Triangles of an implicit shape.
@@ -43,7 +43,7 @@ pub(crate) fn solid(entry: &SolidEntry) -> Result<Geometry, Fault> {
     })
 }
 
-/// Real numbers with rows of any width up to 4, flat.
+/// Reads rows of one to four numbers as a flat list; also returns the row's length.
 fn reals(package: &Package<'_>, array: &Array, place: &str) -> Result<(Vec<f32>, usize), Fault> {
     let width = array.shape.get(1).copied().unwrap_or(1);
     let values = match width {
@@ -76,7 +76,7 @@ fn interpolation(name: &str) -> Interpolation {
     }
 }
 
-/// Data whose list a [`Data`] borrows.
+/// Owns the list that a [`Data`] borrows.
 struct Owned {
     values: Vec<f32>,
     width: usize,
@@ -88,7 +88,7 @@ impl Owned {
         Data { values: &self.values, width: self.width, interpolation: self.interpolation }
     }
 
-    /// A primvar by name; indexed ones are spread out.
+    /// Reads a primvar by name and expands its indices.
     fn primvar(package: &Package<'_>, primvars: &[Primvar], name: &str, place: &str) -> Option<Self> {
         let primvar = primvars.iter().find(|primvar| primvar.name == name)?;
         let (mut values, width) = reals(package, &primvar.values, place).ok()?;
@@ -109,6 +109,7 @@ pub(crate) fn curves(
     task: Task<'_>,
 ) -> Result<Geometry, Fault> {
     let place = entry.place.as_str();
+    // Read the topology.
     let points = points(package, &entry.points, place)?;
     let counts = match &entry.counts {
         Some(array) => package.integers(array, place)?,
@@ -127,6 +128,7 @@ pub(crate) fn curves(
         "pinned" => Wrap::Pinned,
         _ => Wrap::Nonperiodic,
     };
+    // Read the attributes; missing widths follow from the spacing of the curves.
     let list = |array: &Option<Array>, name: &str| -> Result<Option<Owned>, Fault> {
         let Some(array) = array else { return Ok(None) };
         let (values, width) = reals(package, array, place)?;
@@ -156,7 +158,7 @@ pub(crate) fn curves(
     }))
 }
 
-/// The middle point of every curve: roots may be one point for all.
+/// The middle point of every curve: many roots may share one point.
 fn middles(points: &[Vec3], counts: &[i32]) -> Vec<Vec3> {
     let mut first = 0usize;
     let middle = |&count: &i32| {
@@ -176,6 +178,7 @@ pub(crate) fn balls(package: &Package<'_>, entry: &PointsEntry, task: Task<'_>) 
         task.warn(place, format!("of {} points the first {MOST_POINTS} are shown", points.len()));
         points.truncate(MOST_POINTS);
     }
+    // Missing widths follow from the spacing of the points.
     let widths = match &entry.widths {
         Some(array) => reals(package, array, place)?.0,
         None => Vec::new(),
@@ -188,6 +191,7 @@ pub(crate) fn balls(package: &Package<'_>, entry: &PointsEntry, task: Task<'_>) 
         task.warn(place, message);
         widths.push(width);
     }
+    // A list that is too short has one value for all points.
     let colors = Owned::primvar(package, &entry.primvars, "displayColor", place).filter(|colors| colors.width >= 3);
     let each = |list: &[f32], i: usize| list.get(i).or(list.first()).copied();
     let color = |i: usize| {

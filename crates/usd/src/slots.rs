@@ -1,4 +1,4 @@
-//! The inputs of any surface shader, and the slots of a [`Material`] that they fill.
+//! Reads the inputs of surface shaders and fills the slots of a [`Material`].
 
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
@@ -11,7 +11,7 @@ use serde::Deserialize;
 
 use crate::texture::{Channel, Kind, Source, Textures};
 
-/// One input: exactly one of these.
+/// One input: exactly one field is set.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
 pub(crate) struct Input {
@@ -21,20 +21,20 @@ pub(crate) struct Input {
     pub(crate) texture: Option<Source>,
 }
 
-/// A number, colour or vector of a shader: `N` components.
+/// A shader's number, colour or vector of `N` components.
 #[derive(Clone, Debug, PartialEq)]
 #[expect(clippy::large_enum_variant, reason = "some twenty for a material, for as long as it is read")]
 pub(crate) enum Value<const N: usize> {
-    /// The same everywhere.
+    /// Constant.
     Constant([f32; N]),
-    /// From a picture.
+    /// A texture.
     Texture(Source),
-    /// The colours of vertices.
+    /// Vertex colours.
     Colors,
 }
 
 impl Value<1> {
-    /// A scalar if it is the same everywhere.
+    /// The number of a constant.
     pub(crate) fn number(&self) -> Option<f32> {
         match self {
             Self::Constant([value]) => Some(*value),
@@ -51,10 +51,10 @@ impl Value<1> {
     }
 }
 
-/// Index of refraction of every clear coat.
+/// Index of refraction of every clearcoat.
 const COAT_INDEX: f32 = 1.5;
 
-/// Inputs of a shader, and which of them have been looked at.
+/// Inputs of a shader. It records which of them were read.
 pub(crate) struct Inputs {
     inputs: BTreeMap<String, Input>,
     read: RefCell<BTreeSet<&'static str>>,
@@ -65,7 +65,7 @@ impl Inputs {
         Self { inputs, read: RefCell::default() }
     }
 
-    /// An input of `N` components; single numbers are spread over all.
+    /// An input of `N` components; a single number applies to all of them.
     pub(crate) fn get<const N: usize>(&self, name: &'static str, default: [f32; N]) -> Value<N> {
         self.read.borrow_mut().insert(name);
         let Some(input) = self.inputs.get(name) else { return Value::Constant(default) };
@@ -91,12 +91,12 @@ impl Inputs {
         }
     }
 
-    /// An input that must be the same everywhere; the mean of a texture's fallback otherwise.
+    /// An input that must be constant; a texture is replaced by its fallback.
     pub(crate) fn number(&self, name: &'static str, default: f32) -> f32 {
         self.get(name, [default]).number().unwrap_or(default)
     }
 
-    /// A colour that must be the same everywhere.
+    /// A colour that must be constant.
     pub(crate) fn color(&self, name: &'static str, default: [f32; 3]) -> Vec3 {
         match self.get(name, default) {
             Value::Constant(color) => color.into(),
@@ -104,14 +104,14 @@ impl Inputs {
         }
     }
 
-    /// A text.
     pub(crate) fn text(&self, name: &'static str) -> Option<&str> {
         self.read.borrow_mut().insert(name);
         self.inputs.get(name)?.text.as_deref()
     }
 
-    /// Names of inputs that differ from their defaults (first component; the list is of those without a counterpart) or are textures
-    /// where only a constant can be shown.
+    /// Names of inputs that have no effect although they differ from their defaults. `known` lists
+    /// inputs without a counterpart and the default of their first component. Textures count where
+    /// only a constant is supported.
     pub(crate) fn ignored(&self, known: &[(&'static str, f32)]) -> Vec<String> {
         let read = self.read.borrow();
         let matters = |name: &str, input: &Input| {
@@ -142,7 +142,7 @@ impl<'a> Builder<'_, 'a> {
         self.task.warn(&self.place, message);
     }
 
-    /// Number of the set of coordinates that a primvar becomes.
+    /// Index of the set of texture coordinates for a primvar.
     fn uv_set(&mut self, name: &str) -> usize {
         for set in 0..2 {
             match &self.uv_names[set] {
@@ -167,7 +167,7 @@ impl<'a> Builder<'_, 'a> {
         self.textures.slot(channels, kind, set, &self.place)
     }
 
-    /// A colour in a slot of colour: a factor and a texture.
+    /// A colour as a factor and a texture.
     pub(crate) fn color(&mut self, value: &Value<3>, kind: Kind) -> (Vec3, Option<TextureUse>) {
         match value {
             Value::Constant(color) => ((*color).into(), None),
@@ -183,7 +183,7 @@ impl<'a> Builder<'_, 'a> {
         }
     }
 
-    /// A number in one channel (0 red … 3 alpha) of a slot of data: a factor and a texture.
+    /// A number as a factor and one channel (0 red … 3 alpha) of a texture.
     pub(crate) fn data(&mut self, value: &Value<1>, channel: usize) -> (f32, Option<TextureUse>) {
         match value {
             Value::Constant([value]) => (*value, None),
@@ -197,8 +197,10 @@ impl<'a> Builder<'_, 'a> {
         }
     }
 
-    /// Base colour times a weight, and opacity: present where it reaches `threshold`, if that is above 0, and blended otherwise.
+    /// Sets the base colour, scaled by a weight, and the opacity. If `threshold` is above 0,
+    /// opacity is an alpha mask; otherwise it blends.
     pub(crate) fn base(&mut self, color: &Value<3>, weight: f32, opacity: &Value<1>, threshold: f32) {
+        // Split the colour into a factor and the channels of a texture.
         let opaque = opacity.number() == Some(1.0);
         let mut factor = Vec3::splat(weight);
         let scaled;
@@ -217,11 +219,12 @@ impl<'a> Builder<'_, 'a> {
         };
         let textured = |channel: &Channel<'_>| matches!(channel, Channel::Component(..));
         if !channels.iter().any(textured) {
-            // white in a texture that only holds opacity
+            // The texture contains the opacity alone, so its colour is white.
             let constant = |channel: &Channel<'_>| if let Channel::Constant(value) = channel { *value } else { 1.0 };
             factor = Vec3::new(constant(&channels[0]), constant(&channels[1]), constant(&channels[2]));
             channels = [Channel::Constant(1.0); 3];
         }
+        // Opacity is the texture's alpha channel, or the alpha of the factor.
         let alpha = opacity.number().unwrap_or(1.0).clamp(0.0, 1.0);
         let alpha_channel = match opacity.channel() {
             component @ Channel::Component(..) => component,
@@ -237,13 +240,13 @@ impl<'a> Builder<'_, 'a> {
             (false, true) => AlphaMode::Mask { cutoff: threshold },
             (false, false) => AlphaMode::Blend,
         };
-        // what a constant opacity hides or shows entirely
+        // an alpha mask with a constant above the threshold hides nothing
         if alpha_channel_is_unused(&alpha_channel) && !opaque && threshold > 0.0 && alpha >= threshold {
             self.material.alpha_mode = AlphaMode::Opaque;
         }
     }
 
-    /// Roughness and metalness, which share a texture.
+    /// Sets roughness and metallic, which share a texture.
     pub(crate) fn roughness(&mut self, roughness: &Value<1>, metallic: &Value<1>) {
         let (material, constant) = (&mut self.material, [roughness.number(), metallic.number()]);
         (material.roughness, material.metallic) = (constant[0].unwrap_or(1.0), constant[1].unwrap_or(1.0));
@@ -256,7 +259,7 @@ impl<'a> Builder<'_, 'a> {
         material.roughness = part(&rough).unwrap_or(material.roughness);
         material.metallic = part(&metal).unwrap_or(material.metallic);
         fn place(found: &Option<(Vec3, Source)>) -> Channel<'_> {
-            // a constant beside a texture keeps its factor, so its channel is 1
+            // the factor holds a constant, so its channel of the texture is 1
             found.as_ref().map_or(Channel::Constant(1.0), |(_, source)| Channel::Component(source, 0))
         }
         if rough.is_some() || metal.is_some() {
@@ -267,18 +270,18 @@ impl<'a> Builder<'_, 'a> {
         }
     }
 
-    /// A normal map: a tangent-space vector that the shader has decoded already.
+    /// A normal map: a tangent-space vector that the shader has already decoded.
     pub(crate) fn normal(&mut self, value: &Value<3>) -> Option<TextureUse> {
         let Value::Texture(source) = value else { return None };
         let channels = [0, 1, 2].map(|k| Channel::Component(source, k));
         self.slot([channels[0], channels[1], channels[2], Channel::Unused], Kind::Normal)
     }
 
-    /// Emission: a colour times a weight, either of which may be a picture.
+    /// Sets emission: a colour times a weight; one of them may be a texture.
     pub(crate) fn emission(&mut self, color: &Value<3>, weight: &Value<1>) {
         let (color, factor) = match (color, weight) {
             (color, Value::Constant([factor])) => (color.clone(), *factor),
-            // the picture of the weight, tinted
+            // the weight's texture, tinted by the colour
             (Value::Constant(color), Value::Texture(source)) => (Value::Texture(tinted(source, *color)), 1.0),
             (color, Value::Texture(source)) => {
                 self.warn("an emission whose colour and weight are both pictures is not supported; the weight's fallback is used");
@@ -296,7 +299,7 @@ impl<'a> Builder<'_, 'a> {
         }
     }
 
-    /// A clear coat of some weight.
+    /// Sets the clearcoat.
     pub(crate) fn coat(&mut self, weight: &Value<1>, roughness: &Value<1>, normal: &Value<3>) {
         if weight.number().is_some_and(|weight| weight <= 0.0) {
             return;
@@ -308,14 +311,14 @@ impl<'a> Builder<'_, 'a> {
         self.material.clearcoat = Some(coat);
     }
 
-    /// Says so where a coat asks for another index than ours has.
+    /// Warns if the coat's index of refraction is not [`COAT_INDEX`].
     pub(crate) fn coat_index(&self, ior: f32) {
         if self.material.clearcoat.is_some() && (ior - COAT_INDEX).abs() > 1e-3 {
             self.warn(format!("the coat's index of refraction {ior} is shown as {COAT_INDEX}"));
         }
     }
 
-    /// Fibres.
+    /// Sets the sheen.
     pub(crate) fn sheen(&mut self, weight: f32, color: &Value<3>, roughness: &Value<1>) {
         if weight <= 0.0 {
             return;
@@ -325,7 +328,7 @@ impl<'a> Builder<'_, 'a> {
         self.material.sheen = Some(Sheen { color: weight * color, color_texture, roughness, roughness_texture });
     }
 
-    /// A thin film of constant thickness.
+    /// Sets a thin film of constant thickness.
     pub(crate) fn film(&mut self, weight: f32, thickness_nm: f32, ior: f32) {
         if weight > 0.0 && thickness_nm > 0.0 {
             let thickness_nm = [thickness_nm; 2];
@@ -334,7 +337,7 @@ impl<'a> Builder<'_, 'a> {
         }
     }
 
-    /// Stretched reflections; `rotation` in turns.
+    /// Sets anisotropic reflections; `rotation` is in turns.
     pub(crate) fn anisotropy(&mut self, strength: f32, rotation: f32) {
         if strength > 0.0 {
             let rotation_rad = rotation * std::f32::consts::TAU;
@@ -342,7 +345,8 @@ impl<'a> Builder<'_, 'a> {
         }
     }
 
-    /// Light that passes: tinted at the surface, or in depth where `depth` is above 0. A solid unless `thin`.
+    /// Sets transmission: tinted at the surface, or by absorption if `depth` is above 0. The mesh
+    /// is a solid unless `thin`.
     pub(crate) fn transmission(&mut self, weight: &Value<1>, color: Vec3, depth: f32, thin: bool) {
         let (factor, texture) = self.data(weight, 0);
         if factor <= 0.0 {
@@ -355,7 +359,7 @@ impl<'a> Builder<'_, 'a> {
             (material.attenuation_color, material.attenuation_distance) = (color, depth);
             tint = Vec3::ONE;
         }
-        // the base colour, of which the diffuse share is left, tints what passes
+        // The base colour tints transmitted light; the diffuse part keeps its own colour.
         let base = material.base_color.truncate().lerp(tint, factor.clamp(0.0, 1.0));
         material.base_color = base.extend(material.base_color.w);
         if factor >= 1.0 {
@@ -364,7 +368,7 @@ impl<'a> Builder<'_, 'a> {
         }
     }
 
-    /// The dielectric reflection.
+    /// Sets the dielectric reflection.
     pub(crate) fn specular(&mut self, weight: &Value<1>, color: &Value<3>, ior: f32) {
         (self.material.specular, self.material.specular_texture) = self.data(weight, 3);
         (self.material.specular_color, self.material.specular_color_texture) = self.color(color, Kind::Color);
@@ -376,7 +380,7 @@ fn alpha_channel_is_unused(channel: &Channel<'_>) -> bool {
     matches!(channel, Channel::Unused)
 }
 
-/// A picture of one number, times a colour.
+/// A one-channel texture times a colour.
 fn tinted(source: &Source, color: [f32; 3]) -> Source {
     let times = |list: &[f32]| color.iter().map(|part| part * list[0]).collect();
     Source {
@@ -388,7 +392,7 @@ fn tinted(source: &Source, color: [f32; 3]) -> Source {
     }
 }
 
-/// A texture without its scale, where that can be a factor beside it.
+/// Splits a texture's scale into a factor and the texture, where the factor is in range.
 fn factored(source: &Source, kind: Kind) -> (Vec3, Source) {
     let largest = if kind == Kind::Light { f32::MAX } else { 1.0 };
     let plain =
@@ -401,7 +405,7 @@ fn factored(source: &Source, kind: Kind) -> (Vec3, Source) {
     (factor, Source { scale: vec![1.0; source.scale.len()], ..source.clone() })
 }
 
-/// A colour's luminance as an opacity.
+/// A colour's luminance, for opacity.
 pub(crate) fn grey(value: &Value<3>) -> Value<1> {
     match value {
         Value::Constant(color) => Value::Constant([luminance(*color)]),

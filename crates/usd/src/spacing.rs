@@ -1,23 +1,24 @@
-//! Widths for curves and points that have none: a share of the distance to what stands next to them.
+//! Widths for curves and points without widths: a fraction of the distance between neighbours.
 
 use glam::Vec3;
 
-/// How many places are asked for their nearest neighbour.
+/// Largest number of places whose nearest neighbour is searched.
 const ASKED: usize = 256;
 
-/// Bounds on a width, as shares of the diagonal of the bounds of all points.
+/// A width as a fraction of the spacing, with bounds as fractions of the diagonal of the bounding
+/// box.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Rule {
-    /// Share of the median distance between neighbours.
+    /// Fraction of the median distance between neighbours.
     pub(crate) of_spacing: f32,
-    /// The largest width, which also holds where nothing has a neighbour.
+    /// The largest width; it also applies without neighbours.
     pub(crate) largest: f32,
     /// The smallest width.
     pub(crate) smallest: f32,
 }
 
-/// Width of what stands at `places`: a share of the median distance to the nearest other place, within bounds that follow from `points`.
-/// `None` where all points are one.
+/// Width of objects at `places`: a fraction of the median distance to the nearest other place,
+/// within bounds that follow from `points`. `None` if all points coincide.
 pub(crate) fn width(places: &[Vec3], points: &[Vec3], rule: Rule) -> Option<f32> {
     let finite = || points.iter().copied().filter(|point| point.is_finite());
     let low = finite().reduce(Vec3::min)?;
@@ -31,9 +32,10 @@ pub(crate) fn width(places: &[Vec3], points: &[Vec3], rule: Rule) -> Option<f32>
     Some((rule.of_spacing * spacing).clamp(rule.smallest * diagonal, largest))
 }
 
-/// Median over places of the distance to the nearest other place; those that coincide do not count. `None` where no place has a neighbour.
+/// Median distance to the nearest other place; coincident places do not count. `None` if no place
+/// has a neighbour.
 fn median_spacing(places: &[Vec3]) -> Option<f32> {
-    // a part of the places, evenly spread over the list, asks all of them
+    // an evenly spread sample of the places, compared with all of them
     let asked = places.len().min(ASKED);
     let mut distances: Vec<f32> = (0..asked)
         .map(|i| places[i * places.len() / asked])
@@ -66,10 +68,10 @@ mod tests {
             let found = width(places, &long, RULE).unwrap();
             assert!((found / expected - 1.0).abs() < 1e-5, "{found}, not {expected}");
         };
-        // alone, or far from its neighbour: the share of the bounds
+        // alone, or far from the neighbour: the bound applies
         is_about(&long[..1], 0.1);
         is_about(&long, 0.1);
-        // nearly on top of each other
+        // nearly coincident
         is_about(&[Vec3::ZERO, Vec3::new(1e-9, 0.0, 0.0)], 0.001);
         // coincident places have no spacing
         is_about(&[Vec3::ONE; 9], 0.1);

@@ -1,4 +1,4 @@
-//! Particle fields to clouds of Gaussian splats.
+//! Converts particle fields to clouds of Gaussian splats.
 
 use glam::{Quat, Vec3};
 use lumistack_core::Task;
@@ -9,7 +9,8 @@ use crate::package::{Array, Package, SplatsEntry};
 
 /// The cloud of a field; empty without positions.
 ///
-/// As the schema has it, arrays that are too long are cut, and arrays that are too short count as absent.
+/// As in the schema, arrays that are too long are cut, and arrays that are too short are treated as
+/// absent.
 pub(crate) fn cloud(package: &Package<'_>, entry: &SplatsEntry, task: Task<'_>) -> Result<Cloud, Fault> {
     let SplatsEntry { place, .. } = entry;
     let positions = entry.positions.as_ref().map_or(Ok(Vec::new()), |array| package.reals::<3>(array, place))?;
@@ -28,7 +29,7 @@ pub(crate) fn cloud(package: &Package<'_>, entry: &SplatsEntry, task: Task<'_>) 
     let harmonics = rows::<3>(package, &entry.harmonics, count * stride, "harmonics", place, task)?;
     let (degree, harmonics) = match harmonics {
         Some(all) => (degree, all.chunks_exact(stride).flat_map(|own| own[..kept].as_flattened()).copied().collect()),
-        // a constant of ½ whatever the direction
+        // without harmonics: a constant of ½ in every direction
         None => (0, vec![0.0; 3 * count]),
     };
     let flat = if entry.flat { Vec3::new(1.0, 1.0, 0.0) } else { Vec3::ONE };
@@ -46,7 +47,7 @@ pub(crate) fn cloud(package: &Package<'_>, entry: &SplatsEntry, task: Task<'_>) 
     })
 }
 
-/// The first `count` rows of an array; `None` where there is none, or it is shorter, which is told.
+/// The first `count` rows of an array; `None` if absent, or after a warning if too short.
 fn rows<const N: usize>(
     package: &Package<'_>,
     array: &Option<Array>,
@@ -65,7 +66,7 @@ fn rows<const N: usize>(
     Ok(Some(rows))
 }
 
-/// Captures hold sRGB, and their files say nothing.
+/// Captures contain sRGB although their files do not declare it.
 fn encoding(name: &str, place: &str, task: Task<'_>) -> Encoding {
     match name {
         "" | "auto" | "sRGB" | "srgb_texture" | "srgb_rec709_scene" | "srgb_rec709_display" => Encoding::Srgb,

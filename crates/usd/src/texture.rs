@@ -1,9 +1,11 @@
-//! Pictures of shaders as textures of the scene: each slot of a [`Material`](lumistack_scene::Material) takes its channels from fixed places
-//! and in a fixed encoding, while a USD shader may read any channel of any picture, scaled and biased.
+//! Converts shader textures to textures of the scene.
 //!
-//! A slot whose channels stand where they must is the decoded picture itself; otherwise a picture is made: v = scale · texel + bias per
-//! channel, in linear light, then encoded as the slot has it. USD's colour space "auto" means sRGB for pictures of 8 bits in slots of colour
-//! and raw elsewhere.
+//! A slot of a [`Material`](lumistack_scene::Material) reads fixed channels in a fixed encoding. A
+//! USD shader may read any channel of any picture, with scale and bias.
+//!
+//! If all channels of a slot are in place, the slot uses the decoded picture. Otherwise a picture
+//! is baked: v = scale · texel + bias per channel, in linear light, then encoded for the slot.
+//! USD's colour space "auto" is sRGB for 8-bit pictures in slots of colour, and raw elsewhere.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -18,26 +20,26 @@ use serde::Deserialize;
 use crate::package::{Array, Package};
 use crate::picture::{Picture, Texels};
 
-/// How a shader reads a picture: component k is scale\[k\] · texel\[channels\[k\]\] + bias\[k\].
+/// A shader's read of a picture: component k is scale\[k\] · texel\[channels\[k\]\] + bias\[k\].
 #[derive(Clone, Debug, Deserialize, PartialEq)]
 pub(crate) struct Source {
     pub(crate) image: usize,
     pub(crate) channels: Vec<usize>,
     pub(crate) scale: Vec<f32>,
     pub(crate) bias: Vec<f32>,
-    /// Value where the picture cannot be read.
+    /// Value if the picture cannot be read.
     pub(crate) fallback: Vec<f32>,
     /// u and v: `repeat`, `clamp`, `mirror` or `black`.
     pub(crate) wrap: [String; 2],
     pub(crate) color_space: String,
-    /// Texture coordinates.
+    /// Primvar with the texture coordinates.
     pub(crate) primvar: String,
     /// u' = t₀ u + t₂ v + t₄, v' = t₁ u + t₃ v + t₅; v points up.
     pub(crate) transform: [f32; 6],
 }
 
 impl Source {
-    /// Whether all lists have the same length and hold finite numbers.
+    /// True if all lists have the same length and finite numbers.
     pub(crate) fn is_sound(&self) -> bool {
         let count = self.channels.len();
         let finite = |list: &[f32]| list.iter().all(|value| value.is_finite());
@@ -47,7 +49,7 @@ impl Source {
             && finite(&self.transform)
     }
 
-    /// The colours of a picture as they are.
+    /// The unchanged colours of a picture.
     pub(crate) fn plain(image: usize) -> Self {
         Self {
             image,
@@ -62,7 +64,7 @@ impl Source {
         }
     }
 
-    /// The map from the coordinates of the scene's mesh, whose v points down, to those of the texture.
+    /// Maps texture coordinates of the scene's mesh, where v points down, to those of the texture.
     fn texture_from_mesh(&self) -> Affine2 {
         let flip = Affine2::from_cols(Vec2::X, Vec2::NEG_Y, Vec2::Y);
         flip * Affine2::from_cols_array(&self.transform) * flip
@@ -72,20 +74,20 @@ impl Source {
 /// One channel of a slot.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Channel<'s> {
-    /// Nothing reads it.
+    /// No shader reads it.
     Unused,
-    /// The same everywhere.
+    /// Constant.
     Constant(f32),
-    /// A component of what a shader reads.
+    /// A component of a shader's read.
     Component(&'s Source, usize),
 }
 
-/// What a slot's codes mean.
+/// The meaning of a slot's codes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Kind {
     /// RGB sRGB-encoded reflectance 0..1, alpha linear.
     Color,
-    /// The same, but values above 1 are kept where the picture has them.
+    /// As `Color`, but values above 1 are kept.
     Light,
     /// Linear 0..1.
     Data,
@@ -103,7 +105,7 @@ struct Entry {
     bytes: Option<Array>,
 }
 
-/// Textures made so far.
+/// The textures so far.
 pub(crate) struct Textures<'a> {
     package: &'a Package<'a>,
     task: Task<'a>,
@@ -119,7 +121,7 @@ impl<'a> Textures<'a> {
         Self { package, task, pictures, made, images: Vec::new(), textures: Vec::new() }
     }
 
-    /// A picture of the package, decoded on first use; `None` (reported) where it cannot be read.
+    /// A picture of the package, decoded on first use; `None` after a warning if it cannot be read.
     pub(crate) fn picture(&mut self, image: usize) -> Option<Rc<Picture>> {
         if let Some(known) = self.pictures.get(&image) {
             return known.clone();
@@ -154,8 +156,9 @@ impl<'a> Textures<'a> {
         name.unwrap_or("picture").to_owned()
     }
 
-    /// A texture with these channels, on coordinate set `uv_set`; `None` where a picture cannot be read (callers put in its fallback then)
-    /// or none is there. Of channels that are read at different places, the first component's place counts.
+    /// A texture with these channels on coordinate set `uv_set`. `None` without a picture, or if
+    /// one cannot be read; callers use its fallback then. The first component determines the
+    /// placement.
     pub(crate) fn slot(
         &mut self,
         channels: [Channel<'_>; 4],
@@ -167,18 +170,20 @@ impl<'a> Textures<'a> {
             Channel::Component(source, _) => Some(*source),
             _ => None,
         })?;
+        // Decode every picture, and warn where placements differ.
         for channel in &channels {
             if let Channel::Component(source, _) = channel {
                 self.picture(source.image)?;
                 let differs =
                     source.primvar != first.primvar || source.transform != first.transform || source.wrap != first.wrap;
                 if differs {
-                    let message = "channels of one texture that are placed differently are not supported; all are placed as the first";
+                    let message = "channels of one texture with different placements are not supported; all use the first placement";
                     self.task.warn(place, message);
                 }
             }
         }
         let image = self.image(channels, kind)?;
+        // Add the sampler's settings.
         let [wrap_u, wrap_v] = first.wrap.each_ref().map(|mode| match mode.as_str() {
             "clamp" => Wrap::ClampToEdge,
             "mirror" => Wrap::MirroredRepeat,
@@ -196,7 +201,7 @@ impl<'a> Textures<'a> {
         Some(TextureUse { texture: index, uv_set, texture_from_mesh: first.texture_from_mesh() })
     }
 
-    /// Index of the image of a slot.
+    /// Index of a slot's image, which slots with equal channels share.
     fn image(&mut self, channels: [Channel<'_>; 4], kind: Kind) -> Option<usize> {
         let key = format!(
             "{kind:?} {:?}",
@@ -211,6 +216,7 @@ impl<'a> Textures<'a> {
         if let Some(&known) = self.made.get(&key) {
             return Some(known);
         }
+        // Collect the pictures of all channels.
         let mut names: Vec<String> = Vec::new();
         let mut pictures: Vec<Option<Rc<Picture>>> = Vec::new();
         for channel in channels {
@@ -225,6 +231,7 @@ impl<'a> Textures<'a> {
                 _ => None,
             });
         }
+        // Use the decoded picture if all channels are in place; bake one otherwise.
         let made = match direct(&channels, kind, &pictures) {
             Some(pixels) => {
                 let picture = pictures.iter().flatten().next()?;
@@ -246,7 +253,7 @@ impl<'a> Textures<'a> {
         Some(self.images.len() - 1)
     }
 
-    /// A picture as linear radiance, for the environment and lights: the image's index.
+    /// A picture as linear radiance for the environment and lights; returns the image's index.
     pub(crate) fn radiance(&mut self, image: usize) -> Option<usize> {
         let source = Source::plain(image);
         let key = format!("radiance {image}");
@@ -268,7 +275,7 @@ impl<'a> Textures<'a> {
     }
 }
 
-/// How the colours of a picture are stored.
+/// Colour space of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Space {
     Srgb,
@@ -278,7 +285,7 @@ enum Space {
 }
 
 impl Space {
-    /// `None` for names that nobody here knows.
+    /// `None` for unknown names.
     fn of(name: &str, kind: Kind, picture: &Picture) -> Option<Self> {
         let data = matches!(kind, Kind::Data | Kind::Normal);
         match name {
@@ -294,7 +301,8 @@ impl Space {
     }
 }
 
-/// Linear Rec. 709 from ACEScg (AP1, its white adapted to D65 by Bradford's method).
+/// Converts ACEScg to linear Rec. 709 (from AP1, with its white adapted to D65 by Bradford's
+/// method).
 const REC709_FROM_ACESCG: [[f32; 3]; 3] =
     [[1.70505, -0.62179, -0.08326], [-0.13026, 1.14080, -0.01055], [-0.02400, -0.12897, 1.15297]];
 
@@ -328,7 +336,7 @@ impl<'p> Reader<'p> {
         }
     }
 
-    /// Linear value at a texel of a grid of another size, which is stretched over the picture.
+    /// Linear value at a texel of a grid of another size that covers the picture.
     fn at(&self, x: usize, y: usize, width: usize, height: usize) -> f32 {
         let Some((picture, space)) = self.picture else { return self.bias };
         let texel = if (picture.width, picture.height) == (width, height) {
@@ -358,7 +366,7 @@ fn linear([r, g, b, a]: [f32; 4], space: Space) -> [f32; 4] {
     }
 }
 
-/// The picture's own codes, where every channel that is read stands in its place, unscaled and encoded as the slot wants it.
+/// The picture's own codes, if every channel is in place, unscaled, and in the slot's encoding.
 fn direct(channels: &[Channel<'_>; 4], kind: Kind, pictures: &[Option<Rc<Picture>>]) -> Option<Pixels> {
     let picture = pictures.iter().flatten().next()?;
     for (place, channel) in channels.iter().enumerate() {
@@ -390,7 +398,7 @@ fn direct(channels: &[Channel<'_>; 4], kind: Kind, pictures: &[Option<Rc<Picture
     }
 }
 
-/// Makes the picture of a slot, as large as the largest that goes in.
+/// Computes a slot's picture, as large as its largest source.
 fn bake(readers: &[Reader<'_>], kind: Kind) -> Image {
     let sizes = readers.iter().filter_map(|reader| reader.picture);
     let (width, height) =
@@ -399,12 +407,13 @@ fn bake(readers: &[Reader<'_>], kind: Kind) -> Image {
         let value = |reader: &Reader<'_>| reader.at(i % width, i / width, width, height);
         [value(&readers[0]), value(&readers[1]), value(&readers[2]), value(&readers[3])]
     });
+    // Keep the precision of the deepest source.
     let all: Vec<&Texels> = readers.iter().filter_map(|reader| Some(&reader.picture?.0.texels)).collect();
     let is_float = all.iter().any(|texels| matches!(texels, Texels::Float(_)));
     let is_deep = all.iter().any(|texels| !matches!(texels, Texels::Codes8(_)));
     let scaled = readers.iter().any(|reader| reader.picture.is_some() && (reader.scale > 1.0 || reader.bias != 0.0));
     let pixels = match kind {
-        // has no alpha, which lights do not read
+        // no alpha: lights do not read it
         Kind::Light if is_float || scaled => {
             Pixels::RgbF32(values.map(|[r, g, b, _]| [r, g, b].map(|value| value.max(0.0))).collect())
         }
@@ -420,7 +429,7 @@ fn bake(readers: &[Reader<'_>], kind: Kind) -> Image {
             values
                 .map(|[x, y, z, _]| {
                     let n = glam::Vec3::new(x, y, z);
-                    // longer than 1 only by the scale of the picture: the direction counts
+                    // scaled vectors may be longer than 1; only the direction matters
                     let n = if n.length() > 1.0 { n.normalize() } else { n };
                     [code16(0.5 + 0.5 * n.x), code16(0.5 + 0.5 * n.y), code16(0.5 + 0.5 * n.z), u16::MAX]
                 })

@@ -1,4 +1,4 @@
-//! Which programs are there for files that we do not read ourselves, without reading any.
+//! Reports which programs can read USD and Blender files here, without reading a file.
 
 use std::process::Command;
 
@@ -8,17 +8,18 @@ use crate::python::{Candidate, Surroundings};
 use crate::setup::{CHECK, run};
 use crate::{UsdError, blend};
 
-/// How a Python with bpy says which it is.
+/// Prints the version of bpy in a Python; fails if there is none.
 const BPY: &str = "import sys\ntry: import bpy\nexcept ImportError as error: sys.exit(str(error))\n\
     print('Blender', bpy.app.version_string, 'as a module')";
 
-/// The program that would read a kind of files, and what it says of its version; else what was tried, each with its reason.
+/// The program that reads a kind of file, and its version; otherwise the programs that were tried,
+/// each with its failure.
 pub type There = Result<(String, String), Vec<String>>;
 
-/// The Python that would read USD files.
+/// The Python that reads USD files.
 ///
 /// # Errors
-/// When cancelled.
+/// If cancelled.
 pub fn openusd(cancel: &Cancel) -> Result<There, UsdError> {
     first_of(
         &Surroundings::of_system().candidates(),
@@ -31,10 +32,10 @@ pub fn openusd(cancel: &Cancel) -> Result<There, UsdError> {
     )
 }
 
-/// The Blender that would read `.blend` files.
+/// The Blender that reads `.blend` files.
 ///
 /// # Errors
-/// When cancelled.
+/// If cancelled.
 pub fn blender(cancel: &Cancel) -> Result<There, UsdError> {
     first_of(
         &blend::candidates(),
@@ -59,7 +60,7 @@ fn first_of(
     for candidate in candidates {
         let program = candidate.program.display().to_string();
         match run(&mut question(candidate), &mut |_| {}, cancel)? {
-            // Blender goes on about its build
+            // Blender prints its version first, and then details of its build
             Ok(said) => return Ok(Ok((program, said.lines().next().unwrap_or_default().trim().to_owned()))),
             Err(found) => tried.push(format!("{program} from {}: {found}", candidate.from)),
         }

@@ -1,8 +1,12 @@
-//! MaterialX' large surface shaders: standard_surface, open_pbr_surface, gltf_pbr; and surface_unlit, which only emits.
+//! MaterialX's large surface shaders: standard_surface, open_pbr_surface, gltf_pbr; and
+//! surface_unlit, which only emits.
 //!
-//! What all share: a metal or dielectric base of a diffuse colour, a specular lobe (weight, colour, roughness, index), transmission (tinted at the
-//! surface, or by absorption over a depth), coat, sheen, thin film, emission, opacity. Subsurface scattering is shown as the diffuse colour that it
-//! leads to; a coat's own colour and index are left out, ours is clear with index 1.5.
+//! All have a metal or dielectric base with a diffuse colour, a specular lobe, transmission, coat,
+//! sheen, thin film, emission and opacity. Transmission is tinted at the surface, or by absorption
+//! over a depth.
+//!
+//! Subsurface scattering is replaced by the diffuse colour that results from it. A coat has no
+//! colour of its own and the index 1.5.
 
 use glam::Vec3;
 
@@ -13,7 +17,7 @@ const UP: [f32; 3] = [0.0, 0.0, 1.0];
 
 type Ignored = &'static [(&'static str, f32)];
 
-/// Diffuse colour with some of it taken by subsurface scattering.
+/// Diffuse colour that includes a share of subsurface scattering.
 fn with_subsurface(
     inputs: &Inputs,
     base: Value<3>,
@@ -42,6 +46,7 @@ pub(crate) fn standard_surface(builder: &mut Builder<'_, '_>, inputs: &Inputs) -
         inputs.number("subsurface", 0.0),
         "subsurface_color",
     );
+    // Map each parameter to its counterpart in the scene's material.
     let thin = inputs.number("thin_walled", 0.0) != 0.0;
     builder.base(&color, weight, &grey(&inputs.get("opacity", WHITE)), 0.0);
     builder.roughness(&inputs.get("specular_roughness", [0.2]), &inputs.get("metalness", [0.0]));
@@ -63,7 +68,7 @@ pub(crate) fn standard_surface(builder: &mut Builder<'_, '_>, inputs: &Inputs) -
     builder.film(1.0, inputs.number("thin_film_thickness", 0.0), inputs.number("thin_film_IOR", 1.5));
     builder.emission(&inputs.get("emission_color", WHITE), &inputs.get("emission", [0.0]));
     builder.material.normal_texture = builder.normal(&normal);
-    // of meaning only with what is listed or shown otherwise
+    // without effect, or only in combination with inputs in the list below
     for name in ["subsurface_radius", "subsurface_scale", "subsurface_anisotropy", "tangent"] {
         inputs.text(name);
     }
@@ -89,6 +94,7 @@ pub(crate) fn open_pbr(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignore
         inputs.number("subsurface_weight", 0.0),
         "subsurface_color",
     );
+    // Map each parameter to its counterpart in the scene's material.
     let thin = inputs.number("geometry_thin_walled", 0.0) != 0.0;
     builder.base(&color, weight, &inputs.get("geometry_opacity", [1.0]), 0.0);
     builder.roughness(&inputs.get("specular_roughness", [0.3]), &inputs.get("base_metalness", [0.0]));
@@ -105,7 +111,7 @@ pub(crate) fn open_pbr(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignore
     builder.coat_index(inputs.number("coat_ior", 1.5));
     let fuzz = inputs.number("fuzz_weight", 0.0);
     builder.sheen(fuzz, &inputs.get("fuzz_color", WHITE), &inputs.get("fuzz_roughness", [0.5]));
-    // micrometres
+    // from micrometres
     let thickness_nm = 1000.0 * inputs.number("thin_film_thickness", 0.5);
     builder.film(inputs.number("thin_film_weight", 0.0), thickness_nm, inputs.number("thin_film_ior", 1.4));
     builder.emission(&inputs.get("emission_color", WHITE), &inputs.get("emission_luminance", [0.0]));
@@ -162,13 +168,13 @@ pub(crate) fn gltf_pbr(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignore
     &[("anisotropy_strength", 0.0), ("dispersion", 0.0)]
 }
 
-/// A surface that emits and reflects nothing.
+/// A surface with emission and no reflection.
 pub(crate) fn unlit(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignored {
     builder.base(&Value::Constant([0.0; 3]), 1.0, &inputs.get("opacity", [1.0]), 0.0);
     builder.roughness(&Value::Constant([1.0]), &Value::Constant([0.0]));
     builder.specular(&Value::Constant([0.0]), &Value::Constant(WHITE), 1.5);
     builder.emission(&inputs.get("emission_color", WHITE), &inputs.get("emission", [1.0]));
-    // of meaning only with the weight that is listed
+    // only in combination with the weight in the list below
     inputs.text("transmission_color");
     &[("transmission", 0.0)]
 }

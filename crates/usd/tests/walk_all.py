@@ -1,6 +1,8 @@
-"""Walks the files named on standard input, one a line, in one process: packages go to the folder that is the only argument, as 0, 1, 2, ...
+"""Walks files in one process. Standard input lists them, one a line; the only argument is a folder
+for the packages 0, 1, 2, ...
 
-Prints a line of JSON for each: what OpenUSD finds in it, an answer that owes nothing to the walker, and why there is no package.
+Prints a line of JSON for each: counts that OpenUSD itself finds, independent of the walker, and the
+reason if there is no package.
 """
 
 import json
@@ -31,14 +33,14 @@ def count(path):
 
 
 def shown(stage):
-    """Visible meshes of render geometry that have faces, instances counted."""
+    """Counts visible meshes of render geometry with faces, including instances."""
     found = 0
     time = Usd.TimeCode.EarliestTime()
     for prim in stage.Traverse(Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)):
         mesh = UsdGeom.Mesh(prim)
         if mesh and mesh.ComputePurpose() in ("default", "render") and mesh.ComputeVisibility(time) != "invisible":
             counts = mesh.GetFaceVertexCountsAttr().Get(time)
-            # a map that flattens everything leaves nothing to see
+            # a transform that flattens everything leaves no visible surface
             is_flat = abs(mesh.ComputeLocalToWorldTransform(time).GetDeterminant3()) < 1e-9
             found += not is_flat and hasattr(counts, "__len__") and any(count > 2 for count in counts)
     return found

@@ -5,7 +5,8 @@
 //! of layers:
 //!
 //! ```text
-//! minimize Σ_r (Σ_n x_n[j_n(r)] − a_r)²,   x = −log f,   a_r = −log max(β L(r), darkest),   0 ≤ x ≤ −log f_min
+//! minimize Σ_r (Σ_n x_n[j_n(r)] − a_r)²
+//! x = −log f,   a_r = −log max(β L(r), darkest),   0 ≤ x ≤ −log f_min
 //! ```
 //!
 //! It is solved by projected gradients with the projection's row and column sums as step sizes

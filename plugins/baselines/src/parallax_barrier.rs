@@ -11,9 +11,9 @@
 //!
 //! A rear pixel is the mean of the target over the rays through it and an open pixel, which is the
 //! least-squares optimum for a mask of zeros and ones. If the period is at least the number of
-//! views, rays of different views through one slit hit different rear pixels; then every unblocked
-//! ray is exact. A pixel is open in one frame of P, so the display emits β = 1/P times the target:
-//! everywhere with M = P frames, on a subset of the pixels with fewer.
+//! views, rays of different views through one slit hit different rear pixels. Then every unblocked
+//! ray is exact. A pixel is open in one frame of P, so the display emits β = 1/P times the target.
+//! With M = P frames this holds everywhere, with fewer frames on a subset of the pixels.
 
 use lumistack_plugin::core::Tensor;
 use lumistack_plugin::display::{LayerMap, LayerStack, RayMap};

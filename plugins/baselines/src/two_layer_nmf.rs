@@ -10,8 +10,8 @@
 //! F ← F ⊛ [(W ⊛ βL) G] / [(W ⊛ F Gᵀ) G], G likewise, clamped to 0..1
 //! ```
 //!
-//! This is eq. (16) of tensor displays for N = 2. The plugin always uses this rule, whichever
-//! solver the job selects, so that the older method can be compared with newer ones.
+//! This is eq. (16) of tensor displays for N = 2. The plugin always uses this rule, not the solver
+//! that the job selects, so that the older method can be compared with newer ones.
 
 use lumistack_factorizer::{FactorizeError, Multiplicative, Problem, Settings, Solver, StartKind};
 use lumistack_plugin::core::{Cancel, Collector, Task};

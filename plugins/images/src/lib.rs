@@ -14,13 +14,13 @@
 //! | `stack.npz` | the masks' values |
 //! | `images.json` | content and encoding of every file |
 //!
-//! Files of a light field: `view_YY_XX.png` for every view. Files of both: `swing.png`, an animation;
-//! `views.exr`, all views as one multi-view OpenEXR file; `views.npz`; the folders `hci/` and
-//! `stanford/`. Views of a layer stack are simulated for an adapted viewer.
+//! Files of a light field: `view_YY_XX.png` for every view. Files of both: `swing.png`, an
+//! animation; `views.exr`, all views as one multi-view OpenEXR file; `views.npz`; the folders
+//! `hci/` and `stanford/`. Views of a layer stack are simulated for an adapted viewer.
 //!
 //! 16-bit PNGs end in `_16bit.png`. EXR and NPZ files contain the values themselves, linear. PNGs
-//! with codes proportional to light, on request, end in `_linear.png`. Later time steps of a sequence
-//! go to `t0001/`, `t0002/`, and so on.
+//! with codes proportional to light, on request, end in `_linear.png`. Later time steps of a
+//! sequence go to `t0001/`, `t0002/`, and so on.
 //!
 //! Memory does not grow with the number of frames. `views.exr` needs that of all views, twice.
 

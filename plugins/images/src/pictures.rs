@@ -3,12 +3,12 @@
 /// Approximate picture of the panel behind the lenslets: each lenslet is a cell of bins_y × bins_x
 /// pixels.
 ///
-/// A lenslet sends light of a point of its cell to the opposite side: slope s = −u/f for a point at
-/// u from the lenslet's axis and focal length f. From the viewer's side, the bin of the leftmost
-/// slope (bin_x = 0) is the rightmost pixel of the cell, and the bin of the topmost slope (bin_y =
-/// 0) the lowest. The picture has lenslet_rows · bins_y rows and lenslet_cols · bins_x columns. A
-/// real panel's pixels do not divide the lenslet pitch evenly; the panel driver resamples to them.
-///
+/// A lenslet sends light of a point of its cell to the opposite side: the slope is s = −u/f. Here u
+/// is the point's distance from the lenslet's axis, and f the focal length. Seen from the viewer's
+/// side, the leftmost slope (bin_x = 0) is the rightmost pixel of the cell. The topmost slope
+/// (bin_y = 0) is the lowest pixel. The picture has lenslet_rows · bins_y rows and lenslet_cols ·
+/// bins_x columns. A real panel's pixels do not divide the lenslet pitch evenly; the panel driver
+/// resamples to them.
 /// `bins` = [bins_y, bins_x], `lenslets` = [rows, cols], `bin(bin_y, bin_x)` = emission
 /// `[lenslet_row][lenslet_col][rgb]`; returns `[row][col][rgb]`.
 ///

@@ -1,7 +1,9 @@
-"""What a reader of the HCI 4D light field benchmark's format finds in a folder, as JSON; from the format's description alone, with Python's own library.
+"""Prints as JSON the content of a folder in the format of the HCI 4D light field benchmark.
 
-parameters.cfg has the sections intrinsics, extrinsics and meta, of which every key below is demanded; gt_disp_lowres.pfm is a portable float map
-of the middle view, in pixels from camera to camera, above 0 before the plane of focus.
+This reader follows the format's description alone and uses only Python's own library. The file
+parameters.cfg has the sections intrinsics, extrinsics and meta. Every key below is required. The
+file gt_disp_lowres.pfm is a portable float map of the middle view. It holds the disparity in pixels
+from camera to camera, above 0 before the plane of focus.
 """
 
 import configparser

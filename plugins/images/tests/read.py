@@ -1,4 +1,5 @@
-"""What NumPy, Pillow and OpenEXR's own bindings find in the files of a folder, as JSON."""
+"""Prints as JSON the content of a folder's files, read by NumPy, Pillow and OpenEXR's own bindings.
+"""
 
 import json
 import sys

@@ -53,7 +53,7 @@ type Counts = [i64; 3];
 /// The keys of [`Counts`], in the order of a face's corner.
 const COUNTED: [&str; 3] = ["v", "vt", "vn"];
 
-/// An index beyond any file's length, for which the parser reports its own error.
+/// An index past the end of any file, for which the parser reports its own error.
 const NOWHERE: i64 = u32::MAX as i64;
 
 impl<'a> Shapes<'a> {

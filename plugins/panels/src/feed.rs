@@ -34,7 +34,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_newest_wins_and_nobody_waits() {
+    fn the_newest_wins_without_waiting() {
         let feed = Feed::default();
         assert_eq!(feed.take(), None);
         assert_eq!((feed.put(1), feed.put(2), feed.take(), feed.take()), (None, Some(1), Some(2), None));

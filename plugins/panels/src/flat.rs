@@ -1,8 +1,8 @@
 //! 2D mode at full resolution (section 5.1.2): one panel shows a picture with all its pixels; the
 //! other panels are clear.
 //!
-//! The picture keeps its aspect ratio and fills the field's width or height, whichever is the
-//! tighter. A panel pixel takes the mean linear light of the picture pixels below it. Where picture
+//! The picture keeps its aspect ratio and fills the field's width or height: the tighter of the
+//! two. A panel pixel takes the mean linear light of the picture pixels below it. Where picture
 //! pixels are larger, it interpolates between four.
 
 use image::Rgb32FImage;

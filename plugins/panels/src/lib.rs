@@ -1,9 +1,9 @@
 //! Drives a real layer stack: every layer is shown on its own output, one frame per refresh.
 //!
 //! ```text
-//! LayerStack ──Picture::codes──▶ code values per output and refresh ──▶ Feed ──▶ present loop ──▶ outputs
-//!                                (any thread)                 (between periods)  (own thread, one frame
-//!                                                                                 per refresh)
+//! LayerStack ─Picture::codes─▶ codes per output and refresh ─▶ Feed ─▶ present loop ─▶ outputs
+//!                                (any thread)         (between periods)  (own thread, one
+//!                                                                        frame per refresh)
 //! ```
 //!
 //! [`Picture`] is a pure function of display, stack and output. Windows and the GPU need the

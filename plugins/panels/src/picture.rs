@@ -1,7 +1,8 @@
 //! Encodes layer values into the code values of every pixel of one output.
 //!
 //! ```text
-//! mask value f ─(crosstalk)⁻¹─▶ f' ─drive─▶ 0..1 of the panel's range ─transfer─▶ code · (2^bits − 1), rounded
+//! mask value f ─(crosstalk)⁻¹─▶ f' ─drive─▶ 0..1 of the panel's range ─transfer─▶ code
+//! code = round(value · (2^bits − 1))
 //! ```
 //!
 //! The inverse crosstalk is that of the panel's calibration, which the solver did not model. Masks

@@ -24,7 +24,7 @@ fn run(session: &Session, words: &[&str]) -> Log {
     assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
     let numbers = |line: &str| line.split(',').map(|number| number.parse().unwrap()).collect::<Vec<f64>>();
     let log: Log = text.lines().map(|line| numbers(line).try_into().unwrap()).collect();
-    // Frames are in order: the next place of the period, from whichever stack; a new stack only
+    // Frames are in order: each refresh shows the next frame of the period. A new stack begins only
     // with a new period.
     for pair in log.windows(2) {
         assert_eq!(pair[1][0], pair[0][0] + 1.0);

@@ -7,8 +7,8 @@
 //! | `quilt.json` | sizes, and slope and origin of every view |
 //!
 //! Pictures are 8-bit sRGB without alpha. Time steps of a sequence are `NAME_f0000_qs…`,
-//! `NAME_f0001_qs…`, …, the numbering that video encoders read. Memory: one quilt, one view, and the
-//! native picture.
+//! `NAME_f0001_qs…`, …, the numbering that video encoders read. Memory: one quilt, one view, and
+//! the native picture.
 
 pub mod devices;
 pub mod layout;

@@ -13,9 +13,15 @@
 //!
 //! The last line matters at a = 0 under invView. Third-generation subpixels are arranged in cells:
 //! dx / W and dy / H of the channel in the pixel's cell are added to u and v in place of c·s.
-//! `CellPatternMode` selects the cell: 0 one cell, 1 checkerboard (x + y) mod 2, 2 x mod 2, 3 (y +
-//! 2 (x mod 2)) mod 4, 4 y mod 2, with x and y counted from the bottom left. The pixel is then the
-//! view's nearest at (u, v).
+//! `CellPatternMode` selects the cell; x and y count from the bottom left:
+//!
+//! * 0: one cell
+//! * 1: (x + y) mod 2, a checkerboard
+//! * 2: x mod 2
+//! * 3: (y + 2 (x mod 2)) mod 4
+//! * 4: y mod 2
+//!
+//! The subpixel then takes the value of the view's pixel nearest to (u, v).
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::serde_json::Value;

@@ -1,4 +1,5 @@
-"""Every view of a quilt, by Pillow and the quilt's name alone: JSON of the pixels of view 0, 1, ..., and what the file says about itself."""
+"""Prints as JSON the pixels of every view of a quilt, and the layout that the quilt's name
+declares."""
 
 import json
 import re

@@ -1,4 +1,6 @@
-"""The native picture of a calibration from a quilt, by NumPy: prints how many samples of NATIVE differ, and how many there are.
+"""Computes the native picture from a quilt and a calibration by NumPy.
+
+Prints how many samples differ from NATIVE, and how many there are.
 
 usage: weave.py CALIBRATION QUILT NATIVE
 """

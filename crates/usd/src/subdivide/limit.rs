@@ -1,9 +1,19 @@
-//! Where the vertices of a refined mesh end up on the limit surface, and the normals there.
+//! Limit positions and normals of a refined mesh's vertices.
 //!
-//! Masks act on the control points of a level at which all faces are quadrilaterals (triangles for Loop). With n neighbours e and
-//! n opposite corners f, Catmull–Clark: (n v + Σ (4 e + f)/n) / (n + 5); tangents Σ A cos(2πi/n) e_i + (cos(2πi/n) + cos(2π(i + 1)/n)) f_i
-//! and the same with sines, A = 1 + cos(2π/n) + cos(π/n) √(2 (9 + cos(2π/n))). Loop: ((3/8w) v + Σ e) / (3/8w + n); tangents Σ cos(2πi/n) e_i.
-//! Creases and boundaries: (e₀ + 4 v + e₁)/6. Sharpness that is left at the last level is taken as infinite.
+//! Weights apply to the control points of a level where all faces are quadrilaterals (triangles for
+//! Loop). A vertex v has n neighbours e and n opposite corners f.
+//!
+//! ```text
+//! Catmull–Clark   position  (n v + Σ (4 e + f)/n) / (n + 5)
+//!                 tangents  Σ A cos(2πi/n) e_i + (cos(2πi/n) + cos(2π(i + 1)/n)) f_i; also sin
+//!                           A = 1 + cos(2π/n) + cos(π/n) √(2 (9 + cos(2π/n)))
+//! Loop            position  ((3/8w) v + Σ e) / (3/8w + n)
+//!                 tangents  Σ cos(2πi/n) e_i; also sin
+//! creases, boundaries       (e₀ + 4 v + e₁)/6
+//! ```
+//!
+//! The second tangent has sines in place of cosines. Sharpness that remains at the last level is
+//! treated as infinite.
 
 use std::f64::consts::{PI, TAU};
 
@@ -46,13 +56,14 @@ pub(super) fn positions(topology: &Topology, scheme: Scheme) -> Stencils {
     stencils
 }
 
-/// The vertex across the quadrilateral.
+/// The opposite vertex of the quadrilateral.
 fn opposite(topology: &Topology, corner: u32) -> u32 {
     topology.corners[topology.next(topology.next(corner)) as usize]
 }
 
-/// Unit normals, and the number of its normal for each corner. `control` are the points of the level, `surface` those of the limit.
-/// At level 0 and for bilinear surfaces, the masks do not hold; there and at corners it is the mean of the faces, weighted by angle.
+/// Unit normals, and the index of the normal of each corner. `control` are the level's points,
+/// `surface` their limit positions. The weights do not apply at level 0, at corners and to bilinear
+/// surfaces. There the normal is the mean of the faces, weighted by angle.
 pub(super) fn normals(
     topology: &Topology,
     scheme: Scheme,
@@ -64,7 +75,7 @@ pub(super) fn normals(
     let masks_hold = level > 0 && scheme != Scheme::Bilinear;
     for vertex in 0..topology.vertex_count as u32 {
         let rule = topology.rule(vertex, 0.0);
-        // a crease that ends here does not part the surface
+        // a crease that ends at this vertex does not split the surface
         let splits = |edge: &Edge| scheme == Scheme::Bilinear || (edge.sharpness > 0.0 && rule != Rule::Smooth);
         for fan in topology.fans(vertex, splits) {
             let at = |vertex: u32| control[vertex as usize].as_dvec3();
@@ -84,7 +95,7 @@ pub(super) fn normals(
     (values, indices)
 }
 
-/// Neighbours along the edges of a fan, counter-clockwise; one more than corners if the fan is open.
+/// Neighbours along the edges of a fan, counter-clockwise; an open fan has one more than corners.
 fn spokes(topology: &Topology, fan: &Fan) -> Vec<u32> {
     let end = |corner: u32| topology.corners[topology.next(corner) as usize];
     let mut spokes: Vec<u32> = fan.corners.iter().map(|&corner| end(corner)).collect();
@@ -113,8 +124,14 @@ fn smooth_normal(topology: &Topology, scheme: Scheme, fan: &Fan, at: impl Fn(u32
     along_cos.cross(along_sin)
 }
 
-/// One side of a crease, k ≥ 2 faces: along it e₀ − e_k; across it, with θ = π/k and R = (1 + cos θ)/sin θ,
-/// 4 R (cos θ − 1) v − R (1 + 2 cos θ)(e₀ + e_k) + Σ 4 sin iθ e_i + (sin iθ + sin (i + 1)θ) f_i.
+/// Normal on one side of a crease with k ≥ 2 faces, from two tangents. With θ = π/k and R = (1 +
+/// cos θ)/sin θ:
+///
+/// ```text
+/// along    e₀ − e_k
+/// across   4 R (cos θ − 1) v − R (1 + 2 cos θ)(e₀ + e_k)
+///          + Σ 4 sin iθ e_i + (sin iθ + sin (i + 1)θ) f_i
+/// ```
 fn crease_normal(topology: &Topology, vertex: u32, fan: &Fan, at: impl Fn(u32) -> DVec3) -> DVec3 {
     let spokes = spokes(topology, fan);
     let k = fan.corners.len();
@@ -134,8 +151,8 @@ fn crease_normal(topology: &Topology, vertex: u32, fan: &Fan, at: impl Fn(u32) -
     (at(first) - at(last)).cross(across)
 }
 
-/// The same for triangles (Hoppe et al. 1994): across the crease, −sin θ (e₀ + e_k) + (2 − 2 cos θ) Σ sin iθ e_i; fewer than four faces have
-/// masks of their own.
+/// Normal on one side of a crease of triangles (Hoppe et al. 1994). The tangent across it is −sin θ
+/// (e₀ + e_k) + (2 − 2 cos θ) Σ sin iθ e_i. Fewer than four faces have their own weights.
 fn triangle_crease_normal(topology: &Topology, vertex: u32, fan: &Fan, at: impl Fn(u32) -> DVec3) -> DVec3 {
     let points: Vec<DVec3> = spokes(topology, fan).into_iter().map(&at).collect();
     let here = at(vertex);
@@ -156,7 +173,7 @@ fn triangle_crease_normal(topology: &Topology, vertex: u32, fan: &Fan, at: impl 
     }
 }
 
-/// Mean of the corners' normals, weighted by their angles.
+/// Mean of the corners' normals, weighted by angle.
 fn mean_normal(topology: &Topology, fan: &Fan, surface: &[Vec3]) -> Option<DVec3> {
     let at = |corner: u32| surface[topology.corners[corner as usize] as usize].as_dvec3();
     let weighted = fan.corners.iter().filter_map(|&corner| {

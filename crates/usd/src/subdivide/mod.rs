@@ -1,13 +1,18 @@
-//! Subdivision surfaces: Catmull–Clark, Loop and bilinear, with semi-sharp creases and corners, boundaries, holes and face-varying data.
+//! Subdivision surfaces: Catmull–Clark, Loop and bilinear, with semi-sharp creases and corners,
+//! boundaries, holes and face-varying data.
 //!
-//! Every level is a sparse linear map ([`Stencils`]) from the values at a level's vertices to those of the next, made from topology
-//! alone, so all vertex data take the same weights. The last level is projected to the limit surface, whose exact tangent plane gives
-//! the normals; uniform refinement, and each sharpness falls by 1 a level (DeRose, Kass, Truong 1998; fractional sharpness blends two
-//! rules). Face-varying data are vertex data of a mesh of their own: it has the same faces, and a vertex for each different value
-//! at a vertex, so that seams are its boundaries.
+//! A level is a sparse linear map ([`Stencils`]) from the values at its vertices to those of the
+//! next level. It depends on the topology alone, so all vertex data share its weights. Refinement
+//! is uniform, and each level reduces sharpness by 1 (DeRose, Kass, Truong 1998). A fractional
+//! sharpness blends two rules. The last level is projected to the limit surface, whose exact
+//! tangent plane gives the normals.
 //!
-//! Source: the rules of OpenSubdiv 3 that UsdGeomMesh refers to (interpolateBoundary, faceVaryingLinearInterpolation,
-//! triangleSubdivisionRule); Halstead, Kass, DeRose 1993 and Biermann, Levin, Zorin 2000 for limits and tangents.
+//! Face-varying data are vertex data of a second mesh. It has the same faces, and one vertex per
+//! distinct value at a vertex, so seams are its boundaries.
+//!
+//! Source: the rules of OpenSubdiv 3 that UsdGeomMesh refers to (interpolateBoundary,
+//! faceVaryingLinearInterpolation, triangleSubdivisionRule). Limits and tangents: Halstead, Kass,
+//! DeRose 1993 and Biermann, Levin, Zorin 2000.
 
 mod limit;
 mod scheme;
@@ -30,22 +35,22 @@ pub(crate) enum Boundary {
     None,
     /// The boundary is a smooth curve.
     EdgeOnly,
-    /// The same, and vertices with one face stay where they are.
+    /// As `EdgeOnly`, and vertices with one face keep their position.
     #[default]
     EdgeAndCorner,
 }
 
-/// `faceVaryingLinearInterpolation`: where face-varying data are not smoothed.
+/// `faceVaryingLinearInterpolation`: the places where face-varying data are not smoothed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum FaceVarying {
     /// Smooth also at seams and their corners.
     None,
     /// Values of a single face at a vertex stay.
     CornersOnly,
-    /// And those where three or more values meet.
+    /// Also where three or more values share a vertex.
     #[default]
     CornersPlus1,
-    /// And those where seams end or run round a single face.
+    /// Also where seams end or surround a single face.
     CornersPlus2,
     /// All values at seams stay.
     Boundaries,
@@ -53,8 +58,9 @@ pub(crate) enum FaceVarying {
     All,
 }
 
-/// A control mesh and its rules, named as UsdGeomMesh names them. Faces of fewer than three vertices or with vertices that do
-/// not exist are holes; so are creases and corners of such vertices ignored.
+/// A control mesh and its rules, named as in UsdGeomMesh. Faces with fewer than three vertices, or
+/// with vertices that do not exist, are treated as holes. Creases and corners with such vertices
+/// are ignored.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Cage<'a> {
     pub(crate) vertex_count: usize,
@@ -75,42 +81,43 @@ pub(crate) struct Cage<'a> {
 
 /// Number of levels.
 const LEVEL: u32 = 2;
-/// Refinement stops at the level before the one whose triangles exceed this: a mesh that is dense already is smooth already.
+/// If the triangles exceed this number, refinement stops one level earlier: a dense mesh is already
+/// smooth.
 const MOST_TRIANGLES: usize = 200_000;
-/// Number of levels of a mesh of few faces, whose outline would show corners after [`LEVEL`]...
+/// Number of levels for a mesh of few faces: after [`LEVEL`] its outline would show corners.
 const SPARSE_LEVEL: u32 = 4;
-/// ...as long as its triangles do not exceed this.
+/// Limit for the triangles of [`SPARSE_LEVEL`].
 const SPARSE_TRIANGLES: usize = 8_000;
 
-/// The number of levels for a mesh of so many corners of faces.
+/// The number of levels for a mesh, by the number of its faces' corners.
 pub(crate) fn level_for(corner_count: usize) -> u32 {
     let usual = affordable_level(corner_count, LEVEL, MOST_TRIANGLES);
     usual.max(affordable_level(corner_count, SPARSE_LEVEL, SPARSE_TRIANGLES))
 }
 
-/// The number of levels, at most `wanted`, that keeps a mesh of so many corners of faces within `most_triangles`.
+/// The largest number of levels, up to `wanted`, with at most `most_triangles` triangles.
 fn affordable_level(corner_count: usize, wanted: u32, most_triangles: usize) -> u32 {
-    // a corner becomes a quadrilateral at the first level, each quadrilateral four at the next
+    // a corner becomes a quadrilateral at the first level, and each quadrilateral four at the next
     (1..=wanted).rev().find(|&level| corner_count.saturating_mul(2 << (2 * (level - 1))) <= most_triangles).unwrap_or(0)
 }
 
-/// A refined mesh, ready to carry values over.
+/// A refined mesh, ready to interpolate values.
 pub(crate) struct Refinement {
     cage: Topology,
-    /// Corner of the cage as given, for each corner of `cage`.
+    /// Corner of the input's faces, for each corner of `cage`.
     source_corners: Vec<u32>,
     source_corner_count: usize,
     scheme: Scheme,
     smooth_triangles: bool,
     level: u32,
     levels: Vec<Stencils>,
-    /// Of the last level, before the limit.
+    /// The last level, before the projection to the limit.
     finest: Topology,
-    /// Face of the cage as given, for each face of `finest`; `None` in holes.
+    /// Face of the input, for each face of `finest`; `None` in holes.
     sources: Vec<Option<u32>>,
 }
 
-/// Values and, for each corner of [`Refinement::faces`], the number of its value.
+/// Values, and the index of a value for each corner of [`Refinement::faces`].
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Indexed {
     /// `width` numbers per value.
@@ -119,9 +126,10 @@ pub(crate) struct Indexed {
 }
 
 impl Refinement {
-    /// Refines the cage's topology `level` times.
+    /// Refines the topology of the control mesh `level` times.
     pub(crate) fn new(cage: &Cage<'_>, level: u32) -> Self {
         let polygons = Polygons::new(cage);
+        // Set the sharpness of vertices and edges.
         let mut sharpness = vec![0.0; cage.vertex_count];
         for (&vertex, &value) in cage.corner_indices.iter().zip(cage.corner_sharpnesses) {
             if let Some(sharpness) = usize::try_from(vertex).ok().and_then(|vertex| sharpness.get_mut(vertex)) {
@@ -137,6 +145,7 @@ impl Refinement {
                 }
             }
         }
+        // Mark holes: their faces shape their neighbours, and are left out at the end.
         let mut sources: Vec<Option<u32>> = polygons.sources.into_iter().map(Some).collect();
         let holes: HashSet<u32> = cage.hole_indices.iter().filter_map(|&face| u32::try_from(face).ok()).collect();
         for (face, source) in (0..).zip(&mut sources) {
@@ -161,23 +170,24 @@ impl Refinement {
         }
     }
 
-    /// Faces that are not holes.
+    /// Indices of faces that are not holes.
     fn shown(&self) -> impl Iterator<Item = u32> + Clone {
         (0..self.finest.face_count() as u32).filter(|&face| self.sources[face as usize].is_some())
     }
 
-    /// Vertices of each refined face in turn, with the face of the cage that it came from.
+    /// Vertices of each refined face, with the face of the input that contains it.
     pub(crate) fn faces(&self) -> impl Iterator<Item = (u32, &[u32])> {
         self.shown().filter_map(|face| Some((self.sources[face as usize]?, self.finest.face_vertices(face))))
     }
 
-    /// Data with the interpolation "vertex": `width` numbers per vertex of the cage become those of the refined vertices, on the limit surface.
+    /// Interpolates data of "vertex" primvars, `width` numbers per vertex, to the refined vertices
+    /// on the limit surface.
     pub(crate) fn vertex(&self, values: &[f32], width: usize) -> Vec<f32> {
         let refined = self.refine_values(&self.levels, values, width);
         self.limit(&self.finest).map_or(refined.clone(), |limit| limit.apply(&refined, width))
     }
 
-    /// Data with the interpolation "varying", which are not smoothed.
+    /// Interpolates data of "varying" primvars, which are not smoothed.
     pub(crate) fn varying(&self, values: &[f32], width: usize) -> Vec<f32> {
         if self.scheme == Scheme::Bilinear {
             return self.vertex(values, width);
@@ -186,8 +196,8 @@ impl Refinement {
         self.refine_values(&levels, values, width)
     }
 
-    /// Data with the interpolation "faceVarying": `indices` number the values, one for each corner of the cage. Values that are equal
-    /// at a vertex count as one.
+    /// Interpolates data of "faceVarying" primvars: `indices` has one value index per corner of the
+    /// input. Equal values at a vertex are joined. `None` if `indices` does not fit.
     pub(crate) fn face_varying(
         &self,
         rule: FaceVarying,
@@ -200,7 +210,8 @@ impl Refinement {
             return None;
         }
         let value = |index: u32| &values[index as usize * width..][..width];
-        // values in the order of vertices, so that the numbering is the same for the same data
+        // Group equal values at each vertex, in the order of vertices, so the numbering is
+        // reproducible.
         let mut groups: Vec<u32> = Vec::new();
         let mut corners = vec![0; self.cage.corners.len()];
         let mut groups_of_vertex = vec![0..0; self.cage.vertex_count];
@@ -217,6 +228,7 @@ impl Refinement {
             }
             groups_of_vertex[vertex as usize] = first..groups.len();
         }
+        // Build the second mesh: a vertex per group, with the sharpness of the control mesh.
         let starts = (0..=self.cage.face_count() as u32).map(|face| match face as usize == self.cage.face_count() {
             true => corners.len() as u32,
             false => self.cage.face(face).start as u32,
@@ -224,7 +236,7 @@ impl Refinement {
         let starts = starts.collect();
         let mut sharpness = vec![0.0; groups.len()];
         for (vertex, range) in groups_of_vertex.iter().enumerate() {
-            // a boundary corner of the mesh is a matter of the rule below
+            // the rule of interpolation, not of the mesh, applies at a boundary corner
             let given = self.cage.vertex_sharpness[vertex];
             let lone = self.cage.corners_at(vertex as u32).len() == 1;
             sharpness[range.clone()].fill(if lone && rule == FaceVarying::None { 0.0 } else { given });
@@ -238,6 +250,7 @@ impl Refinement {
         for (vertex, range) in (0..).zip(groups_of_vertex) {
             pin(&mut topology, rule, range.start as u32..range.end as u32, !self.cage.is_boundary(vertex));
         }
+        // Refine it and project it to the limit.
         let (levels, finest, _) = match rule {
             FaceVarying::All => refine_linearly(&topology, self.scheme, self.level),
             _ => refine(&topology, self.scheme, self.smooth_triangles, self.level),
@@ -253,7 +266,8 @@ impl Refinement {
         Some(Indexed { values: refined, indices })
     }
 
-    /// Unit normals of the surface of these control points: one for each smooth piece around each vertex.
+    /// Unit normals of the surface with these control points: one per smooth part around each
+    /// vertex.
     pub(crate) fn normals(&self, points: &[f32]) -> Indexed {
         let control = vectors(&self.refine_values(&self.levels, points, 3));
         let surface = vectors(&self.vertex(points, 3));
@@ -267,7 +281,8 @@ impl Refinement {
         levels.iter().fold(values.to_vec(), |values, stencils| stencils.apply(&values, width))
     }
 
-    /// The map to the limit surface; `None` where the level is the control mesh itself.
+    /// The projection to the limit surface; `None` where it does not apply: level 0 and bilinear
+    /// surfaces.
     fn limit(&self, finest: &Topology) -> Option<Stencils> {
         (self.level > 0 && self.scheme != Scheme::Bilinear).then(|| limit::positions(finest, self.scheme))
     }
@@ -277,7 +292,7 @@ fn vectors(values: &[f32]) -> Vec<Vec3> {
     values.as_chunks::<3>().0.iter().map(|&value| Vec3::from(value)).collect()
 }
 
-/// Sound polygons of a cage.
+/// The valid polygons of a control mesh.
 struct Polygons {
     starts: Vec<u32>,
     corners: Vec<u32>,
@@ -336,13 +351,14 @@ fn crease(topology: &mut Topology, cage: &Cage<'_>) {
     }
 }
 
-/// Makes those of the values at one vertex, which may be inside the mesh, sharp that the rule says.
+/// Makes the face-varying values at a vertex infinitely sharp where the rule requires it. `inside`:
+/// the vertex is not on the mesh's boundary.
 fn pin(topology: &mut Topology, rule: FaceVarying, values: Range<u32>, inside: bool) {
     let lone = |value: u32| topology.corners_at(value).len() == 1;
     let at_seam = |value: u32| topology.is_boundary(value);
     let many = values.len() >= 3;
     let cornered = values.len() == 2 && values.clone().any(lone);
-    // a seam ends where a vertex inside the mesh has one value and yet a gap
+    // a seam ends at a vertex inside the mesh with one value that is on a seam
     let ends = |value: u32| inside && values.len() == 1 && at_seam(value);
     let pinned: Vec<u32> = values
         .clone()
@@ -357,7 +373,8 @@ fn pin(topology: &mut Topology, rule: FaceVarying, values: Range<u32>, inside: b
     pinned.into_iter().for_each(|value| topology.vertex_sharpness[value as usize] = f32::INFINITY);
 }
 
-/// Stencils of each level, the last level and the face of the first that each of its faces came from.
+/// Refines a mesh: stencils of each level, the last level, and for each of its faces the face of
+/// the input.
 fn refine(cage: &Topology, scheme: Scheme, smooth_triangles: bool, level: u32) -> (Vec<Stencils>, Topology, Vec<u32>) {
     let mut topology = cage.clone();
     let mut parents: Vec<u32> = (0..cage.face_count() as u32).collect();
@@ -376,7 +393,7 @@ fn refine(cage: &Topology, scheme: Scheme, smooth_triangles: bool, level: u32) -
     (levels, topology, parents)
 }
 
-/// The same without smoothing.
+/// Refines without smoothing.
 fn refine_linearly(cage: &Topology, scheme: Scheme, level: u32) -> (Vec<Stencils>, Topology, Vec<u32>) {
     let triangles = scheme == Scheme::Loop;
     let mut topology = cage.clone();

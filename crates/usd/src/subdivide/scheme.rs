@@ -1,6 +1,6 @@
-//! Which surfaces a cage stands for.
+//! Subdivision schemes.
 
-/// The family of surfaces.
+/// The subdivision scheme.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Scheme {
     /// Any polygons; each becomes quadrilaterals.
@@ -8,6 +8,6 @@ pub(crate) enum Scheme {
     CatmullClark,
     /// Triangles. Other polygons are cut into fans first.
     Loop,
-    /// Only cut into quadrilaterals, not smoothed.
+    /// Any polygons, cut into quadrilaterals and not smoothed.
     Bilinear,
 }

@@ -1,18 +1,19 @@
 //! One level of refinement: the weights of each child vertex, and the topology of the children.
 //!
-//! Children of Catmull–Clark and bilinear are numbered vertices, edges, faces; those of triangles vertices, edges.
+//! Children are numbered in the order of vertices, edges, faces; triangles have no children of
+//! faces.
 
 use std::f64::consts::TAU;
 
 use super::topology::{Edge, Rule, Topology, weaker};
 
-/// Weight of a triangle's midpoint for the point of an edge, under the rule "smooth" for triangles.
+/// Weight of a triangle's midpoint for the child of an edge, under the triangle rule "smooth".
 const SMOOTH_TRIANGLE_WEIGHT: f64 = 0.47;
 
 /// Children as weighted sums of parents.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Stencils {
-    /// First entry of each child, and the number of entries.
+    /// First entry of each child, and the total number of entries.
     starts: Vec<u32>,
     parents: Vec<u32>,
     weights: Vec<f32>,
@@ -36,12 +37,12 @@ impl Stencils {
         vertices.iter().for_each(|&vertex| self.add(vertex, weight / vertices.len() as f64));
     }
 
-    /// Ends the child whose parents have been added.
+    /// Completes the child whose parents have been added.
     pub(super) fn end(&mut self) {
         self.starts.push(self.parents.len() as u32);
     }
 
-    /// Values of the children; `width` numbers for each.
+    /// Values of the children; `width` numbers per child.
     pub(super) fn apply(&self, values: &[f32], width: usize) -> Vec<f32> {
         let mut children = vec![0.0; (self.starts.len() - 1) * width];
         for (child, range) in children.chunks_exact_mut(width.max(1)).zip(self.starts.windows(2)) {
@@ -56,13 +57,13 @@ impl Stencils {
     }
 }
 
-/// Catmull–Clark.
+/// Catmull–Clark's weights.
 pub(super) fn catmull_clark(topology: &Topology, smooth_triangles: bool) -> Stencils {
     let children = topology.vertex_count + topology.edges.len() + topology.face_count();
     let mut stencils = Stencils::with_capacity(children);
     for vertex in 0..topology.vertex_count as u32 {
         child_vertex(&mut stencils, topology, vertex, |stencils, weight| {
-            // (n − 2)/n of the vertex, 1/n² of each neighbour and of each face's midpoint
+            // (n − 2)/n for the vertex, 1/n² for each neighbour and for each face's midpoint
             let corners = topology.corners_at(vertex);
             let n = topology.edges_at(vertex).count() as f64;
             stencils.add(vertex, weight * (n - 2.0) / n);
@@ -75,6 +76,7 @@ pub(super) fn catmull_clark(topology: &Topology, smooth_triangles: bool) -> Sten
             }
         });
     }
+    // Children of edges: the midpoint of a crease; otherwise the faces' midpoints take part.
     for edge in &topology.edges {
         let crease = if edge.joined { f64::from(edge.sharpness.min(1.0)) } else { 1.0 };
         let faces = edge.corners.map(|corner| topology.face_of_corner.get(corner as usize));
@@ -98,7 +100,7 @@ pub(super) fn catmull_clark(topology: &Topology, smooth_triangles: bool) -> Sten
     stencils
 }
 
-/// Loop, with Loop's own weights at extraordinary vertices.
+/// Loop's weights, with his own for extraordinary vertices.
 pub(super) fn loop_scheme(topology: &Topology) -> Stencils {
     let mut stencils = Stencils::with_capacity(topology.vertex_count + topology.edges.len());
     for vertex in 0..topology.vertex_count as u32 {
@@ -125,13 +127,13 @@ pub(super) fn loop_scheme(topology: &Topology) -> Stencils {
     stencils
 }
 
-/// Weight of each of the neighbours of a smooth vertex of a triangle mesh.
+/// Weight of each neighbour of a smooth vertex of a triangle mesh.
 pub(super) fn loop_weight(count: usize) -> f64 {
     let beta = 0.375 + 0.25 * (TAU / count as f64).cos();
     (0.625 - beta * beta) / count as f64
 }
 
-/// No smoothing: midpoints of edges and, unless the children are triangles, of faces.
+/// Weights without smoothing: midpoints of edges and, except for triangles, of faces.
 pub(super) fn linear(topology: &Topology, triangles: bool) -> Stencils {
     let faces = if triangles { 0 } else { topology.face_count() };
     let mut stencils = Stencils::with_capacity(topology.vertex_count + topology.edges.len() + faces);
@@ -154,7 +156,8 @@ pub(super) fn other_end(edge: &Edge, vertex: u32) -> u32 {
     edge.ends[usize::from(edge.ends[0] == vertex)]
 }
 
-/// The child of a vertex: the rule of this level, blended with that of the next where sharpness runs out in between.
+/// Adds the child of a vertex. Where sharpness ends between two levels, the rules of both are
+/// blended.
 fn child_vertex(stencils: &mut Stencils, topology: &Topology, vertex: u32, smooth: impl Fn(&mut Stencils, f64)) {
     let mut add = |rule: Rule, weight: f64| match rule {
         Rule::Smooth => smooth(stencils, weight),
@@ -184,6 +187,7 @@ pub(super) fn split(topology: &Topology, triangles: bool) -> (Topology, Vec<u32>
     let edge_child = |corner: u32| topology.vertex_count as u32 + topology.edge_of_corner[corner as usize];
     let face_child = |face: u32| (topology.vertex_count + topology.edges.len()) as u32 + face;
     let size = if triangles { 3 } else { 4 };
+    // Cut each face: a quadrilateral per corner, or four triangles.
     let mut corners = Vec::with_capacity(topology.corners.len() * size);
     let mut parents = Vec::with_capacity(topology.corners.len());
     for face in 0..topology.face_count() as u32 {
@@ -201,6 +205,7 @@ pub(super) fn split(topology: &Topology, triangles: bool) -> (Topology, Vec<u32>
             parents.push(face);
         }
     }
+    // Reduce the sharpness of vertices by one level.
     let added = topology.edges.len() + if triangles { 0 } else { topology.face_count() };
     let mut sharpness: Vec<f32> = topology.vertex_sharpness.iter().map(|&sharpness| weaker(sharpness, 1.0)).collect();
     sharpness.resize(topology.vertex_count + added, 0.0);
@@ -208,7 +213,8 @@ pub(super) fn split(topology: &Topology, triangles: bool) -> (Topology, Vec<u32>
     let mut finer = Topology::new(topology.vertex_count + added, starts, corners, sharpness);
     let first_edge_child = topology.vertex_count as u32;
     for edge in &mut finer.edges {
-        // the lower end of half an edge is a vertex of the parent, the other its midpoint
+        // One end of half an edge is a vertex of the parent (the lower index), the other the edge's
+        // midpoint.
         let [low, high] = edge.ends;
         if edge.joined
             && low < first_edge_child

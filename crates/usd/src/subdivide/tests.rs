@@ -3,7 +3,7 @@ use lumistack_core::seed::Stream;
 
 use super::*;
 
-/// Rounding of a few levels of f32 sums over coordinates of size 1.
+/// Tolerance for rounding: a few levels of f32 sums over coordinates of size 1.
 const ROUNDING: f32 = 2e-6;
 
 /// A mesh that owns its lists.
@@ -34,7 +34,7 @@ impl Mesh {
         Self::new(points, &faces)
     }
 
-    /// A grid of quadrilaterals over 0..n with random heights; closed to a torus' topology if asked for.
+    /// A grid of quadrilaterals over 0..n with random heights; `torus` joins opposite sides.
     fn grid(n: i32, torus: bool, seed: u64) -> Self {
         let mut stream = Stream::new(seed);
         let side = if torus { n } else { n + 1 };
@@ -95,7 +95,8 @@ fn a_cube_has_the_points_of_the_textbook() {
     for face in &first[20..] {
         assert!((face.length() - 1.0).abs() < ROUNDING);
     }
-    // limits: corners at half the cube's (their masks hold on the cube itself), centres of faces at 68/81
+    // Limits: corners at half the cube's, since their weights hold on the cube itself; centres of
+    // faces at 68/81.
     for level in 1..=4 {
         let surface = limit(&cage, level, &cube.flat());
         for (point, on_surface) in cube.points.iter().zip(&surface) {
@@ -105,7 +106,8 @@ fn a_cube_has_the_points_of_the_textbook() {
     }
 }
 
-/// Catmull and Clark's own words, vertex by vertex, for closed meshes of quadrilaterals without creases.
+/// Catmull and Clark's formulas, vertex by vertex, for closed meshes of quadrilaterals without
+/// creases.
 fn textbook(points: &[DVec3], faces: &[[usize; 4]]) -> Vec<DVec3> {
     let centre = |face: &[usize; 4]| face.iter().map(|&i| points[i]).sum::<DVec3>() / 4.0;
     (0..points.len())
@@ -167,7 +169,7 @@ fn a_regular_mesh_is_a_bicubic_b_spline() {
     let slope = |t: f64| {
         [-3.0 * (1.0 - t).powi(2), 9.0 * t * t - 12.0 * t, -9.0 * t * t + 6.0 * t + 3.0, 3.0 * t * t].map(|b| b / 6.0)
     };
-    // the inner parts, where x and y of the surface are the parameters; heights and slopes there
+    // Only the inner parts are compared: there x and y of the surface are the parameters.
     let mut checked = 0;
     let mut corner = 0;
     for (_, face) in refinement.faces() {
@@ -197,14 +199,15 @@ fn a_regular_mesh_is_a_bicubic_b_spline() {
         }
     }
     assert!(checked > 1000);
-    // the outline is the cubic B-spline curve of the outer points: the middle of the first side's third span's end
+    // The outline is the cubic B-spline curve of the boundary's points.
     let at = |i: usize| mesh.points[i].z;
     assert_near(surface[3], Vec3::new(3.0, 0.0, (at(2) + 4.0 * at(3) + at(4)) / 6.0), ROUNDING);
     assert_near(surface[0], mesh.points[0], 0.0);
 }
 
-/// Limits do not depend on the level from which they are taken: masks, creases, boundaries and refinement agree. Creases run round or
-/// from boundary to boundary; where one ends inside, the smooth mask is only near the limit, here as in OpenSubdiv.
+/// The limit does not depend on the level at which it is computed, so weights, creases, boundaries
+/// and refinement agree. Creases are closed or end at boundaries. Where a crease ends inside, the
+/// smooth weights are only an approximation, as in OpenSubdiv.
 #[test]
 fn limits_are_the_same_from_every_level() {
     let (open, cube) = (Mesh::grid(4, false, 11), Mesh::cube());
@@ -243,7 +246,8 @@ fn normals_are_those_of_the_fine_surface() {
                 });
                 by_vertex
             };
-            // vertices keep their numbers: exact at level 1, and as the small faces of level 5 have it
+            // Vertices keep their indices: compare exact normals at level 1 with the small faces of
+            // level 5.
             let count = mesh.points.len();
             let fine = Refinement::new(&cage, 5);
             let surface = vectors(&fine.vertex(&mesh.flat(), 3));
@@ -275,11 +279,11 @@ fn sharp_edges_stay_and_sharpness_falls_by_one_a_level() {
     for point in creased(&[10.0; 12], 3) {
         assert!((point.abs().max_element() - 1.0).abs() < ROUNDING, "on the cube: {point}");
     }
-    // sharpness 1 is as sharp as infinity for one level
+    // for one level, sharpness 1 is as sharp as infinity
     assert_eq!(creased(&[1.0; 12], 1), creased(&[f32::INFINITY; 12], 1));
     assert!(creased(&[1.0; 12], 2)[0].x > -1.0 + 0.1);
     assert_eq!(creased(&[0.0; 12], 2), control(&cube.cage(Scheme::CatmullClark), 2, &cube.flat()));
-    // half a sharpness lies half way
+    // half the sharpness gives the midpoint
     let (smooth, half, sharp) = (creased(&[0.0; 12], 1), creased(&[0.5; 12], 1), creased(&[1.0; 12], 1));
     for ((smooth, half), sharp) in smooth.iter().zip(&half).zip(&sharp) {
         assert_near(*half, smooth.midpoint(*sharp), ROUNDING);
@@ -321,7 +325,7 @@ fn creased_normals_part_at_the_crease_alone() {
         }
     }
     assert!(values.len() > refinement.finest.vertex_count);
-    // smooth: one normal a vertex
+    // smooth: one normal per vertex
     let smooth = Refinement::new(&cube.cage(Scheme::CatmullClark), 2);
     assert_eq!(smooth.normals(&cube.flat()).values.len(), 3 * smooth.finest.vertex_count);
 }
@@ -379,7 +383,7 @@ fn bilinear_surfaces_are_only_cut() {
     let normals = refinement.normals(&cube.flat());
     let flat = vectors(&normals.values);
     assert!(flat.iter().all(|normal| normal.abs().max_element() > 0.999_99));
-    // varying data on a smooth surface are those of the bilinear one
+    // varying data of a smooth surface are those of the bilinear one
     let smooth = Refinement::new(&cube.cage(Scheme::CatmullClark), 2);
     assert_eq!(smooth.varying(&cube.flat(), 3), refinement.vertex(&cube.flat(), 3));
 }
@@ -399,11 +403,11 @@ fn boundaries_follow_their_rule_and_holes_are_left_out() {
     assert_eq!(sources(&with(Boundary::None)), [5, 6, 9, 10]);
     let holes = Cage { hole_indices: &[0, 3, 77, -1], ..with(Boundary::EdgeOnly) };
     assert_eq!(sources(&holes).len(), 14);
-    // a hole still shapes its neighbours
+    // a hole still affects its neighbours
     assert_eq!(limit(&holes, 2, &mesh.flat()), limit(&with(Boundary::EdgeOnly), 2, &mesh.flat()));
 }
 
-/// Two quadrilaterals side by side in a 3 × 1 strip with a seam between the second and the third.
+/// Three quadrilaterals in a 3 × 1 strip with a seam between the second and the third.
 fn strip() -> (Mesh, Vec<f32>, Vec<u32>) {
     let points = (0..8).map(|i| Vec3::new((i % 4) as f32, (i / 4) as f32, 0.0)).collect();
     let mesh = Mesh::new(points, &[&[0, 1, 5, 4], &[1, 2, 6, 5], &[2, 3, 7, 6]]);
@@ -450,7 +454,7 @@ fn face_varying_data_keep_their_seams() {
         let reaches_corner = uvs.contains(&Vec2::new(6.0, 6.0));
         assert_eq!(reaches_corner, rule != FaceVarying::None, "{rule:?}");
     }
-    // values without shared numbers are joined where they are equal
+    // equal values with different indices are joined
     let separate: Vec<f32> = indices.iter().flat_map(|&i| values[2 * i as usize..][..2].to_vec()).collect();
     let numbers: Vec<u32> = (0..indices.len() as u32).collect();
     let joined = refinement.face_varying(FaceVarying::CornersPlus1, &separate, &numbers, 2).unwrap();
@@ -482,7 +486,8 @@ fn face_varying_data_without_seams_are_vertex_data() {
     }
 }
 
-/// Random polygons over few vertices: repeated vertices, edges of many faces, faces that disagree about the front, junk numbers.
+/// Random polygons over few vertices, with repeated vertices, edges of many faces, inconsistent
+/// orientation and invalid indices.
 #[test]
 fn broken_meshes_do_not_panic_and_stay_in_their_hull() {
     let mut stream = Stream::new(17);

@@ -1,11 +1,11 @@
-//! Which faces, edges and vertices of a polygon mesh touch, and how sharp they are.
+//! Adjacency of a polygon mesh's faces, edges and vertices, and their sharpness.
 
 use std::ops::Range;
 
 /// No such corner.
 pub(super) const NONE: u32 = u32::MAX;
 
-/// Sharpness from which on USD calls a crease infinitely sharp.
+/// From this sharpness on, USD treats a crease as infinitely sharp.
 const INFINITE: f32 = 10.0;
 
 /// Lists of numbers, one list per item.
@@ -16,7 +16,7 @@ pub(super) struct Lists {
 }
 
 impl Lists {
-    /// Sorts members into the lists of their items, in the order given.
+    /// Distributes the pairs (item, member) to the items' lists and keeps their order.
     fn new(count: usize, pairs: impl Iterator<Item = (u32, u32)> + Clone) -> Self {
         let mut starts = vec![0; count + 1];
         pairs.clone().for_each(|(item, _)| starts[item as usize + 1] += 1);
@@ -37,15 +37,16 @@ impl Lists {
     }
 }
 
-/// An edge and the corners that it leaves: corner `c` stands for the edge from its vertex to that of the next corner of the face.
+/// An edge, and the corners from which it starts: the edge of a corner leads from its vertex to the
+/// vertex of the next corner of the face.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Edge {
     pub(super) ends: [u32; 2],
     /// One or two of the corners.
     pub(super) corners: [u32; 2],
-    /// Whether exactly two faces meet here and agree on what is front.
+    /// True if the edge has exactly two faces that agree on the front side.
     pub(super) joined: bool,
-    /// 0 smooth; infinite where not joined.
+    /// 0 is smooth; infinite if not joined.
     pub(super) sharpness: f32,
 }
 
@@ -53,7 +54,7 @@ pub(super) struct Edge {
 #[derive(Clone, Debug)]
 pub(super) struct Topology {
     pub(super) vertex_count: usize,
-    /// First corner of each face, and the number of corners.
+    /// First corner of each face, and the total number of corners.
     starts: Vec<u32>,
     /// Vertex of each corner.
     pub(super) corners: Vec<u32>,
@@ -63,31 +64,31 @@ pub(super) struct Topology {
     pub(super) edges: Vec<Edge>,
     corners_of_vertex: Lists,
     edges_of_vertex: Lists,
-    /// 0 smooth.
+    /// 0 is smooth.
     pub(super) vertex_sharpness: Vec<f32>,
 }
 
-/// What the sharp edges around a vertex make of it.
+/// Treatment of a vertex, by the sharp edges around it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Rule {
     /// At most one sharp edge ends here.
     Smooth,
-    /// Two sharp edges, to these vertices.
+    /// Two sharp edges, to these vertices: the vertex moves along the crease.
     Crease([u32; 2]),
-    /// Stays where it is.
+    /// The vertex keeps its position.
     Corner,
 }
 
-/// Corners around a vertex, counter-clockwise, with no gap between them.
+/// Corners around a vertex, counter-clockwise, without a gap.
 pub(super) struct Fan {
     pub(super) corners: Vec<u32>,
-    /// Whether the last corner touches the first.
+    /// True if the last corner is next to the first.
     pub(super) closed: bool,
 }
 
 impl Topology {
-    /// All vertices of the faces are below `vertex_count`; `starts` is as in the field. Vertices where separate fans of faces touch
-    /// are made infinitely sharp.
+    /// Builds a topology. All vertices of faces must be below `vertex_count`; `starts` is as in the
+    /// field. Vertices that separate fans of faces share become infinitely sharp.
     pub(super) fn new(vertex_count: usize, starts: Vec<u32>, corners: Vec<u32>, vertex_sharpness: Vec<f32>) -> Self {
         let mut face_of_corner = vec![0; corners.len()];
         for face in 0..starts.len() - 1 {
@@ -143,12 +144,10 @@ impl Topology {
         self.starts.len() - 1
     }
 
-    /// Corners of a face.
     pub(super) fn face(&self, face: u32) -> Range<usize> {
         self.starts[face as usize] as usize..self.starts[face as usize + 1] as usize
     }
 
-    /// Vertices of a face.
     pub(super) fn face_vertices(&self, face: u32) -> &[u32] {
         &self.corners[self.face(face)]
     }
@@ -159,7 +158,7 @@ impl Topology {
         if corner as usize + 1 == face.end { face.start as u32 } else { corner + 1 }
     }
 
-    /// The corner before it.
+    /// The previous corner of the same face.
     pub(super) fn previous(&self, corner: u32) -> u32 {
         let face = self.face(self.face_of_corner[corner as usize]);
         if corner as usize == face.start { face.end as u32 - 1 } else { corner - 1 }
@@ -182,7 +181,7 @@ impl Topology {
         &self.edges[self.edge_of_corner[corner as usize] as usize]
     }
 
-    /// Whether a vertex lies on an edge with faces on one side only.
+    /// True if a vertex lies on an edge with faces on one side only.
     pub(super) fn is_boundary(&self, vertex: u32) -> bool {
         self.edges_at(vertex).any(|edge| !edge.joined)
     }
@@ -194,7 +193,7 @@ impl Topology {
         Some(&mut self.edges[found as usize])
     }
 
-    /// The rule of a vertex, with sharpnesses `passed` levels on.
+    /// The rule of a vertex after `passed` levels.
     pub(super) fn rule(&self, vertex: u32, passed: f32) -> Rule {
         let sharp = |sharpness: f32| weaker(sharpness, passed) > 0.0;
         if sharp(self.vertex_sharpness[vertex as usize]) || self.corners_at(vertex).is_empty() {
@@ -214,7 +213,7 @@ impl Topology {
         }
     }
 
-    /// Runs of corners around a vertex that no edge of which `splits` is true interrupts.
+    /// Runs of corners around a vertex. Gaps and edges for which `splits` is true separate them.
     pub(super) fn fans(&self, vertex: u32, splits: impl Fn(&Edge) -> bool) -> Vec<Fan> {
         let corners = self.corners_at(vertex);
         let across = |edge: &Edge, corner: u32| {
@@ -226,6 +225,7 @@ impl Topology {
             let before = self.previous(corner);
             across(self.edge(before), before)
         };
+        // Collect each fan: turn clockwise to its start, then counter-clockwise to its end.
         let mut seen: Vec<u32> = Vec::with_capacity(corners.len());
         let mut fans = Vec::new();
         for &corner in corners {
@@ -259,7 +259,7 @@ impl Topology {
     }
 }
 
-/// A sharpness some levels on.
+/// A sharpness after `passed` levels.
 pub(super) fn weaker(sharpness: f32, passed: f32) -> f32 {
     if sharpness >= INFINITE { f32::INFINITY } else { (sharpness - passed).max(0.0) }
 }

@@ -1,10 +1,10 @@
-//! The Python that tests ask.
+//! The Python that tests use.
 
 use std::ffi::OsString;
 use std::process::{Command, Stdio};
 use std::sync::OnceLock;
 
-/// The Python that `LUMISTACK_PYTHON` names, if it has OpenUSD; says so where there is none.
+/// The Python that `LUMISTACK_PYTHON` names, if it has OpenUSD; otherwise reports a skipped test.
 pub fn python() -> Option<OsString> {
     static FOUND: OnceLock<Option<OsString>> = OnceLock::new();
     let found = FOUND.get_or_init(|| {

@@ -1,4 +1,5 @@
-//! Other people's files, from the folder that `LUMISTACK_ASSETS` names, through the Python that `LUMISTACK_PYTHON` names; skipped without either.
+//! Public files in the folder that `LUMISTACK_ASSETS` names, read by the Python that
+//! `LUMISTACK_PYTHON` names. Tests are skipped without either.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -13,7 +14,7 @@ use tempfile::TempDir;
 
 use crate::common;
 
-/// What `walk_all.py` says of a file.
+/// The report of `walk_all.py` on a file.
 #[derive(Debug, Deserialize)]
 struct Counted {
     opens: bool,
@@ -26,11 +27,11 @@ struct Counted {
     /// Visible meshes of render geometry with faces.
     #[serde(default)]
     shown: usize,
-    /// Why the walker gives no package.
+    /// The reason why there is no package.
     refused: Option<String>,
 }
 
-/// Walked files.
+/// The reports on all files.
 struct Walked {
     paths: Vec<PathBuf>,
     counted: Vec<Counted>,
@@ -41,10 +42,11 @@ fn assets() -> Option<PathBuf> {
     lumistack_testkit::skip::folder("LUMISTACK_ASSETS", "../shared/scenes")
 }
 
-/// All USD files below a folder of the assets; `None` where something is missing.
+/// Walks all USD files below a folder of the assets; `None` if the folder or a Python is missing.
 fn walk(folder: &str) -> Option<Walked> {
     let (assets, python) = (assets()?, common::python()?);
     let mut paths = Vec::new();
+    // Find the files.
     let mut folders = vec![assets.join(folder)];
     while let Some(folder) = folders.pop() {
         let Ok(entries) = std::fs::read_dir(&folder) else {
@@ -61,6 +63,7 @@ fn walk(folder: &str) -> Option<Walked> {
         }
     }
     paths.sort();
+    // Read all of them in one process, since importing OpenUSD is slow.
     let packages = tempfile::tempdir().unwrap();
     let mut child = Command::new(python)
         .arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/walk_all.py"))
@@ -81,7 +84,7 @@ fn walk(folder: &str) -> Option<Walked> {
 }
 
 impl Walked {
-    /// Runs `check` over all files, on two threads, and fails with everything that it says.
+    /// Runs `check` on all files in two threads, and fails with all its errors.
     fn check(&self, check: impl Fn(&str, &[u8], &Counted) -> Result<(), String> + Sync) {
         let (next, faults) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
         std::thread::scope(|scope| {
@@ -104,7 +107,7 @@ impl Walked {
     }
 }
 
-/// A scene, or a reason that fits what OpenUSD says of the file.
+/// Expects a scene, or a reason that agrees with OpenUSD's view of the file.
 fn opens_or_fails_by_design(name: &str, bytes: &[u8], counted: &Counted) -> Result<(), String> {
     if let Some(reason) = &counted.refused {
         return if counted.opens { Err(format!("refused: {reason}")) } else { Ok(()) };
@@ -130,7 +133,7 @@ fn every_file_opens_or_fails_by_design() {
     walked.check(opens_or_fails_by_design);
 }
 
-/// Hostile files make errors or warnings, and no crash of ours. Some hold nothing but meshes that contradict themselves.
+/// Hostile files cause errors or warnings and no crash. Some contain only inconsistent meshes.
 #[test]
 fn hostile_files_do_no_harm() {
     let Some(walked) = walk("hostile/usd") else { return };
@@ -151,13 +154,14 @@ fn composed_counts_are_those_of_openusd() {
     });
 }
 
-/// An arm that bends, and the same arm as OpenUSD wrote its points for every time.
+/// An arm that bends: the same arm with points that OpenUSD baked for every time code.
 #[test]
 fn posed_points_are_those_that_openusd_baked() {
     let (Some(assets), Some(_)) = (assets(), common::python()) else { return };
     let folder = Path::new(&assets).join("usd/OpenUSD-UsdSkel");
     let mut heights = Vec::new();
-    // at the time codes 1, 4 and 10: in between the points that were written go straight
+    // only at the baked time codes 1, 4 and 10: between them the baked points move in straight
+    // lines
     for time_s in [0.0, 0.125, 0.375] {
         let [posed, baked] = ["arm.usda", "arm_baked.usda"].map(|file| {
             let (warnings, cancel) = (Collector::default(), Cancel::default());

@@ -1,8 +1,9 @@
-//! How USD is read. One program for all files, which share the processors; `cargo test -p lumistack-usd --test usd corpus::` runs the tests of one.
+//! Tests of USD input. All modules are one program, so that tests share the processors; `cargo test
+//! -p lumistack-usd --test usd corpus::` runs one module.
 
 mod common;
 mod corpus;
-mod looks;
+mod materials;
 mod packages;
 mod shading;
 mod splats;

@@ -1,11 +1,11 @@
-//! Packages without any Python: what a sound one becomes, and that no change to one does harm.
+//! Packages without Python: a valid one becomes a scene, and no damage to one can cause a panic.
 
 use lumistack_core::{Cancel, Collector, Task, seed};
 use lumistack_scene::Scene;
 use lumistack_usd::{Package, UsdError, scene_from_package};
 use serde_json::{Value, json};
 
-/// Arrays one after the other, as a file has them.
+/// Arrays in sequence, as in a file.
 #[derive(Default)]
 struct Buffers {
     bytes: Vec<u8>,
@@ -35,7 +35,7 @@ impl Buffers {
     }
 }
 
-/// A file of a header and its arrays.
+/// A file: a header and its arrays.
 fn file(header: &Value, data: &[u8]) -> Vec<u8> {
     let text = header.to_string();
     let mut bytes = b"LUMIPKG1".to_vec();
@@ -46,7 +46,8 @@ fn file(header: &Value, data: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// Two squares of which one is a subset, five copies of which three are of this prototype, each of those twice; a camera.
+/// A mesh of two squares, one of them a subset. An instancer has five copies, three with this
+/// prototype; each occurs twice. A camera.
 fn sample() -> (Value, Vec<u8>) {
     let mut buffers = Buffers::default();
     let header = json!({
@@ -81,7 +82,7 @@ fn sample() -> (Value, Vec<u8>) {
     (header, buffers.bytes)
 }
 
-/// `None` where the file is no package.
+/// `None` if the file is no package.
 fn load(bytes: &[u8]) -> Option<Result<Scene, UsdError>> {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let package = Package::parse(bytes).ok()?;
@@ -94,12 +95,12 @@ fn a_package_becomes_a_scene() {
     let scene = load(&file(&header, &data)).unwrap().unwrap();
     assert_eq!((scene.meshes.len(), scene.instances.len(), scene.cameras.len()), (2, 12, 1));
     assert_eq!(scene.triangle_count(), 24);
-    // z up: 9 + 4 along z is 13 along y
+    // with z up, 9 + 4 along z is 13 along y
     assert!((scene.bounds().max.y - 13.0).abs() < 1e-5, "{:?}", scene.bounds());
     assert_eq!(scene.cameras[0].focus_distance, Some(2.0));
 }
 
-/// Every number of the header, one after the other, with values that lie.
+/// Replaces every number of the header, one at a time, by wrong values.
 #[test]
 fn numbers_that_lie_do_no_harm() {
     let (header, data) = sample();
@@ -120,7 +121,7 @@ fn numbers_that_lie_do_no_harm() {
         ] {
             let mut changed = header.clone();
             *changed.pointer_mut(place).unwrap() = lie;
-            // a scene or an error; a panic would fail the test
+            // the result is a scene or an error; a panic would fail the test
             let _ = load(&file(&changed, &data));
         }
     }
@@ -141,7 +142,7 @@ fn pointers(value: &Value, place: String, places: &mut Vec<String>) {
     }
 }
 
-/// Random bytes in random places of the arrays, where every pattern is some number.
+/// Writes random bytes to random positions of the arrays, where every pattern is a number.
 #[test]
 fn arrays_that_lie_do_no_harm() {
     let (header, data) = sample();
@@ -162,7 +163,7 @@ fn arrays_that_lie_do_no_harm() {
     }
 }
 
-/// A few bytes that ask for 10^18 copies are refused before any is made.
+/// A few bytes that request 10^18 copies are refused before any copy is made.
 #[test]
 fn copies_of_copies_are_counted_before_they_are_made() {
     let (mut header, data) = sample();

@@ -1,4 +1,5 @@
-//! Shader networks and lights of stages, written for the test, through the user's OpenUSD: needs `LUMISTACK_PYTHON`, and is skipped without.
+//! Shader networks and lights of small stages, read by the user's OpenUSD. Tests need
+//! `LUMISTACK_PYTHON` and are skipped without it.
 
 use glam::{Vec2, Vec3, Vec4};
 use lumistack_core::{Cancel, Collector, Task, Warning};
@@ -7,7 +8,7 @@ use lumistack_usd::{LoadOptions, load};
 
 use crate::common;
 
-/// A scene of a stage and pictures beside it; `None` (with a message) without a Python.
+/// The scene of a stage with pictures beside it; `None` (after a report) without a Python.
 fn scene(text: &str) -> Option<(Scene, Vec<Warning>)> {
     common::python()?;
     let folder = tempfile::tempdir().unwrap();
@@ -73,7 +74,7 @@ fn networks_of_the_preview_surface_are_followed() {
     assert_eq!(material.base_color, Vec4::new(0.5, 0.5, 0.5, 1.0));
     assert_eq!((material.roughness, material.metallic), (0.75, 0.5));
     let base = material.base_color_texture.unwrap();
-    // (1, 1) is scaled to (2, 3), turned to (−3, 2), moved to (−2.75, 2.5); v points down here
+    // (1, 1) is scaled to (2, 3), rotated to (−3, 2), moved to (−2.75, 2.5); v points down here
     let found = base.texture_from_mesh.transform_point2(Vec2::new(1.0, 0.0));
     assert!((found - Vec2::new(-2.75, -1.5)).length() < 1e-5, "{found}");
     assert_eq!(scene.textures[base.texture].wrap_u, lumistack_scene::Wrap::ClampToEdge);
@@ -97,7 +98,7 @@ fn display_colours_are_read_where_a_reader_says_so() {
     assert!(warnings.is_empty(), "{warnings:?}");
     assert_eq!(found.base_color, Vec4::ONE, "the colours of the vertices multiply white");
     assert_eq!(scene.meshes[0].colors, [Vec4::new(1.0, 0.0, 0.0, 1.0); 4]);
-    // and not where none does
+    // without a reader, vertex colours have no effect
     let Some((scene, _, _)) = material(&format!("def Shader \"s\" {{ {SURFACE}\n }}")) else { return };
     assert!(scene.meshes[0].colors.is_empty());
 }
@@ -159,7 +160,7 @@ fn materialx_nodes_become_scale_and_bias() {
     assert_eq!(found.roughness, 0.625);
 }
 
-/// What nodes lie between a picture of normals and the surface in files of other programs: all of them leave the map.
+/// Other programs put nodes between a normal map and the surface; all of these keep the map.
 #[test]
 fn normal_maps_arrive_through_the_nodes_that_lie_behind_them() {
     const SHADERS: &str = r#"
@@ -222,7 +223,7 @@ fn normal_maps_arrive_through_the_nodes_that_lie_behind_them() {
         node("ND_remap_vector3FA", "tex", ends).replace("\"last\"", "\"remapped\"")
     });
     assert_eq!(through(&decoded), Some(plain.clone()));
-    // the strength of a map is a mixture with the normal of the surface
+    // the strength of a map is a mix with the surface's normal
     let mixed = r#"def Shader "last" {
             uniform token info:id = "ND_mix_vector3"
             float3 inputs:fg.connect = </m/map.outputs:out>
@@ -233,7 +234,7 @@ fn normal_maps_arrive_through_the_nodes_that_lie_behind_them() {
     assert_eq!(through(mixed), Some(plain.clone()));
     let half = through(&mixed.replace("mix = 1", "mix = 0.5")).unwrap();
     assert!(half != plain && half.len() == plain.len());
-    // green upside down
+    // inverted green
     let flipped = through(&node("ND_normalmap", "flipped", "")).unwrap();
     let directions = |pixels: &Pixels| -> Vec<Vec3> {
         let texels: Vec<Vec3> = match pixels {
@@ -252,7 +253,7 @@ fn normal_maps_arrive_through_the_nodes_that_lie_behind_them() {
     }
 }
 
-/// The same lamp in every material model that we read is the same light, also where the shader reads a picture.
+/// A lamp has the same emission in every supported shader, for constants and for textures.
 #[test]
 fn a_lamp_is_as_bright_in_every_syntax() {
     let shader = |id: &str, inputs: &str| {
@@ -266,6 +267,7 @@ fn a_lamp_is_as_bright_in_every_syntax() {
              color3f inputs:in2 = (8, 4, 2)\n color3f outputs:out\n }}"
         )
     };
+    // the same emission as constants
     let constant = [
         ("UsdPreviewSurface", "color3f inputs:emissiveColor = (8, 4, 2)"),
         ("ND_UsdPreviewSurface_surfaceshader", "color3f inputs:emissiveColor = (8, 4, 2)"),
@@ -286,6 +288,7 @@ fn a_lamp_is_as_bright_in_every_syntax() {
         assert_eq!(found.emission, Vec3::new(8.0, 4.0, 2.0), "{id}");
         assert!(scene.is_lit(), "{id}");
     }
+    // the same emission from a picture
     let textured = [
         ("UsdPreviewSurface", "color3f inputs:emissiveColor.connect = </m/tinted.outputs:out>"),
         (
@@ -338,7 +341,7 @@ fn curves_and_points_without_widths_take_a_share_of_their_spacing() {
         let mesh = scene.meshes.iter().find(|mesh| mesh.place == place).unwrap();
         mesh.positions.iter().map(|p| p.x).fold(f32::INFINITY, f32::min)
     };
-    // spacing 1, and bounds of 9 × 9 × 9: no wider than 0.5 % of their diagonal, 15.6
+    // spacing 1, bounds 9 × 9 × 9: the width is at most 0.5 % of their diagonal 15.6
     assert!((lowest("/hair") + 0.5 * 0.005 * 243f32.sqrt()).abs() < 1e-4, "{}", lowest("/hair"));
     assert!((lowest("/alone") + 0.5 * 0.005 * 1000.0).abs() < 1e-2, "{}", lowest("/alone"));
     assert!((lowest("/dots") + 0.5 * 0.75 * 2.0).abs() < 1e-3, "{}", lowest("/dots"));
@@ -373,7 +376,7 @@ fn lights_have_the_radiance_of_their_inputs() {
         scene.materials[mesh.material].emission
     };
     let sphere = emission("/a");
-    // the mesh lacks a little area, which its radiance makes up for
+    // the radiance compensates for the mesh's missing area
     assert!((1.0..1.05).contains(&(sphere.x / 12.0)) && (sphere.x / sphere.z - 4.0).abs() < 1e-4, "{sphere}");
     let warm = emission("/b");
     assert!((warm - Vec3::ONE).abs().max_element() < 0.1, "6500 K is near white: {warm}");

@@ -1,4 +1,5 @@
-//! Particle fields, through any OpenUSD: 26.03 and newer know the schema, older ones give the attributes alone.
+//! Particle fields in every OpenUSD: 26.03 and newer know the schema, older ones only the
+//! attributes.
 
 use glam::{Quat, Vec3};
 use lumistack_core::{Cancel, Collector, Task};
@@ -68,13 +69,13 @@ def ParticleField3DGaussianSplat "guide"
     assert_eq!(cloud.place, "/place/splats");
     assert_eq!(cloud.positions, [Vec3::ZERO, Vec3::new(1.0, 2.0, 3.0)]);
     assert_eq!(cloud.rotations, [Quat::IDENTITY, Quat::from_xyzw(0.0, 1.0, 0.0, 0.0)]);
-    // what is too long is cut off
+    // arrays that are too long are cut
     assert_eq!(cloud.scales, [Vec3::new(1.0, 2.0, 3.0), Vec3::new(0.5, 0.25, 0.125)]);
     assert_eq!(cloud.opacities, [0.5, 0.25]);
     assert_eq!((cloud.degree, cloud.encoding), (1, Encoding::Linear));
     let expected: Vec<f32> = (1..=12).map(|i| i as f32).chain((1..=12).map(|i| -i as f32)).collect();
     assert_eq!(cloud.harmonics, expected);
-    // (1, 2, 3) becomes (2, 4, 6), is raised to (2, 4, 11), and z becomes y
+    // (1, 2, 3) is scaled to (2, 4, 6), moved to (2, 4, 11), and z becomes y
     let at = scene.placed_clouds[0].scene_from_cloud.transform_point3(cloud.positions[1]);
     assert!(at.abs_diff_eq(Vec3::new(2.0, 11.0, -4.0), 1e-5), "{at}");
 }

@@ -1,4 +1,5 @@
-//! Stages, written for the test, through the user's OpenUSD: needs `LUMISTACK_PYTHON` to name a Python with usd-core, and is skipped without.
+//! Small stages, read by the user's OpenUSD. Tests need `LUMISTACK_PYTHON` to name a Python with
+//! usd-core, and are skipped without it.
 
 use std::path::Path;
 
@@ -22,7 +23,7 @@ fn try_with(text: &str, options: &LoadOptions) -> (Result<Scene, UsdError>, Vec<
     (result, warnings.take())
 }
 
-/// A layer; its grammar wants the end of a line after every statement.
+/// Writes a layer; USD's grammar requires a line break after every statement.
 fn write(path: &Path, text: &str) {
     let text = text.replace('{', "{\n").replace('}', "\n}\n");
     std::fs::write(path, format!("#usda 1.0\n{text}\n")).unwrap();
@@ -69,7 +70,7 @@ def Material "blue" {
 }
 "#;
 
-/// Where the first point of the triangle of each instance is.
+/// The positions of the instances.
 fn places(scene: &Scene) -> Vec<Vec3> {
     let mut places: Vec<Vec3> = scene.instances.iter().map(|i| i.scene_from_mesh.translation.into()).collect();
     places.sort_by(|a, b| a.to_array().partial_cmp(&b.to_array()).unwrap());
@@ -118,7 +119,7 @@ fn z_up_is_turned_and_transforms_stack() {
         "def Mesh \"reset\" { TRIANGLE uniform token[] xformOpOrder = [\"!resetXformStack!\"] }"
             .replace("TRIANGLE", TRIANGLE)
     );
-    // (2, 0, 0) is turned to (0, 2, 0), raised to (0, 2, 5), and z becomes y
+    // (2, 0, 0) is rotated to (0, 2, 0), moved to (0, 2, 5), and z becomes y
     let found = places(&scene(&text));
     assert!((found[1] - Vec3::new(0.0, 5.0, -2.0)).length() < 1e-5 && found[0] == Vec3::ZERO, "{found:?}");
 }
@@ -184,7 +185,7 @@ fn point_instancers_place_scale_turn_and_mask() {
         triangle_at("b", 1.0, "")
     );
     let scene = scene(&text);
-    // id 10: scaled; id 11: turned by 90° about z; 12 is invisible, 13 inactive; 14: as it is
+    // id 10 is scaled, 11 rotated by 90° about z, 12 invisible, 13 inactive, 14 unchanged
     let found = places(&scene);
     let expected = [[0., 2., 7.], [1., 4., 7.], [2., 0., 7.]].map(Vec3::from);
     assert!(found.len() == 3 && found.iter().zip(&expected).all(|(a, b)| (*a - *b).length() < 2e-3), "{found:?}");
@@ -228,7 +229,7 @@ fn time_is_counted_from_the_first_time_code() {
     }
 }
 
-/// A leg of three joints whose knee is turned by 90° about z at (0, 1, 0), and meshes on it.
+/// A leg of three joints, with the knee at (0, 1, 0) rotated by 90° about z, and meshes on it.
 fn leg(meshes: &str) -> String {
     let matrices = [0, 1, 2].map(|y| format!("((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, {y}, 0, 1))")).join(", ");
     let local = [0, 1, 1].map(|y| format!("((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, {y}, 0, 1))")).join(", ");
@@ -253,7 +254,7 @@ fn leg(meshes: &str) -> String {
     )
 }
 
-/// A triangle on that leg: corner 0 follows the first of `indices` into the mesh's joints, and so on.
+/// A triangle on the leg: corner i follows the joint `indices[i]` of the mesh's own list.
 fn on_leg(name: &str, joints: &str, indices: [usize; 3], interpolation: &str) -> String {
     format!(
         r#"def Mesh "{name}" (prepend apiSchemas = ["SkelBindingAPI"]) {{
@@ -280,13 +281,13 @@ fn on_leg(name: &str, joints: &str, indices: [usize; 3], interpolation: &str) ->
     )
 }
 
-/// A mesh may name the joints that it follows, in its own order; its authored normals are turned with them.
+/// A mesh may list its own joints in its own order; its authored normals rotate with them.
 #[test]
 fn meshes_with_joints_of_their_own_are_posed_with_their_normals() {
     if common::python().is_none() {
         return;
     }
-    // corners in the order 0, 2, 1: face-varying normals belong to those
+    // the face's corners are in the order 0, 2, 1, and so are face-varying normals
     let both = [("vertex", [Vec3::X, Vec3::Y, Vec3::Z]), ("faceVarying", [Vec3::X, Vec3::Z, Vec3::Y])];
     for (interpolation, normals) in both {
         let scene = scene(&leg(&on_leg("shin", "\"hip/knee\", \"hip\"", [1, 0, 0], interpolation)));

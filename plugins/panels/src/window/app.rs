@@ -39,7 +39,7 @@ const FAILURE_DELAY: Duration = Duration::from_millis(500);
 const STALL_TIMEOUT: Duration = Duration::from_secs(2);
 /// Title of the surface across all outputs; sway's rule matches it.
 const SPAN_TITLE: &str = "lumistack panels: span";
-/// Viewing angle at the edge of the preview window, in units of half the field of view.
+/// Direction at the edge of the preview window, in units of half the field of view.
 const REACH: f64 = 1.2;
 
 /// Runs a presentation until a key, a command, `cancelled` or the duration ends it. `emit` receives

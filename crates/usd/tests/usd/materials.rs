@@ -8,7 +8,7 @@ use lumistack_scene::{AlphaMode, LightKind, Material, Pixels, Scene};
 use lumistack_usd::{Package, scene_from_package};
 use serde_json::{Value, json};
 
-/// A scene of one plane with one material, some lights and one picture of 2 × 1 texels.
+/// A scene of one plane with one material, lights and one picture of 2 × 1 texels.
 fn scene(material: Value, lights: Value) -> (Scene, Vec<Warning>) {
     let mut png = Vec::new();
     let texels = vec![255, 0, 51, 255, 0, 102, 204, 128];
@@ -48,7 +48,7 @@ fn preview(inputs: Value) -> (Scene, Material, Vec<Warning>) {
     shader("UsdPreviewSurface", inputs)
 }
 
-/// A texture of some channels of the picture.
+/// A texture that reads channels of the picture.
 fn texture(channels: &[usize], scale: f32, bias: f32, space: &str) -> Value {
     let list = |value: f32| vec![value; channels.len()];
     json!({"texture": {
@@ -104,9 +104,9 @@ fn opacity_cuts_or_blends_and_shares_the_texture_of_the_colour() {
     let (scene, material, _) =
         preview(json!({"diffuseColor": colour, "opacity": alpha, "opacityThreshold": {"value": [0.25]}}));
     assert_eq!(material.alpha_mode, AlphaMode::Mask { cutoff: 0.25 });
-    // the picture itself: colours and alpha stand where the slot wants them
+    // the picture itself: colours and alpha are in place for the slot
     assert_eq!(texels(&scene, material.base_color_texture.unwrap().texture), [[255, 0, 51, 255], [0, 102, 204, 128]]);
-    // opacity from green beside a constant colour: white, with alpha in its place
+    // opacity from green beside a constant colour: white with alpha in its channel
     let (scene, material, _) = preview(json!({"opacity": texture(&[1], 1.0, 0.0, "raw")}));
     assert_eq!((material.alpha_mode, material.base_color), (AlphaMode::Blend, Vec4::new(0.18, 0.18, 0.18, 1.0)));
     assert_eq!(
@@ -125,12 +125,13 @@ fn roughness_and_metalness_are_packed_from_any_channels() {
     assert_eq!((material.roughness, material.metallic), (1.0, 1.0));
     let packed = texels(&scene, material.metallic_roughness_texture.unwrap().texture);
     assert_eq!(packed.map_channels(), [[255, 0], [0, 102]]);
-    // where green and blue are what is wanted, the picture is used as it is, with the scale as the factor
+    // roughness in green and metallic in blue are in place: the picture is used itself, the scale
+    // is the factor
     let (scene, material, _) =
         preview(json!({"roughness": texture(&[1], 0.5, 0.0, "raw"), "metallic": texture(&[2], 1.0, 0.0, "raw")}));
     assert_eq!((material.roughness, material.metallic), (0.5, 1.0));
     assert_eq!(texels(&scene, material.metallic_roughness_texture.unwrap().texture)[1], [0, 102, 204, 128]);
-    // one minus the texel cannot be a factor
+    // 1 − texel is no factor
     let (scene, material, _) = preview(json!({"roughness": texture(&[0], -1.0, 1.0, "raw")}));
     let packed = texels(&scene, material.metallic_roughness_texture.unwrap().texture);
     assert_eq!([packed[0][1], packed[1][1]], [0, 255]);
@@ -141,7 +142,7 @@ trait Channels {
 }
 
 impl Channels for Vec<[u8; 4]> {
-    /// Roughness and metalness.
+    /// Roughness and metallic.
     fn map_channels(&self) -> Vec<[u8; 2]> {
         self.iter().map(|&[_, g, b, _]| [g, b]).collect()
     }
@@ -149,19 +150,19 @@ impl Channels for Vec<[u8; 4]> {
 
 #[test]
 fn colour_spaces_scale_and_bias_act_in_linear_light() {
-    // raw codes in a slot of colour: encoded anew
+    // raw codes in a slot of colour are encoded again
     let (scene, material, _) = preview(json!({"diffuseColor": texture(&[0, 1, 2], 1.0, 0.0, "raw")}));
     let expected = lumistack_core::colour::srgb_code(0.4);
     assert_eq!(texels(&scene, material.base_color_texture.unwrap().texture)[1][1], expected);
-    // a scale is a factor; "auto" of 8 bits is sRGB
+    // a scale is a factor; "auto" with 8 bits is sRGB
     let (scene, material, _) = preview(json!({"diffuseColor": texture(&[0, 1, 2], 0.5, 0.0, "auto")}));
     assert_eq!(material.base_color.truncate(), Vec3::splat(0.5));
     assert_eq!(texels(&scene, material.base_color_texture.unwrap().texture)[0], [255, 0, 51, 255]);
-    // a bias needs a picture of its own
+    // a bias needs a baked picture
     let (scene, material, _) = preview(json!({"diffuseColor": texture(&[0, 1, 2], 0.5, 0.25, "raw")}));
     let code = lumistack_core::colour::srgb_code(0.25);
     assert_eq!(texels(&scene, material.base_color_texture.unwrap().texture)[0][1], code);
-    // emission above 1 stays: radiance in floating point
+    // emission above 1 is kept as floating-point radiance
     let (scene, material, _) = preview(json!({"emissiveColor": texture(&[0, 1, 2], 3.0, 1.0, "raw")}));
     let image = &scene.images[scene.textures[material.emission_texture.unwrap().texture].image];
     let Pixels::RgbF32(texels) = &image.pixels else { panic!("{image:?}") };
@@ -177,13 +178,13 @@ fn normal_maps_are_decoded_as_the_shader_says() {
     assert_eq!(material.normal_scale, 1.0);
     assert_eq!(texels(&scene, material.normal_texture.unwrap().texture)[0], [255, 0, 51, 255]);
     assert_eq!(scene.meshes[0].tangents.len(), scene.meshes[0].positions.len());
-    // green turned over, as some programs bake them
+    // inverted green, as some programs bake it
     let mut flipped = texture(&[0, 1, 2], 2.0, -1.0, "raw");
     (flipped["texture"]["scale"][1], flipped["texture"]["bias"][1]) = (json!(-2.0), json!(1.0));
     let (scene, material, _) = preview(json!({"normal": flipped}));
     let image = &scene.images[scene.textures[material.normal_texture.unwrap().texture].image];
     let Pixels::Rgba16(texels) = &image.pixels else { panic!("{image:?}") };
-    // (1, 0.4, 0.8) · (2, −2, 2) + (−1, 1, −1) for the second texel (0, 0.4, 0.8), made a unit vector
+    // (1, 0.4, 0.8) · (2, −2, 2) + (−1, 1, −1) for the second texel (0, 0.4, 0.8), normalized
     let n = Vec3::new(-1.0, 0.2, 0.6).normalize();
     let found = Vec3::new(f32::from(texels[1][0]), f32::from(texels[1][1]), f32::from(texels[1][2])) / 32767.5 - 1.0;
     assert!((found - n).length() < 1e-3, "{found} {n}");
@@ -197,7 +198,7 @@ fn textures_are_placed_by_their_primvar_and_transform() {
     other["texture"]["primvar"] = json!("lightmap");
     let (scene, material, _) = preview(json!({"diffuseColor": moved, "roughness": other}));
     let base = material.base_color_texture.unwrap();
-    // USD's (0.5, 0.25) is (0.5, 0.75) here; it goes to (1.25, 1.25), here (1.25, −0.25)
+    // USD's (0.5, 0.25) is (0.5, 0.75) here. It maps to (1.25, 1.25), here (1.25, −0.25).
     let found = base.texture_from_mesh.transform_point2(Vec2::new(0.5, 0.75));
     assert!((found - Vec2::new(1.25, -0.25)).length() < 1e-6, "{found}");
     assert_eq!((base.uv_set, material.metallic_roughness_texture.unwrap().uv_set), (0, 1));
@@ -229,6 +230,7 @@ fn pictures_that_cannot_be_read_become_their_fallback() {
 
 #[test]
 fn large_shaders_keep_what_has_a_counterpart_and_name_the_rest() {
+    // standard_surface: every kind of parameter, and two without a counterpart
     let (_, material, warnings) = shader(
         "standard_surface",
         json!({
@@ -248,6 +250,7 @@ fn large_shaders_keep_what_has_a_counterpart_and_name_the_rest() {
     assert!(warnings[0].message.contains("index of refraction 1.8 is shown as 1.5"), "{warnings:?}");
     assert!(warnings[1].message.contains("standard_surface: coat_color cannot be shown"), "{warnings:?}");
 
+    // open_pbr_surface: a solid glass, and a thin window
     let (_, glass, warnings) = shader(
         "open_pbr_surface",
         json!({
@@ -268,6 +271,7 @@ fn large_shaders_keep_what_has_a_counterpart_and_name_the_rest() {
     );
     assert_eq!((window.solid, window.base_color), (false, Vec4::new(0.5, 1.0, 1.0, 0.5)));
 
+    // gltf_pbr: an alpha mask
     let (_, gltf, _) = shader(
         "gltf_pbr",
         json!({"alpha_mode": {"value": [1]}, "alpha": {"value": [0.2]}, "metallic": {"value": [0]}}),
@@ -279,13 +283,13 @@ fn lit(light: Value) -> (Scene, Vec<Warning>) {
     scene(json!({"place": "/m", "name": "m", "model": "UsdPreviewSurface", "inputs": {}}), json!([light]))
 }
 
-/// Twice as large, at (1, 2, 3).
+/// Scaled by 2, at (1, 2, 3).
 fn placed() -> Value {
     json!([2, 0, 0, 0, 0, 2, 0, 0, 0, 0, 2, 0, 1, 2, 3, 1])
 }
 
-/// Emission and power Σ L A π of the shining mesh.
-fn shining(scene: &Scene) -> (Vec3, f64) {
+/// Emission and power Σ L A π of the light's mesh.
+fn light_mesh(scene: &Scene) -> (Vec3, f64) {
     let mesh = &scene.meshes[1];
     let radiance = scene.materials[mesh.material].emission;
     let placement = scene.instances[1].scene_from_mesh;
@@ -295,7 +299,7 @@ fn shining(scene: &Scene) -> (Vec3, f64) {
 }
 
 #[test]
-fn surfaces_shine_with_the_power_of_what_they_stand_for() {
+fn light_meshes_have_the_power_of_the_exact_shapes() {
     use std::f64::consts::PI;
     let areas = [
         (json!({"kind": "rect", "width": 3, "height": 0.5}), 1.5 * 4.0),
@@ -310,13 +314,13 @@ fn surfaces_shine_with_the_power_of_what_they_stand_for() {
             light["matrix"] = placed();
             let (scene, warnings) = lit(light.clone());
             assert!(warnings.is_empty(), "{warnings:?}");
-            let (radiance, power) = shining(&scene);
+            let (radiance, power) = light_mesh(&scene);
             let expected = 6.0 * PI * if normalize { 1.0 } else { area };
             assert!((power / expected - 1.0).abs() < 1e-4, "{light}: {power} is not {expected}");
             assert!((radiance.x / radiance.y - 2.0).abs() < 1e-5);
         }
     }
-    // rectangles and discs shine towards −z alone
+    // rectangles and discs emit only towards −z
     for kind in ["rect", "disk"] {
         let (scene, _) = lit(json!({"kind": kind, "radiance": [1, 1, 1], "width": 1, "height": 1, "radius": 1}));
         assert!(scene.meshes[1].normals.iter().all(|normal| *normal == Vec3::NEG_Z));
@@ -338,7 +342,7 @@ fn shaped_and_small_lights_are_points_of_the_same_intensity() {
     assert!((light.intensity.x - PI).abs() < 1e-3 && light.direction == Vec3::NEG_Z);
     let LightKind::Spot { inner_cone_rad, outer_cone_rad } = light.kind else { panic!("{light:?}") };
     assert!((inner_cone_rad.to_degrees() - 15.0).abs() < 1e-4 && (outer_cone_rad.to_degrees() - 30.0).abs() < 1e-4);
-    // a distant light: the irradiance of a cone of its radiance
+    // a distant light has the irradiance of a cone of its radiance
     let light = point(json!({"kind": "distant", "angle": 60, "radiance": [8, 8, 8]}));
     assert!((light.intensity.x - 2.0 * PI).abs() < 1e-4);
     assert_eq!(light.kind, LightKind::Distant { half_angle_rad: 30f32.to_radians() });
@@ -354,17 +358,17 @@ fn domes_look_the_way_openexr_does() {
     let near = |a: Vec3, b: Vec3| assert!((a - b).length() < 1e-6, "{a} {b}");
     let environment = dome(json!({"kind": "dome", "radiance": [2, 3, 4], "image": 0}));
     assert_eq!(environment.strength, Vec3::new(2.0, 3.0, 4.0));
-    // the picture's centre is our −z and its right our +x
+    // the picture's centre is −z of the scene, and its right edge +x
     let turn = environment.scene_from_environment;
     near(turn * Vec3::NEG_Z, Vec3::Z);
     near(turn * Vec3::X, Vec3::NEG_X);
     near(turn * Vec3::Y, Vec3::Y);
-    // the pole along z, as DomeLight_1 has it in a scene with z up
+    // the pole along z, as in DomeLight_1 of a stage with z up
     near(
         dome(json!({"kind": "dome", "radiance": [1, 1, 1], "pole_z": true})).scene_from_environment * Vec3::Y,
         Vec3::Z,
     );
-    // turned by a quarter about y, and scaled
+    // rotated by 90° about y, and scaled
     let matrix = json!([0, 0, -3, 0, 0, 3, 0, 0, 3, 0, 0, 0, 0, 0, 0, 1]);
     near(
         dome(json!({"kind": "dome", "radiance": [1, 1, 1], "matrix": matrix})).scene_from_environment * Vec3::NEG_Z,
