@@ -59,7 +59,7 @@ pub struct Unit {
     /// Number of the block from 1, and the number of blocks, where the step is cut into blocks.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub block: Option<[usize; 2]>,
-    /// Of a tile: the round in which tiles exchange their borders, from 1.
+    /// The round of a tile, from 1; tiles exchange their borders between rounds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub round: Option<usize>,
     /// Files and folders that it publishes, relative to the run folder.
