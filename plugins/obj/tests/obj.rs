@@ -101,10 +101,10 @@ fn files_that_make_no_sense_are_named() {
     assert_eq!(error.to_string(), "a.obj: no such file");
 }
 
-/// Legal variants that other readers accept: one value for a grey, one texture coordinate, options
 /// Other readers accept more than the specification. Such a file has one value for a grey, one
 /// texture coordinate, and options before a picture's name. It also has continued lines, comments
 /// after numbers, several libraries in one line, and bytes that are not UTF-8.
+#[test]
 fn legal_files_of_other_programs_load() {
     let obj = b"# \xE4\nmtllib one.mtl two.mtl\no K\xE4se\nv 0 0 0 # corner\nv 1 0 0\nv 0 1 0\nvt 0.5\nvt 1\nvt 0\n\
         usemtl grey\nf 1/1 2/2 \\\n3/3\nusemtl placed\nf 1/1 2/2 3/3\n";

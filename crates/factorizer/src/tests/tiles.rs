@@ -4,7 +4,8 @@ use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{LayerColour, LayerStack, RayMap, Region, Tap, Tile, Tiling, Weights};
 
 use super::problems::{Kind, Owned, random};
-use crate::prepared::Prepared;
+use crate::device::Updater;
+use crate::engine::Engine;
 use crate::{FactorizeError, Problem, Settings, factorize, factorize_tile, random_start};
 
 /// Relative difference of a gain as the tile and as the whole sum it up, in f32 arithmetic, of the objective before.
@@ -102,7 +103,7 @@ fn every_pixel_is_one_tiles_own_and_all_rays_through_free_pixels_are_the_tiles()
 }
 
 fn objective(problem: &Problem, stack: &LayerStack) -> f64 {
-    Prepared::new(problem, stack.clone()).unwrap().engine(0.0).objective().value
+    Engine::new(problem, stack.clone(), 0.0).unwrap().objective().value
 }
 
 #[test]
