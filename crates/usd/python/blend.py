@@ -1,7 +1,7 @@
 """Runs in the user's Blender, or in a Python with the module bpy: opens a .blend file and exports
 it.
 
-    blend -b --python-exit-code 1 --python blend.py -- FOLDER
+    blender -b --python-exit-code 1 --python blend.py -- FOLDER
     python blend.py -- FOLDER
 
 FOLDER contains request.json. The result is scene.glb, and then answer.json. The modules that do the
