@@ -120,7 +120,7 @@ impl Gpu {
         let bytes = 4 * count as u64;
         let staging = self.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("read back"),
-            size: bytes.min(CHUNK).max(4),
+            size: bytes.clamp(4, CHUNK),
             usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });

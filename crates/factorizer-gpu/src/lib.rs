@@ -113,6 +113,6 @@ impl Solver for OnDevice {
     }
 
     fn start<'a>(&self, problem: &Problem<'a>, start: LayerStack) -> Result<Box<dyn Run + 'a>, FactorizeError> {
-        Ok(start_on(&self.device, self.twin.name(), problem, start)?)
+        start_on(&self.device, self.twin.name(), problem, start)
     }
 }

@@ -142,7 +142,7 @@ impl Engine {
     #[cfg(test)]
     pub(crate) fn new(problem: &crate::Problem, start: LayerStack, floor: f32) -> Result<Self, FactorizeError> {
         let prepared = crate::prepared::Prepared::new(problem, start, &Processor)?;
-        Ok(Self::begin(prepared.to_begin(floor, false)))
+        Ok(Self::begin(prepared.into_begin(floor, false)))
     }
 
     /// What sums of weighted errors are to be multiplied by.

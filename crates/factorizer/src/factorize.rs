@@ -215,7 +215,7 @@ fn solve(
     if settings.levels && has_levels(problem) {
         let psnr_view = |stack: &LayerStack| {
             let patterns = Patterns::Stack(stack.clone());
-            Engine::begin(prepared(patterns).to_begin(0.0, false)).objective().psnr_view
+            Engine::begin(prepared(patterns).into_begin(0.0, false)).objective().psnr_view
         };
         let continuous = psnr_view(&stack);
         let rounded = psnr_view(&round_to_levels(problem, &stack));

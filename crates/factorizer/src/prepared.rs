@@ -42,11 +42,11 @@ impl<'a> Prepared<'a> {
     /// Hands the patterns over to the executor; see [`Begin`].
     pub(crate) fn begin(self, floor: f32, bold: bool) -> Result<Box<dyn Updater>, FactorizeError> {
         let executor = self.executor;
-        executor.begin(self.to_begin(floor, bold))
+        executor.begin(self.into_begin(floor, bold))
     }
 
     /// Values, now and later, stay within the hardware's box and at `floor` or above.
-    pub(crate) fn to_begin(self, floor: f32, bold: bool) -> Begin {
+    pub(crate) fn into_begin(self, floor: f32, bold: bool) -> Begin {
         let Self { plan, display, patterns, .. } = self;
         let mut ranges = ranges_of(display);
         ranges.iter_mut().for_each(|[low, high]| *low = low.max(floor).min(*high));

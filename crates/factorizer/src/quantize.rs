@@ -51,7 +51,7 @@ pub fn reoptimize_on_levels(problem: &Problem, stack: LayerStack, task: Task) ->
 pub(crate) fn reoptimize(prepared: Prepared, task: Task) -> Result<LayerStack, FactorizeError> {
     let display = prepared.display;
     let (frames, layers) = (display.frames, &display.layers);
-    let mut engine = Engine::begin(prepared.to_begin(0.0, false));
+    let mut engine = Engine::begin(prepared.into_begin(0.0, false));
     engine.cancel = task.cancel.clone();
     let few: Vec<usize> = (0..layers.len()).filter(|&n| layers[n].bits.is_some()).collect();
     for &n in &few {
