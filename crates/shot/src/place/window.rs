@@ -33,7 +33,7 @@ pub struct Found {
 
 /// Finds the window in the scene.
 ///
-/// Without a camera the scene is framed from the front, or from the side that [`side::choose`]
+/// Without a camera the scene is framed from the front, or from the side that `side::choose`
 /// finds. The frame then shrinks to the visible scene and holds all of it. A camera that the job
 /// does not name and that has no focus moves closer until the scene would be cut off.
 ///
