@@ -23,6 +23,7 @@ const CLEAN: &[&str] = &[
     "crates/gltf",
     "crates/pathtracer",
     "crates/plot",
+    "crates/python",
     "crates/scene",
     "crates/simd",
     "crates/testkit",

@@ -1,4 +1,5 @@
-"""What runs on a worker: one unit as a child process, and questions about the machine. It returns texts of JSON alone."""
+"""Code that runs on a worker: executes a unit as a child process, and describes the machine.
+Results are texts of JSON."""
 
 from __future__ import annotations
 
@@ -9,21 +10,21 @@ import sys
 import threading
 from typing import Any
 
-# How often a unit that runs looks whether it is still wanted, seconds.
+# Interval at which a running unit checks that its task still exists, seconds.
 LOOK_SECONDS = 0.2
-# How long a unit may take to stop, seconds.
+# Longest time for a unit to stop, seconds.
 STOP_SECONDS = 10.0
-# Letters of what a child said that are kept.
+# Characters that are kept of a child's output.
 MOST_SAID = 4000
 
 
 def _program(words: list[str] | None) -> list[str]:
-    """Words that start the program here."""
+    """The command that starts the program here."""
     return words or [sys.executable, "-m", "lumistack"]
 
 
 def _answer(text: str, event: str) -> dict[str, Any] | None:
-    """The last line of JSON that tells of an event."""
+    """The last line of JSON with this event."""
     for line in reversed(text.splitlines()):
         if line.startswith("{"):
             try:
@@ -36,7 +37,8 @@ def _answer(text: str, event: str) -> dict[str, Any] | None:
 
 
 def probe(words: list[str] | None, folder: str) -> str:
-    """Version and code of the program on this worker, and whether it sees the run folder."""
+    """Version and code of the program on this worker, and true or false for access to the run
+    folder."""
     about: dict[str, Any] = {"host": os.uname().nodename if hasattr(os, "uname") else "", "process": os.getpid()}
     about["folder"] = os.path.isdir(folder)
     try:
@@ -49,7 +51,8 @@ def probe(words: list[str] | None, folder: str) -> str:
 
 
 def _is_wanted() -> bool:
-    """Whether the task of this thread is still to be done: its client may be gone, or have thought better of it."""
+    """True while the client still waits for the task of this thread; it may be gone, or have
+    cancelled the task."""
     try:
         from distributed import get_worker
 
@@ -61,7 +64,7 @@ def _is_wanted() -> bool:
 
 
 def _address() -> str:
-    """This worker's address, by which the client names it."""
+    """This worker's address; the client names the worker by it."""
     try:
         from distributed import get_worker
 
@@ -84,12 +87,12 @@ def _threads(given: int | None) -> int:
 
 
 def execute(words: list[str] | None, folder: str, unit: str, maps: list[str], threads: int | None) -> str:
-    """Executes a unit. Never raises: how it ended is in the text."""
+    """Executes a unit. Never raises: the text contains the result."""
     line = [*_program(words), "--json", "--threads", str(_threads(threads)), "farm", "unit", "--attached"]
     for pair in maps:
         line += ["--map", pair]
     try:
-        # the unit ends with its standard input, so it never outlives this process
+        # The unit ends when its standard input closes, so it never outlives this process.
         child = subprocess.Popen(
             [*line, folder, unit],
             stdin=subprocess.PIPE,
@@ -97,7 +100,7 @@ def execute(words: list[str] | None, folder: str, unit: str, maps: list[str], th
             stderr=subprocess.PIPE,
             text=True,
             errors="replace",
-            # Ctrl-C is for the client, which then wants the unit no more
+            # Ctrl-C is for the client, which then cancels the task.
             process_group=0 if os.name == "posix" else None,
         )
     except OSError as error:
