@@ -28,6 +28,7 @@ const CLEAN: &[&str] = &[
     "crates/simd",
     "crates/testkit",
     "crates/usd",
+    "crates/web",
     "docs/GLOSSARY.md",
     "docs/GLTF.md",
     "docs/ZONE.md",
