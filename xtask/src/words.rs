@@ -37,6 +37,8 @@ const CLEAN: &[&str] = &[
     "plugins/obj",
     "plugins/panels",
     "plugins/quilt",
+    "web/README.md",
+    "web/src",
     "xtask/src/prose.rs",
     "xtask/src/words.rs",
 ];
