@@ -37,6 +37,7 @@ const CLEAN: &[&str] = &[
     "plugins/obj",
     "plugins/panels",
     "plugins/quilt",
+    "plugins/web-simulator",
     "web/README.md",
     "web/src",
     "xtask/src/prose.rs",
