@@ -33,6 +33,7 @@ const CLEAN: &[&str] = &[
     "docs/GLTF.md",
     "docs/ZONE.md",
     "plugins/baselines",
+    "plugins/blender",
     "plugins/images",
     "plugins/obj",
     "plugins/panels",
