@@ -47,6 +47,13 @@ pub fn report(run_dir: &Path) -> serde_json::Value {
     serde_json::from_slice(&text).expect("report.json is JSON")
 }
 
+/// Whether a stage of a run took up what it had made before.
+pub fn cached(run_dir: &Path, stage: &str) -> bool {
+    let report = report(run_dir);
+    let stage = report["stages"].as_array().expect("stages are told").iter().find(|found| found["name"] == stage);
+    stage.expect("the stage is told")["cached"].as_bool().expect("a stage is cached or not")
+}
+
 /// A number in `report.json`.
 pub fn number(value: &serde_json::Value, key: &str) -> f64 {
     value[key].as_f64().or_else(|| value[key].as_str()?.parse().ok()).unwrap_or_else(|| panic!("{key} of {value}"))
