@@ -16,9 +16,8 @@ pub fn cargo(arguments: &[&str]) -> Outcome {
     run(command("cargo").args(arguments))
 }
 
-/// What CI compiles, lints and documents: one selection of packages with one set of features, so that nothing is compiled twice. It has the windows of panels and solves on graphics processors.
-pub const EVERYTHING: [&str; 3] =
-    ["--workspace", "--features", "lumistack-plugin-panels/window,lumistack-cli/panels,lumistack-cli/gpu"];
+/// What CI compiles, lints and documents: one selection of packages with one set of features, so that nothing is compiled twice.
+pub const EVERYTHING: [&str; 3] = ["--workspace", "--features", "lumistack-plugin-panels/window,lumistack-cli/panels"];
 
 /// Builds all programs, the Python module and all examples, among them the libraries of plugins, into `target/debug`.
 ///

@@ -25,8 +25,10 @@ pub fn adapters() -> Vec<Adapter> {
 }
 
 fn found() -> Vec<(Adapter, wgpu::Adapter)> {
-    // interfaces with compute shaders
-    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
+    // interfaces with compute shaders alone: OpenGL's driver writes to standard error without a session
+    let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle_from_env();
+    descriptor.backends = Backends::PRIMARY;
+    let instance = wgpu::Instance::new(descriptor);
     let mut all: Vec<_> = pollster::block_on(instance.enumerate_adapters(Backends::PRIMARY))
         .into_iter()
         .map(|adapter| (described(&adapter), adapter))
