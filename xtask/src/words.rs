@@ -25,6 +25,7 @@ const CLEAN: &[&str] = &[
     "crates/live",
     "crates/pathtracer",
     "crates/plot",
+    "crates/plugin-abi",
     "crates/scene",
     "crates/shot",
     "crates/simd",

@@ -1,11 +1,12 @@
-/* Plugins of Lumistack, for C. Made from the Rust types of lumistack-plugin-abi; do not edit.
+/* Plugins of Lumistack, for C. Generated from the Rust types of lumistack-plugin-abi; do not edit.
  *
- * A shared library lumistack_plugin_NAME (with the system's prefix and suffix) exports for every plugin ID that it holds
+ * A shared library lumistack_plugin_NAME (with the system's prefix and suffix) exports for every plugin ID
  *
  *     const LumistackDescriptor *lumistack_plugin_entry_ID(void);
  *
- * A struct starts with its own size in bytes (a descriptor with its version) and only ever grows at the end: set `size` to `sizeof` of what
- * you hand out, and read no further than the `size` of what you are given. Texts are UTF-8 with a length, never null-terminated.
+ * A struct starts with its own size in bytes (a descriptor with its version) and grows only at its end. Set
+ * `size` of your structs to their `sizeof`, and read at most `size` bytes of the other side's structs. Texts
+ * are UTF-8 with a length, never null-terminated.
  * Nothing may unwind into the caller. docs/PLUGINS.md shows a whole plugin.
  */
 
@@ -16,12 +17,13 @@
 #include <stdint.h>
 
 /**
- * Version of everything that already exists. It stays 0 until every first-party plugin has lived with it.
+ * Version of the existing structs and functions. It stays 0 until every plugin of this repository
+ * has used the boundary for a while.
  */
 #define LUMISTACK_ABI_MAJOR 0
 
 /**
- * Version of what was added at the ends of structs.
+ * Version of the additions at the ends of structs.
  */
 #define LUMISTACK_ABI_MINOR 4
 
@@ -56,7 +58,7 @@
 #define LUMISTACK_KIND_NODE 3
 
 /**
- * Takes what the graph makes and puts it somewhere; see `OutputVtable`.
+ * Writes or presents light fields and patterns; see `OutputVtable`.
  */
 #define LUMISTACK_KIND_OUTPUT 4
 
@@ -76,27 +78,27 @@
 #define LUMISTACK_PORT_LAYER_STACK (1 << 2)
 
 /**
- * A file that another part wrote.
+ * A file that another plugin wrote.
  */
 #define LUMISTACK_PORT_FILE (1 << 3)
 
 /**
- * Something failed and the plugin goes on without it.
+ * An error that the plugin survives.
  */
 #define LUMISTACK_LEVEL_ERROR 1
 
 /**
- * The user should know.
+ * A problem that the user should know.
  */
 #define LUMISTACK_LEVEL_WARN 2
 
 /**
- * The user may want to know.
+ * Information for the user.
  */
 #define LUMISTACK_LEVEL_INFO 3
 
 /**
- * For whoever develops the plugin.
+ * Information for the plugin's developer.
  */
 #define LUMISTACK_LEVEL_DEBUG 4
 
@@ -115,7 +117,7 @@ typedef struct LumistackStr {
 } LumistackStr;
 
 /**
- * What a plugin is and what it takes. All texts live as long as the process.
+ * Description of a plugin. All texts live as long as the process.
  */
 typedef struct LumistackDescriptor {
   /**
@@ -131,15 +133,17 @@ typedef struct LumistackDescriptor {
    */
   size_t size;
   /**
-   * One of `kind`; says what `vtable` points to.
+   * One of `kind`; it selects the type of `vtable`.
    */
   uint32_t kind;
   /**
-   * Accepted input ports, bits of `port`: `FILE` for importers, none for sources, `LIGHT_FIELD` for nodes.
+   * Accepted input ports, bits of `port`: `FILE` for importers, none for
+   * sources, `LIGHT_FIELD` for nodes.
    */
   uint32_t ports;
   /**
-   * Name in job files and on the command line: lower-case letters, digits and underscores, a letter first.
+   * Name in job files and on the command line: lower-case letters, digits and underscores; the
+   * first is a letter.
    */
   struct LumistackStr id;
   /**
@@ -147,11 +151,12 @@ typedef struct LumistackDescriptor {
    */
   struct LumistackStr version;
   /**
-   * What it does, for people; the first sentence stands in lists.
+   * Description for users; lists show its first sentence.
    */
   struct LumistackStr doc;
   /**
-   * Parameters: `{"params": [{"name", "kind", "default", "min", "max", "options", "unit", "help"}, ...]}`.
+   * Parameters: `{"params": [{"name", "kind", "default", "min", "max", "options", "unit",
+   * "help"}, ...]}`.
    */
   struct LumistackStr schema_json;
   /**
@@ -169,15 +174,15 @@ typedef int32_t LumistackStatus;
  */
 #define LUMISTACK_STATUS_OK 0
 /**
- * The call failed; the error text says why.
+ * The call failed; the error text states why.
  */
 #define LUMISTACK_STATUS_FAILED 1
 /**
- * Stopped because the host asked to stop; nothing is wrong with the input.
+ * The call stopped because the host cancelled; the input may be valid.
  */
 #define LUMISTACK_STATUS_CANCELLED 2
 /**
- * Parameters or data that the callee does not take; the error text names them.
+ * The callee does not support the parameters or data; the error text names them.
  */
 #define LUMISTACK_STATUS_REFUSED 3
 /**
@@ -186,8 +191,8 @@ typedef int32_t LumistackStatus;
 #define LUMISTACK_STATUS_PANICKED 4
 
 /**
- * Takes the error text of one call. The caller provides it, so that no memory changes hands and calls from several threads do not
- * mix their texts.
+ * Receives the error text of one call. The caller provides it, so no memory changes its owner, and
+ * calls from several threads do not mix their texts.
  */
 typedef struct LumistackErrorSink {
   /**
@@ -199,7 +204,7 @@ typedef struct LumistackErrorSink {
    */
   void *context;
   /**
-   * Copies `text`; a later text replaces an earlier one.
+   * Copies `text`, which replaces an earlier text.
    */
   void (*write)(void *context, struct LumistackStr text);
 } LumistackErrorSink;
@@ -223,7 +228,7 @@ typedef struct LumistackBytes {
  */
 typedef struct LumistackPlane {
   /**
-   * Size of this struct in bytes; the one who wants a plane sets it.
+   * Size of this struct in bytes. The caller that requests a plane sets it.
    */
   size_t size;
   /**
@@ -239,7 +244,7 @@ typedef struct LumistackPlane {
    */
   uint32_t ndim;
   /**
-   * Length of every axis; 1 beyond `ndim`.
+   * Length of every axis; 1 for the axes past `ndim`.
    */
   size_t shape[4];
   /**
@@ -251,14 +256,15 @@ typedef struct LumistackPlane {
    */
   void *owner;
   /**
-   * Gives the plane back. Null: it is valid until the `submit` that fetched it returns, and nothing needs to be done.
+   * Releases the plane. If null, the plane is valid until the `submit` that fetched it returns,
+   * and needs no release.
    */
   void (*release)(void *owner);
 } LumistackPlane;
 
 /**
- * One time's data, lent until `submit` returns. Functions that do not fit `port` return `Status::REFUSED`. May be read from
- * several threads.
+ * Data of a time step, lent until `submit` returns. Functions that do not fit `port` return
+ * `Status::REFUSED`. Several threads may read at once.
  */
 typedef struct LumistackData {
   /**
@@ -266,7 +272,7 @@ typedef struct LumistackData {
    */
   size_t size;
   /**
-   * One bit of `port`: what this is.
+   * One bit of `port`: the kind of the data.
    */
   uint32_t port;
   /**
@@ -274,14 +280,23 @@ typedef struct LumistackData {
    */
   const void *context;
   /**
-   * Shapes and geometry. A layer stack: `{"port": "layer_stack", "brightness", "frames", "layers": [[rows, cols], ...] (rearmost
-   * first), "emission": [bins_y, bins_x, lenslet_rows, lenslet_cols] or null, "target": geometry, "target_views": whether `view_plane` lends
-   * the target's views, "target_depth": depth}`. A light field: `{"port":
-   * "light_field", "geometry": geometry, "depth": depth}`, and for a node also `"seed"`, `"weights": {"per_view": [[...], ...]}` or `"per_ray"` (see `weight_plane`;
-   * left out where all rays count alike), and `"start": {"brightness"}` where there are patterns to begin from, of the display's own
-   * shape, which `layer_plane` and `emission_plane` lend. A depth, left out where nobody knows it: how deep the view [view rows / 2, view columns / 2]
-   * sees, `{"rows", "cols", "z_mm": [row by row, millimetres towards the viewer, null where nothing is met]}`; it may be coarser than the views. A geometry: `{"rows", "cols", "pitch_mm", "projection": "oblique" | "perspective",
-   * "distance_mm", "slope_x": [...], "slope_y": [...]}`.
+   * Shapes and geometry as JSON.
+   *
+   * * A layer stack: `{"port": "layer_stack", "brightness", "frames",
+   *   "layers": [[rows, cols], ...], "emission", "target": geometry, "target_views",
+   *   "target_depth": depth}`. `layers` begins with the rearmost one. `emission` is null or
+   *   `[bins_y, bins_x, lenslet_rows, lenslet_cols]`. `target_views` is true where `view_plane`
+   *   lends the target's views.
+   * * A light field: `{"port": "light_field", "geometry": geometry, "depth": depth}`.
+   * * A node's light field also has `"seed"`, `"weights"` and `"start"`. `weights` is
+   *   `{"per_view": [[...], ...]}` or `"per_ray"` (see `weight_plane`); without it all rays
+   *   count alike. `start` is `{"brightness"}` where a warm start exists. Its patterns have the
+   *   display's own shape; `layer_plane` and `emission_plane` lend them.
+   * * A depth: `{"rows", "cols", "z_mm": [...]}`, row by row, in millimetres towards the viewer,
+   *   null for a miss. It belongs to the view [view rows / 2, view columns / 2], and may be
+   *   coarser than the views. The key is left out where the depth is unknown.
+   * * A geometry: `{"rows", "cols", "pitch_mm", "projection": "oblique" | "perspective",
+   *   "distance_mm", "slope_x": [...], "slope_y": [...]}`.
    */
   struct LumistackStr description_json;
   /**
@@ -293,7 +308,8 @@ typedef struct LumistackData {
                                  struct LumistackPlane *plane,
                                  const struct LumistackErrorSink *error);
   /**
-   * Emission `[lenslet_row][lenslet_col][rgb]` of one angular bin and frame of a directional backlight, linear, 0..1.
+   * Emission `[lenslet_row][lenslet_col][rgb]` of one angular bin and frame of a directional
+   * backlight, linear, 0..1.
    */
   LumistackStatus (*emission_plane)(const void *context,
                                     size_t frame,
@@ -302,7 +318,8 @@ typedef struct LumistackData {
                                     struct LumistackPlane *plane,
                                     const struct LumistackErrorSink *error);
   /**
-   * Linear radiance `[row][col][rgb]` of one view of a light field, or of a layer stack's target where it has views.
+   * Linear radiance `[row][col][rgb]` of one view of a light field, or of a layer stack's target
+   * where it has views.
    */
   LumistackStatus (*view_plane)(const void *context,
                                 size_t view_y,
@@ -310,7 +327,8 @@ typedef struct LumistackData {
                                 struct LumistackPlane *plane,
                                 const struct LumistackErrorSink *error);
   /**
-   * Weights `[row][col][1]`, not below 0, of the rays of one view, where the description says `"per_ray"`. Since version 0.3.
+   * Weights `[row][col][1]`, at least 0, of the rays of one view, where the description says
+   * `"per_ray"`. Since version 0.3.
    */
   LumistackStatus (*weight_plane)(const void *context,
                                   size_t view_y,
@@ -320,7 +338,7 @@ typedef struct LumistackData {
 } LumistackData;
 
 /**
- * A place to look at the display from.
+ * Direction or eye position from which the display is seen.
  */
 typedef struct LumistackView {
   /**
@@ -332,14 +350,15 @@ typedef struct LumistackView {
    */
   uint32_t kind;
   /**
-   * Meaning by `kind`.
+   * Direction or eye position; its meaning depends on `kind`.
    */
   double value[3];
 } LumistackView;
 
 /**
- * Functions of the host; every one may be called from any thread, from `open` until `close` returns. They come as a table because
- * statics (loggers, allocators, thread pools) are separate in every library.
+ * Functions of the host. Any thread may call them, from `open` until `close` returns.
+ *
+ * They are a table because every library has its own statics: loggers, allocators, thread pools.
  */
 typedef struct LumistackHostServices {
   /**
@@ -355,47 +374,52 @@ typedef struct LumistackHostServices {
    */
   void (*log)(const void *context, uint32_t level, struct LumistackStr message);
   /**
-   * A stage of `total` steps of kind `unit` ("files") starts.
+   * Starts a stage of `total` steps of kind `unit` ("files").
    */
   void (*progress_begin)(const void *context, struct LumistackStr stage, uint64_t total, struct LumistackStr unit);
   /**
-   * Some steps are done; `note` is a short figure to show beside the bar, or empty.
+   * Reports finished steps. `note` is a short value to show beside the bar, or empty.
    */
   void (*progress_advance)(const void *context, uint64_t steps, struct LumistackStr note);
   /**
-   * The stage has ended.
+   * Ends the stage.
    */
   void (*progress_end)(const void *context);
   /**
-   * Nonzero once the user asked to stop; long work asks often and then returns `Status::CANCELLED`.
+   * Returns nonzero once the user cancelled. Long work checks it often, and then returns
+   * `Status::CANCELLED`.
    */
   uint8_t (*is_cancelled)(const void *context);
   /**
-   * Starts a file; `path` is relative to the output's folder, with `/` between its parts and no `..`. `*file` is its handle.
+   * Starts a file, with `*file` as its handle. `path` is relative to the output's folder, with
+   * `/` between its parts and no `..`.
    */
   LumistackStatus (*file_open)(const void *context,
                                struct LumistackStr path,
                                uint64_t *file,
                                const struct LumistackErrorSink *error);
   /**
-   * Adds bytes at the end of an open file.
+   * Appends bytes to an open file.
    */
   LumistackStatus (*file_append)(const void *context,
                                  uint64_t file,
                                  struct LumistackBytes bytes,
                                  const struct LumistackErrorSink *error);
   /**
-   * The file is whole. It appears in its place once the output has finished. The handle is gone.
+   * Completes the file and closes the handle. The file appears in its place once the output has
+   * finished.
    */
   LumistackStatus (*file_commit)(const void *context, uint64_t file, const struct LumistackErrorSink *error);
   /**
-   * Drops the file; nothing of it remains. The handle is gone.
+   * Drops the file and closes the handle. Nothing of the file remains.
    */
   LumistackStatus (*file_abort)(const void *context, uint64_t file, const struct LumistackErrorSink *error);
   /**
-   * The seen picture of a submitted layer stack from one place: emitted linear radiance
-   * `[row][col][rgb]`, the mean over the area of each of the target's pixels, not divided by the stack's brightness. `data` is what `submit` was given; the plane is the plugin's to
-   * release.
+   * Computes the seen picture of a submitted layer stack from one place.
+   *
+   * The result is emitted linear radiance `[row][col][rgb]`: the mean over the area of each of
+   * the target's pixels, not divided by the stack's brightness. `data` is the argument of
+   * `submit`. The plugin releases the plane.
    */
   LumistackStatus (*simulate)(const void *context,
                               const struct LumistackData *data,
@@ -403,17 +427,19 @@ typedef struct LumistackHostServices {
                               struct LumistackPlane *plane,
                               const struct LumistackErrorSink *error);
   /**
-   * Tells an event to the driver of a presenter, as JSON of the plugin's own form. Since version 0.4.
+   * Sends an event to the host's driver of a presenter. The plugin defines the form of the JSON.
+   * Since version 0.4.
    */
   void (*tell)(const void *context, struct LumistackStr event_json);
   /**
-   * The port whose data an output will be given, a bit of `port`; 0 where the host does not say. Since version 0.4.
+   * Port whose data the output will receive, a bit of `port`; 0 where the host
+   * does not know it. Since version 0.4.
    */
   uint32_t port;
 } LumistackHostServices;
 
 /**
- * Place in a sequence.
+ * Place of a time step in a sequence.
  */
 typedef struct LumistackTime {
   /**
@@ -421,7 +447,7 @@ typedef struct LumistackTime {
    */
   size_t size;
   /**
-   * Number of the time in this output, from 0; a still has only 0.
+   * Number of the time step in this output, from 0. A still has only 0.
    */
   uint64_t index;
   /**
@@ -431,8 +457,10 @@ typedef struct LumistackTime {
 } LumistackTime;
 
 /**
- * Functions of an output plugin. All but `run` and `command` must be there. `error` is where the text of a status other than
- * `Status::OK` goes; it may be null when the caller does not want it.
+ * Functions of an output plugin. All but `run` and `command` are required.
+ *
+ * `error` receives the text of a status other than `Status::OK`; it may be null where the caller
+ * does not need the text.
  */
 typedef struct LumistackOutputVtable {
   /**
@@ -440,9 +468,11 @@ typedef struct LumistackOutputVtable {
    */
   size_t size;
   /**
-   * Starts an output. `params_json` is an object that holds any of the schema's parameters; `display_json` the display file as
-   * JSON. `host` is valid until `close` returns. On success `*instance` is a handle for the other functions; otherwise it is
-   * left alone and `close` is not called.
+   * Starts an output. `params_json` is an object with any of the schema's parameters.
+   * `display_json` is the display file as JSON. `host` is valid until `close` returns.
+   *
+   * On success `*instance` is a handle for the other functions. Otherwise it stays unchanged,
+   * and `close` is not called.
    */
   LumistackStatus (*open)(const struct LumistackHostServices *host,
                           struct LumistackStr params_json,
@@ -450,34 +480,35 @@ typedef struct LumistackOutputVtable {
                           void **instance,
                           const struct LumistackErrorSink *error);
   /**
-   * Takes one time of the sequence. Called from any thread, also from several at once.
+   * Takes one time step of the sequence. Any thread may call it, several at once too.
    */
   LumistackStatus (*submit)(void *instance,
                             const struct LumistackTime *time,
                             const struct LumistackData *data,
                             const struct LumistackErrorSink *error);
   /**
-   * Presenters only, else null: runs on the main thread until the user closes the presentation or the host cancels. Meanwhile
-   * every `submit` replaces what is presented: only the newest state counts.
+   * For presenters only, else null. Runs on the main thread until the user closes the
+   * presentation or the host cancels. Meanwhile every `submit` replaces the presented patterns.
    */
   LumistackStatus (*run)(void *instance, const struct LumistackErrorSink *error);
   /**
-   * No more data will come. Called at most once, after every `submit` has returned.
+   * Ends the data. Called at most once, after every `submit` has returned.
    */
   LumistackStatus (*finish)(void *instance, const struct LumistackErrorSink *error);
   /**
-   * Frees the handle. Called exactly once, last, from whatever state: without `finish` the output is abandoned.
+   * Frees the handle. Called exactly once, as the last function, in any state; without `finish`
+   * the output is abandoned.
    */
   void (*close)(void *instance);
   /**
-   * Presenters that take commands, else null: obeys a command while `run` runs; from any thread. `command_json` is of the plugin's own form.
-   * Since version 0.4.
+   * For presenters with commands, else null. Executes a command while `run` runs; any thread may
+   * call it. The plugin defines the form of `command_json`. Since version 0.4.
    */
   LumistackStatus (*command)(void *instance, struct LumistackStr command_json, const struct LumistackErrorSink *error);
 } LumistackOutputVtable;
 
 /**
- * Takes bytes, in order.
+ * Receives bytes, in order.
  */
 typedef struct LumistackByteSink {
   /**
@@ -489,7 +520,7 @@ typedef struct LumistackByteSink {
    */
   void *context;
   /**
-   * Copies the bytes behind those of earlier calls.
+   * Appends a copy of the bytes.
    */
   LumistackStatus (*write)(void *context, struct LumistackBytes bytes, const struct LumistackErrorSink *error);
 } LumistackByteSink;
@@ -507,7 +538,8 @@ typedef struct LumistackAssets {
    */
   const void *context;
   /**
-   * Reads a whole file; `path` is relative to the folder of the imported file, with `/` between its parts.
+   * Reads a whole file. `path` is relative to the folder of the imported file, with `/` between
+   * its parts.
    */
   LumistackStatus (*read)(const void *context,
                           struct LumistackStr path,
@@ -516,9 +548,10 @@ typedef struct LumistackAssets {
 } LumistackAssets;
 
 /**
- * Functions of an importer: a file of some format becomes a glTF 2.0 document.
+ * Functions of an importer, which converts a file to a glTF 2.0 document.
  *
- * glTF is the form in which a scene crosses the boundary: JSON and planes of numbers, public, with a validator on the host's side.
+ * A scene crosses the boundary as glTF: a public format of JSON and arrays, which the host
+ * validates.
  */
 typedef struct LumistackImporterVtable {
   /**
@@ -526,12 +559,13 @@ typedef struct LumistackImporterVtable {
    */
   size_t size;
   /**
-   * Extensions of the files that it takes: lower case, without the dot, separated by spaces.
+   * Extensions of its files: lower case, without the dot, separated by spaces.
    */
   struct LumistackStr extensions;
   /**
-   * Reads the file `file` (a name to be read through `assets`) and writes a whole `.glb` or `.gltf` to `scene`. Files that the document
-   * refers to are read beside the imported file. `host` offers messages, progress and cancellation, and no files.
+   * Reads the file `file`, a name for `assets`, and writes a whole `.glb` or `.gltf` to `scene`.
+   * The document may refer to files beside the imported file. `host` offers messages, progress
+   * and cancellation, but no files.
    */
   LumistackStatus (*import)(const struct LumistackHostServices *host,
                             struct LumistackStr params_json,
@@ -542,7 +576,7 @@ typedef struct LumistackImporterVtable {
 } LumistackImporterVtable;
 
 /**
- * Takes a light field.
+ * Receives a light field.
  */
 typedef struct LumistackFieldSink {
   /**
@@ -554,11 +588,13 @@ typedef struct LumistackFieldSink {
    */
   void *context;
   /**
-   * Pixels and views, as the geometry in `Data::description_json`; once, before the first view.
+   * Sets pixels and views, as the geometry in `Data::description_json`. Called once, before
+   * the first view.
    */
   LumistackStatus (*geometry)(void *context, struct LumistackStr geometry_json, const struct LumistackErrorSink *error);
   /**
-   * Copies the linear radiance `[row][col][rgb]` of one view: finite and not below 0. Every view is given exactly once, in any order.
+   * Copies the linear radiance `[row][col][rgb]` of one view, finite and at least 0. Called
+   * exactly once for every view, in any order.
    */
   LumistackStatus (*view_plane)(void *context,
                                 size_t view_y,
@@ -576,7 +612,8 @@ typedef struct LumistackSourceVtable {
    */
   size_t size;
   /**
-   * Makes the light field of one time; the display's own geometry is what is wanted, another is taken as it is. `host` as for importers.
+   * Makes the light field of one time step. It should have the display's geometry; the host
+   * accepts others. `host` is as for importers.
    */
   LumistackStatus (*make)(const struct LumistackHostServices *host,
                           struct LumistackStr params_json,
@@ -587,7 +624,8 @@ typedef struct LumistackSourceVtable {
 } LumistackSourceVtable;
 
 /**
- * Takes a layer stack of the display that the node was given. Functions may not be called from several threads at once.
+ * Receives a layer stack for the node's display. Only one thread at a time may call these
+ * functions.
  */
 typedef struct LumistackStackSink {
   /**
@@ -599,11 +637,13 @@ typedef struct LumistackStackSink {
    */
   void *context;
   /**
-   * Brightness β, above 0 and at most 1: the patterns are to emit β times the target. Without this call the display's.
+   * Sets the brightness β, above 0 and at most 1: the patterns emit β times the target. Without
+   * this call β is that of the display.
    */
   LumistackStatus (*brightness)(void *context, double brightness, const struct LumistackErrorSink *error);
   /**
-   * Copies the values `[row][col][rgb]` of one layer (0 = rearmost) and frame, linear, 0..1. Every one is given exactly once.
+   * Copies the values `[row][col][rgb]` of one layer (0 = rearmost) and frame, linear, 0..1.
+   * Called exactly once for each.
    */
   LumistackStatus (*layer_plane)(void *context,
                                  size_t layer,
@@ -611,8 +651,8 @@ typedef struct LumistackStackSink {
                                  const struct LumistackPlane *plane,
                                  const struct LumistackErrorSink *error);
   /**
-   * Copies the emission `[lenslet_row][lenslet_col][rgb]` of one angular bin and frame of a directional backlight, linear, 0..1. Every one is
-   * given exactly once.
+   * Copies the emission `[lenslet_row][lenslet_col][rgb]` of one angular bin and frame of a
+   * directional backlight, linear, 0..1. Called exactly once for each.
    */
   LumistackStatus (*emission_plane)(void *context,
                                     size_t frame,
@@ -621,8 +661,10 @@ typedef struct LumistackStackSink {
                                     const struct LumistackPlane *plane,
                                     const struct LumistackErrorSink *error);
   /**
-   * Reports how far an iterative method is: its objective after `iteration` iterations (0: at the start), which the method makes small, and the PSNR of
-   * what is shown against the target, dB; NaN where it is not known. Optional, in order. Since version 0.3.
+   * Reports the progress of an iterative method. `objective` is the value after `iteration`
+   * iterations (0: the start), which the method minimizes. `psnr_view_db` is the PSNR of the
+   * emitted light field against the target, dB; NaN where it is unknown. Optional, in order.
+   * Since version 0.3.
    */
   LumistackStatus (*step)(void *context,
                           uint32_t iteration,
@@ -630,9 +672,14 @@ typedef struct LumistackStackSink {
                           double psnr_view_db,
                           const struct LumistackErrorSink *error);
   /**
-   * Reports how an iterative method came to the patterns: `{"solver", "start", "coarse_levels": levels of half the resolution before the first iteration,
-   * "unsettled": root mean square of the change of the emission that a further exact step would make, "levels": [continuous, rounded, re-optimized] PSNR
-   * in dB for panels of few bits, or null}`. Optional, once. Since version 0.3.
+   * Reports the result of an iterative method: `{"solver", "start", "coarse_levels",
+   * "unsettled", "levels"}`. Optional, once. Since version 0.3.
+   *
+   * * `coarse_levels`: levels of half the resolution before the first iteration.
+   * * `unsettled`: the KKT residual, as the root mean square of the emission's change in a
+   *   further exact step.
+   * * `levels`: PSNR in dB of [continuous, rounded, re-optimized] patterns for panels of few
+   *   bits, or null.
    */
   LumistackStatus (*solution)(void *context, struct LumistackStr solution_json, const struct LumistackErrorSink *error);
 } LumistackStackSink;
@@ -646,7 +693,8 @@ typedef struct LumistackNodeVtable {
    */
   size_t size;
   /**
-   * Makes the patterns of one time; `data` is a light field of the display's own geometry, with what else its description names. `host` as for importers.
+   * Makes the patterns of one time step. `data` is a light field of the display's own geometry,
+   * with the other keys of its description. `host` is as for importers.
    */
   LumistackStatus (*make)(const struct LumistackHostServices *host,
                           struct LumistackStr params_json,

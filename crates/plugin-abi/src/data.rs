@@ -1,4 +1,4 @@
-//! What an output is given: planes of numbers, fetched one at a time.
+//! The data that an output or node receives: planes of numbers, fetched one at a time.
 
 use core::ffi::c_void;
 
@@ -22,7 +22,7 @@ pub mod view {
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct Plane {
-    /// Size of this struct in bytes; the one who wants a plane sets it.
+    /// Size of this struct in bytes. The caller that requests a plane sets it.
     pub size: usize,
     /// First element. Elements need not be aligned.
     pub data: *const c_void,
@@ -30,18 +30,19 @@ pub struct Plane {
     pub dtype: u32,
     /// Number of axes in use.
     pub ndim: u32,
-    /// Length of every axis; 1 beyond `ndim`.
+    /// Length of every axis; 1 for the axes past `ndim`.
     pub shape: [usize; 4],
     /// Bytes from one element to the next along every axis; may be negative or 0.
     pub strides: [isize; 4],
     /// Passed to `release`.
     pub owner: *mut c_void,
-    /// Gives the plane back. Null: it is valid until the `submit` that fetched it returns, and nothing needs to be done.
+    /// Releases the plane. If null, the plane is valid until the `submit` that fetched it returns,
+    /// and needs no release.
     pub release: Option<unsafe extern "C" fn(owner: *mut c_void)>,
 }
 
 impl Plane {
-    /// A plane of nothing, for a callee to fill in.
+    /// An empty plane, which a callee fills in.
     pub const fn empty() -> Self {
         Self {
             size: size_of::<Self>(),
@@ -56,19 +57,19 @@ impl Plane {
     }
 }
 
-/// Place in a sequence.
+/// Place of a time step in a sequence.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct Time {
     /// Size of this struct in bytes.
     pub size: usize,
-    /// Number of the time in this output, from 0; a still has only 0.
+    /// Number of the time step in this output, from 0. A still has only 0.
     pub index: u64,
     /// Time in the scene, seconds.
     pub seconds: f64,
 }
 
-/// A place to look at the display from.
+/// Direction or eye position from which the display is seen.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct View {
@@ -76,29 +77,38 @@ pub struct View {
     pub size: usize,
     /// One of [`view`].
     pub kind: u32,
-    /// Meaning by `kind`.
+    /// Direction or eye position; its meaning depends on `kind`.
     pub value: [f64; 3],
 }
 
-/// One time's data, lent until `submit` returns. Functions that do not fit `port` return [`Status::REFUSED`]. May be read from
-/// several threads.
+/// Data of a time step, lent until `submit` returns. Functions that do not fit `port` return
+/// [`Status::REFUSED`]. Several threads may read at once.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct Data {
     /// Size of this struct in bytes.
     pub size: usize,
-    /// One bit of [`port`](crate::port): what this is.
+    /// One bit of [`port`](crate::port): the kind of the data.
     pub port: u32,
     /// Passed to every function.
     pub context: *const c_void,
-    /// Shapes and geometry. A layer stack: `{"port": "layer_stack", "brightness", "frames", "layers": [[rows, cols], ...] (rearmost
-    /// first), "emission": [bins_y, bins_x, lenslet_rows, lenslet_cols] or null, "target": geometry, "target_views": whether `view_plane` lends
-    /// the target's views, "target_depth": depth}`. A light field: `{"port":
-    /// "light_field", "geometry": geometry, "depth": depth}`, and for a node also `"seed"`, `"weights": {"per_view": [[...], ...]}` or `"per_ray"` (see `weight_plane`;
-    /// left out where all rays count alike), and `"start": {"brightness"}` where there are patterns to begin from, of the display's own
-    /// shape, which `layer_plane` and `emission_plane` lend. A depth, left out where nobody knows it: how deep the view [view rows / 2, view columns / 2]
-    /// sees, `{"rows", "cols", "z_mm": [row by row, millimetres towards the viewer, null where nothing is met]}`; it may be coarser than the views. A geometry: `{"rows", "cols", "pitch_mm", "projection": "oblique" | "perspective",
-    /// "distance_mm", "slope_x": [...], "slope_y": [...]}`.
+    /// Shapes and geometry as JSON.
+    ///
+    /// * A layer stack: `{"port": "layer_stack", "brightness", "frames",
+    ///   "layers": [[rows, cols], ...], "emission", "target": geometry, "target_views",
+    ///   "target_depth": depth}`. `layers` begins with the rearmost one. `emission` is null or
+    ///   `[bins_y, bins_x, lenslet_rows, lenslet_cols]`. `target_views` is true where `view_plane`
+    ///   lends the target's views.
+    /// * A light field: `{"port": "light_field", "geometry": geometry, "depth": depth}`.
+    /// * A node's light field also has `"seed"`, `"weights"` and `"start"`. `weights` is
+    ///   `{"per_view": [[...], ...]}` or `"per_ray"` (see `weight_plane`); without it all rays
+    ///   count alike. `start` is `{"brightness"}` where a warm start exists. Its patterns have the
+    ///   display's own shape; `layer_plane` and `emission_plane` lend them.
+    /// * A depth: `{"rows", "cols", "z_mm": [...]}`, row by row, in millimetres towards the viewer,
+    ///   null for a miss. It belongs to the view [view rows / 2, view columns / 2], and may be
+    ///   coarser than the views. The key is left out where the depth is unknown.
+    /// * A geometry: `{"rows", "cols", "pitch_mm", "projection": "oblique" | "perspective",
+    ///   "distance_mm", "slope_x": [...], "slope_y": [...]}`.
     pub description_json: Str,
     /// Transmittance `[row][col][rgb]` of one layer (0 = rearmost) and frame, linear, 0..1.
     pub layer_plane: unsafe extern "C" fn(
@@ -108,7 +118,8 @@ pub struct Data {
         plane: *mut Plane,
         error: *const ErrorSink,
     ) -> Status,
-    /// Emission `[lenslet_row][lenslet_col][rgb]` of one angular bin and frame of a directional backlight, linear, 0..1.
+    /// Emission `[lenslet_row][lenslet_col][rgb]` of one angular bin and frame of a directional
+    /// backlight, linear, 0..1.
     pub emission_plane: unsafe extern "C" fn(
         context: *const c_void,
         frame: usize,
@@ -117,7 +128,8 @@ pub struct Data {
         plane: *mut Plane,
         error: *const ErrorSink,
     ) -> Status,
-    /// Linear radiance `[row][col][rgb]` of one view of a light field, or of a layer stack's target where it has views.
+    /// Linear radiance `[row][col][rgb]` of one view of a light field, or of a layer stack's target
+    /// where it has views.
     pub view_plane: unsafe extern "C" fn(
         context: *const c_void,
         view_y: usize,
@@ -125,7 +137,8 @@ pub struct Data {
         plane: *mut Plane,
         error: *const ErrorSink,
     ) -> Status,
-    /// Weights `[row][col][1]`, not below 0, of the rays of one view, where the description says `"per_ray"`. Since version 0.3.
+    /// Weights `[row][col][1]`, at least 0, of the rays of one view, where the description says
+    /// `"per_ray"`. Since version 0.3.
     pub weight_plane: unsafe extern "C" fn(
         context: *const c_void,
         view_y: usize,

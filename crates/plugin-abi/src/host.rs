@@ -1,4 +1,4 @@
-//! What the host offers to a plugin.
+//! Services of the host for plugins.
 
 use core::ffi::c_void;
 
@@ -6,18 +6,19 @@ use crate::{Bytes, Data, ErrorSink, Plane, Status, Str, View};
 
 /// Levels of [`HostServices::log`].
 pub mod level {
-    /// Something failed and the plugin goes on without it.
+    /// An error that the plugin survives.
     pub const ERROR: u32 = 1;
-    /// The user should know.
+    /// A problem that the user should know.
     pub const WARN: u32 = 2;
-    /// The user may want to know.
+    /// Information for the user.
     pub const INFO: u32 = 3;
-    /// For whoever develops the plugin.
+    /// Information for the plugin's developer.
     pub const DEBUG: u32 = 4;
 }
 
-/// Functions of the host; every one may be called from any thread, from `open` until `close` returns. They come as a table because
-/// statics (loggers, allocators, thread pools) are separate in every library.
+/// Functions of the host. Any thread may call them, from `open` until `close` returns.
+///
+/// They are a table because every library has its own statics: loggers, allocators, thread pools.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct HostServices {
@@ -27,27 +28,32 @@ pub struct HostServices {
     pub context: *const c_void,
     /// Reports a message; `level` is one of [`level`].
     pub log: unsafe extern "C" fn(context: *const c_void, level: u32, message: Str),
-    /// A stage of `total` steps of kind `unit` ("files") starts.
+    /// Starts a stage of `total` steps of kind `unit` ("files").
     pub progress_begin: unsafe extern "C" fn(context: *const c_void, stage: Str, total: u64, unit: Str),
-    /// Some steps are done; `note` is a short figure to show beside the bar, or empty.
+    /// Reports finished steps. `note` is a short value to show beside the bar, or empty.
     pub progress_advance: unsafe extern "C" fn(context: *const c_void, steps: u64, note: Str),
-    /// The stage has ended.
+    /// Ends the stage.
     pub progress_end: unsafe extern "C" fn(context: *const c_void),
-    /// Nonzero once the user asked to stop; long work asks often and then returns [`Status::CANCELLED`].
+    /// Returns nonzero once the user cancelled. Long work checks it often, and then returns
+    /// [`Status::CANCELLED`].
     pub is_cancelled: unsafe extern "C" fn(context: *const c_void) -> u8,
-    /// Starts a file; `path` is relative to the output's folder, with `/` between its parts and no `..`. `*file` is its handle.
+    /// Starts a file, with `*file` as its handle. `path` is relative to the output's folder, with
+    /// `/` between its parts and no `..`.
     pub file_open:
         unsafe extern "C" fn(context: *const c_void, path: Str, file: *mut u64, error: *const ErrorSink) -> Status,
-    /// Adds bytes at the end of an open file.
+    /// Appends bytes to an open file.
     pub file_append:
         unsafe extern "C" fn(context: *const c_void, file: u64, bytes: Bytes, error: *const ErrorSink) -> Status,
-    /// The file is whole. It appears in its place once the output has finished. The handle is gone.
+    /// Completes the file and closes the handle. The file appears in its place once the output has
+    /// finished.
     pub file_commit: unsafe extern "C" fn(context: *const c_void, file: u64, error: *const ErrorSink) -> Status,
-    /// Drops the file; nothing of it remains. The handle is gone.
+    /// Drops the file and closes the handle. Nothing of the file remains.
     pub file_abort: unsafe extern "C" fn(context: *const c_void, file: u64, error: *const ErrorSink) -> Status,
-    /// The seen picture of a submitted layer stack from one place: emitted linear radiance
-    /// `[row][col][rgb]`, the mean over the area of each of the target's pixels, not divided by the stack's brightness. `data` is what `submit` was given; the plane is the plugin's to
-    /// release.
+    /// Computes the seen picture of a submitted layer stack from one place.
+    ///
+    /// The result is emitted linear radiance `[row][col][rgb]`: the mean over the area of each of
+    /// the target's pixels, not divided by the stack's brightness. `data` is the argument of
+    /// `submit`. The plugin releases the plane.
     pub simulate: unsafe extern "C" fn(
         context: *const c_void,
         data: *const Data,
@@ -55,8 +61,10 @@ pub struct HostServices {
         plane: *mut Plane,
         error: *const ErrorSink,
     ) -> Status,
-    /// Tells an event to the driver of a presenter, as JSON of the plugin's own form. Since version 0.4.
+    /// Sends an event to the host's driver of a presenter. The plugin defines the form of the JSON.
+    /// Since version 0.4.
     pub tell: unsafe extern "C" fn(context: *const c_void, event_json: Str),
-    /// The port whose data an output will be given, a bit of [`port`](crate::port); 0 where the host does not say. Since version 0.4.
+    /// Port whose data the output will receive, a bit of [`port`](crate::port); 0 where the host
+    /// does not know it. Since version 0.4.
     pub port: u32,
 }

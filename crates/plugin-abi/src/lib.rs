@@ -1,19 +1,22 @@
 //! The C boundary between the host and its plugins: `repr(C)` types only, no dependencies.
 //!
-//! One boundary serves plugins that are compiled in and plugins that are loaded. A plugin offers one [`Descriptor`]; the host finds
-//! it through a function named [`ENTRY_PREFIX`] + id, of which a library exports one for every plugin that it holds.
+//! Compiled-in plugins and loaded plugins share this boundary. A plugin has one [`Descriptor`]. The
+//! host finds it through a function named [`ENTRY_PREFIX`] + id; a library exports one such
+//! function for each of its plugins.
 //!
 //! ```text
 //! host                                   plugin
 //!  │  open(HostServices, params, display) ─▶ │   JSON in, a handle out
-//!  │  submit(Time, Data) ──────────────────▶ │   any thread; the plugin fetches one lent Plane at a time
+//!  │  submit(Time, Data) ──────────────────▶ │   any thread; fetches one lent Plane at a time
 //!  │ ◀── file_open / append / commit ─────── │   bytes leave only through the host
-//!  │  run() ───────────────────────────────▶ │   presenters only: the main thread until closed; submit and command go on meanwhile
-//!  │  finish() ────────────────────────────▶ │   all data are in
+//!  │  run() ───────────────────────────────▶ │   presenters only, on the main thread
+//!  │  finish() ────────────────────────────▶ │   no more data
 //!  │  close() ─────────────────────────────▶ │   frees the handle, finished or not
 //! ```
 //!
-//! That is an output's life. Importers, sources and nodes are one call each, from which what they make comes back through a sink:
+//! This is the life of an output. While `run` runs, `submit` and `command` are still called.
+//!
+//! Importers, sources and nodes are one call each, which passes its result to a sink:
 //!
 //! ```text
 //!  │  import(HostServices, params, file, Assets, ByteSink) ─▶ │   a glTF document
@@ -21,13 +24,16 @@
 //!  │  make(HostServices, params, display, Time, Data, StackSink) ─▶ │   a layer stack
 //! ```
 //!
-//! Rules that both sides keep:
-//! * A struct starts with its own size in bytes ([`Descriptor`] with the version numbers) and only ever grows at the end. Who reads a
-//!   struct of the other side reads no further than that size; who has one filled in sets its `size` first.
-//! * A change that is not growth raises [`ABI_MAJOR`]; both sides must have the same one. Growth raises [`ABI_MINOR`].
-//! * Text is UTF-8, never null-terminated. JSON may gain keys; readers ignore the ones that they do not know.
-//! * Everything lent is valid until the call returns, except where its documentation says otherwise. Nothing is freed by the other
-//!   side: error texts are copied by the [`ErrorSink`] of the call, planes have a release function.
+//! Rules for both sides:
+//! * A struct starts with its own size in bytes ([`Descriptor`] with the version numbers) and grows
+//!   only at its end. A reader of the other side's struct reads at most that size. A caller that
+//!   requests a filled struct sets its `size` first.
+//! * Any other change raises [`ABI_MAJOR`], which must be the same on both sides. Growth raises
+//!   [`ABI_MINOR`].
+//! * Text is UTF-8, never null-terminated. JSON may gain keys; readers ignore unknown keys.
+//! * Lent data are valid until the call returns, unless their documentation says otherwise. No side
+//!   frees the other's memory: the call's [`ErrorSink`] copies error texts, and planes have a
+//!   release function.
 //! * No unwinding crosses the boundary: each side catches its panics.
 
 #![cfg_attr(not(test), no_std)]
@@ -44,13 +50,14 @@ pub use makers::{Assets, ByteSink, FieldSink, ImporterVtable, NodeVtable, Source
 
 use core::ffi::c_void;
 
-/// Version of everything that already exists. It stays 0 until every first-party plugin has lived with it.
+/// Version of the existing structs and functions. It stays 0 until every plugin of this repository
+/// has used the boundary for a while.
 pub const ABI_MAJOR: u32 = 0;
 
-/// Version of what was added at the ends of structs.
+/// Version of the additions at the ends of structs.
 pub const ABI_MINOR: u32 = 4;
 
-/// A plugin's entry symbol is this followed by its id; see [`Entry`].
+/// Prefix of a plugin's entry symbol; its id follows. See [`Entry`].
 pub const ENTRY_PREFIX: &str = "lumistack_plugin_entry_";
 
 /// Lent UTF-8 text.
@@ -95,18 +102,18 @@ pub struct Status(pub i32);
 impl Status {
     /// Done.
     pub const OK: Self = Self(0);
-    /// The call failed; the error text says why.
+    /// The call failed; the error text states why.
     pub const FAILED: Self = Self(1);
-    /// Stopped because the host asked to stop; nothing is wrong with the input.
+    /// The call stopped because the host cancelled; the input may be valid.
     pub const CANCELLED: Self = Self(2);
-    /// Parameters or data that the callee does not take; the error text names them.
+    /// The callee does not support the parameters or data; the error text names them.
     pub const REFUSED: Self = Self(3);
     /// The callee panicked; the error text is the panic's message.
     pub const PANICKED: Self = Self(4);
 }
 
-/// Takes the error text of one call. The caller provides it, so that no memory changes hands and calls from several threads do not
-/// mix their texts.
+/// Receives the error text of one call. The caller provides it, so no memory changes its owner, and
+/// calls from several threads do not mix their texts.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct ErrorSink {
@@ -114,7 +121,7 @@ pub struct ErrorSink {
     pub size: usize,
     /// Passed to `write`.
     pub context: *mut c_void,
-    /// Copies `text`; a later text replaces an earlier one.
+    /// Copies `text`, which replaces an earlier text.
     pub write: unsafe extern "C" fn(context: *mut c_void, text: Str),
 }
 
@@ -123,7 +130,8 @@ mod tests {
     use super::*;
     use core::mem::{align_of, offset_of, size_of};
 
-    /// The layout that every 64-bit C compiler gives these structs. A change here that is not growth at the end is a new major version.
+    /// The layout of these structs in every 64-bit C compiler. Any change but growth at the end is
+    /// a new major version.
     #[test]
     #[cfg(target_pointer_width = "64")]
     fn layouts_are_what_a_c_header_would_say() {

@@ -1,11 +1,13 @@
-//! Plugins that make something: importers (scenes), sources (light fields) and nodes (layer stacks). Each is one function that runs to its end
-//! and hands what it made to a sink, piece by piece; the host checks all of it.
+//! Plugins that make data: importers (scenes), sources (light fields) and nodes (layer stacks).
+//!
+//! Each is one function that passes its result to a sink, piece by piece. The host checks every
+//! piece.
 
 use core::ffi::c_void;
 
 use crate::{Bytes, Data, ErrorSink, HostServices, Plane, Status, Str, Time};
 
-/// Takes bytes, in order.
+/// Receives bytes, in order.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct ByteSink {
@@ -13,7 +15,7 @@ pub struct ByteSink {
     pub size: usize,
     /// Passed to `write`.
     pub context: *mut c_void,
-    /// Copies the bytes behind those of earlier calls.
+    /// Appends a copy of the bytes.
     pub write: unsafe extern "C" fn(context: *mut c_void, bytes: Bytes, error: *const ErrorSink) -> Status,
 }
 
@@ -25,7 +27,8 @@ pub struct Assets {
     pub size: usize,
     /// Passed to `read`.
     pub context: *const c_void,
-    /// Reads a whole file; `path` is relative to the folder of the imported file, with `/` between its parts.
+    /// Reads a whole file. `path` is relative to the folder of the imported file, with `/` between
+    /// its parts.
     pub read: unsafe extern "C" fn(
         context: *const c_void,
         path: Str,
@@ -34,18 +37,20 @@ pub struct Assets {
     ) -> Status,
 }
 
-/// Functions of an importer: a file of some format becomes a glTF 2.0 document.
+/// Functions of an importer, which converts a file to a glTF 2.0 document.
 ///
-/// glTF is the form in which a scene crosses the boundary: JSON and planes of numbers, public, with a validator on the host's side.
+/// A scene crosses the boundary as glTF: a public format of JSON and arrays, which the host
+/// validates.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct ImporterVtable {
     /// Size of this struct in bytes.
     pub size: usize,
-    /// Extensions of the files that it takes: lower case, without the dot, separated by spaces.
+    /// Extensions of its files: lower case, without the dot, separated by spaces.
     pub extensions: Str,
-    /// Reads the file `file` (a name to be read through `assets`) and writes a whole `.glb` or `.gltf` to `scene`. Files that the document
-    /// refers to are read beside the imported file. `host` offers messages, progress and cancellation, and no files.
+    /// Reads the file `file`, a name for `assets`, and writes a whole `.glb` or `.gltf` to `scene`.
+    /// The document may refer to files beside the imported file. `host` offers messages, progress
+    /// and cancellation, but no files.
     pub import: Option<
         unsafe extern "C" fn(
             host: *const HostServices,
@@ -58,12 +63,13 @@ pub struct ImporterVtable {
     >,
 }
 
-// SAFETY: a table of functions and all that it points to are immutable and live as long as the process.
+// SAFETY: a table of functions and all that it points to are immutable and live as long as the
+// process.
 unsafe impl Send for ImporterVtable {}
 // SAFETY: as above.
 unsafe impl Sync for ImporterVtable {}
 
-/// Takes a light field.
+/// Receives a light field.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct FieldSink {
@@ -71,9 +77,11 @@ pub struct FieldSink {
     pub size: usize,
     /// Passed to every function.
     pub context: *mut c_void,
-    /// Pixels and views, as the geometry in [`Data::description_json`]; once, before the first view.
+    /// Sets pixels and views, as the geometry in [`Data::description_json`]. Called once, before
+    /// the first view.
     pub geometry: unsafe extern "C" fn(context: *mut c_void, geometry_json: Str, error: *const ErrorSink) -> Status,
-    /// Copies the linear radiance `[row][col][rgb]` of one view: finite and not below 0. Every view is given exactly once, in any order.
+    /// Copies the linear radiance `[row][col][rgb]` of one view, finite and at least 0. Called
+    /// exactly once for every view, in any order.
     pub view_plane: unsafe extern "C" fn(
         context: *mut c_void,
         view_y: usize,
@@ -89,7 +97,8 @@ pub struct FieldSink {
 pub struct SourceVtable {
     /// Size of this struct in bytes.
     pub size: usize,
-    /// Makes the light field of one time; the display's own geometry is what is wanted, another is taken as it is. `host` as for importers.
+    /// Makes the light field of one time step. It should have the display's geometry; the host
+    /// accepts others. `host` is as for importers.
     pub make: Option<
         unsafe extern "C" fn(
             host: *const HostServices,
@@ -102,7 +111,8 @@ pub struct SourceVtable {
     >,
 }
 
-/// Takes a layer stack of the display that the node was given. Functions may not be called from several threads at once.
+/// Receives a layer stack for the node's display. Only one thread at a time may call these
+/// functions.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct StackSink {
@@ -110,9 +120,11 @@ pub struct StackSink {
     pub size: usize,
     /// Passed to every function.
     pub context: *mut c_void,
-    /// Brightness β, above 0 and at most 1: the patterns are to emit β times the target. Without this call the display's.
+    /// Sets the brightness β, above 0 and at most 1: the patterns emit β times the target. Without
+    /// this call β is that of the display.
     pub brightness: unsafe extern "C" fn(context: *mut c_void, brightness: f64, error: *const ErrorSink) -> Status,
-    /// Copies the values `[row][col][rgb]` of one layer (0 = rearmost) and frame, linear, 0..1. Every one is given exactly once.
+    /// Copies the values `[row][col][rgb]` of one layer (0 = rearmost) and frame, linear, 0..1.
+    /// Called exactly once for each.
     pub layer_plane: unsafe extern "C" fn(
         context: *mut c_void,
         layer: usize,
@@ -120,8 +132,8 @@ pub struct StackSink {
         plane: *const Plane,
         error: *const ErrorSink,
     ) -> Status,
-    /// Copies the emission `[lenslet_row][lenslet_col][rgb]` of one angular bin and frame of a directional backlight, linear, 0..1. Every one is
-    /// given exactly once.
+    /// Copies the emission `[lenslet_row][lenslet_col][rgb]` of one angular bin and frame of a
+    /// directional backlight, linear, 0..1. Called exactly once for each.
     pub emission_plane: unsafe extern "C" fn(
         context: *mut c_void,
         frame: usize,
@@ -130,8 +142,10 @@ pub struct StackSink {
         plane: *const Plane,
         error: *const ErrorSink,
     ) -> Status,
-    /// Reports how far an iterative method is: its objective after `iteration` iterations (0: at the start), which the method makes small, and the PSNR of
-    /// what is shown against the target, dB; NaN where it is not known. Optional, in order. Since version 0.3.
+    /// Reports the progress of an iterative method. `objective` is the value after `iteration`
+    /// iterations (0: the start), which the method minimizes. `psnr_view_db` is the PSNR of the
+    /// emitted light field against the target, dB; NaN where it is unknown. Optional, in order.
+    /// Since version 0.3.
     pub step: unsafe extern "C" fn(
         context: *mut c_void,
         iteration: u32,
@@ -139,9 +153,14 @@ pub struct StackSink {
         psnr_view_db: f64,
         error: *const ErrorSink,
     ) -> Status,
-    /// Reports how an iterative method came to the patterns: `{"solver", "start", "coarse_levels": levels of half the resolution before the first iteration,
-    /// "unsettled": root mean square of the change of the emission that a further exact step would make, "levels": [continuous, rounded, re-optimized] PSNR
-    /// in dB for panels of few bits, or null}`. Optional, once. Since version 0.3.
+    /// Reports the result of an iterative method: `{"solver", "start", "coarse_levels",
+    /// "unsettled", "levels"}`. Optional, once. Since version 0.3.
+    ///
+    /// * `coarse_levels`: levels of half the resolution before the first iteration.
+    /// * `unsettled`: the KKT residual, as the root mean square of the emission's change in a
+    ///   further exact step.
+    /// * `levels`: PSNR in dB of [continuous, rounded, re-optimized] patterns for panels of few
+    ///   bits, or null.
     pub solution: unsafe extern "C" fn(context: *mut c_void, solution_json: Str, error: *const ErrorSink) -> Status,
 }
 
@@ -151,7 +170,8 @@ pub struct StackSink {
 pub struct NodeVtable {
     /// Size of this struct in bytes.
     pub size: usize,
-    /// Makes the patterns of one time; `data` is a light field of the display's own geometry, with what else its description names. `host` as for importers.
+    /// Makes the patterns of one time step. `data` is a light field of the display's own geometry,
+    /// with the other keys of its description. `host` is as for importers.
     pub make: Option<
         unsafe extern "C" fn(
             host: *const HostServices,

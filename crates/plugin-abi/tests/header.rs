@@ -1,6 +1,7 @@
-//! `include/lumistack_plugin.h` is what these types say, and a C compiler gives them the same layout.
+//! `include/lumistack_plugin.h` agrees with the Rust types, and a C compiler gives them the same
+//! layout.
 //!
-//! `LUMISTACK_WRITE=1 cargo test -p lumistack-plugin-abi --test header` writes the header anew.
+//! `LUMISTACK_WRITE=1 cargo test -p lumistack-plugin-abi --test header` rewrites the header.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -11,7 +12,7 @@ use std::process::Command;
 use cbindgen::{Builder, Config, ExportConfig, Language, RenameRule};
 use lumistack_plugin_abi as abi;
 
-/// Names of constants in C: those of a module get its name.
+/// Names of constants in C: a module's constants begin with its name.
 const CONSTANTS: [(&str, &[&str]); 6] = [
     ("KIND", &["IMPORTER", "SOURCE", "NODE", "OUTPUT"]),
     ("PORT", &["SCENE", "LIGHT_FIELD", "LAYER_STACK", "FILE"]),
@@ -22,14 +23,15 @@ const CONSTANTS: [(&str, &[&str]); 6] = [
 ];
 
 const TOP: &str = "\
-/* Plugins of Lumistack, for C. Made from the Rust types of lumistack-plugin-abi; do not edit.
+/* Plugins of Lumistack, for C. Generated from the Rust types of lumistack-plugin-abi; do not edit.
  *
- * A shared library lumistack_plugin_NAME (with the system's prefix and suffix) exports for every plugin ID that it holds
+ * A shared library lumistack_plugin_NAME (with the system's prefix and suffix) exports for every plugin ID
  *
  *     const LumistackDescriptor *lumistack_plugin_entry_ID(void);
  *
- * A struct starts with its own size in bytes (a descriptor with its version) and only ever grows at the end: set `size` to `sizeof` of what
- * you hand out, and read no further than the `size` of what you are given. Texts are UTF-8 with a length, never null-terminated.
+ * A struct starts with its own size in bytes (a descriptor with its version) and grows only at its end. Set
+ * `size` of your structs to their `sizeof`, and read at most `size` bytes of the other side's structs. Texts
+ * are UTF-8 with a length, never null-terminated.
  * Nothing may unwind into the caller. docs/PLUGINS.md shows a whole plugin.
  */";
 
@@ -50,7 +52,7 @@ fn generated() -> String {
             export.rename.insert((*name).into(), full.join("_"));
         }
     }
-    // used through pointers alone, or by nobody but the plugin
+    // used through pointers alone, or only by plugins
     let items = ["Descriptor", "OutputVtable", "ImporterVtable", "SourceVtable", "NodeVtable"];
     export.include = items.map(String::from).to_vec();
     export.exclude = vec!["ENTRY_PREFIX".into()];
@@ -104,12 +106,12 @@ fn the_header_is_current() {
     let found = fs::read_to_string(&path).unwrap_or_default().replace("\r\n", "\n");
     assert!(
         found == wanted,
-        "{} is not what the types say; LUMISTACK_WRITE=1 cargo test -p lumistack-plugin-abi --test header writes it",
+        "{} differs from the types; LUMISTACK_WRITE=1 cargo test -p lumistack-plugin-abi --test header writes it",
         path.display()
     );
 }
 
-/// C assertions of the size of a struct and the places of its members.
+/// Writes C assertions of the size of structs and the offsets of their members.
 macro_rules! layout {
     ($text:ident, $($type:ident { $($member:ident),* $(,)? })*) => {$(
         writeln!($text, "_Static_assert(sizeof(Lumistack{0}) == {1}, \"{0}\");", stringify!($type), size_of::<abi::$type>()).unwrap();
