@@ -1,4 +1,4 @@
-//! `lumistack analyze`: what displays can show by their geometry.
+//! `lumistack analyze`: what displays can show, from their geometry.
 
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -16,32 +16,34 @@ use crate::groups::{FileArgs, change_importer, job_or_scene};
 
 pub(crate) const EXAMPLES: &str = "\
 Examples:
-  lumistack analyze paper-directional                       what it shows how sharply, beside the paper's eqs. 23 and 26
+  lumistack analyze paper-directional                       depth of field, with the paper's eqs. 23 and 26
   lumistack analyze paper-three-layer:layers=2 paper-three-layer paper-directional paper-directional:layers=2,gap_mm=8.5 -o bounds
                                                             the curves of the paper's Figure 6, and the supports of Figure 4
-  lumistack analyze paper-three-layer --contrast -o bounds  what a solver achieves of the bound
-  lumistack analyze my.toml --scene model.glb               what the scene's depth asks of it
+  lumistack analyze paper-three-layer --contrast -o bounds  the contrast that a solver reaches, against the bound
+  lumistack analyze my.toml --scene model.glb               the scene's depth against the display's
   lumistack analyze runs/still-life                         a finished run: its display and its scene";
 
-/// What to analyze.
+/// Displays to analyze.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Analyze {
-    /// Presets (see `lumistack displays`), display files or run folders; after a colon what to change: layers, frames, brightness, gap_mm, fov
-    /// (HxV), lenslets (CxR)
+    /// Presets (see `lumistack displays`), display files or run folders. Changes follow a colon:
+    /// layers, frames, brightness, gap_mm, fov (HxV), lenslets (CxR)
     #[arg(required = true, value_name = "NAME|FILE|DIR[:KEY=VALUE,...]")]
     displays: Vec<Which>,
-    /// A scene (or job) in which every display is placed, to see what its depth asks
+    /// A scene (or job) in which every display is placed, to compare its depth with theirs
     #[arg(long, value_name = "SCENE|JOB", conflicts_with = "run")]
     scene: Option<PathBuf>,
-    /// A finished run whose scene's depth is taken
+    /// A finished run, whose scene depth is used
     #[arg(long, value_name = "DIR")]
     run: Option<PathBuf>,
     #[command(flatten)]
     files: FileArgs,
-    /// Depth up to which the bound is worked out, millimetres [default: what display and scene need]
+    /// Largest depth of the bound, millimetres [default: the depth that display and scene need]
     #[arg(long, value_name = "MM")]
     reach_mm: Option<f64>,
-    /// Solve every display for gratings at many depths and frequencies, and tell the contrast that is achieved of the bound, from the target views, between them, and with more views (up to a minute each)
+    /// Solve every display for gratings at many depths and frequencies (up to a minute each).
+    /// Reports the contrast against the bound: at the target views, between them, and with more
+    /// views
     #[arg(long)]
     contrast: bool,
     /// Folder for analysis.json and the plots, as SVG and PNG
@@ -49,12 +51,12 @@ pub(crate) struct Analyze {
     output: Option<PathBuf>,
 }
 
-/// A display and what to change about it.
+/// A display and its changes.
 #[derive(Clone, Debug)]
 struct Which {
     name: String,
     change: Variation,
-    told: String,
+    changes: String,
 }
 
 impl FromStr for Which {
@@ -63,9 +65,9 @@ impl FromStr for Which {
     fn from_str(text: &str) -> Result<Self, String> {
         // C:\display.toml has a colon of its own
         let at = text.rfind(':').filter(|&at| text[at..].contains('='));
-        let (name, told) = at.map_or((text, ""), |at| (&text[..at], &text[at + 1..]));
+        let (name, changes) = at.map_or((text, ""), |at| (&text[..at], &text[at + 1..]));
         let mut change = Variation::default();
-        for part in told.split(',').filter(|part| !part.is_empty()) {
+        for part in changes.split(',').filter(|part| !part.is_empty()) {
             let (key, value) = part.split_once('=').ok_or_else(|| format!("expected KEY=VALUE, found `{part}`"))?;
             let wrong = || format!("`{value}` is no value of {key}");
             match key.trim() {
@@ -80,7 +82,7 @@ impl FromStr for Which {
                 }
             }
         }
-        Ok(Self { name: name.into(), change, told: told.into() })
+        Ok(Self { name: name.into(), change, changes: changes.into() })
     }
 }
 
@@ -88,6 +90,7 @@ pub(crate) fn run(args: &Analyze, registry: &Registry, json: bool, task: Task<'_
     if let Some(reach) = args.reach_mm.filter(|reach| !(reach.is_finite() && *reach > 0.0)) {
         return Err(PipelineError::option("--reach-mm", "MM", "a depth above 0", reach.to_string()));
     }
+    // Load every display, and place it in its scene.
     let (mut displays, mut scenes) = (Vec::new(), Vec::new());
     for which in &args.displays {
         let folder = Path::new(&which.name);
@@ -106,13 +109,14 @@ pub(crate) fn run(args: &Analyze, registry: &Registry, json: bool, task: Task<'_
         displays.iter().zip(&scenes).map(|(display, scene)| Analysis::of(display, scene.clone(), reach_mm)).collect()
     };
     let alone = analyzed(args.reach_mm);
-    // one depth for all, or plots would compare what they do not show
+    // Plots compare displays, so all of them need the same depth range.
     let reach_mm = alone.iter().map(Analysis::reach_mm).fold(0.0, f64::max);
     let all = if alone.len() > 1 { analyzed(Some(reach_mm)) } else { alone };
     let mut files = match &args.output {
         Some(folder) => write(&all, folder)?,
         None => Vec::new(),
     };
+    // Solve for gratings, which is slow, only on request.
     let measured = if args.contrast { contrasts(&displays, &all, task)? } else { Vec::new() };
     if let (Some(folder), false) = (&args.output, measured.is_empty()) {
         files.extend(write_contrasts(&measured, folder)?);
@@ -120,7 +124,7 @@ pub(crate) fn run(args: &Analyze, registry: &Registry, json: bool, task: Task<'_
     if json {
         let mut event = json!({ "event": "done", "displays": all, "contrast": measured, "files": files });
         if args.output.is_some() {
-            // they are in analysis.json
+            // analysis.json holds these arrays
             for axis in
                 event["displays"].as_array_mut().into_iter().flatten().flat_map(|d| d["axes"].as_array_mut()).flatten()
             {
@@ -155,13 +159,13 @@ fn load(which: &Which, run: Option<&Path>) -> Result<Display, PipelineError> {
         text: String::new(),
         source,
     })?;
-    if !which.told.is_empty() {
-        display.name = format!("{}, {}", base.name, which.told.replace(',', ", ").replace('=', " "));
+    if !which.changes.is_empty() {
+        display.name = format!("{}, {}", base.name, which.changes.replace(',', ", ").replace('=', " "));
     }
     Ok(display)
 }
 
-/// Places a display in a scene.
+/// Places a display in a scene, and measures its depth.
 fn looked_at(
     scene: &Path,
     files: &FileArgs,
@@ -171,7 +175,7 @@ fn looked_at(
 ) -> Result<Scene, PipelineError> {
     let mut job = job_or_scene(scene)?;
     change_importer(&mut job.importer, files);
-    // what the scene asks, not what is left of it on this display
+    // depth of the scene itself, before it is compressed for this display
     if job.window.fit_depth == FitDepth::Auto {
         job.window.fit_depth = FitDepth::Off;
     }
@@ -179,7 +183,7 @@ fn looked_at(
     Ok(Scene::from_budget(&depth.to_json(), depth.sentence()))
 }
 
-/// What the report of a run says of its depth.
+/// Reads a scene's depth from the report of a run.
 fn of_run(folder: &Path) -> Result<Scene, PipelineError> {
     RunFolder::open(folder)?;
     let path = folder.join("report.json");
@@ -195,7 +199,7 @@ fn of_run(folder: &Path) -> Result<Scene, PipelineError> {
 
 type Measured = (String, Vec<Contrast>);
 
-/// Gratings as deep as 1.5 times the depth of field, where there is one.
+/// Measures gratings up to 1.5 times the depth of field, where there is one.
 fn contrasts(displays: &[Display], all: &[Analysis], task: Task<'_>) -> Result<Vec<Measured>, PipelineError> {
     let measure = |(display, analysis): (&Display, &Analysis)| {
         let ends = analysis.depth_of_field_mm.into_iter().flatten().map(|z| 1.5 * z.abs());
@@ -214,7 +218,7 @@ fn contrasts(displays: &[Display], all: &[Analysis], task: Task<'_>) -> Result<V
     displays.iter().zip(all).map(measure).collect()
 }
 
-/// The frequency of half contrast at some depths, a line for each meaning.
+/// Frequency of half contrast at some depths: a line for each set of views.
 fn achieved(found: &[Contrast]) -> [String; 3] {
     let at = |[z, frequency]: &[f64; 2]| format!("{frequency:.2} at {z:.0} mm").replace('-', "−");
     let line = |head: &str, of: &str, achieved| {
@@ -223,12 +227,8 @@ fn achieved(found: &[Contrast]) -> [String; 3] {
         format!("  {head:15} {of}: {}", cutoffs.join(", "))
     };
     [
-        line(
-            "Achieved",
-            "half contrast, × the pixels' own, solved for as many views as it takes",
-            Achieved::WithMoreViews,
-        ),
-        line("", "solved for its own views, seen from everywhere in the zone", Achieved::InBetween),
+        line("Achieved", "half contrast, × the pixels' own, solved for more views", Achieved::WithMoreViews),
+        line("", "solved for its own views, seen from the whole zone", Achieved::InBetween),
         line("", "seen from these views alone", Achieved::AtTheViews),
     ]
 }

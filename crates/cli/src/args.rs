@@ -10,8 +10,8 @@ use crate::groups::{
 };
 use crate::values::Numbers;
 
-/// Turns 3D scenes into glasses-free 3D: path-traces the light field that a viewer should see and factorizes it into the layer
-/// patterns of a tensor display.
+/// Turns 3D scenes into glasses-free 3D: path-traces the light field of a scene and factorizes it
+/// into the layer patterns of a tensor display.
 #[derive(Debug, Parser)]
 #[command(name = "lumistack", version, max_term_width = 110, args_override_self = true)]
 pub(crate) struct Args {
@@ -21,11 +21,12 @@ pub(crate) struct Args {
     /// Print progress and results as JSON, one object a line
     #[arg(long, global = true)]
     pub(crate) json: bool,
-    /// Worker threads; results do not depend on it [default: all cores]
+    /// Worker threads; results do not depend on their number [default: all cores]
     #[arg(long, global = true, value_name = "N")]
     pub(crate) threads: Option<usize>,
-    /// A plugin, or a folder of plugins (shared libraries `lumistack_plugin_ID`), before those of the variable LUMISTACK_PLUGIN_PATH and
-    /// those in lumistack/plugins among your data; may be given several times
+    /// A plugin, or a folder of plugins (shared libraries `lumistack_plugin_ID`). It takes
+    /// precedence over LUMISTACK_PLUGIN_PATH and over lumistack/plugins in your data folder; may be
+    /// given several times
     #[cfg(feature = "dynamic")]
     #[arg(long, global = true, value_name = "FILE|DIR")]
     pub(crate) plugin_path: Vec<PathBuf>,
@@ -35,12 +36,12 @@ pub(crate) struct Args {
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
-    /// Scene to outputs: render, factorize, write, report
+    /// From a scene to outputs: render, factorize, write, report
     #[command(
         after_help = "Examples:\n  lumistack run scenes/still-life/job.toml\n  lumistack run scenes/still-life/job.toml --plan        its steps, what of them is cached, estimated time and memory\n  lumistack run model.glb --display paper-three-layer -o runs/model\n  lumistack run model.glb --times 24 --turn-deg 30 -o runs/walk        a sequence: one run folder per time, and a report of error and flicker\n  lumistack run fox.glb --animation Walk --times 24 --duration-s 0.7 -o runs/fox      the scene's animation plays\n\nA scene without a job file gets pictures and the browser simulator as outputs. A run that was stopped goes on from what is finished when the same command is given again."
     )]
     Run(Run),
-    /// A commented job file, by three questions: scene, display, outputs
+    /// Writes a commented job file, from three answers: scene, display, outputs
     #[command(after_help = crate::new::EXAMPLES)]
     New(crate::new::New),
     /// The views of a scene only, as a light-field folder
@@ -48,12 +49,12 @@ pub(crate) enum Command {
         after_help = "Examples:\n  lumistack render model.glb -o views                                    all views of the display, exposed and tone-mapped\n  lumistack render model.glb --linear --layers depth,normal -o views     scene-linear radiance, with what the views see\n  lumistack render model.glb --only-views 3,* -o row                     the middle row of 7 × 7 views\n\nViews are OpenEXR pictures; lightfield.json says where their rays lie. `lumistack factorize DIR -o RUN` takes the folder."
     )]
     Render(Render),
-    /// Layer patterns from a light field that somebody else rendered
+    /// Layer patterns from a light field that another program rendered
     #[command(
         after_help = "Reads our own light-field folders, HCI and Stanford folders, quilts and .npy arrays [view_y][view_x][row][col][rgb].\n\nExample:\n  lumistack factorize views.npy --grid oblique --fov 20x20 --pitch-mm 2.961 --display paper-three-layer -o runs/views\n  lumistack factorize times/ --sequence --fov 20x20 --pitch-mm 2.961 -o runs/times      times/t0001.npy, times/t0002.npy, ..."
     )]
     Factorize(Factorize),
-    /// What a finished display shows from somewhere
+    /// The picture that a finished display shows from a direction or position
     #[command(
         after_help = "Examples:\n  lumistack simulate runs/still-life --view 4,-2 -o view.png      4° from the right, 2° from below\n  lumistack simulate runs/still-life --eye 100,0,2000 -o eye.png  an eye 2 m in front, 100 mm to the right\n  lumistack simulate runs/still-life --sweep 7 -o strip.png       seven views from left to right"
     )]
@@ -63,16 +64,19 @@ pub(crate) enum Command {
         after_help = "Examples:\n  lumistack preview runs/still-life     the run's patterns\n  lumistack preview --solve             a page that solves: drop a model there\n\nServes this machine alone, opens the browser, and reloads the page when the patterns change. A preview folder can also be put on any\nweb server as it is; its preview.html opens by a double click."
     )]
     Preview(Preview),
-    /// What displays can show by their geometry: depth of field, spectral support, viewing zone, frame rate, brightness
+    /// Analyzes displays by their geometry: depth of field, spectral support, viewing zone,
+    /// frame rate, brightness
     #[command(after_help = crate::analyze::EXAMPLES)]
     Analyze(crate::analyze::Analyze),
-    /// PSNR and brightness of many designs on one light field, as a table and plots; with constraints, the design to build
+    /// PSNR and brightness of many designs on one light field, as a table and plots. With
+    /// constraints, the design to build
     #[command(after_help = crate::sweep::EXAMPLES)]
     Sweep(crate::sweep::Sweep),
-    /// A run or a sweep on many machines: by Dask, or handed to a farm manager
+    /// A run or a sweep on many machines: by Dask, or as a job for a farm manager
     #[command(after_help = crate::farm::EXAMPLES)]
     Farm(Box<crate::farm::Farm>),
-    /// Two runs side by side, or a run beside a photograph of its panels; pictures as an eye's pupil sees them
+    /// Two runs side by side, or a run beside a photograph of its panels. Pictures of an eye
+    /// that focuses at some depths
     #[command(after_help = crate::compare::EXAMPLES)]
     Compare(crate::compare::Compare),
     /// Drives physical panels: every layer on its output, frame after frame
@@ -83,14 +87,15 @@ pub(crate) enum Command {
     /// A display that follows its scene while settings, files, time and viewers change
     #[command(after_help = crate::live::EXAMPLES)]
     Live(Box<crate::live::Live>),
-    /// What is in a scene, a light field, a layer stack, a run folder, a display or a job
+    /// Contents of a scene, a light field, a layer stack, a run folder, a display or a job
     Info(Info),
-    /// Frees what stopped runs left in a run folder, and what is cached for other settings than the last run's; results stay
+    /// Removes what stopped runs left in a run folder, and what is cached for other settings than
+    /// the last run's; results stay
     #[command(
         after_help = "Examples:\n  lumistack clean runs/still-life --dry-run     what could be freed, by kind\n  lumistack clean runs/*                        every run, sequence and sweep\n  lumistack clean runs/still-life --all         cached views too: the next run of other settings renders anew"
     )]
     Clean(Clean),
-    /// All plugins with their parameters and where they come from, and which libraries could not be used and why
+    /// All plugins with their parameters and files, and the libraries that could not be used
     #[command(
         after_help = "Example:\n  lumistack plugins tensor-display      one plugin, with the words that its parameters take"
     )]
@@ -99,29 +104,30 @@ pub(crate) enum Command {
         #[arg(value_name = "ID")]
         ids: Vec<String>,
     },
-    /// The graphics processors that could solve, and which of them `--device auto` takes
+    /// Graphics processors that can solve, and the one that `--device auto` uses
     Devices,
-    /// The displays that come with the program
+    /// The presets of displays
     Displays,
     /// A display file for your own panels, and its calibration
     Display {
         #[command(subcommand)]
         what: crate::display::DisplayCommand,
     },
-    /// What this machine has of all that the program can use, and how to get the rest
+    /// Optional software and hardware: what this machine has, and how to get the rest
     #[command(after_help = crate::doctor::EXAMPLES)]
     Doctor,
-    /// Installs what some files need and the program does not bring along
+    /// Installs optional software that some files need
     Setup {
         #[command(subcommand)]
         what: Setup,
     },
-    /// The JSON Schema of job or display files on standard output, by which editors complete and check them
+    /// The JSON Schema of job or display files on standard output; editors use it to complete and
+    /// check keys
     #[command(
         after_help = "Example:\n  lumistack schema display > display.schema.json\n\nEditors that know taplo (Even Better TOML and others) take it from a first line `#:schema ./display.schema.json`. The schema of jobs has the\nparameters of all plugins that are there."
     )]
     Schema {
-        /// Which files
+        /// Kind of file
         what: Schema,
     },
     /// Shell completions on standard output
@@ -131,7 +137,7 @@ pub(crate) enum Command {
     },
     /// Manual pages of all commands into a folder
     Man {
-        /// The folder, made where it is not there
+        /// The folder; it is created if missing
         folder: PathBuf,
     },
 }
@@ -145,17 +151,18 @@ pub(crate) enum Schema {
     Display,
 }
 
-/// What can be set up.
+/// Software that can be installed.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Setup {
-    /// A Python environment with OpenUSD among your data, by which USD files are read
+    /// A Python environment with OpenUSD in your data folder, for USD files
     ///
-    /// It is not needed where the active virtual environment, the Python in LUMISTACK_PYTHON or the one on PATH has the package usd-core.
+    /// It is not needed if a Python with the package usd-core exists: the active virtual
+    /// environment, LUMISTACK_PYTHON or the one on PATH.
     Usd {
-        /// Install usd-exchange, whose OpenUSD also reads MaterialX files (.mtlx), instead of usd-core
+        /// Install usd-exchange instead of usd-core: its OpenUSD also reads MaterialX files (.mtlx)
         #[arg(long)]
         materialx: bool,
-        /// The Python to make it from [default: python3 on PATH]
+        /// The Python of the environment [default: python3 on PATH]
         #[arg(long, value_name = "PROGRAM")]
         python: Option<PathBuf>,
     },
@@ -163,9 +170,10 @@ pub(crate) enum Setup {
 
 #[derive(Debug, ClapArgs)]
 pub(crate) struct Run {
-    /// Job file (.toml) or scene (.gltf, .glb, USD, and what importer plugins take)
+    /// Job file (.toml) or scene (.gltf, .glb, USD, or a file of an importer plugin)
     pub(crate) input: PathBuf,
-    /// Print the steps of the run instead, with their keys, what is cached, and estimates of time and memory; nothing is written
+    /// Print the steps of the run with their keys, cached results, and estimates of time and
+    /// memory, without running it
     #[arg(long)]
     pub(crate) plan: bool,
     #[command(flatten)]
@@ -174,7 +182,7 @@ pub(crate) struct Run {
 
 #[derive(Debug, ClapArgs)]
 pub(crate) struct Render {
-    /// Scene (.gltf, .glb, USD, and what importer plugins take) or job file (.toml)
+    /// Scene (.gltf, .glb, USD, or a file of an importer plugin) or job file (.toml)
     pub(crate) scene: PathBuf,
     /// Folder for the views
     #[arg(short, long, value_name = "DIR")]
@@ -182,10 +190,12 @@ pub(crate) struct Render {
     /// Scene-linear radiance as 32-bit OpenEXR: neither exposed nor tone-mapped nor clipped
     #[arg(long, help_heading = "Views", conflicts_with_all = ["exposure_ev", "tone", "background"])]
     pub(crate) linear: bool,
-    /// Layers between commas, in layers_YY_XX.exr beside every view: depth (millimetres before the display plane), normal, albedo, variance, coverage
+    /// Layers in layers_YY_XX.exr beside every view, separated by commas: depth (millimetres before
+    /// the display plane), normal, albedo, variance, coverage
     #[arg(long, value_name = "LIST", value_delimiter = ',', help_heading = "Views")]
     pub(crate) layers: Vec<lumistack_pipeline::ViewLayer>,
-    /// These views only, ROW,COL as in view_ROW_COL.exr; each a number from 0, a range such as 0..2, or *; may be given several times
+    /// Render these views only, ROW,COL as in view_ROW_COL.exr. Each is a number from 0, a range
+    /// such as 0..2, or *; may be given several times
     #[arg(long, value_name = "ROW,COL", help_heading = "Views")]
     pub(crate) only_views: Vec<lumistack_pipeline::ViewPick>,
     #[command(flatten)]
@@ -212,10 +222,11 @@ pub(crate) struct Factorize {
     /// Seed of all random streams
     #[arg(long)]
     pub(crate) seed: Option<u64>,
-    /// Take the folder as a sequence: one light field per time, folders or .npy files in the order of their names
+    /// Read the folder as a sequence: one light field per time step, folders or .npy files in the
+    /// order of their names
     #[arg(long, help_heading = "Sequence")]
     pub(crate) sequence: bool,
-    /// Full updates at every time after the first [default: 5]
+    /// Iterations at every time step after the first [default: 5]
     #[arg(long, value_name = "N", requires = "sequence", help_heading = "Sequence")]
     pub(crate) sequence_iterations: Option<u32>,
 }
@@ -227,13 +238,14 @@ pub(crate) struct Simulate {
     /// Viewing direction in degrees: X to the right, Y up; a parallel projection
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, conflicts_with_all = ["eye", "sweep"])]
     pub(crate) view: Option<Numbers<2>>,
-    /// Eye position in millimetres from the display's centre: X right, Y up, Z in front; a perspective view
+    /// Eye position in millimetres from the display's centre: X right, Y up, Z in front; a
+    /// perspective view
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, conflicts_with = "sweep")]
     pub(crate) eye: Option<Numbers<3>>,
     /// A film strip of this many views across the horizontal field of view
     #[arg(long, value_name = "N")]
     pub(crate) sweep: Option<usize>,
-    /// Show the emitted light itself instead of what an adapted viewer sees (emitted / β)
+    /// Show the emitted light itself instead of the adapted viewer's picture (emitted / β)
     #[arg(long)]
     pub(crate) raw: bool,
     /// Picture to write: .png (sRGB-encoded) or .exr (linear)
@@ -246,10 +258,10 @@ pub(crate) struct Clean {
     /// Folders of runs, sequences, sweeps or rendered views
     #[arg(required = true, value_name = "RUN")]
     pub(crate) dirs: Vec<PathBuf>,
-    /// Also remove everything else that only saves time at the next run: all cached views
+    /// Also remove all cached views, which only save time at the next run
     #[arg(long)]
     pub(crate) all: bool,
-    /// Say what would be freed, and remove nothing
+    /// Report what would be removed, but remove nothing
     #[arg(long)]
     pub(crate) dry_run: bool,
 }
@@ -259,10 +271,10 @@ pub(crate) struct Preview {
     /// A run folder, or a preview that the output plugin `web_simulator` wrote
     #[arg(required_unless_present = "solve")]
     pub(crate) dir: Option<PathBuf>,
-    /// The page that solves: drop a model there and watch its patterns form
+    /// Serve the page that solves: drop a model there and watch its patterns form
     #[arg(long, conflicts_with = "dir")]
     pub(crate) solve: bool,
-    /// Port; 0 for any that is free
+    /// Port; 0 for any free port
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub(crate) port: u16,
     /// Do not open the browser
@@ -274,16 +286,17 @@ pub(crate) struct Preview {
 pub(crate) struct Info {
     /// The file or folder, or the name of a display preset
     pub(crate) file: PathBuf,
-    /// For a scene or a job: how its depth fits this display, a preset or a display file
+    /// For a scene or a job: compare its depth with this display's, a preset or a display file
     #[arg(long, value_name = "NAME|FILE", help_heading = "Depth")]
     pub(crate) display: Option<OsString>,
     /// Name or number of the camera whose plane of focus the display takes
     #[arg(long, value_name = "NAME|N", requires = "display", help_heading = "Depth")]
     pub(crate) camera: Option<String>,
-    /// Azimuth and elevation from which the scene is framed, degrees
+    /// Azimuth and elevation of the viewer who frames the scene, degrees
     #[arg(long, value_name = "AZ,EL", allow_hyphen_values = true, requires = "display", help_heading = "Depth")]
     pub(crate) look_from: Option<Numbers<2>>,
-    /// Bring the scene into the display's depth of field: auto (where it does not fit), off, move the window, or compress depth as well
+    /// Bring the scene into the display's depth of field: auto (where it does not fit), off, move
+    /// the window, or compress depth too
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"], requires = "display", help_heading = "Depth")]
     pub(crate) fit_depth: Option<String>,
     #[command(flatten)]

@@ -20,13 +20,13 @@ use crate::preview::{preview_command, written_preview};
 use crate::program;
 use crate::values::size_text;
 
-/// Runs a command; `line` is what was typed, for reports.
+/// Runs a command; `line` is the typed command line, for reports.
 pub(crate) fn run(args: Args, line: &str, cancel: &Cancel) -> Result<(), PipelineError> {
     if let Some(threads) = args.threads {
         set_threads(threads)
             .map_err(|error| PipelineError::option("--threads", "N", "a number of threads that can start", error))?;
     }
-    // what answers with one document leaves standard output to it
+    // a command whose result is one document leaves standard output to it
     let answers = matches!(args.command, Command::Info(_));
     let console = Console::new(args.json && !answers);
     let task = Task { progress: &console, warnings: &console, cancel };
@@ -34,7 +34,7 @@ pub(crate) fn run(args: Args, line: &str, cancel: &Cancel) -> Result<(), Pipelin
     let registry = || plugins(&args.plugin_path);
     #[cfg(not(feature = "dynamic"))]
     let registry = || plugins(&[]);
-    // the program does without what cannot be used
+    // the program works without the plugins that cannot be loaded
     let registry_for_work = || {
         let registry = registry()?;
         registry.failed().iter().for_each(|error| task.warn("plugin", error.to_string()));

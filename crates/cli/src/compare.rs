@@ -1,4 +1,4 @@
-//! `lumistack compare`: two runs, all displays of one, or a run and a photograph.
+//! `lumistack compare`: two runs, all displays of a run, or a run and a photograph.
 
 use std::path::{Path, PathBuf};
 
@@ -14,36 +14,41 @@ use crate::values::Numbers;
 
 pub(crate) const EXAMPLES: &str = "\
 Examples:
-  lumistack compare runs/three-layer runs/directional -o compared         both at the first one's views, against its target and each other
+  lumistack compare runs/three-layer runs/directional -o compared         both at the first run's views, against its target and each other
   lumistack compare runs/figure-9 -o compared                             all displays of a run with several, in one picture
   lumistack compare runs/a/nodes/tensor runs/a/nodes/barrier              two of them
   lumistack compare runs/a photo.png --eye 0,0,2000 --corners 210,160,1830,150,1850,1170,190,1180 -o compared
                                                                           a photograph of the panels, brought to the simulation's exposure
-  lumistack compare runs/a photo.jpg --focal-35mm 28 --corners ...        the same, from where its corners say that it was taken
+  lumistack compare runs/a photo.jpg --focal-35mm 28 --corners ...        the same, with the camera's position computed from the corners
   lumistack compare runs/a runs/b --focus -60,0,60 --eye 0,0,600 --pupil-mm 4 -o compared
-                                                                          what an eye sees that focuses behind, on and before the display";
+                                                                          the pictures of an eye that focuses behind, on and before the display";
 
-/// What to compare.
+/// Runs and pictures to compare.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Compare {
     /// A run folder
     run: PathBuf,
-    /// Another run folder, or a photograph (PNG, JPEG, EXR, ...); without it all displays of a run whose job has several are compared
+    /// Another run folder, or a photograph (PNG, JPEG, EXR, ...). Without it, all displays of a run
+    /// that has several
     other: Option<PathBuf>,
-    /// Where the photograph was taken from: angles right and up, degrees, of a distant camera
+    /// Direction of the photograph's camera, far away: angles right and up, degrees
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, conflicts_with = "eye")]
     view: Option<Numbers<2>>,
-    /// Where the photograph was taken from, or the eye is: right, up and in front of the display's centre, millimetres
+    /// Position of the photograph's camera, or of the eye: right, up and in front of the display's
+    /// centre, millimetres
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     eye: Option<Numbers<3>>,
-    /// Focal length of the photograph's lens in millimetres, as for a picture of 36 mm × 24 mm (EXIF: FocalLengthIn35mmFilm): the corners then tell where it was
-    /// taken from. The photograph must not be cropped
+    /// Focal length of the photograph's lens, converted to a picture of 36 mm × 24 mm, millimetres
+    /// (EXIF: FocalLengthIn35mmFilm). With it the corners give the camera's position. The
+    /// photograph must not be cropped
     #[arg(long = "focal-35mm", value_name = "MM", requires = "corners", conflicts_with_all = ["eye", "view"])]
     focal_35mm: Option<f64>,
-    /// Corners of the display in the photograph, pixels right and down: left top, right top, right bottom, left bottom [default: the photograph's]
+    /// Corners of the display in the photograph, pixels right and down: top left, top right, bottom
+    /// right, bottom left [default: the photograph's]
     #[arg(long, value_name = "X,Y,X,Y,X,Y,X,Y", allow_hyphen_values = true)]
     corners: Option<Numbers<8>>,
-    /// Depths on which the eye focuses, millimetres towards the viewer, between commas: a picture of each run at each
+    /// Depths of focus of the eye, millimetres towards the viewer, separated by commas: a picture
+    /// of each run at each depth
     #[arg(long, value_name = "LIST", value_delimiter = ',', allow_hyphen_values = true, requires = "output")]
     focus: Vec<f64>,
     /// Diameter of the pupil, millimetres
@@ -54,7 +59,7 @@ pub(crate) struct Compare {
     output: Option<PathBuf>,
 }
 
-/// Where an eye is when nobody says.
+/// Default position of the eye, mm.
 const EYE_MM: [f64; 3] = [0.0, 0.0, 600.0];
 
 pub(crate) fn run(args: &Compare, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
@@ -62,6 +67,7 @@ pub(crate) fn run(args: &Compare, json: bool, task: Task<'_>) -> Result<(), Pipe
     let Some(other) = &args.other else {
         return displays(args, json, task);
     };
+    // A file is a photograph; a folder is another run.
     if !other.is_dir() {
         let pose = match (args.focal_35mm, args.eye, args.view) {
             (Some(focal), ..) => Pose::FocalMm(focal),
@@ -73,10 +79,11 @@ pub(crate) fn run(args: &Compare, json: bool, task: Task<'_>) -> Result<(), Pipe
         if json {
             say!("{}", json!({ "event": "done", "photograph": found }));
         } else {
-            tell_of_photo(&found);
+            print_photo(&found);
         }
         return Ok(());
     }
+    // Two runs, and their pictures at the depths of focus.
     let found = compare_runs(&args.run, other, out, task)?;
     let focused = match out {
         Some(out) => focus(args, out)?,
@@ -87,22 +94,22 @@ pub(crate) fn run(args: &Compare, json: bool, task: Task<'_>) -> Result<(), Pipe
         return Ok(());
     }
     for (name, zone) in [("First", &found.first_zone), ("Second", &found.second_zone)] {
-        let told = zone.as_ref().map_or("not known".into(), |zone| {
+        let text = zone.as_ref().map_or("not known".into(), |zone| {
             format!("PSNR {:.2} dB, worst tenth {:.2} dB", zone.psnr_db, zone.worst_tenth_db)
         });
-        say!("{:30} {told}", format!("{name} all over its zone:"));
+        say!("{:30} {text}", format!("{name} all over its zone:"));
     }
-    say!("{:30} {} ({} directions)", "Second against the first:", told(&found.between), found.directions);
+    say!("{:30} {} ({} directions)", "Second against the first:", text_of(&found.between), found.directions);
     for (name, likeness) in [("First against its target", &found.first), ("Second against it", &found.second)] {
         if let Some(likeness) = likeness {
-            say!("{:30} {} ({} views)", format!("{name}:"), told(likeness), found.views);
+            say!("{:30} {} ({} views)", format!("{name}:"), text_of(likeness), found.views);
         }
     }
     found.pictures.iter().chain(&focused).for_each(|path| say!("{}", path.display()));
     Ok(())
 }
 
-/// All displays of one run.
+/// Compares all displays of one run.
 fn displays(args: &Compare, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
     let found = compare_displays(&args.run, args.output.as_deref(), task)?;
     if json {
@@ -113,14 +120,14 @@ fn displays(args: &Compare, json: bool, task: Task<'_>) -> Result<(), PipelineEr
     for one in &found.displays {
         let zone =
             one.zone.map_or(String::new(), |zone| format!("{:.2} dB all over the zone, at views ", zone.psnr_db));
-        say!("{:widest$}  {zone}{}  ({})", one.id, told(&one.likeness), one.display);
+        say!("{:widest$}  {zone}{}  ({})", one.id, text_of(&one.likeness), one.display);
     }
     found.pictures.iter().for_each(|path| say!("{}", path.display()));
     Ok(())
 }
 
-fn tell_of_photo(found: &PhotoComparison) {
-    say!("Photograph against simulation: {}", told(&found.likeness));
+fn print_photo(found: &PhotoComparison) {
+    say!("Photograph against simulation: {}", text_of(&found.likeness));
     say!("Exposure of the photograph: × {:.4} ({:+.2} stops) to match", found.gain, found.gain.log2());
     if let Some([x, y, z]) = found.eye_mm {
         let text = format!("Taken from: {x:.0} mm right, {y:.0} mm up, {z:.0} mm in front of the display's centre");
@@ -132,7 +139,7 @@ fn tell_of_photo(found: &PhotoComparison) {
     found.pictures.iter().for_each(|path| say!("{}", path.display()));
 }
 
-/// A picture of each run for each depth of focus.
+/// Writes a picture of each run for each depth of focus.
 fn focus(args: &Compare, out: &Path) -> Result<Vec<PathBuf>, PipelineError> {
     let eye = args.eye.map_or(EYE_MM, |eye| eye.0);
     let mut files = Vec::new();
@@ -148,7 +155,7 @@ fn focus(args: &Compare, out: &Path) -> Result<Vec<PathBuf>, PipelineError> {
     Ok(files)
 }
 
-fn told(likeness: &Likeness) -> String {
+fn text_of(likeness: &Likeness) -> String {
     let psnr = likeness.psnr_db.map_or("equal".into(), |psnr| format!("PSNR {psnr:.2} dB"));
     format!("{psnr}, SSIM {:.4}, FLIP {:.4}", likeness.ssim, likeness.flip)
 }

@@ -1,4 +1,4 @@
-//! Progress and warnings for people on a terminal, for log files, and for machines.
+//! Progress and warnings: for a terminal, for log files, and as JSON.
 
 use std::io::{IsTerminal, Write};
 use std::sync::{Arc, Mutex};
@@ -10,20 +10,23 @@ use serde_json::json;
 
 use crate::program::hinted;
 
-/// `println!` that ends the program quietly when nobody reads any more (`lumistack displays | head -1`).
+/// Prints a line to standard output. Ends the program quietly when the reader has closed the pipe
+/// (`lumistack displays | head -1`).
 macro_rules! say {
     ($($text:tt)*) => { $crate::console::print_line(format_args!($($text)*)) };
 }
 pub(crate) use say;
 
-/// `eprintln!` that goes on where nobody reads any more (`lumistack run JOB 2>&1 | head -1`).
+/// Prints a line to standard error, and continues when the reader has closed the pipe
+/// (`lumistack run JOB 2>&1 | head -1`).
 macro_rules! tell {
     ($($text:tt)*) => { $crate::console::tell_line(format_args!($($text)*)) };
 }
 pub(crate) use tell;
 
 pub(crate) fn tell_line(text: std::fmt::Arguments<'_>) {
-    // at once: standard error has no buffer, and lines of several programs may meet there. An error here has nobody left to be told
+    // One write per line: standard error has no buffer, and several programs may share it. An error
+    // here cannot be reported anywhere
     let _ = std::io::stderr().write_all(format!("{text}\n").as_bytes());
 }
 
@@ -33,14 +36,14 @@ pub(crate) fn print_line(text: std::fmt::Arguments<'_>) {
     }
 }
 
-/// How long a stage without a terminal says nothing, at most.
+/// Longest silence of a stage without a terminal.
 const PLAIN_INTERVAL: Duration = Duration::from_millis(2500);
-/// How often it is asked whether it has been silent for so long.
+/// Interval at which a thread checks for silence.
 const TICK: Duration = Duration::from_millis(250);
-/// A stage of one step is not worth a line before it has lasted so long.
+/// A stage of a single step is not announced before this time.
 const LAZY: Duration = Duration::from_secs(1);
 
-/// Where progress and warnings go.
+/// Output of progress and warnings.
 pub(crate) enum Console {
     /// A bar on the terminal.
     Bar(Mutex<Option<ProgressBar>>, Mutex<Vec<Warning>>),
@@ -59,7 +62,7 @@ pub(crate) struct Stage {
     note: String,
     start: Instant,
     shown: Instant,
-    /// Whether it has said that it began.
+    /// A line has announced the stage.
     announced: bool,
 }
 
@@ -70,7 +73,7 @@ impl Console {
         }
         let state = Arc::<Mutex<Option<Stage>>>::default();
         let watched = Arc::downgrade(&state);
-        // steps that last long report nothing of their own accord
+        // long steps report nothing themselves, so a thread reports for them
         std::thread::spawn(move || {
             while let Some(state) = watched.upgrade() {
                 if let Some(stage) = lock(&state).as_mut() {
@@ -95,7 +98,7 @@ impl Stage {
         Self { name, unit, done: 0, total, note, start: now, shown: now, announced: false }
     }
 
-    /// Reports where the stage stands when it has been silent for long.
+    /// Reports the progress of the stage after a long silence.
     fn tick(&mut self, json: bool) {
         if !json && !self.announced && self.start.elapsed() >= LAZY {
             self.announce();

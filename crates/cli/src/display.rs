@@ -1,4 +1,5 @@
-//! `lumistack display`: a display file for one's own panels, and its calibration from photographs.
+//! `lumistack display`: a display file for the user's own panels, and its calibration from
+//! photographs.
 
 use std::path::{Path, PathBuf};
 
@@ -13,17 +14,18 @@ use crate::console::{say, tell};
 use crate::questions::{Questions, asks};
 use crate::values::{Angles, Numbers, Size};
 
-/// What can be done with displays.
+/// Actions on displays.
 #[derive(Debug, Subcommand)]
 pub(crate) enum DisplayCommand {
-    /// Writes a display file for your own panels; asks for what the options do not say
+    /// Writes a display file for your own panels, with questions about missing options
     #[command(
         after_help = "Examples:\n  lumistack display new my-display.toml\n  lumistack display new my-display.toml --gaps-mm 40,40 --panel-resolution 1680x1050 --diagonal-inch 22 --outputs DP-1,DP-2,DP-3 --no-questions\n\nA display of one layer has --gaps-mm 0. With --lens-pitch-mm another panel stands behind a lens array, and one layer is the default."
     )]
     New(Box<New>),
-    /// Where the panels are, from photographs of `lumistack show --pattern crosshairs --only N`, one per layer
+    /// Finds the positions of the panels in photographs of
+    /// `lumistack show --pattern crosshairs --only N`, one per layer
     #[command(
-        after_help = "Example:\n  lumistack display calibrate my-display.toml --eye-mm 0,0,2000 --reference 1=middle.jpg --photo 0=rear.jpg --photo 2=front.jpg\n\ndocs/PANELS.md says how to take the photographs."
+        after_help = "Example:\n  lumistack display calibrate my-display.toml --eye-mm 0,0,2000 --reference 1=middle.jpg --photo 0=rear.jpg --photo 2=front.jpg\n\ndocs/PANELS.md explains how to take the photographs."
     )]
     Calibrate(Calibrate),
 }
@@ -32,10 +34,11 @@ pub(crate) enum DisplayCommand {
 pub(crate) struct New {
     /// The file to write
     pub(crate) file: PathBuf,
-    /// Name for people
+    /// Name of the display
     #[arg(long)]
     pub(crate) name: Option<String>,
-    /// Distances from layer to layer, rear to front, millimetres: one less than there are layers; 0 for a single layer
+    /// Gaps between layers, rear to front, millimetres: one fewer than the layers; 0 for a single
+    /// layer
     #[arg(long, value_name = "MM,...", value_delimiter = ',')]
     pub(crate) gaps_mm: Option<Vec<f64>>,
     /// Columns and rows of every panel [default: those of the outputs]
@@ -44,7 +47,7 @@ pub(crate) struct New {
     /// Pixel pitch of every panel, millimetres
     #[arg(long, value_name = "MM", conflicts_with = "diagonal_inch")]
     pub(crate) panel_pitch_mm: Option<f64>,
-    /// Diagonal of every panel, inches, from which the pitch follows
+    /// Diagonal of every panel, inches; it replaces --panel-pitch-mm
     #[arg(long, value_name = "IN")]
     pub(crate) diagonal_inch: Option<f64>,
     /// Names of the outputs, rear to front, as `lumistack show --list` prints them
@@ -56,10 +59,10 @@ pub(crate) struct New {
     /// Views of the light field [default: 5x5]
     #[arg(long, value_name = "HxV")]
     pub(crate) views: Option<Size>,
-    /// Full angles of view, degrees [default: 20x20, or those of the lenses]
+    /// Fields of view, degrees [default: 20x20, or those of the lenses]
     #[arg(long, value_name = "HxV")]
     pub(crate) fov: Option<Angles>,
-    /// Time-multiplexed frames [default: as many as flicker at no less than 60 Hz]
+    /// Time-multiplexed frames [default: the most that flicker at 60 Hz or more]
     #[arg(long, value_name = "M")]
     pub(crate) frames: Option<usize>,
     /// Refresh rate of the panels [default: that of the outputs, or 60]
@@ -74,7 +77,8 @@ pub(crate) struct New {
     /// Contrast of the panels, white : black [default: unlimited]
     #[arg(long, value_name = "N")]
     pub(crate) contrast: Option<f64>,
-    /// Distance of the axes of a lens array in front of the rearmost panel, millimetres
+    /// Distance between the axes of neighbouring lenses of an array before the rearmost panel,
+    /// millimetres
     #[arg(long, value_name = "MM", requires_all = ["lens_focal_mm", "lens_gap_mm"])]
     pub(crate) lens_pitch_mm: Option<f64>,
     /// Focal length of the lenses in air, millimetres
@@ -83,13 +87,13 @@ pub(crate) struct New {
     /// Distance from the lens array to the layer in front of it, millimetres
     #[arg(long, value_name = "MM", requires = "lens_pitch_mm")]
     pub(crate) lens_gap_mm: Option<f64>,
-    /// Replace the file if it is there
+    /// Replace an existing file
     #[arg(long)]
     pub(crate) force: bool,
-    /// Take defaults instead of asking; what has none must be given
+    /// Use defaults instead of asking; options without a default are required
     #[arg(long, conflicts_with = "questions")]
     pub(crate) no_questions: bool,
-    /// Ask although standard input is no terminal
+    /// Ask even though standard input is no terminal
     #[arg(long)]
     pub(crate) questions: bool,
 }
@@ -98,16 +102,17 @@ pub(crate) struct New {
 pub(crate) struct Calibrate {
     /// The display file, which is changed
     pub(crate) file: PathBuf,
-    /// Layer and photograph that the others are brought into line with
+    /// Reference layer and its photograph; the other layers are aligned with it
     #[arg(long, value_name = "N=FILE")]
     pub(crate) reference: String,
-    /// Layer and photograph; several times
+    /// Layer and photograph; may be given several times
     #[arg(long, value_name = "N=FILE", required = true)]
     pub(crate) photo: Vec<String>,
-    /// Place of the camera's lens, as it was given to `lumistack show` [default: 0,0,2000 or the display's viewing distance]
+    /// Position of the camera's lens, as given to `lumistack show` [default: 0,0,2000 or the
+    /// display's viewing distance]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) eye_mm: Option<Numbers<3>>,
-    /// Say what was found and change nothing
+    /// Report the result, but change no file
     #[arg(long)]
     pub(crate) dry_run: bool,
 }
@@ -130,10 +135,10 @@ pub(crate) fn display_command(command: &DisplayCommand, json: bool) -> Result<()
     }
 }
 
-/// What is known of an output: name, [columns, rows], refresh rate.
+/// A known output: name, [columns, rows], refresh rate.
 type Known = (String, [usize; 2], Option<f64>);
 
-/// The outputs of this session; where there are none, why.
+/// Finds the outputs of this session, or returns why there are none.
 fn system_outputs() -> Result<Vec<Known>, String> {
     let outputs = lumistack_plugin_panels::window::outputs().map_err(|error| error.to_string())?;
     let known: Vec<Known> = outputs.into_iter().map(|output| (output.name, output.size, output.refresh_hz)).collect();
@@ -163,6 +168,7 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
         Some(("my display".into(), "my display".into())),
         |text| Some(text.into()),
     )?;
+    // The number of panels follows from gaps and lenses, so these come first.
     let lens_pitch_mm = match args.lens_pitch_mm {
         Some(pitch) => pitch,
         None => ask.value(
@@ -184,6 +190,7 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
     if let Some(bad) = gaps_mm.iter().find(|gap| !(gap.is_finite() && **gap > 0.0)) {
         return Err(PipelineError::value("--gaps-mm", "MM", "distances above 0", bad.to_string()));
     }
+    // Panels: default values come from the outputs that the system reports.
     let layers = gaps_mm.len() + 1;
     let panels = layers + usize::from(lens_pitch_mm > 0.0);
     let known: Vec<String> = outputs.iter().take(panels).map(|(name, ..)| name.clone()).collect();
@@ -220,6 +227,7 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
             None => positive(text).map(from_diagonal),
         },
     )?;
+    // Light field and lenses.
     let scale = ask.value(
         "--panel-pixels",
         "Panel pixels per pixel of the masks (1 is sharpest, 2 factorizes four times as fast)",
@@ -263,6 +271,7 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
         Some((format!("{fov_default:.1}x{fov_default:.1}"), [fov_default; 2])),
         |text| text.parse::<Angles>().ok().map(|angles| angles.0),
     )?;
+    // Time and brightness.
     let rate = first.and_then(|output| output.2).unwrap_or(60.0);
     let refresh_hz = ask.value(
         "--refresh-hz",
@@ -274,7 +283,7 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
     let steady = PanelStack::steady_frames(refresh_hz);
     let frames = ask.value(
         "--frames",
-        "Time-multiplexed frames (more show more, and flicker where a period comes less than 60 times a second)",
+        "Time-multiplexed frames (more show more, and flicker where a period repeats less than 60 times a second)",
         args.frames,
         Some((steady.to_string(), steady)),
         |text| text.parse().ok().filter(|count| (1..=1000).contains(count)),
@@ -287,6 +296,7 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
         positive,
     )?;
 
+    // Compute the display, and write it with its comments.
     let stack = PanelStack {
         name,
         gaps_mm,
@@ -310,7 +320,7 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
     })?;
     let text = format!(
         "# Made by `lumistack display new`; millimetres and degrees, docs/JOB.md explains every key.\n\
-         # The file is yours: what measuring finds goes here (black_level, transfer tables, offset_mm, crosstalk), and nudges are saved here.\n{}",
+         # Put measured values here (black_level, transfer tables, offset_mm, crosstalk). `lumistack show` saves nudges here.\n{}",
         display.to_toml()
     );
     lumistack_field_io::atomic::write_bytes(&args.file, text.as_bytes()).map_err(PipelineError::Field)?;
@@ -333,6 +343,7 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
 fn calibrate_display(args: &Calibrate, json: bool) -> Result<(), PipelineError> {
     let mut display = presets::load_file(&args.file)?;
     let eye_mm = args.eye_mm.map_or([0.0, 0.0, display.field.distance_mm.unwrap_or(2000.0)], |eye| eye.0);
+    // Read the photographs.
     let photograph = |flag: &str, text: &str| {
         let wrong = || {
             let expected = format!("a layer 0 to {} and a picture, such as 1=middle.jpg", display.layers.len() - 1);
@@ -351,6 +362,7 @@ fn calibrate_display(args: &Calibrate, json: bool) -> Result<(), PipelineError> 
     let reference = photograph("--reference", &args.reference)?;
     let others = args.photo.iter().map(|text| photograph("--photo", text)).collect::<Result<Vec<_>, _>>()?;
     let lent: Vec<_> = others.iter().map(|(layer, picture)| (*layer, picture)).collect();
+    // Compute the homographies, and report their errors.
     let (camera, found) =
         calibrate(&display, eye_mm, (reference.0, &reference.1), &lent).map_err(PipelineError::command)?;
     for found in &found {
@@ -371,11 +383,12 @@ fn calibrate_display(args: &Calibrate, json: bool) -> Result<(), PipelineError> 
         }
     }
     if !json {
-        say!("the lens bends by {:.4} and {:.4}", camera.distortion[0], camera.distortion[1]);
+        say!("distortion of the lens: {:.4} and {:.4}", camera.distortion[0], camera.distortion[1]);
     }
     if args.dry_run {
         return Ok(());
     }
+    // Change the calibration alone: comments and other keys of the file stay.
     let read = lumistack_files::read_text(&args.file);
     let text = read.map_err(|source| PipelineError::Read { path: args.file.clone(), source })?;
     let text = resealed(&text, &keep_panels(&text, &display).map_err(PipelineError::command)?);
@@ -425,7 +438,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_default_must_be_given() {
+    fn options_without_default_are_required() {
         let folder = tempfile::tempdir().unwrap();
         let error = made(folder.path(), &["--no-questions"], &outputs(), None).unwrap_err().to_string();
         assert!(error.contains("--gaps-mm"), "{error}");
@@ -442,7 +455,8 @@ mod tests {
     #[test]
     fn answers_make_a_directional_display() {
         let folder = tempfile::tempdir().unwrap();
-        // name, lens pitch, gaps, outputs, resolution, a slip, pitch, pixels, views, focal length, gap, and defaults
+        // name, lens pitch, gaps, outputs, resolution, a mistake, pitch, pixels, views, focal
+        // length, gap, and defaults
         let answers = "bench\n2.54\n\nDP-2,DP-1\n\nlarge\n0.2827 mm\n\n\n2.85\n8.5\n\n\n\n\n";
         let display = made(folder.path(), &[], &outputs(), Some(answers)).unwrap();
         let Backlight::Lenslets(backlight) = &display.backlight else { panic!("directional") };

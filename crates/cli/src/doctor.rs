@@ -1,4 +1,4 @@
-//! What this machine has of all that Lumistack can use, and how to get the rest.
+//! `lumistack doctor`: optional software and hardware of this machine, and how to get the rest.
 
 use std::path::Path;
 
@@ -14,10 +14,10 @@ use crate::program;
 pub(crate) const EXAMPLES: &str = "Nothing that is missing here keeps the program from its main job: a glTF scene to patterns, pictures and a page.\n\n\
     Examples:\n  lumistack doctor\n  lumistack --json doctor      one object";
 
-/// Below so much a run of the paper's size may not fit, MiB.
+/// A run of the paper's size may need more memory or disk than this, MiB.
 const ENOUGH_MIB: u64 = 4096;
 
-/// One thing that was looked for.
+/// The result of one check.
 struct Finding {
     what: &'static str,
     found: Found,
@@ -25,13 +25,13 @@ struct Finding {
 
 enum Found {
     Good(String),
-    /// It works, worse than it could.
+    /// It works, but not well: the state, and how to improve it.
     Poor(String, String),
-    /// It is not there; how to get it.
+    /// It is missing: the checked places, and how to get it.
     Missing(String, String),
 }
 
-/// Looks, and says what it has found.
+/// Checks this machine, and prints the results.
 pub(crate) fn run(registry: &Registry, json: bool, cancel: &Cancel) -> Result<(), PipelineError> {
     let findings = look(registry, cancel)?;
     if json {
@@ -108,7 +108,7 @@ fn processor() -> Found {
     Found::Good(found)
 }
 
-/// Memory that programs can still get.
+/// Memory that is available to programs.
 fn memory() -> Found {
     let text = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
     let mib = |key: &str| {
@@ -125,7 +125,7 @@ fn memory() -> Found {
     )
 }
 
-/// Space for runs in the working folder.
+/// Free space of the working folder.
 fn disk(folder: &Path) -> Found {
     match free_mib(folder) {
         Some(free) => {
@@ -177,7 +177,7 @@ fn denoiser() -> Found {
     }
 }
 
-/// Graphics processors that could solve.
+/// Graphics processors that can solve.
 fn graphics() -> Found {
     let adapters = match crate::devices::found() {
         Ok(adapters) => adapters,
@@ -193,7 +193,7 @@ fn graphics() -> Found {
     }
 }
 
-/// Screens that `lumistack show` could drive.
+/// Outputs that `lumistack show` could drive.
 fn panels() -> Found {
     match crate::show::outputs() {
         Ok(outputs) if outputs.is_empty() => {

@@ -20,13 +20,13 @@ pub(crate) const EXAMPLES: &str = "\
 Examples:
   lumistack farm job.toml -o runs/shot                                two workers on this machine, through dask.distributed
   lumistack farm job.toml -o /mnt/shots/one --dask tls://head:8786    on the workers of a Dask scheduler, which share the folder
-  lumistack farm plan job.toml -o runs/shot                           the units of work: what each takes, its time and memory
+  lumistack farm plan job.toml -o runs/shot                           the units of work with their inputs, time and memory
   lumistack farm export makefile job.toml -o runs/shot --to Makefile  and then make -j8
   lumistack farm export openjd job.toml -o /mnt/shots/one --to jobs   for a farm manager
 
-Results are those of `lumistack run`, byte for byte. A run that was stopped or killed goes on when the same command is given again. docs/FARM.md has recipes.";
+Results are those of `lumistack run`, byte for byte. The same command continues a run that was stopped or killed. docs/FARM.md has recipes.";
 
-/// Seconds that starting a unit takes beside its work, as the prediction has it.
+/// Time to start a unit, in the prediction, seconds.
 const OVERHEAD_SECONDS: f64 = 0.1;
 
 #[derive(Debug, clap::Args)]
@@ -55,28 +55,30 @@ enum What {
         job: JobArgs,
         #[command(flatten)]
         cut: CutArgs,
-        /// Numbers of workers for which the time of the whole is predicted
+        /// Numbers of workers for which the total time is predicted
         #[arg(long, value_name = "LIST", value_delimiter = ',', default_values_t = [1, 2, 10, 100, 1000])]
         workers: Vec<usize>,
     },
-    /// The units of a run that was planned, and which are done
+    /// Lists the units of a planned run, and which are done
     Show {
         /// The run folder
         dir: PathBuf,
-        /// Numbers of workers for which the time of the whole is predicted; of units that are done by the time that they took
+        /// Numbers of workers for which the total time is predicted; finished units count with
+        /// their measured time
         #[arg(long, value_name = "LIST", value_delimiter = ',', default_values_t = [1, 2, 10, 100, 1000])]
         workers: Vec<usize>,
     },
-    /// Executes one unit of work; this is what farms call
+    /// Executes one unit of work; farms call this
     Unit {
         /// The run folder
         dir: PathBuf,
         /// Id of the unit
         id: String,
-        /// Paths of the job lie elsewhere on this machine; may be given several times
+        /// Path mapping from the planning machine to this one; may be given several times
         #[arg(long, value_name = "/THERE=/HERE")]
         map: Vec<Map>,
-        /// How long to wait for the units that it takes, seconds: a network's file system may show files late
+        /// Time to wait for the results of other units, seconds: a network file system may show
+        /// files late
         #[arg(long, value_name = "SECONDS", default_value_t = 60)]
         patience: u64,
         /// End when standard input ends, so that no unit outlives its worker
@@ -93,17 +95,19 @@ enum What {
         job: JobArgs,
         #[command(flatten)]
         cut: CutArgs,
-        /// File or folder to write: a folder, unless the format is one file and the name is its own
+        /// File or folder to write. It is a folder, unless the format is a single file and this
+        /// name is a file's
         #[arg(long, value_name = "FILE|DIR", default_value = ".")]
         to: PathBuf,
-        /// Words that start the program on a worker, between spaces [default: this program for make and shell, else lumistack]
+        /// Words that start the program on a worker, separated by spaces [default: this program for
+        /// make and shell, else lumistack]
         #[arg(long, value_name = "WORDS")]
         program: Option<String>,
-        /// Paths of this machine lie elsewhere on the workers; may be given several times
+        /// Path mapping from this machine to the workers; may be given several times
         #[arg(long, value_name = "/HERE=/THERE")]
         map: Vec<Map>,
     },
-    /// Version and code of this program; all workers of a run have the same
+    /// Prints version and code of this program; all workers of a run need the same
     Code,
 }
 
@@ -113,22 +117,23 @@ struct EngineArgs {
     /// A running Dask scheduler, such as tls://host:8786 [default: workers of this machine]
     #[arg(long, value_name = "ADDRESS")]
     dask: Option<String>,
-    /// Workers of this machine, where no scheduler is named [default: 2]
+    /// Workers of this machine, without a scheduler [default: 2]
     #[arg(long, value_name = "N")]
     workers: Option<usize>,
-    /// Paths of this machine lie elsewhere on the workers; may be given several times
+    /// Path mapping from this machine to the workers; may be given several times
     #[arg(long, value_name = "/HERE=/THERE")]
     map: Vec<Map>,
-    /// Certificate of the authority that signed the scheduler's and the workers' certificates, PEM
+    /// Certificate of the authority that signed the certificates of scheduler and workers, PEM
     #[arg(long, value_name = "FILE", requires_all = ["tls_cert", "tls_key"])]
     tls_ca: Option<PathBuf>,
-    /// Own certificate, PEM
+    /// Client certificate, PEM
     #[arg(long, value_name = "FILE", requires = "tls_ca")]
     tls_cert: Option<PathBuf>,
-    /// Key of the own certificate, PEM
+    /// Key of the client certificate, PEM
     #[arg(long, value_name = "FILE", requires = "tls_ca")]
     tls_key: Option<PathBuf>,
-    /// Talk to a scheduler on another machine without TLS: whoever reaches it can run anything on its workers
+    /// Connect to a scheduler on another machine without TLS: anyone who reaches it can run
+    /// programs on its workers
     #[arg(long)]
     insecure: bool,
     /// Object store through which workers exchange files where they share no folder, such as s3://bucket/shots
@@ -145,7 +150,7 @@ struct CutArgs {
     /// Expected time of a block of views
     #[arg(long, value_name = "SECONDS")]
     block_seconds: Option<f64>,
-    /// Number of blocks of every light field, whatever they take
+    /// Number of blocks of every light field, independent of their time
     #[arg(long, value_name = "N", conflicts_with = "block_seconds")]
     blocks: Option<usize>,
 }
@@ -162,7 +167,7 @@ impl CutArgs {
     }
 }
 
-/// A folder here, and the same folder there.
+/// A folder here, and the same folder on other machines.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Map([PathBuf; 2]);
 
@@ -247,7 +252,7 @@ pub(crate) fn run(
             Ok(())
         }
         (None, Some(input)) => {
-            // before a minute of planning
+            // an error before the plan, which may take a minute
             let python = python()?;
             let (_, dir) = planned(input, &args.job, &args.cut, registry, task)?;
             engine(&args.engine, &python, &dir, threads, json, task)
@@ -278,7 +283,8 @@ fn own_words() -> Vec<String> {
     if !stem.starts_with("python") {
         return vec![program];
     }
-    // the Python of a virtual environment is a link, which leads out of it
+    // the Python of a virtual environment is a link to a Python outside of it, so the link itself
+    // is started
     #[cfg(feature = "dynamic")]
     let program = lumistack_pipeline::Launcher::of_process()
         .map_or(program, |launcher| launcher.program.to_string_lossy().into_owned());
@@ -312,8 +318,9 @@ fn print(plan: &FarmPlan, dir: &Path, workers: &[usize], json: bool) {
         );
         return;
     }
+    // A table for the user, with the prediction below it.
     let width = graph.units.iter().map(|unit| unit.id.chars().count()).max().unwrap_or(0).max(4);
-    say!("{:width$}  {:8}  {:4}  {:>8}  {:>8}  takes", "unit", "kind", "done", "time", "memory");
+    say!("{:width$}  {:8}  {:4}  {:>8}  {:>8}  inputs", "unit", "kind", "done", "time", "memory");
     for (unit, done) in graph.units.iter().zip(&done) {
         let done = if *done { "yes" } else { "no" };
         let (time, memory) = (duration_text(unit.seconds), size_text(unit.memory_bytes));
@@ -323,14 +330,15 @@ fn print(plan: &FarmPlan, dir: &Path, workers: &[usize], json: bool) {
         };
         say!("{:width$}  {:8}  {done:4}  {time:>8}  {memory:>8}  {inputs}", unit.id, unit.kind.name());
     }
-    let told = |p: &Prediction| format!("{} on {}", duration_text(p.makespan_seconds), p.workers);
+    let text = |p: &Prediction| format!("{} on {}", duration_text(p.makespan_seconds), p.workers);
     let count = graph.units.len();
     let folder = dir.display();
-    let predicted = predictions.iter().map(told).collect::<Vec<_>>().join(", ");
+    let predicted = predictions.iter().map(text).collect::<Vec<_>>().join(", ");
     say!("{count} units in {folder}; predicted with so many workers: {predicted}");
 }
 
-/// Ends the process when standard input ends: whoever started it is gone. All files are written whole or not at all.
+/// Ends the process when standard input ends, since its worker is gone then. Files are complete or
+/// absent at any time.
 fn end_with_input() {
     std::thread::spawn(|| {
         let mut rest = [0; 64];
@@ -422,7 +430,7 @@ fn export(
     Ok(())
 }
 
-/// Hands a planned run to the Python module that drives Dask.
+/// Starts the Python module that runs the planned units through Dask.
 fn engine(
     args: &EngineArgs,
     python: &Path,
@@ -456,7 +464,7 @@ fn engine(
     if json {
         command.arg("--json");
     }
-    // it gets Ctrl-C as this process does, and ends cleanly
+    // Ctrl-C reaches the module too, and it ends cleanly
     let status = command.status().map_err(PipelineError::command)?;
     task.cancel.check()?;
     match status.success() {
@@ -465,7 +473,7 @@ fn engine(
     }
 }
 
-/// A Python that has this package and Dask.
+/// Finds a Python with this package and Dask.
 fn python() -> Result<PathBuf, PipelineError> {
     let own = own_words();
     let own = (own.len() > 1).then(|| (PathBuf::from(&own[0]), "this Python"));

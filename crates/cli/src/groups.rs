@@ -1,4 +1,4 @@
-//! Options that several commands share, and what they change about a job.
+//! Options that several commands share, and their effect on a job.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ use lumistack_pipeline::{
 
 use crate::values::{Angles, Numbers, Size};
 
-/// The display of `run` and `render` when nobody names one.
+/// The default display of `run` and `render`.
 pub const DEFAULT_DISPLAY: &str = "paper-three-layer";
 
 /// Changes to the display.
@@ -23,7 +23,7 @@ pub(crate) struct DisplayArgs {
     /// A preset (see `lumistack displays`) or a display file
     #[arg(long, value_name = "NAME|FILE")]
     pub(crate) display: Option<OsString>,
-    /// Columns and rows of the light field; masks scale along
+    /// Columns and rows of the light field; masks scale with it
     #[arg(long, value_name = "CxR")]
     pub(crate) resolution: Option<Size>,
     /// Time-multiplexed frames M
@@ -38,63 +38,75 @@ pub(crate) struct DisplayArgs {
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Rendering")]
 pub(crate) struct RenderArgs {
-    /// Views that sample the zone: auto, as many as make the display right between them, or columns and rows
+    /// Views that sample the viewing zone: auto (as many as the display needs to be right between
+    /// them), or columns and rows
     #[arg(long, value_name = "auto|CxR")]
     pub(crate) views: Option<Views>,
-    /// Paths per pixel of all views together, which are spread over them; auto: as many as the display profits from [default: auto]
+    /// Paths per pixel of all views together, spread over the views; auto: as many as improve the
+    /// display's picture [default: auto]
     #[arg(long, value_name = "auto|N")]
     pub(crate) zone_samples: Option<lumistack_pipeline::ZoneSamples>,
     /// Paths per pixel and view, instead of --zone-samples
     #[arg(long, value_name = "N", conflicts_with = "zone_samples")]
     pub(crate) samples: Option<u32>,
-    /// Who renders the views: lumistack, our path tracer; of a .blend scene blender, the file's own engine with its settings; or auto: our path tracer unless a .blend scene has what it cannot show
+    /// Program that renders the views: lumistack, blender or auto. Blender renders .blend scenes
+    /// with the file's own engine and settings. With auto, lumistack renders, unless a .blend scene
+    /// has content that it does not support
     #[arg(long, value_name = "NAME")]
     pub(crate) engine: Option<lumistack_pipeline::Engine>,
     /// Bounces after the first hit
     #[arg(long, value_name = "N")]
     pub(crate) max_bounces: Option<u32>,
-    /// Takes noise out of views: shared (light that does not depend on the view, over all views that see the point), off, guided (our own filter over all views) or oidn (Open Image Denoise, where installed)
+    /// Filter that removes noise from views: shared, off, guided or oidn. With shared, light that
+    /// does not depend on the view is averaged over all views that see the point. With guided,
+    /// Lumistack's filter works on all views together. With oidn, Open Image Denoise filters each
+    /// view, where installed
     #[arg(long, value_name = "KIND")]
     pub(crate) denoise: Option<lumistack_pipeline::Denoise>,
-    /// Name or number of the camera whose plane of focus the display takes
+    /// Name or number of the camera, whose plane of focus becomes the display plane
     #[arg(long, value_name = "NAME|N")]
     pub(crate) camera: Option<String>,
-    /// Frames the scene from this azimuth (0 the front, +z; above 0 to its right, +x) and elevation, degrees, even where the file has a camera [default: the
-    /// front, or where that shows next to nothing, from where more is seen]
+    /// Frame the scene from this azimuth and elevation, degrees, even where the file has a camera.
+    /// Azimuth 0 is the front, +z; above 0 lies to its right, +x [default: the front, or another
+    /// side where the front shows hardly anything]
     #[arg(long, value_name = "AZ,EL", allow_hyphen_values = true)]
     pub(crate) look_from: Option<Numbers<2>>,
-    /// Nothing nearer to the viewer is seen: auto (a camera's near plane, or what the display can show), off, or a distance before the window, scene units
+    /// Nearest visible distance: auto (a camera's near plane, or what the display can show), off,
+    /// or a distance before the window, scene units
     #[arg(long, value_name = "auto|off|D", allow_hyphen_values = true)]
     pub(crate) near: Option<lumistack_pipeline::Near>,
-    /// Whether light sources with a surface are seen as such [default: as the file says, else not]
+    /// Show light sources that have a surface [default: as the file says, else no]
     #[arg(long, value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
     pub(crate) lights_visible: Option<bool>,
-    /// Time at which the scene's animations are sampled, seconds; without it the scene as its nodes stand, in USD the first time code
+    /// Time of the scene's animations, seconds; without it the scene has no animation, and a USD
+    /// scene its first time code
     #[arg(long = "time", value_name = "S", allow_hyphen_values = true)]
     pub(crate) time_s: Option<f64>,
-    /// Name or number of the animation; default: all that do not conflict, otherwise the first
+    /// Name or number of the animation [default: all that do not conflict, otherwise the first]
     #[arg(long, value_name = "NAME|N")]
     pub(crate) animation: Option<String>,
-    /// glTF: name or number of the material variant. USD: SET=VARIANT on every prim that has them, /PRIM{SET=VARIANT} on one; may be given
-    /// several times
+    /// glTF: name or number of the material variant. USD: SET=VARIANT on every prim that has the
+    /// set, /PRIM{SET=VARIANT} on one prim; may be given several times
     #[arg(long, value_name = "NAME|N|SET=VARIANT")]
     pub(crate) variant: Vec<String>,
-    /// Opposite corners of a box, scene units: splats whose centres lie outside are left out
+    /// Opposite corners of a box, scene units: splats with centres outside are left out
     #[arg(long, value_name = "X0,Y0,Z0,X1,Y1,Z1", allow_hyphen_values = true)]
     pub(crate) crop_box: Option<Numbers<6>>,
-    /// Centre and radius of a sphere, scene units: splats whose centres lie outside are left out
+    /// Centre and radius of a sphere, scene units: splats with centres outside are left out
     #[arg(long, value_name = "X,Y,Z,R", allow_hyphen_values = true)]
     pub(crate) crop_sphere: Option<Numbers<4>>,
     /// Environment map (Radiance HDR or EXR) instead of the scene's
     #[arg(long, value_name = "FILE")]
     pub(crate) environment: Option<PathBuf>,
-    /// Factor on the environment's light, the studio light's too
+    /// Factor on the light of the environment or the studio light
     #[arg(long, value_name = "K")]
     pub(crate) environment_strength: Option<f32>,
-    /// Turn of the environment about the up axis, degrees; above 0 what lies straight ahead moves to the left
+    /// Rotation of the environment about the up axis, degrees; above 0, the part straight ahead
+    /// moves to the left
     #[arg(long, value_name = "DEG", allow_hyphen_values = true)]
     pub(crate) environment_rotation: Option<f64>,
-    /// Seen where no surface is: environment, or a colour such as #202028; the light does not depend on it
+    /// Background where a ray misses every surface: environment, or a colour such as #202028; it
+    /// does not light surfaces
     #[arg(long, value_name = "COLOUR")]
     pub(crate) background: Option<lumistack_pipeline::Background>,
     /// Stops added to the automatic exposure
@@ -103,13 +115,15 @@ pub(crate) struct RenderArgs {
     /// Tone curve of all views: auto, linear, khronos-neutral or agx
     #[arg(long, value_name = "CURVE", value_parser = ["auto", "linear", "khronos-neutral", "agx"])]
     pub(crate) tone: Option<String>,
-    /// Bring the scene into the display's depth of field: auto (where it does not fit), off, move the window, or compress depth as well
+    /// Bring the scene into the display's depth of field: auto (where it does not fit), off, move
+    /// the window, or compress depth too
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"])]
     pub(crate) fit_depth: Option<String>,
-    /// Factor on parallax between views, and so on depth
+    /// Factor on the parallax between views, and so on depth
     #[arg(long, value_name = "K")]
     pub(crate) depth_scale: Option<f64>,
-    /// Angle under which a lens is seen from the window, degrees: what lies off the display's plane blurs [default: 0, no lens]
+    /// Angle of a lens as seen from the window, degrees: content off the display plane blurs
+    /// [default: 0, no lens]
     #[arg(long, value_name = "DEG")]
     pub(crate) lens_deg: Option<f64>,
     /// Seed of all random streams
@@ -119,7 +133,7 @@ pub(crate) struct RenderArgs {
     pub(crate) files: FileArgs,
 }
 
-/// Which files a scene may read, and how much memory its pictures may take.
+/// Files that a scene may read, and the memory of its pictures.
 #[derive(Clone, Debug, Default, ClapArgs)]
 pub(crate) struct FileArgs {
     /// Let a glTF or OBJ scene read files outside of its own folder
@@ -134,7 +148,7 @@ pub(crate) struct FileArgs {
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Factorization")]
 pub(crate) struct FactorizeArgs {
-    /// Full updates of all layers
+    /// Iterations: full updates of all layers
     #[arg(long, value_name = "N")]
     pub(crate) iterations: Option<u32>,
     #[arg(long, value_name = "NAME", help = format!("Solver: {}", either(solver_names())))]
@@ -152,34 +166,40 @@ pub(crate) struct FactorizeArgs {
     pub(crate) weights: Option<PathBuf>,
 }
 
-/// A sequence of times instead of a still: the window moves through the scene, or the scene moves.
+/// A sequence of time steps instead of a still: the window moves through the scene, or the scene
+/// moves.
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Sequence")]
 pub(crate) struct SequenceArgs {
-    /// Number of times; every one is a run folder t0001, t0002, ... and starts from the patterns of the one before
+    /// Number of time steps; each has a run folder t0001, t0002, ... and starts from the patterns
+    /// of the one before
     #[arg(long, value_name = "N")]
     pub(crate) times: Option<usize>,
-    /// Turn of the window about its vertical axis from the first time to the last, degrees; above 0 the viewer walks to the right
+    /// Rotation of the window about its vertical axis from the first time step to the last,
+    /// degrees; above 0 the viewer walks to the right
     #[arg(long, value_name = "DEG", allow_hyphen_values = true)]
     pub(crate) turn_deg: Option<f64>,
-    /// Movement of the window from the first time to the last, millimetres of the display: X right, Y up, Z to the viewer
+    /// Movement of the window from the first time step to the last, millimetres of the display: X
+    /// right, Y up, Z to the viewer
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) shift_mm: Option<Numbers<3>>,
-    /// Time of the scene's animations from the first time to the last, seconds, from --time or 0 on
+    /// Duration of the scene's animations from the first time step to the last, seconds, from
+    /// --time or 0 on
     #[arg(long, value_name = "S", allow_hyphen_values = true)]
     pub(crate) duration_s: Option<f64>,
-    /// Full updates at every time after the first [default: 5]
+    /// Iterations at every time step after the first [default: 5]
     #[arg(long, value_name = "N")]
     pub(crate) sequence_iterations: Option<u32>,
-    /// Times of a chunk; chunks do not depend on each other's patterns, so machines solve them at once [default: all times are one chain]
+    /// Time steps of a chunk; chunks do not need each other's patterns, so machines solve them at
+    /// once [default: one chain of all time steps]
     #[arg(long, value_name = "N")]
     pub(crate) chunk_times: Option<usize>,
-    /// Times before a chunk that are solved once more for its start [default: 2]
+    /// Time steps before a chunk that are solved again for its start [default: 2]
     #[arg(long, value_name = "N")]
     pub(crate) warm_up_times: Option<usize>,
 }
 
-/// What the command line changes of a job, and where it runs.
+/// Changes to a job, and its run folder.
 #[derive(Debug, ClapArgs)]
 pub(crate) struct JobArgs {
     /// Folder for the results [default: runs/NAME]
@@ -195,23 +215,26 @@ pub(crate) struct JobArgs {
     pub(crate) sequence: SequenceArgs,
 }
 
-/// What to do about values beyond 0 to 1. Without these flags values count as they are.
+/// Exposure and tone curve of a given light field. Without these flags its values stay as they are.
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Light field")]
 pub(crate) struct FieldLookArgs {
-    /// Exposure in stops for all views: values times 2^EV; what is above 1 then is clipped, unless --tone says otherwise
+    /// Exposure in stops for all views: values times 2^EV. Values above 1 are then clipped, unless
+    /// --tone says otherwise
     #[arg(long, value_name = "EV", allow_hyphen_values = true)]
     pub(crate) exposure_ev: Option<f64>,
-    /// Tone curve of all views: linear (clips to 0..1), khronos-neutral or agx [default: values as they are]
+    /// Tone curve of all views: linear (clips to 0..1), khronos-neutral or agx [default: values
+    /// stay as they are]
     #[arg(long, value_name = "CURVE", value_parser = ["linear", "khronos-neutral", "agx"])]
     pub(crate) tone: Option<String>,
 }
 
-/// The display; its light field is the one that is read.
+/// The display; its light field is read from files.
 #[derive(Debug, ClapArgs)]
 #[command(next_help_heading = "Display")]
 pub(crate) struct FactorizeDisplayArgs {
-    /// A preset (see `lumistack displays`) or a display file; takes the light field's resolution and views
+    /// A preset (see `lumistack displays`) or a display file. It takes the light field's resolution
+    /// and views
     #[arg(long, value_name = "NAME|FILE", default_value = "paper-three-layer")]
     pub(crate) display: OsString,
     /// Time-multiplexed frames M
@@ -222,14 +245,14 @@ pub(crate) struct FactorizeDisplayArgs {
     pub(crate) brightness: Option<f64>,
 }
 
-/// What a foreign light field does not say itself; a flag wins over what the files say.
+/// Geometry of a light field whose files do not state it; a flag takes precedence over the files.
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Light field")]
 pub(crate) struct GeometryArgs {
     /// View grid
     #[arg(long, value_name = "KIND", value_parser = ["oblique", "perspective"])]
     pub(crate) grid: Option<String>,
-    /// Full horizontal and vertical angle of view, degrees
+    /// Full horizontal and vertical field of view, degrees
     #[arg(long, value_name = "HxV")]
     pub(crate) fov: Option<Angles>,
     /// Pixel pitch on the display plane, millimetres
@@ -241,7 +264,7 @@ pub(crate) struct GeometryArgs {
     /// Views to keep of a larger set
     #[arg(long, value_name = "HxV")]
     pub(crate) views: Option<Size>,
-    /// Columns and rows of a quilt whose name does not say
+    /// Columns and rows of a quilt whose name does not state them
     #[arg(long, value_name = "CxR")]
     pub(crate) quilt: Option<Size>,
     /// Views of a single picture of tiles, view (0, 0) at the top left
@@ -250,7 +273,8 @@ pub(crate) struct GeometryArgs {
     /// Reduce every view to this many columns and rows
     #[arg(long, value_name = "CxR")]
     pub(crate) resolution: Option<Size>,
-    /// Disparity that is put on the display plane: pixels by which content moves left per view to the right
+    /// Disparity of content on the display plane: pixels by which it moves left per view to the
+    /// right
     #[arg(long, value_name = "PX", allow_hyphen_values = true)]
     pub(crate) focus_px: Option<f64>,
     /// Reverse the order of views from left to right
@@ -259,19 +283,20 @@ pub(crate) struct GeometryArgs {
     /// Reverse the order of views from top to bottom
     #[arg(long)]
     pub(crate) mirror_y: bool,
-    /// Average every view over the slopes that the display cannot tell apart, of all views that are there, before `--views` are chosen
+    /// Average every view over the slopes that the display cannot separate; uses all views, before
+    /// --views are chosen
     #[arg(long)]
     pub(crate) prefilter: bool,
 }
 
-/// "a, b or c".
+/// Joins names: "a, b or c".
 fn either(names: impl Iterator<Item = &'static str>) -> String {
     let mut names: Vec<&str> = names.collect();
     let last = names.pop().unwrap_or_default();
     format!("{} or {last}", names.join(", "))
 }
 
-/// A job file, or a job around a scene.
+/// Loads a job file, or makes a job for a scene.
 pub(crate) fn job_or_scene(path: &Path) -> Result<Job, PipelineError> {
     if is_job(path) {
         return Job::load(path);
@@ -337,7 +362,7 @@ pub(crate) fn change_render(job: &mut Job, args: &RenderArgs) {
         None => {}
     }
     change_importer(&mut job.importer, &args.files);
-    // what stands on the command line goes before what the job says
+    // the command line takes precedence over the job
     if args.camera.is_some() {
         job.window.camera = args.camera.clone();
         job.window.look_from = None;
@@ -373,7 +398,7 @@ pub(crate) fn change_render(job: &mut Job, args: &RenderArgs) {
     }
 }
 
-/// What the command line says of the scene's files.
+/// Applies the options about the scene's files.
 pub(crate) fn change_importer(importer: &mut ImporterJob, args: &FileArgs) {
     importer.allow_outside |= args.allow_outside;
     importer.picture_mib = args.picture_budget.unwrap_or(importer.picture_mib);
@@ -417,7 +442,7 @@ pub(crate) fn change_sequence(job: &mut Job, args: &SequenceArgs) {
     sequence.warm_up_times = warm_up_times.or(sequence.warm_up_times);
 }
 
-/// A job as the command line changes it, and its folder.
+/// Makes the job that the command line describes, and its run folder.
 pub(crate) fn job_of(input: &Path, args: &JobArgs) -> Result<(Job, PathBuf), PipelineError> {
     let mut job = job_or_scene(input)?;
     change_display(&mut job, &args.display);
@@ -425,7 +450,8 @@ pub(crate) fn job_of(input: &Path, args: &JobArgs) -> Result<(Job, PathBuf), Pip
     change_factorize(&mut job, &args.factorize);
     change_sequence(&mut job, &args.sequence);
     if !is_job(input) && job.sequence.is_none() {
-        // nobody chose outputs: one that shows the display to its maker, without a word of the command line
+        // Without a job file the user has not chosen outputs: the preview shows the display without
+        // further options.
         let params = serde_json::Map::from_iter([("title".into(), job.name.clone().into())]);
         job.outputs.push(OutputJob { name: Some("preview".into()), params, ..OutputJob::new("web_simulator") });
     }
@@ -434,7 +460,7 @@ pub(crate) fn job_of(input: &Path, args: &JobArgs) -> Result<(Job, PathBuf), Pip
     Ok((job, folder))
 }
 
-/// An error about a value of a job, with the place where it was given instead of the word job.
+/// Replaces the place "job" of an error by the file or the command line that holds the value.
 pub(crate) fn in_place(error: PipelineError, input: &Path) -> PipelineError {
     match error {
         PipelineError::Value(value) if value.place == Place::Job => {
@@ -445,7 +471,7 @@ pub(crate) fn in_place(error: PipelineError, input: &Path) -> PipelineError {
     }
 }
 
-/// The geometry flags as the job has them.
+/// Converts the geometry flags to those of a job.
 pub(crate) fn geometry(args: &GeometryArgs) -> GeometryFlags {
     GeometryFlags {
         grid: args.grid.as_deref().map(|grid| match grid {
@@ -469,7 +495,7 @@ pub(crate) fn geometry(args: &GeometryArgs) -> GeometryFlags {
 mod tests {
     use super::*;
 
-    /// Help is made of the names; what is written by hand must hold the same.
+    /// Help is generated from the names; texts that are written by hand must hold the same names.
     #[test]
     fn solvers_and_starts_are_named_alike_everywhere() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");

@@ -33,10 +33,11 @@ pub(crate) fn print(args: &Info, registry: &Registry, as_json: bool, task: Task<
     Ok(())
 }
 
-/// What is in a scene, a light field, a layer stack, a run folder, a display or a job: what `lumistack info --json` prints of a path or preset.
+/// Describes a scene, light field, layer stack, run folder, display or job, as
+/// `lumistack info --json` prints it. `path` may also name a preset.
 ///
 /// # Errors
-/// When it cannot be read, or is none of these.
+/// When the path cannot be read, or is none of these.
 pub fn describe_path(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, PipelineError> {
     let args = Info {
         file: path.to_owned(),
@@ -79,7 +80,7 @@ fn describe(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, P
 
 fn scene(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, PipelineError> {
     let path = args.file.as_path();
-    // without the studio light: what the file itself has
+    // the file's own light, without the studio light
     let light = LightJob { automatic: false, ..LightJob::default() };
     let mut importer = ImporterJob::default();
     change_importer(&mut importer, &args.files);
@@ -110,7 +111,7 @@ fn scene(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, Pipe
     Ok(value)
 }
 
-/// Count, degree of harmonics, extent and memory of the splats; null where there are none.
+/// Number, degree of harmonics, bounds and memory of the splats; null where there are none.
 fn splats(scene: &Scene) -> Value {
     if scene.placed_clouds.is_empty() {
         return Value::Null;
@@ -129,7 +130,7 @@ fn splats(scene: &Scene) -> Value {
     })
 }
 
-/// What a job can choose of a scene.
+/// Choices that a scene offers to a job.
 fn choices(contents: &SceneContents) -> Value {
     match contents {
         SceneContents::Gltf(contents) => {
@@ -168,7 +169,7 @@ fn choices(contents: &SceneContents) -> Value {
     }
 }
 
-/// How a scene's depth fits a display, and what the scene occupies.
+/// Compares a scene's depth with a display's, and measures the scene's memory.
 fn on_display(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, PipelineError> {
     let mut job = job_or_scene(&args.file)?;
     let display = DisplayArgs { display: args.display.clone(), ..DisplayArgs::default() };
@@ -180,7 +181,7 @@ fn on_display(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value,
     let Outlook { depth, coverage, memory } = outlook(&job, registry, task)?;
     let mut figures = depth.to_json();
     if let Some(figures) = figures.as_object_mut() {
-        // for plots; a report has them
+        // histograms serve plots, and the report has them
         figures.retain(|key, _| !key.ends_with("histogram"));
     }
     let megabytes = |bytes: usize| format!("{:.1} MB", bytes as f64 / 1e6);
@@ -206,7 +207,8 @@ fn toml(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, Pipel
     let job = match Job::load(path) {
         Ok(job) => job,
         Err(job_error) => {
-            // a display file has layers, a job file a [display]; the error shown is that of what the file looks like
+            // a display file has layers, a job file a [display]: report the error of the kind that
+            // the file resembles
             return match presets::load_file(path) {
                 Ok(found) => Ok(display(&found)),
                 Err(display_error) => {
@@ -219,7 +221,7 @@ fn toml(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, Pipel
     let resolved = job.resolve_display()?;
     let refused: Vec<Value> = match refused_outputs(&job, registry, task) {
         Ok(refused) => refused.iter().map(|output| format!("{}: {}", output.name, output.reason).into()).collect(),
-        // a job whose input is not there yet is still a job
+        // a job may name input files that do not exist yet
         Err(PipelineError::Cancelled) => return Err(PipelineError::Cancelled),
         Err(error) => vec![format!("not checked: {error}").into()],
     };
@@ -284,7 +286,7 @@ fn stack(path: &Path) -> Result<Value, PipelineError> {
     Ok(json!({ "layer stack": serde_json::to_value(index).expect("indices serialize") }))
 }
 
-/// Plain text: keys with their values, nested by indentation.
+/// Prints keys with their values, nested by indentation.
 fn show(value: &Value, depth: usize) {
     let margin = "  ".repeat(depth);
     let Value::Object(map) = value else {
@@ -342,7 +344,7 @@ pub(crate) fn print_displays(as_json: bool) -> Result<(), PipelineError> {
         if as_json {
             say!("{}", json!({ "name": name, "display": presets::load(name)? }));
         } else {
-            // the first comment line of the file says what it is
+            // the first comment line of the file describes it
             say!("{name:28} {}", text.lines().next().unwrap_or_default().trim_start_matches("# "));
         }
     }

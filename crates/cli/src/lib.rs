@@ -1,4 +1,5 @@
-//! The `lumistack` command: a thin shell over the pipeline. The program and the Python package both call [`run`].
+//! The `lumistack` command, a thin layer over the pipeline. The program and the Python package both
+//! call [`run`].
 //!
 //! Exit codes: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
 
@@ -39,11 +40,11 @@ pub use info::describe_path;
 #[cfg(feature = "dynamic")]
 pub use lumistack_pipeline::{Launcher, plugin_child};
 
-/// First argument of a process that runs a plugin of a library for another one.
+/// First argument of a process that runs a library's plugin for another process.
 pub const PLUGIN_CHILD: &str = "__plugin";
 
-/// Runs a command line, of which the first word is the program's name, and gives its exit code. What it has to say goes to the process's standard output
-/// and standard error. Setting `cancel` stops it cleanly.
+/// Runs a command line and returns its exit code. The first word is the program's name. Results go
+/// to standard output, messages to standard error. Setting `cancel` stops it cleanly.
 pub fn run(words: &[OsString], cancel: &Cancel) -> u8 {
     program::remember(words.first().map(OsString::as_os_str));
     let matches = args::Args::command().bin_name(program::name()).try_get_matches_from(words);

@@ -1,15 +1,18 @@
-//! `lumistack live`: a display that follows its scene while settings, files, time and viewers change.
+//! `lumistack live`: a display that follows its scene while settings, files, time and viewers
+//! change.
 //!
 //! ```text
-//! standard input ─▶ Desk ──jobs──▶ renderer ──light fields──▶ solver ──whole states──▶ page, panels
-//! files, video ───▶                (a thread)                 (a thread)               (a thread each)
-//! viewers ────────▶ Tracker ──────────────────weights────────▶
+//! standard input ─▶ Requests ─▶ renderer ──light fields──▶ solver ──states──▶ page, panels
+//! files, video ───▶
+//! viewers ────────▶ Tracker ────────────────weights────────▶
 //! ```
+//!
+//! Renderer, solver, page and panels have a thread each.
 
 mod clock;
 mod control;
-mod desk;
 mod feed;
+mod requests;
 mod watch;
 mod work;
 
@@ -24,10 +27,10 @@ use lumistack_pipeline::{Asked, Job, LiveFolder, PipelineError, PresentContext, 
 use serde_json::json;
 
 use self::control::{read_commands, read_packets};
-use self::desk::{Desk, Once};
 use self::feed::PageFeed;
+use self::requests::{Once, Requests};
 use self::watch::Watched;
-use self::work::{Rates, Stations, render, solve};
+use self::work::{Rates, Shared, render, solve};
 use crate::console::{say, tell};
 use crate::groups::{
     DisplayArgs, FactorizeArgs, RenderArgs, change_display, change_factorize, change_render, in_place, is_job,
@@ -37,48 +40,50 @@ use crate::server::{Site, listen, port_of, serve};
 use crate::values::Numbers;
 
 /// For `lumistack live --help`.
-pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack live model.glb                          save the model again, and the display follows\n  lumistack live scenes/still-life/job.toml --resolution 160x100\n  echo '{\"set\": {\"display.brightness\": 0.5}}' | lumistack live model.glb\n  lumistack live views/ --times --rate 12           a video: one light field per time, in the order of their names\n  lumistack live model.glb --opentrack 4242         viewers tracked by OpenTrack (output: UDP over network)\n\nCommands on standard input, one JSON object a line: {\"set\": {KEY: VALUE, ...}} with keys of the job, {\"time\": SECONDS}, {\"viewers\": [[X, Y, Z], ...]} in millimetres,\n{\"reload\": true}, {\"stop\": true}. Ctrl-C leaves a run folder. docs/LIVE.md tells the rest.";
+pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack live model.glb                          the display follows when the model is saved again\n  lumistack live scenes/still-life/job.toml --resolution 160x100\n  echo '{\"set\": {\"display.brightness\": 0.5}}' | lumistack live model.glb\n  lumistack live views/ --times --rate 12           a video: one light field per time step, in the order of their names\n  lumistack live model.glb --opentrack 4242         viewers tracked by OpenTrack (output: UDP over network)\n\nCommands on standard input, one JSON object a line: {\"set\": {KEY: VALUE, ...}} with keys of the job, {\"time\": SECONDS}, {\"viewers\": [[X, Y, Z], ...]} in millimetres,\n{\"reload\": true}, {\"stop\": true}. Ctrl-C leaves a run folder. docs/LIVE.md has the details.";
 
-/// How often files are looked at.
+/// Interval at which files are checked.
 const LOOK: Duration = Duration::from_millis(100);
-/// How often the end is looked for.
+/// Interval at which the end is checked.
 const TICK: Duration = Duration::from_millis(20);
 
 #[derive(Debug, ClapArgs)]
 pub(crate) struct Live {
-    /// Job file (.toml), scene, or light field that says its geometry itself; with --times a folder of light fields
+    /// Job file (.toml), scene, or light field with its own geometry; with --times a folder of
+    /// light fields
     pub(crate) input: PathBuf,
-    /// Folder for what was shown last [default: runs/NAME-live]
+    /// Folder for the last state [default: runs/NAME-live]
     #[arg(short, long, value_name = "DIR")]
     pub(crate) output: Option<PathBuf>,
-    /// Port of the page; 0 for any that is free
+    /// Port of the page; 0 for any free port
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub(crate) port: u16,
     /// Do not open the browser
     #[arg(long)]
     pub(crate) no_open: bool,
-    /// Also show it by the panels of a build with panels: outputs, span or window (see `lumistack show`)
+    /// Also drive panels, in a build with panels: outputs, span or window (see `lumistack show`)
     #[arg(long, value_name = "MODE", value_parser = ["outputs", "span", "window"])]
     pub(crate) show: Option<String>,
-    /// Full updates between two states, at most: fewer where they take longer than 0.3 s
+    /// Most iterations between two states; fewer where they take longer than 0.3 s
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub(crate) updates: u32,
-    /// The input is a video: a folder of light fields, one per time, in the order of their names
+    /// The input is a video: a folder of light fields, one per time step, in the order of their
+    /// names
     #[arg(long, help_heading = "Video")]
     pub(crate) times: bool,
-    /// Times per second
+    /// Time steps per second
     #[arg(long, value_name = "HZ", default_value_t = 24.0, requires = "times", help_heading = "Video")]
     pub(crate) rate: f64,
-    /// Times by which one may come late; later ones are left out and counted
+    /// Most time steps by which one may be late; later ones are skipped and counted
     #[arg(long, value_name = "N", default_value_t = 3, requires = "times", help_heading = "Video")]
     pub(crate) most_late: usize,
-    /// UDP port of this machine at which OpenTrack sends the head's position
+    /// UDP port of this machine to which OpenTrack sends the head's position
     #[arg(long, value_name = "PORT", help_heading = "Viewers")]
     pub(crate) opentrack: Option<u16>,
-    /// Place of the head, millimetres before the display, where OpenTrack is centred
+    /// Position of the head where OpenTrack is centred, millimetres before the display
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, default_value = "0,0,600", help_heading = "Viewers")]
     pub(crate) head_mm: Numbers<3>,
-    /// Standard deviation of the space around a head that counts, millimetres
+    /// Standard deviation of the region around a head that counts, millimetres
     #[arg(long, value_name = "MM", default_value_t = lumistack_live::SIGMA_MM, help_heading = "Viewers")]
     pub(crate) sigma_mm: f64,
     #[command(flatten)]
@@ -90,7 +95,7 @@ pub(crate) struct Live {
 }
 
 impl Live {
-    /// The job of the input as the command line changes it.
+    /// Makes the job of the input, changed by the command line.
     fn job(&self) -> Result<Job, PipelineError> {
         let mut job = if is_light_field(&self.input) {
             let display = self.display.display.clone().unwrap_or_else(|| crate::groups::DEFAULT_DISPLAY.into());
@@ -115,7 +120,7 @@ impl Live {
     }
 }
 
-/// Whether a path is taken for a light field.
+/// Returns whether a path is read as a light field.
 fn is_light_field(path: &Path) -> bool {
     let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default().to_lowercase();
     !is_job(path) && (path.is_dir() || ["npy", "png", "jpg", "jpeg", "webp"].contains(&extension.as_str()))
@@ -123,6 +128,7 @@ fn is_light_field(path: &Path) -> bool {
 
 pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
     args.check()?;
+    // Job, run folder, page and tracker: all errors of the start.
     let in_input = |error| in_place(error, &args.input);
     let mut job = args.job().map_err(in_input)?;
     let times = if args.times { Studio::times_of(&job).map_err(in_input)? } else { Vec::new() };
@@ -141,31 +147,32 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
     let warnings = Once::new(task.warnings);
     let work = Task { progress: &NoProgress, warnings: &warnings, cancel: task.cancel };
     let title = job.name.clone();
-    let stations = Stations::new(Desk::new(job), args.updates, args.sigma_mm);
-    // a thread that waits for a line cannot be ended: it belongs to nobody
-    let desk = stations.desk.clone();
-    std::thread::spawn(move || read_commands(std::io::stdin().lock(), &desk, json));
-    let feed = PageFeed::new(&stations.states, (&site, &title), registry, work);
+    let shared = Shared::new(Requests::new(job), args.updates, args.sigma_mm);
+    // A thread that waits for a line of input cannot be ended, so it is detached.
+    let requests = shared.requests.clone();
+    std::thread::spawn(move || read_commands(std::io::stdin().lock(), &requests, json));
+    let feed = PageFeed::new(&shared.states, (&site, &title), registry, work);
     let rates = Rates { times, rate_hz: args.rate, most_late: args.most_late };
+    // Threads run until the user, a command or the end of the video stops them.
     let ended = std::thread::scope(|scope| {
-        let renderer = scope.spawn(|| render(studio, &stations, rates, registry, work));
-        scope.spawn(|| solve(&stations, json, work));
+        let renderer = scope.spawn(|| render(studio, &shared, rates, registry, work));
+        scope.spawn(|| solve(&shared, json, work));
         if let Some(socket) = &socket {
-            scope.spawn(|| read_packets(socket, args.head_mm.0, &stations.desk, work));
+            scope.spawn(|| read_packets(socket, args.head_mm.0, &shared.requests, work));
         }
-        scope.spawn(|| watch_files(args, &stations, work));
-        let page = scope.spawn(|| serve_page(args, &server, &feed, &stations, json, work));
+        scope.spawn(|| watch_files(args, &shared, work));
+        let page = scope.spawn(|| serve_page(args, &server, &feed, &shared, json, work));
         let shown = match &args.show {
-            Some(mode) => show(mode, &stations, registry, work),
+            Some(mode) => show(mode, &shared, registry, work),
             None => Ok(()),
         };
         if args.show.is_none() {
-            // the end: Ctrl-C, a command, or a video that is over
-            while !(task.cancel.is_cancelled() || stations.desk.is_stopped()) {
+            // Ctrl-C, a command, or the end of a video
+            while !(task.cancel.is_cancelled() || shared.requests.is_stopped()) {
                 std::thread::sleep(TICK);
             }
         }
-        stations.stop();
+        shared.stop();
         feed.stop();
         let _ = page.join();
         let dropped = renderer.join().unwrap_or(Ok(0));
@@ -173,11 +180,11 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
     });
     let _ = std::fs::remove_dir_all(&site);
     let dropped = ended.map_err(in_input)?;
-    let Some((number, state)) = stations.states.after(0) else { return Err(PipelineError::Cancelled) };
-    // Ctrl-C has ended the show; a second one ends the program
+    let Some((number, state)) = shared.states.after(0) else { return Err(PipelineError::Cancelled) };
+    // The first Ctrl-C ended the display; a second one ends the program.
     let cancel = Cancel::default();
     let report = folder.leave(
-        &stations.desk.job(),
+        &shared.requests.job(),
         &state,
         Task { progress: &NoProgress, warnings: &warnings, cancel: &cancel },
     )?;
@@ -210,13 +217,13 @@ fn serve_page(
     args: &Live,
     server: &crate::server::Server,
     feed: &PageFeed<'_>,
-    stations: &Stations,
+    shared: &Shared,
     json: bool,
     task: Task<'_>,
 ) {
-    // the page's own files come with the first state
+    // the first state brings the page's own files
     while feed.prepare().is_none() {
-        if stations.is_stopped() {
+        if shared.is_stopped() {
             return;
         }
         std::thread::sleep(TICK);
@@ -231,55 +238,58 @@ fn serve_page(
     {
         task.warn("live", format!("no browser opens ({error}): open {address} yourself"));
     }
-    serve(server, Site { root: feed.root(), live: Some(feed) }, || (!stations.is_stopped()).then(String::new));
+    serve(server, Site { root: feed.root(), live: Some(feed) }, || (!shared.is_stopped()).then(String::new));
 }
 
-/// Has files read anew that were written.
-fn watch_files(args: &Live, stations: &Stations, task: Task<'_>) {
+/// Requests to read files again after they were written.
+fn watch_files(args: &Live, shared: &Shared, task: Task<'_>) {
     let mut watched = Watched::default();
     let mut of_job = Watched::default();
-    while !stations.is_stopped() {
+    while !shared.is_stopped() {
         std::thread::sleep(LOOK);
-        if !args.times && watched.have_changed(&stations.files()) {
-            stations.desk.reload();
+        if !args.times && watched.have_changed(&shared.files()) {
+            shared.requests.reload();
         }
         if is_job(&args.input) && of_job.have_changed(std::slice::from_ref(&args.input)) {
-            let changed = args.job().and_then(|job| stations.desk.replace(job));
+            let changed = args.job().and_then(|job| shared.requests.replace(job));
             if let Err(error) = changed {
-                // half-written, or wrong: the job before stays
+                // the file is incomplete or wrong: the previous job stays
                 task.warn(args.input.display().to_string(), error.to_string());
             }
         }
     }
 }
 
-/// Runs the presenter of panels until it is closed.
-fn show(mode: &str, stations: &Stations, registry: &Registry, task: Task<'_>) -> Result<(), PipelineError> {
+/// Runs the presenter until it is closed.
+fn show(mode: &str, shared: &Shared, registry: &Registry, task: Task<'_>) -> Result<(), PipelineError> {
     let first = loop {
-        if let Some(first) = stations.states.wait_after(0, TICK) {
+        if let Some(first) = shared.states.wait_after(0, TICK) {
             break first;
         }
-        if task.cancel.is_cancelled() || stations.desk.is_stopped() {
+        if task.cancel.is_cancelled() || shared.requests.is_stopped() {
             return Ok(());
         }
     };
     let (mut seen, state) = first;
-    // one state on its way: newer ones replace each other in the mailbox
+    // a channel of one state: newer states replace each other in the mailbox
     let (send, asked) = sync_channel(1);
     let stop = Cancel::default();
     let (display, stop_of_thread) = (&*state.target.display, &stop);
     std::thread::scope(|scope| {
         scope.spawn(move || {
-            while !(stop_of_thread.is_cancelled() || stations.is_stopped() || stations.desk.is_stopped()) {
-                let Some((number, state)) = stations.states.wait_after(seen, TICK) else { continue };
+            while !(stop_of_thread.is_cancelled() || shared.is_stopped() || shared.requests.is_stopped()) {
+                let Some((number, state)) = shared.states.wait_after(seen, TICK) else { continue };
                 seen = number;
                 if state.stack.check(display).is_err() {
-                    task.warn("show", "panels keep the size and frames that they began with: end `lumistack live` and start it again to change them");
+                    task.warn(
+                        "show",
+                        "panels cannot change their size or frames while they are shown: restart `lumistack live`",
+                    );
                 } else if send.send(Asked::Stack(state.stack.clone())).is_err() {
                     return;
                 }
             }
-            // whoever stops by a command stops the panels, too
+            // a stop by command also closes the panels
             let _ = send.send(Asked::Command(json!(lumistack_plugin_panels::presentation::Command::Quit)));
         });
         let told = |told: Told<'_>| {

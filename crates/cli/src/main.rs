@@ -1,4 +1,5 @@
-//! The `lumistack` program: Ctrl-C, then the commands; or, started by itself, the process of one plugin.
+//! The `lumistack` program: it handles Ctrl-C and runs a command. Started by itself with another
+//! first word, it runs a plugin.
 
 use std::process::ExitCode;
 
@@ -8,7 +9,7 @@ fn main() -> ExitCode {
     let words: Vec<_> = std::env::args_os().collect();
     #[cfg(feature = "dynamic")]
     {
-        // Ctrl-C is for the program that started it
+        // the parent process handles Ctrl-C
         if words.get(1).is_some_and(|word| word == lumistack_cli::PLUGIN_CHILD) {
             return ExitCode::from(lumistack_cli::plugin_child(&words[2..]));
         }
@@ -18,7 +19,8 @@ fn main() -> ExitCode {
     }
     let cancel = Cancel::default();
     let flag = cancel.clone();
-    // a second Ctrl-C ends the program at once: everything is written beside and renamed, so nothing is left half-written
+    // A second Ctrl-C ends the program at once. Files are written beside their place and renamed,
+    // so none is incomplete.
     let handler = ctrlc::set_handler(move || {
         if flag.is_cancelled() {
             std::process::exit(130);

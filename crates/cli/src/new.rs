@@ -1,4 +1,4 @@
-//! `lumistack new`: a commented job file, by three questions.
+//! `lumistack new`: a commented job file, from three answers.
 
 use std::fmt::Write as _;
 use std::io::Write as _;
@@ -13,9 +13,9 @@ use crate::groups::DEFAULT_DISPLAY;
 use crate::questions::{Questions, asks};
 
 pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack new                                                   asks, and writes job.toml here\n  lumistack new figurine/job.toml --scene figurine.glb --display paper-three-layer --outputs images,web_simulator\n\n\
-    Beside the job it writes job.schema.json, by which editors of TOML complete its keys and check them. Neither replaces a file.";
+    It also writes job.schema.json beside the job: editors of TOML use it to complete and check keys. It replaces no file.";
 
-/// Outputs when nobody names any.
+/// Default outputs.
 const OUTPUTS: &str = "images,web_simulator";
 
 #[derive(Debug, ClapArgs)]
@@ -26,16 +26,17 @@ pub(crate) struct New {
     /// Scene that the job renders: .gltf, .glb, USD, .blend, .ply, .spz, .obj
     #[arg(long, value_name = "FILE")]
     pub(crate) scene: Option<PathBuf>,
-    /// Display: a name that `lumistack displays` lists, or a display file [default: paper-three-layer]
+    /// Display: a name that `lumistack displays` lists, or a display file [default:
+    /// paper-three-layer]
     #[arg(long, value_name = "NAME|FILE")]
     pub(crate) display: Option<String>,
     /// Output plugins [default: images,web_simulator]
     #[arg(long, value_name = "ID,...", value_delimiter = ',')]
     pub(crate) outputs: Option<Vec<String>>,
-    /// Take defaults instead of asking; the scene must be given
+    /// Use defaults instead of asking; --scene is required
     #[arg(long, conflicts_with = "questions")]
     pub(crate) no_questions: bool,
-    /// Ask although standard input is no terminal
+    /// Ask even though standard input is no terminal
     #[arg(long)]
     pub(crate) questions: bool,
 }
@@ -58,10 +59,10 @@ pub(crate) fn new_command(args: &New, registry: &Registry, json: bool) -> Result
     Ok(())
 }
 
-/// What editors check the job by, beside it.
+/// Name of the schema beside the job.
 const SCHEMA: &str = "job.schema.json";
 
-/// Writes a file unless one of its name is there; whether it did.
+/// Writes a new file. Returns false where a file of this name exists.
 fn create(path: &Path, text: &str) -> Result<bool, PipelineError> {
     let failed = |source| PipelineError::Write { path: path.to_owned(), source };
     if let Some(folder) = path.parent() {
@@ -78,13 +79,14 @@ fn taken(file: &Path) -> PipelineError {
     PipelineError::value(file, "file", "a name that is free", "a file")
 }
 
-/// The job as a file, of options and answers.
+/// Writes the text of a job from options and answers.
 fn job_text(args: &New, registry: &Registry, ask: &mut Questions<'_>) -> Result<String, PipelineError> {
-    // before anybody answers in vain
+    // an error before the first question
     if args.file.exists() {
         return Err(taken(&args.file));
     }
     let is_scene = |path: &Path| path.is_file() && path.to_str().is_some();
+    // Scene, display and outputs: options, else answers.
     let scene = ask.value("--scene", "Scene file", args.scene.clone(), None, |text| {
         Some(PathBuf::from(text)).filter(|path| is_scene(path))
     })?;
@@ -110,6 +112,7 @@ fn job_text(args: &New, registry: &Registry, ask: &mut Questions<'_>) -> Result<
         let expected = writers(registry).map(|(id, _)| id).collect::<Vec<_>>().join(", ");
         return Err(PipelineError::value("new", "--outputs", format!("some of {expected}"), format!("`{other}`")));
     }
+    // Paths in the job are relative to its folder.
     let folder = args.file.parent().unwrap_or(Path::new(""));
     let display = match DisplayJob::by_name_or_path(&display) {
         DisplayJob { preset: Some(name), .. } => format!("preset = {}", quoted(&name)),
@@ -133,7 +136,7 @@ fn writers(registry: &Registry) -> impl Iterator<Item = (&str, &str)> {
     outputs.map(|info| (info.id.as_str(), info.doc.as_str()))
 }
 
-/// A path as a job in `folder` has it: relative where it lies below, absolute elsewhere.
+/// A path as a job in `folder` names it: relative to the folder if it lies inside, else absolute.
 fn seen_from(folder: &Path, path: &Path) -> String {
     let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     let seen = match (folder.as_os_str().is_empty(), absolute(path).strip_prefix(absolute(folder))) {
@@ -145,14 +148,14 @@ fn seen_from(folder: &Path, path: &Path) -> String {
 }
 
 fn quoted(text: &str) -> String {
-    // JSON's escapes are TOML's
+    // JSON's escapes are valid in TOML
     json!(text).to_string()
 }
 
-/// A line that begins with `#` and a key is a key that has its default.
+/// Lines with `#` before a key show the key's default.
 const TEMPLATE: &str = "#:schema ./job.schema.json
-# Made by `lumistack new`. `lumistack run` on this file renders the scene and solves for the display's patterns; the same command goes on after a stop.
-# Paths are relative to this file. docs/JOB.md explains every key; those below with `#` before them are at their defaults.
+# Made by `lumistack new`. `lumistack run` on this file renders the scene and solves for the display's patterns. The same command continues after a stop.
+# Paths are relative to this file. docs/JOB.md explains every key. Keys with `#` before them have their default.
 scene = {scene}
 
 [display]
@@ -163,9 +166,9 @@ scene = {scene}
 #frames = 6
 
 [window]
-# from where the scene is seen, degrees to the right and up; without it the file's camera, or the side that shows most
+# direction of the viewer, degrees to the right and up; without it the file's camera, or the side that shows most
 #look_from = [20.0, 10.0]
-# \"off\" leaves a scene that is deeper than the display can show as it is
+# \"off\" leaves the depth of the scene, even where the display cannot show it
 #fit_depth = \"auto\"
 
 [light]
@@ -174,11 +177,11 @@ scene = {scene}
 #tone = \"auto\"
 
 [render]
-# paths per pixel of all views together: more is less grain, and takes longer
+# paths per pixel of all views together: more paths give less noise, and take longer
 #zone_samples = 800
 
 [factorize]
-# updates of all patterns
+# iterations of the solver
 #iterations = 16
 ";
 

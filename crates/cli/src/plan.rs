@@ -1,4 +1,4 @@
-//! `--plan`: the steps of a run, in order, and which of them are done already.
+//! `--plan`: the steps of a run, in order, and which are cached.
 
 use std::path::Path;
 
@@ -7,7 +7,7 @@ use lumistack_pipeline::{Job, PipelineError, Plan, Registry, Step, plan};
 use crate::console::say;
 use crate::values::{duration_text, size_text};
 
-/// Prints the plan of a job in a run folder; does nothing else.
+/// Prints the plan of a job in a run folder, without running it.
 pub(crate) fn print(job: &Job, folder: &Path, registry: &Registry, json: bool) -> Result<(), PipelineError> {
     let plan = plan(job, folder, registry)?;
     if json {
@@ -20,11 +20,11 @@ pub(crate) fn print(job: &Job, folder: &Path, registry: &Registry, json: bool) -
     Ok(())
 }
 
-/// A line per step, and one of sums.
+/// A line per step, and a line with the sums.
 fn table(plan: &Plan) -> Vec<String> {
     let width = plan.steps.iter().map(|step| step.id.chars().count()).max().unwrap_or(0).max(4);
     let mut lines = vec![format!(
-        "{:width$}  {:9}  {:6}  {:>8}  {:>8}  {:16}  takes",
+        "{:width$}  {:9}  {:6}  {:>8}  {:>8}  {:16}  inputs",
         "step", "stage", "cached", "time", "memory", "key"
     )];
     for step in &plan.steps {

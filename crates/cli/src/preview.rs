@@ -13,18 +13,18 @@ use crate::console::say;
 use crate::server::{Server, Site, listen, port_of, serve};
 use crate::solve_page;
 
-/// Below a preview's folder.
+/// The index of a preview's folder.
 const PREVIEW_JSON: &str = "stack/preview.json";
-/// How often files are looked at.
+/// Interval at which files are checked.
 const LOOK: Duration = Duration::from_secs(1);
 
-/// Where a preview comes from.
+/// A preview and its run.
 struct Source {
     /// The preview's folder.
     site: PathBuf,
-    /// The run that it is made from by ourselves.
+    /// The run of a preview that this program writes itself.
     run: Option<PathBuf>,
-    /// The files of both when they were last compared.
+    /// The run's files and the preview's files at the last comparison.
     seen: Mutex<Option<(Files, Files)>>,
 }
 
@@ -43,7 +43,7 @@ pub(crate) fn preview_command(
         if looked.elapsed() >= LOOK {
             looked = Instant::now();
             if let Err(error) = source.refresh(registry, task) {
-                // a run that is being written: the next look finds it whole
+                // the run may be incomplete; the next check finds it complete
                 task.warn("preview", error.to_string());
             }
             stamp = stamp_of(&source.site);
@@ -53,7 +53,7 @@ pub(crate) fn preview_command(
     Ok(())
 }
 
-/// The page that solves, which is part of the program.
+/// Serves the page that solves, which is part of the program.
 fn solve_command(args: &Preview, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
     let page = solve_page::write()?;
     let server = announced(args, page.path(), json, task)?;
@@ -61,7 +61,7 @@ fn solve_command(args: &Preview, json: bool, task: Task<'_>) -> Result<(), Pipel
     Ok(())
 }
 
-/// A server for a folder, of which the user is told, and whose page a browser opens.
+/// Starts a server for a folder, prints its address and opens a browser.
 fn announced(args: &Preview, site: &Path, json: bool, task: Task<'_>) -> Result<Server, PipelineError> {
     let server = listen(args.port).map_err(|error| {
         PipelineError::option("--port", "N", "a free port of this machine", format!("{} ({error})", args.port))
@@ -80,7 +80,8 @@ fn announced(args: &Preview, site: &Path, json: bool, task: Task<'_>) -> Result<
     Ok(server)
 }
 
-/// A preview's folder, or a run: the preview that an output of it wrote, or one that is made now.
+/// Finds the preview of a folder: the folder itself, a preview among a run's outputs, or one to be
+/// written for a run.
 fn source_of(dir: &Path, task: Task<'_>) -> Result<Source, PipelineError> {
     if dir.join(PREVIEW_JSON).is_file() {
         return Ok(Source { site: dir.to_owned(), run: None, seen: Mutex::default() });
@@ -106,7 +107,7 @@ fn source_of(dir: &Path, task: Task<'_>) -> Result<Source, PipelineError> {
     Err(PipelineError::value(dir, "folder", "a run or a preview", found))
 }
 
-/// Previews among a run's outputs, `outputs/NODE/NAME`, by name.
+/// Finds the previews among a run's outputs, `outputs/NODE/NAME`, sorted by name.
 fn outputs_of(run: &Path) -> Vec<PathBuf> {
     let folders = |path: &Path| {
         let entries = std::fs::read_dir(path).into_iter().flatten().flatten();
@@ -121,23 +122,24 @@ fn outputs_of(run: &Path) -> Vec<PathBuf> {
     sites
 }
 
-/// The preview that a run's outputs wrote, for the last line of a run.
+/// Finds the preview of a run's outputs, for the last lines of a run.
 pub(crate) fn written_preview(run: &Path) -> Option<PathBuf> {
     outputs_of(run).into_iter().next()
 }
 
 impl Source {
-    /// Writes the preview of a run where there is none or it shows other patterns than the run's.
+    /// Writes the preview of a run, where there is none or it shows other patterns.
     fn refresh(&self, registry: &Registry, task: Task<'_>) -> Result<(), PipelineError> {
         let Some(run) = &self.run else { return Ok(()) };
-        // contents are compared once; from then on when a file was touched, whichever way its time went
+        // Compare contents once, and then only after a file has changed, be its time newer or
+        // older.
         let before = files_of(run, &self.site);
         let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
         if seen.as_ref() == Some(&before) {
             return Ok(());
         }
         update_preview(run, registry, task)?;
-        // what was made from older files is looked at again
+        // a run that changed meanwhile is compared again
         *seen = (files_of(run, &self.site).0 == before.0).then(|| files_of(run, &self.site));
         Ok(())
     }
@@ -146,7 +148,7 @@ impl Source {
 /// Length and time of files.
 type Files = Vec<(PathBuf, u64, Option<SystemTime>)>;
 
-/// What a preview is made from, and what it is.
+/// Files from which a preview is made, and files of the preview.
 fn files_of(run: &Path, site: &Path) -> (Files, Files) {
     let below = |folder: PathBuf| {
         let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
@@ -169,7 +171,7 @@ fn modified(path: &Path) -> Option<SystemTime> {
     std::fs::metadata(path).and_then(|data| data.modified()).ok()
 }
 
-/// Changes when the preview does.
+/// A text that changes when the preview does.
 fn stamp_of(site: &Path) -> String {
     let since = modified(&site.join(PREVIEW_JSON)).and_then(|time| time.duration_since(SystemTime::UNIX_EPOCH).ok());
     since.map_or_else(String::new, |since| since.as_nanos().to_string())

@@ -1,4 +1,5 @@
-//! The name by which the command was started, for hints that one can type: `lumistack`, `cargo lumistack`, `python -m lumistack`.
+//! The name that started the command, for hints to type: `lumistack`, `cargo lumistack`,
+//! `python -m lumistack`.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -8,9 +9,9 @@ use std::sync::OnceLock;
 const PACKAGE: &str = "lumistack-cli";
 static NAME: OnceLock<String> = OnceLock::new();
 
-/// Remembers how the command was started; `first` is the first word of its command line.
+/// Stores how the command was started; `first` is the first word of its command line.
 pub(crate) fn remember(first: Option<&OsStr>) {
-    // cargo tells the programs that it runs about their package
+    // cargo sets the package of the programs that it runs
     let by_cargo =
         std::env::var_os("CARGO").is_some() && std::env::var("CARGO_PKG_NAME").is_ok_and(|name| name == PACKAGE);
     let first = first.map_or_else(|| "lumistack".into(), |word| word.to_string_lossy().into_owned());
@@ -19,12 +20,13 @@ pub(crate) fn remember(first: Option<&OsStr>) {
     NAME.get_or_init(|| started_as(&first, by_cargo, &folders));
 }
 
-/// What to type to start the command again.
+/// Returns the words that start the command again.
 pub(crate) fn name() -> &'static str {
     NAME.get().map_or("lumistack", String::as_str)
 }
 
-/// A text whose hints, `` `lumistack ...` `` and lines of examples, say what to type here.
+/// Replaces `lumistack` in the hints of a text, `` `lumistack ...` `` and lines of examples, by the
+/// words that start it here.
 pub(crate) fn hinted(text: &str) -> String {
     hinted_as(text, name())
 }
@@ -40,13 +42,13 @@ fn started_as(first: &str, by_cargo: bool, folders: &[PathBuf]) -> String {
     if by_cargo {
         return "cargo lumistack".into();
     }
-    // a name of several words comes from our Python package
+    // a name of several words comes from the Python package
     if first.contains(" -m ") {
         return first.into();
     }
     let path = Path::new(first);
     let Some(file) = path.file_name().filter(|_| path.components().count() > 1) else { return first.into() };
-    // a script that a shell found on PATH is told its whole path
+    // a shell passes a script on PATH its whole path
     let canonical = |path: &Path| std::fs::canonicalize(path).ok();
     let on_path = folders.iter().map(|folder| folder.join(file)).find(|found| found.is_file());
     match on_path {

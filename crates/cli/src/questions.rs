@@ -1,4 +1,4 @@
-//! Questions on the terminal, for what options do not say.
+//! Questions on the terminal about missing options.
 
 use std::io::{BufRead, IsTerminal, Write};
 
@@ -6,21 +6,21 @@ use lumistack_pipeline::PipelineError;
 
 use crate::console::tell;
 
-/// Whether a command asks: when told so, or when somebody is there to answer.
+/// Returns whether a command asks: with `--questions`, or when standard input is a terminal.
 pub(crate) fn asks(questions: bool, no_questions: bool) -> bool {
     questions || (!no_questions && std::io::stdin().is_terminal())
 }
 
-/// Asks where an option is missing.
+/// Asks questions about missing options.
 pub(crate) struct Questions<'a> {
-    /// The command that asks, for errors.
+    /// The command, for errors.
     pub(crate) command: &'static str,
-    /// Where answers come from; without it nothing is asked.
+    /// Source of the answers; without it nothing is asked.
     pub(crate) input: Option<&'a mut dyn BufRead>,
 }
 
 impl Questions<'_> {
-    /// The option, else the answer, else the default; `flag` is what would have said it.
+    /// Returns the option, else the answer, else the default. `flag` names the option in errors.
     pub(crate) fn value<T>(
         &mut self,
         flag: &str,
@@ -51,7 +51,7 @@ impl Questions<'_> {
             match read(answer) {
                 Some(value) if !answer.is_empty() => return Ok(value),
                 _ if ended => return Err(PipelineError::value(self.command, flag, question, "no answer")),
-                _ => tell!("  that is not one; try again"),
+                _ => tell!("  not a valid answer; try again"),
             }
         }
     }

@@ -1,9 +1,11 @@
-//! Hands out a folder's files on the loopback interface: nothing outside the folder, nothing to other machines.
+//! Serves a folder's files on the loopback interface: no file outside the folder, and no other
+//! machine.
 //!
-//! Only `GET` and `HEAD` are answered, and every answer ends its connection. Every connection has a thread of its own,
-//! of which there are at most [`MOST`], and bounds on all that it may send: a head of 16 KiB in 5 s and no body. A
-//! client that is slow, or does not read its answer, thus holds up nobody but itself, and it is the first to go when
-//! others come.
+//! It answers `GET` and `HEAD` only, and closes the connection after every response.
+//!
+//! Every connection has its own thread; there are at most [`MOST`]. A request has a head of at most
+//! 16 KiB, received within 5 s, and no body. So a slow client, or one that does not read, delays no
+//! other client. When new clients come, it is the first to be closed.
 
 use std::fs::File;
 use std::io::{self, Read, Write};
@@ -17,33 +19,32 @@ use std::time::{Duration, Instant};
 
 use percent_encoding::percent_decode_str;
 
-/// Where the page asks whether the stack has changed.
+/// The page requests this path to see whether the stack has changed.
 const STAMP: &str = "/.stamp";
-/// How often the caller is asked for the stamp, and whether to go on.
+/// Interval of the calls of `tick`.
 const TICK: Duration = Duration::from_millis(200);
 /// Most connections at a time; a browser opens six.
 const MOST: usize = 64;
-/// Time for a whole head, also where its bytes come one by one.
+/// Time limit of a whole head, even if its bytes come one by one.
 const HEAD_TIME: Duration = Duration::from_secs(5);
 /// Longest head, bytes.
 const HEAD: usize = 16 << 10;
 /// Most fields of a head.
 const FIELDS: usize = 64;
-/// Time for a client to take the next part of an answer.
+/// Time limit for a client to take the next part of a response.
 const WRITE_TIME: Duration = Duration::from_secs(10);
-/// Bytes of an answer that are written at once.
+/// Bytes of a response that are written at once.
 const PART: usize = 64 << 10;
-/// Time for which bytes after a refused request are thrown away, since closing on them would cost the client its
-/// answer.
+/// Time to discard bytes after a refused request: closing with unread bytes loses the response.
 const LINGER: Duration = Duration::from_millis(500);
 
-/// Asks once a second and reloads when the folder has changed since the page was handed out; the page keeps its state
+/// Checks once a second, and reloads the page when the folder has changed. The page keeps its state
 /// in its address.
 const RELOAD: &str = "<script>{const was='STAMP';setInterval(async()=>{try{\
     const answer=await fetch('.stamp',{cache:'no-store'});if(answer.ok&&await answer.text()!==was)location.reload()\
     }catch{}},1000)}</script></body>";
 
-/// The page of a live display gets new states without being loaded again.
+/// Loads the script of a live display, which receives new states without a reload.
 const FOLLOW: &str = "<script type=\"module\" src=\".live.js\"></script></body>";
 
 /// Listens on the loopback interface.
@@ -52,7 +53,7 @@ pub(crate) struct Server {
     address: SocketAddr,
 }
 
-/// Starts listening; `port` 0 takes any that is free.
+/// Starts to listen; `port` 0 takes any free port.
 pub(crate) fn listen(port: u16) -> io::Result<Server> {
     let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))?;
     let address = listener.local_addr()?;
@@ -64,34 +65,34 @@ pub(crate) fn port_of(server: &Server) -> u16 {
     server.address.port()
 }
 
-/// What is handed out.
+/// The served content.
 #[derive(Clone, Copy)]
 pub(crate) struct Site<'a> {
     /// The folder of files.
     pub(crate) root: &'a Path,
-    /// Of a live display: a script of the page, and what it asks for.
+    /// The states of a live display, and its script.
     pub(crate) live: Option<&'a dyn Feed>,
 }
 
 /// States of a display that changes.
 pub(crate) trait Feed: Sync {
-    /// Script that makes the page follow.
+    /// The script that requests states.
     fn script(&self) -> &'static str;
-    /// The answer to a query, in a moment or when there is a newer state; `None` where there is none yet.
+    /// Response to a query, after a newer state or a timeout; `None` without a state.
     fn frame(&self, query: &str) -> Option<Vec<u8>>;
 }
 
-/// The page's word about a file that it will want, which a live display's page does not.
+/// The page's preload of the preview's index, which a live display's page does not need.
 const PRELOAD: &str = "<link rel=\"preload\" as=\"fetch\" crossorigin href=\"stack/preview.json\">\n";
-/// Where the page of a live display gets its script.
+/// Path of the script of a live display.
 const SCRIPT: &str = "/.live.js";
-/// Where that script asks for states.
+/// Path of the states that the script requests.
 const STATES: &str = "/.live";
-/// The element that shows a preview, as it stands in the page, and with no preview of its own.
+/// The element that shows a preview: as written in the page, and without a preview of its own.
 const ELEMENT: [&str; 2] = ["<lumistack-viewer src=\"stack/preview.json\"", "<lumistack-viewer"];
 
-/// Answers requests until `tick` says to stop; it is asked about five times a second and gives what changes whenever
-/// the folder does.
+/// Serves requests until `tick` returns `None`. It is called about five times a second, and returns
+/// a text that changes when the folder does.
 pub(crate) fn serve(server: &Server, site: Site<'_>, mut tick: impl FnMut() -> Option<String>) {
     let (stop, open, stamp) = (AtomicBool::new(false), Connections::default(), Mutex::new(String::new()));
     let (stop, open, stamp) = (&stop, &open, &stamp);
@@ -102,16 +103,16 @@ pub(crate) fn serve(server: &Server, site: Site<'_>, mut tick: impl FnMut() -> O
                 if stop.load(Ordering::Relaxed) {
                     break;
                 }
-                // out of descriptors: those that are open end by themselves
+                // no file descriptors are left until connections end by themselves
                 let Ok((stream, _)) = accepted else {
                     thread::sleep(Duration::from_millis(50));
                     continue;
                 };
                 let Some(connection) = open.add(&stream) else { continue };
                 let answer = move || {
-                    let asked = || open.has_asked(connection);
-                    // a mistake here costs one answer
-                    let _ = catch_unwind(AssertUnwindSafe(|| answer(&stream, site, stamp, asked)));
+                    let complete = || open.has_request(connection);
+                    // a panic here costs one response
+                    let _ = catch_unwind(AssertUnwindSafe(|| answer(&stream, site, stamp, complete)));
                     open.remove(connection);
                 };
                 if thread::Builder::new().spawn_scoped(scope, answer).is_err() {
@@ -125,7 +126,7 @@ pub(crate) fn serve(server: &Server, site: Site<'_>, mut tick: impl FnMut() -> O
         }
         stop.store(true, Ordering::Relaxed);
         open.end();
-        // wakes the thread that accepts
+        // wakes the accepting thread
         let _ = TcpStream::connect_timeout(&server.address, TICK);
     });
 }
@@ -134,7 +135,7 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The connections that are open, oldest first.
+/// Open connections, oldest first.
 #[derive(Default)]
 struct Connections(Mutex<Open>);
 
@@ -148,13 +149,13 @@ struct Open {
 struct Connection {
     number: u64,
     stream: TcpStream,
-    /// Whether its whole request has come.
-    asked: bool,
+    /// Its request is complete.
+    complete: bool,
 }
 
 impl Connections {
-    /// Takes a connection in, and returns its number. Where there are too many, the oldest goes that has not asked for
-    /// anything yet, or else the oldest. `None` after the end.
+    /// Adds a connection and returns its number. If there are too many, it closes the oldest
+    /// without a complete request, or else the oldest. `None` after the end.
     fn add(&self, stream: &TcpStream) -> Option<u64> {
         let stream = stream.try_clone().ok()?;
         let mut open = locked(&self.0);
@@ -162,26 +163,29 @@ impl Connections {
             return None;
         }
         if open.streams.len() >= MOST {
-            let waits = open.streams.iter().position(|connection| !connection.asked);
-            // its thread wakes up
+            let waits = open.streams.iter().position(|connection| !connection.complete);
+            // the thread of the connection wakes up
             let _ = open.streams.remove(waits.unwrap_or(0)).stream.shutdown(Shutdown::Both);
         }
         open.last += 1;
         let number = open.last;
-        open.streams.push(Connection { number, stream, asked: false });
+        open.streams.push(Connection { number, stream, complete: false });
         Some(number)
     }
 
-    fn has_asked(&self, number: u64) {
+    fn has_request(&self, number: u64) {
         let mut open = locked(&self.0);
-        open.streams.iter_mut().filter(|connection| connection.number == number).for_each(|found| found.asked = true);
+        open.streams
+            .iter_mut()
+            .filter(|connection| connection.number == number)
+            .for_each(|found| found.complete = true);
     }
 
     fn remove(&self, number: u64) {
         locked(&self.0).streams.retain(|connection| connection.number != number);
     }
 
-    /// Ends all connections, and those that come later.
+    /// Closes all connections, and refuses later ones.
     fn end(&self) {
         let mut open = locked(&self.0);
         open.ended = true;
@@ -217,8 +221,9 @@ impl Reply {
     }
 }
 
-/// Answers one request; `asked` hears that it is whole. Errors of a connection end it, since nobody is left to tell.
-fn answer(mut stream: &TcpStream, site: Site<'_>, stamp: &Mutex<String>, asked: impl FnOnce()) {
+/// Answers one request, and calls `complete` once it is read. An error closes the connection, since
+/// it cannot be reported.
+fn answer(mut stream: &TcpStream, site: Site<'_>, stamp: &Mutex<String>, complete: impl FnOnce()) {
     let request = match read_request(stream) {
         Ok(request) => request,
         Err(None) => return,
@@ -227,7 +232,7 @@ fn answer(mut stream: &TcpStream, site: Site<'_>, stamp: &Mutex<String>, asked: 
             return linger(stream);
         }
     };
-    asked();
+    complete();
     let stamp = locked(stamp).clone();
     let reply = reply(&request.method, request.host.as_deref(), &request.target, site, &stamp);
     if write(stream, reply, request.method != "HEAD").is_ok() {
@@ -236,7 +241,8 @@ fn answer(mut stream: &TcpStream, site: Site<'_>, stamp: &Mutex<String>, asked: 
     linger(stream);
 }
 
-/// Reads the head of a request. An error is the answer that refuses it, or `None` where the client has gone.
+/// Reads the head of a request. An error holds the response that refuses it, or `None` where the
+/// client has gone.
 fn read_request(mut stream: &TcpStream) -> Result<Request, Option<Reply>> {
     let deadline = Instant::now() + HEAD_TIME;
     let (mut head, mut part) = (Vec::new(), [0; 2048]);
@@ -271,7 +277,7 @@ fn read_request(mut stream: &TcpStream) -> Result<Request, Option<Reply>> {
     }
 }
 
-/// Takes a whole head apart.
+/// Parses a complete head.
 fn parse(head: &[u8]) -> Result<Request, Reply> {
     let mut fields = [httparse::EMPTY_HEADER; FIELDS];
     let mut request = httparse::Request::new(&mut fields);
@@ -312,7 +318,7 @@ fn write(mut stream: &TcpStream, reply: Reply, with_content: bool) -> io::Result
     match reply.content {
         Content::Bytes(bytes) => stream.write_all(&bytes),
         Content::File(file, length) => {
-            // as long as was said, though somebody writes it meanwhile
+            // exactly the promised length, even if the file changes meanwhile
             let (mut file, mut part) = (file.take(length), vec![0; PART]);
             loop {
                 match file.read(&mut part)? {
@@ -324,7 +330,7 @@ fn write(mut stream: &TcpStream, reply: Reply, with_content: bool) -> io::Result
     }
 }
 
-/// Ends a connection so that the client finds the answer, though it may still be sending.
+/// Closes a connection such that the client receives the response, even while it still sends.
 fn linger(mut stream: &TcpStream) {
     if stream.shutdown(Shutdown::Write).is_err() {
         return;
@@ -358,12 +364,12 @@ fn reason(status: u16) -> &'static str {
     }
 }
 
-/// The answer to a request.
+/// Makes the response to a request.
 fn reply(method: &str, host: Option<&str>, url: &str, site: Site<'_>, stamp: &str) -> Reply {
     if !matches!(method, "GET" | "HEAD") {
         return Reply::text(405, "only GET and HEAD\n");
     }
-    // a page elsewhere whose name was made to lead here asks under its own name
+    // DNS rebinding: a foreign page whose name resolves to this machine sends its own name as host
     let name = host.unwrap_or_default();
     let name =
         name.rsplit_once(':').filter(|(_, port)| port.bytes().all(|b| b.is_ascii_digit())).map_or(name, |(n, _)| n);
@@ -405,7 +411,8 @@ fn reply(method: &str, host: Option<&str>, url: &str, site: Site<'_>, stamp: &st
         .map_or_else(|_| missing(), |(file, length)| Reply { status: 200, kind, content: Content::File(file, length) })
 }
 
-/// The file that a path means; `None` for what is not a plain file inside the folder, also by way of links.
+/// Finds the file of a path. `None` for paths that leave the folder, by links too, and for anything
+/// but a plain file.
 fn file_of(root: &Path, path: &str) -> Option<PathBuf> {
     let decoded = percent_decode_str(path.strip_prefix('/')?).decode_utf8().ok()?;
     let relative =
@@ -468,7 +475,7 @@ mod tests {
         assert_eq!(get(&root, "/app/a%20b.wasm?x=1"), (200, "application/wasm", "module".into()));
         let (status, kind, page) = get(&root, "/");
         assert!(status == 200 && kind.starts_with("text/html") && page.contains("location.reload()"), "{page}");
-        // a change between the page and its first question is not missed
+        // a change between the page and its first check is not missed
         assert!(page.contains("const was='7'"), "{page}");
         assert_eq!(get(&root, "/.stamp").2, "7");
     }
@@ -519,7 +526,7 @@ mod tests {
         }
     }
 
-    /// Asks for a page; gives the stream and what came until all of the body had.
+    /// Requests a page. Returns the stream, and the text up to the end of the body.
     fn ask(mut stream: TcpStream, method: &str, port: u16) -> (TcpStream, String) {
         stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
         write!(stream, "{method} / HTTP/1.1\r\nHost: localhost:{port}\r\n\r\n").unwrap();
@@ -537,8 +544,8 @@ mod tests {
         (stream, text)
     }
 
-    /// Through sockets, from a server that listens to this machine alone. A browser opens six at once and keeps those
-    /// that it may keep.
+    /// Real sockets, of a server that listens to this machine alone. A browser opens six at once
+    /// and keeps as many as it may.
     #[test]
     fn browsers_with_many_connections_get_the_page() {
         const CONNECTIONS: usize = 24;
@@ -564,7 +571,7 @@ mod tests {
         clients.join().unwrap();
     }
 
-    /// Serves the folder while `clients` does its work with the port.
+    /// Serves the folder while `clients` works with the port.
     fn against(clients: impl FnOnce(u16) + Send + 'static) {
         let folder = folder();
         let root = folder.path().join("site");
@@ -583,19 +590,19 @@ mod tests {
         stream
     }
 
-    /// An ordinary request is answered long before the ones that are stuck time out.
-    fn page_comes_at_once(port: u16, while_what: &str) {
+    /// An ordinary request gets its response long before the blocked ones time out.
+    fn page_comes_at_once(port: u16, case: &str) {
         let start = Instant::now();
         let (_, text) = ask(connect(port), "GET", port);
         let took = start.elapsed();
-        assert!(text.starts_with("HTTP/1.1 200 OK") && text.ends_with("</body>"), "{while_what}: {text}");
-        assert!(took < Duration::from_secs(3), "{while_what}: {took:?}");
+        assert!(text.starts_with("HTTP/1.1 200 OK") && text.ends_with("</body>"), "{case}: {text}");
+        assert!(took < Duration::from_secs(3), "{case}: {took:?}");
     }
 
-    /// All that is answered to these bytes.
-    fn told(port: u16, bytes: &[u8]) -> String {
+    /// Returns the whole response to these bytes.
+    fn response_to(port: u16, bytes: &[u8]) -> String {
         let mut stream = connect(port);
-        // refused before all of it is written
+        // the server may refuse before all bytes are written
         let _ = stream.write_all(bytes);
         let mut answer = Vec::new();
         let _ = stream.read_to_end(&mut answer);
@@ -603,9 +610,9 @@ mod tests {
     }
 
     #[test]
-    fn two_hundred_connections_that_are_stuck_hold_up_nobody() {
+    fn two_hundred_blocked_connections_delay_no_other() {
         against(|port| {
-            for (start, what) in [
+            for (start, case) in [
                 ("", "connections that say nothing"),
                 ("GET / HT", "requests without an end"),
                 ("GET /large.bin HTTP/1.1\r\nHost: localhost\r\n\r\n", "clients that do not read"),
@@ -613,14 +620,14 @@ mod tests {
                 let stuck: Vec<TcpStream> = (0..200)
                     .map(|_| {
                         let mut stream = connect(port);
-                        // one that has been sent away already
+                        // the server may have closed it already
                         let _ = stream.write_all(start.as_bytes());
                         stream
                     })
                     .collect();
-                (0..3).for_each(|_| page_comes_at_once(port, what));
+                (0..3).for_each(|_| page_comes_at_once(port, case));
                 drop(stuck);
-                page_comes_at_once(port, what);
+                page_comes_at_once(port, case);
             }
         });
     }
@@ -670,7 +677,7 @@ mod tests {
                 (format!("GET http://localhost/ HTTP/1.1\r\n{host}\r\n"), 404),
             ] {
                 let start = Instant::now();
-                let answer = told(port, request.as_bytes());
+                let answer = response_to(port, request.as_bytes());
                 let shown = &request[..request.len().min(80)];
                 assert!(answer.starts_with(&format!("HTTP/1.1 {status} ")), "{shown:?}: {answer}");
                 assert!(start.elapsed() < Duration::from_secs(3), "{shown:?}: {:?}", start.elapsed());

@@ -1,4 +1,4 @@
-//! `lumistack show`: drives physical panels, or rehearses them in a window.
+//! `lumistack show`: drives panels, or rehearses them in a window.
 
 use std::fmt::Write as _;
 use std::io::BufRead;
@@ -19,9 +19,9 @@ use serde_json::{Value, json};
 use crate::console::{say, tell};
 use crate::values::Numbers;
 
-/// The presenter.
+/// The plugin that drives panels.
 const PRESENTER: &str = "panels";
-/// How often a run's folder is looked at.
+/// Interval at which a run's folder is checked.
 const LOOK: Duration = Duration::from_millis(200);
 
 #[derive(Debug, ClapArgs)]
@@ -32,46 +32,52 @@ pub(crate) struct Show {
     /// List the outputs of this session
     #[arg(long)]
     pub(crate) list: bool,
-    /// One surface across all outputs, so that all layers flip together (X11, or sway)
+    /// Use one surface across all outputs, so that all layers change together (X11, or sway)
     #[arg(long)]
     pub(crate) span: bool,
-    /// In an ordinary window what the display would show; the mouse moves the viewer
+    /// Show the seen picture in an ordinary window; the mouse moves the viewer
     #[arg(long, conflicts_with_all = ["span", "pattern", "full_resolution_2d", "hold"])]
     pub(crate) rehearse: bool,
-    /// Angles from which the rehearsal begins, degrees to the right and up
+    /// First viewing angles of the rehearsal, degrees to the right and up
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, requires = "rehearse")]
     pub(crate) from: Option<Numbers<2>>,
-    /// Fill the panels, whatever their size: for a run that was made for other panels; distances then no longer hold
+    /// Scale to the panels, for a run that was made for other panels; its distances are then wrong
     #[arg(long, conflicts_with_all = ["rehearse", "pattern"])]
     pub(crate) fit: bool,
-    /// Show a picture (PNG, JPEG, WebP) on one layer with all its pixels, the others clear
+    /// Show a picture (PNG, JPEG, WebP) on one layer at the panel's full resolution; the other
+    /// layers are clear
     #[arg(long, value_name = "FILE", conflicts_with = "pattern")]
     pub(crate) full_resolution_2d: Option<PathBuf>,
-    /// The layer of --full-resolution-2d, 0 the rearmost [default: the one nearest to the display's plane]
+    /// Layer of --full-resolution-2d, 0 for the rearmost [default: the nearest to the display
+    /// plane]
     #[arg(long, value_name = "N", requires = "full_resolution_2d")]
     pub(crate) layer: Option<usize>,
-    /// Show a test pattern: crosshairs, ramp, code=V, code=R,G,B, lenslet=COLUMN,ROW, view=X,Y, clear or identify
+    /// Show a test pattern: crosshairs, ramp, code=V, code=R,G,B, lenslet=COLUMN,ROW, view=X,Y,
+    /// clear or identify
     #[arg(long, value_name = "PATTERN")]
     pub(crate) pattern: Option<String>,
-    /// Show the pattern on one panel alone, a layer's number or `backlight`; the others are clear
+    /// Show the pattern on one panel only, a layer's number or `backlight`; the others are clear
     #[arg(long, value_name = "N|backlight", requires = "pattern")]
     pub(crate) only: Option<String>,
-    /// Place of the eye, or camera, for which the crosshairs of all layers coincide [default: 0,0,2000 or the display's viewing distance]
+    /// Position of the eye or camera for which the crosshairs of all layers coincide [default:
+    /// 0,0,2000 or the display's viewing distance]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, requires = "pattern")]
     pub(crate) eye_mm: Option<Numbers<3>>,
-    /// Keep frame K instead of showing all in turn
+    /// Hold frame K instead of showing all in turn
     #[arg(long, value_name = "K")]
     pub(crate) hold: Option<usize>,
-    /// Display file whose calibration is used, and to which nudges are saved [default: display.toml of the run]
+    /// Display file with the calibration; nudges are saved to it [default: display.toml of the run]
     #[arg(long, value_name = "FILE")]
     pub(crate) calibration: Option<PathBuf>,
     /// End after this many seconds
     #[arg(long, value_name = "S")]
     pub(crate) duration_s: Option<f64>,
-    /// Take commands on standard input, one a line: hold K, run, step N, nudge PANEL RIGHT DOWN, save, look X Y, report, quit
+    /// Read commands on standard input, one a line: hold K, run, step N, nudge PANEL RIGHT DOWN,
+    /// save, look X Y, report, quit
     #[arg(long)]
     pub(crate) control: bool,
-    /// Write every submission to a file: refresh, place in the period, number of the pictures, seconds
+    /// Write every submission to a file: refresh, place in the period, number of the patterns,
+    /// seconds
     #[arg(long, value_name = "FILE")]
     pub(crate) log: Option<PathBuf>,
 }
@@ -83,7 +89,7 @@ pub(crate) fn show_command(args: &Show, registry: &Registry, json: bool, task: T
     let dir = args.dir.as_deref().unwrap_or(Path::new("."));
     let Subject { display, stack, file } = subject(args, dir)?;
     let params = params(args)?;
-    // a test pattern or a picture stays
+    // a test pattern or a picture does not follow the run
     let first = stack.filter(|_| args.pattern.is_none() && args.full_resolution_2d.is_none());
     let (send, asked) = channel();
     if first.is_some() {
@@ -93,7 +99,7 @@ pub(crate) fn show_command(args: &Show, registry: &Registry, json: bool, task: T
     if args.control {
         std::thread::spawn(move || control(&send));
     }
-    // an event has nobody to return an error to
+    // The event's callback cannot return an error, so the last one is kept.
     let failed = Mutex::new(None);
     let told = |told: Told<'_>| match told {
         Told::Warning(text) => warn("show", text, json),
@@ -115,7 +121,7 @@ fn warn(place: &str, text: &str, json: bool) {
     }
 }
 
-/// What is to be shown, and the file that keeps its calibration.
+/// The display to show, its patterns, and the file with its calibration.
 struct Subject {
     display: Display,
     stack: Option<LayerStack>,
@@ -140,13 +146,13 @@ fn subject(args: &Show, dir: &Path) -> Result<Subject, PipelineError> {
         subject.file = Some(path.clone());
     }
     if args.fit {
-        // its panels are of another size, and so are its shifts
+        // its panels have another size, so its shifts must not be saved
         subject.file = None;
     }
     Ok(subject)
 }
 
-/// The display with the panels of another file of it.
+/// Returns the display with the panels of another file of the same display.
 fn calibrated(display: &Display, measured: &Display, path: &Path) -> Result<Display, PipelineError> {
     let fits = |display: &Display| {
         let masks: Vec<_> = display.layers.iter().map(|layer| (layer.resolution, layer.pitch_mm.to_bits())).collect();
@@ -156,7 +162,7 @@ fn calibrated(display: &Display, measured: &Display, path: &Path) -> Result<Disp
         let expected = "the layers and lenslets that the patterns were made for";
         return Err(PipelineError::value(path, "layers", expected, "others"));
     }
-    // distances and frames are those that the patterns were made for
+    // distances and frames must stay those of the patterns
     let mut display = display.clone();
     for (own, measured) in display.layers.iter_mut().zip(&measured.layers) {
         own.panel.clone_from(&measured.panel);
@@ -178,7 +184,7 @@ fn calibrated(display: &Display, measured: &Display, path: &Path) -> Result<Disp
     Ok(display)
 }
 
-/// The presenter's parameters, as far as options name them.
+/// Makes the presenter's parameters from the options.
 fn params(args: &Show) -> Result<Value, PipelineError> {
     let mode = match (args.rehearse, args.span) {
         (true, _) => "window",
@@ -192,7 +198,7 @@ fn params(args: &Show) -> Result<Value, PipelineError> {
         }
     };
     set("hold", args.hold.map(Value::from));
-    // 0 means something else to the presenter
+    // the presenter uses 0 for "not set"
     for (flag, value) in [("--duration-s", args.duration_s), ("--eye-mm", args.eye_mm.map(|eye| eye.0[2]))] {
         if let Some(found) = value.filter(|value| *value <= 0.0) {
             return Err(PipelineError::value(flag, "value", "a number above 0", found.to_string()));
@@ -215,7 +221,7 @@ fn params(args: &Show) -> Result<Value, PipelineError> {
     Ok(params)
 }
 
-/// Outputs that could be driven, each in a few words; else why there is none.
+/// Lists the outputs that could be driven, or returns why there are none.
 pub(crate) fn outputs() -> Result<Vec<String>, String> {
     Ok(window::outputs().map_err(|error| error.to_string())?.iter().map(|output| describe(output, false)).collect())
 }
@@ -240,7 +246,7 @@ fn describe(output: &Output, json: bool) -> String {
     format!("{name}: {cols} × {rows} pixels at {x},{y}, {rate}")
 }
 
-/// New patterns of a run that is written anew.
+/// Sends the patterns of a run whenever the run is written again.
 fn watch(dir: &Path, send: &Sender<Asked>) {
     let (layers, index) = (dir.join("layers"), dir.join("layers/stack.json"));
     let stamp = || std::fs::metadata(&index).and_then(|data| data.modified()).ok();
@@ -251,7 +257,8 @@ fn watch(dir: &Path, send: &Sender<Asked>) {
         if before.is_none() || before == shown {
             continue;
         }
-        // the index goes first and comes last: a stack is whole if it is the same before and after reading
+        // A run removes the index first and writes it last. So a stack is complete if the index is
+        // the same before and after reading.
         let Ok(stack) = lumistack_field_io::read_stack(&layers) else { continue };
         if stamp() != before {
             continue;
@@ -263,7 +270,7 @@ fn watch(dir: &Path, send: &Sender<Asked>) {
     }
 }
 
-/// Commands from standard input.
+/// Reads commands from standard input.
 fn control(send: &Sender<Asked>) {
     for line in std::io::stdin().lock().lines().map_while(Result::ok) {
         match command_of(&line) {
@@ -298,7 +305,7 @@ fn command_of(line: &str) -> Result<Command, String> {
     command.ok_or_else(|| format!("standard input: expected {expected}, found `{line}`"))
 }
 
-/// Says what happened, and does what an event asks for.
+/// Prints an event, and executes its request.
 fn happened(event: &Value, json: bool, file: Option<&Path>, log: Option<&Path>) -> Result<(), PipelineError> {
     match serde_json::from_value(event.clone()) {
         Ok(Event::Save { display }) => match save(&display, file) {
@@ -371,7 +378,7 @@ fn print_report(report: &Report) {
     };
     match (report.presented.is_empty(), &report.submitted) {
         (true, Some(submitted)) => say!(
-            "by the times of submission: {}; the platform does not tell when pictures were shown",
+            "by the times of submission: {}; the platform does not report when pictures were shown",
             counts(submitted)
         ),
         _ => report.presented.iter().for_each(|(name, tally)| say!("{name}: {}", counts(tally))),
@@ -381,6 +388,6 @@ fn print_report(report: &Report) {
             say!("skew between outputs: {:.2} ms, at most {:.2} ms", 1000.0 * mean, 1000.0 * largest)
         }
         None if report.presented.len() == 1 => say!("skew between outputs: none, they are one surface"),
-        None => say!("skew between outputs: unknown, the platform does not tell"),
+        None => say!("skew between outputs: unknown, the platform does not report it"),
     }
 }

@@ -1,4 +1,5 @@
-//! `lumistack preview --solve`: the page that solves, which is part of the program, written where a server can hand it out.
+//! `lumistack preview --solve`: the page that solves. It is part of the program, and written to a
+//! folder that a server can serve.
 
 use std::fs;
 use std::path::Path;
@@ -35,14 +36,14 @@ files!(
     "scenes/still-life/wallpaper.jpg",
 );
 
-/// Writes the page into a folder of its own, which is removed with the returned value.
+/// Writes the page into a new folder, which is removed with the returned value.
 ///
 /// # Errors
 /// When a file cannot be written.
 pub(crate) fn write() -> Result<TempDir, PipelineError> {
     let folder = tempfile::tempdir().map_err(PipelineError::write(&std::env::temp_dir()))?;
     for (path, content) in FILES {
-        // what a server hands out where no file is named
+        // a server serves this name where the address names no file
         let names = if *path == "solve.html" { vec![*path, "index.html"] } else { vec![*path] };
         names.iter().try_for_each(|name| write_one(&folder.path().join(name), content))?;
     }
@@ -60,7 +61,7 @@ fn write_one(path: &Path, content: &[u8]) -> Result<(), PipelineError> {
 mod tests {
     use super::*;
 
-    /// A file that the build adds to the page must be handed out, too.
+    /// A file that the build adds to the page must be part of the program too.
     #[test]
     fn the_program_holds_all_of_the_page() {
         let dist = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../web/dist");

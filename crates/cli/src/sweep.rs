@@ -14,8 +14,8 @@ use crate::groups::{
 use crate::values::{Angles, Size};
 
 pub(crate) const EXAMPLES: &str = "\
-Every combination of the axes is a design; an axis that is not given stays as the display has it. The results are DIR/sweep.csv, DIR/sweep.json and
-DIR/plots/. A sweep that was stopped or killed goes on from the designs that are finished when the same command is given again.
+Every combination of the axes is a design; a missing axis keeps the display's value. The results are DIR/sweep.csv, DIR/sweep.json and
+DIR/plots/. The same command continues a sweep that was stopped or killed.
 
 Examples:
   lumistack sweep scenes/sweeps/figure-7.toml
@@ -23,7 +23,7 @@ Examples:
   lumistack sweep views.toml --brightness 0.1..1:0.1 --displays fig7-uniform,fig7-directional --gap-mm 40
   lumistack sweep model.glb --layers 1..6 --frames 1..8 --search --max-refresh-hz 240 --max-panels 3 --enough-db 35";
 
-/// What to sweep.
+/// The sweep to run.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Sweep {
     /// Job file (.toml), with a table [sweep] or without, or a scene
@@ -31,7 +31,8 @@ pub(crate) struct Sweep {
     /// Folder for the results [default: sweeps/NAME]
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
-    /// Print the steps of the sweep instead, with their keys, what is cached, and estimates of time and memory; nothing is written
+    /// Print the steps of the sweep with their keys, cached results, and estimates of time and
+    /// memory, without running it
     #[arg(long)]
     plan: bool,
     /// Plots of the table [default: few, one of every axis]
@@ -44,7 +45,7 @@ pub(crate) struct Sweep {
     /// Display to vary, a preset (see `lumistack displays`) or a display file, instead of the job's
     #[arg(long, value_name = "NAME|FILE", help_heading = "Display")]
     display: Option<std::ffi::OsString>,
-    /// Columns and rows of the light field; masks scale along
+    /// Columns and rows of the light field; masks scale with it
     #[arg(long, value_name = "CxR", help_heading = "Display")]
     resolution: Option<Size>,
     #[command(flatten)]
@@ -53,7 +54,7 @@ pub(crate) struct Sweep {
     factorize: FactorizeArgs,
 }
 
-/// How many plots.
+/// Number of plots.
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum PlotsArg {
     None,
@@ -61,11 +62,11 @@ enum PlotsArg {
     All,
 }
 
-/// Lists like 1..5 or 1,2,4..8; numbers with a step like 0.1..1:0.1.
+/// Lists such as 1..5 or 1,2,4..8; numbers with a step such as 0.1..1:0.1.
 #[derive(Debug, Default, clap::Args)]
 #[command(next_help_heading = "Axes")]
 struct Axes {
-    /// Displays that are varied, presets or files, between commas
+    /// Displays to vary, presets or files, separated by commas
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     displays: Vec<String>,
     /// Layers N
@@ -77,13 +78,13 @@ struct Axes {
     /// Brightness scales β
     #[arg(long, value_name = "LIST")]
     brightness: Option<List>,
-    /// Distances of neighbouring layers, millimetres
+    /// Gaps of the layers, millimetres
     #[arg(long, value_name = "LIST")]
     gap_mm: Option<List>,
-    /// Fields of view, HxV degrees between commas
+    /// Fields of view, HxV degrees, separated by commas
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     fov: Vec<Angles>,
-    /// Columns and rows of lenslets, CxR between commas
+    /// Columns and rows of lenslets, CxR, separated by commas
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     lenslets: Vec<Size>,
 }
@@ -92,27 +93,27 @@ struct Axes {
 #[derive(Debug, Default, clap::Args)]
 #[command(next_help_heading = "Search")]
 struct Search {
-    /// Propose a design: solve all with few iterations and only the promising ones to the end
+    /// Propose a design: solve all with few iterations, and only the promising ones to the end
     #[arg(long)]
     search: bool,
-    /// Most depth from the rearmost part to the frontmost, millimetres
+    /// Largest depth from the rearmost to the frontmost part, millimetres
     #[arg(long, value_name = "MM")]
     max_thickness_mm: Option<f64>,
     /// Fastest refresh rate of the panels, hertz
     #[arg(long, value_name = "HZ")]
     max_refresh_hz: Option<f64>,
-    /// Panels at hand: the layers, and the one behind the lenslets
+    /// Number of available panels: for the layers, and for the backlight behind lenslets
     #[arg(long, value_name = "N")]
     max_panels: Option<usize>,
     /// Least brightness scale β
     #[arg(long, value_name = "B")]
     min_brightness: Option<f64>,
-    /// A PSNR that is enough, dB: propose what reaches it with the fewest panels and frames
+    /// Sufficient PSNR, dB: propose the design that reaches it with the fewest panels and frames
     #[arg(long, value_name = "DB")]
     enough_db: Option<f64>,
 }
 
-/// Numbers: single ones and ranges between commas.
+/// Numbers: single ones and ranges, separated by commas.
 #[derive(Clone, Debug, PartialEq)]
 struct List(Vec<f64>);
 
@@ -136,7 +137,7 @@ impl FromStr for List {
             if !(step > 0.0 && (0.0..1e6).contains(&count)) {
                 return Err(format!("expected a rising range, found `{part}`"));
             }
-            // 0.1 + 2 · 0.1 is not 0.3, but what is meant is
+            // rounds, since 0.1 + 2 · 0.1 is not 0.3 in binary
             numbers.extend((0..=count as usize).map(|i| ((from + i as f64 * step) * 1e9).round() / 1e9));
         }
         Ok(Self(numbers))
@@ -156,6 +157,7 @@ impl List {
 }
 
 pub(crate) fn run(args: &Sweep, registry: &Registry, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
+    // The command line changes the job's table.
     let mut job = job_or_scene(&args.input)?;
     let display = DisplayArgs { display: args.display.clone(), resolution: args.resolution, ..DisplayArgs::default() };
     change_display(&mut job, &display);
@@ -164,7 +166,7 @@ pub(crate) fn run(args: &Sweep, registry: &Registry, json: bool, task: Task<'_>)
     let table = job.sweep.get_or_insert_default();
     let Axes { displays, layers, frames, brightness, gap_mm, fov, lenslets } = &args.axes;
     if !displays.is_empty() {
-        // what is typed is relative to where it is typed
+        // typed paths are relative to the working folder, not to the job
         table.displays = displays.iter().map(|name| typed(name)).collect();
     }
     if let Some(layers) = layers {
@@ -191,6 +193,7 @@ pub(crate) fn run(args: &Sweep, registry: &Registry, json: bool, task: Task<'_>)
         PlotsArg::All => Plots::All,
     });
     change_search(&mut table.search, &args.search);
+    // Run the sweep, and print the proposed designs or the best one.
     let folder = args.output.clone().unwrap_or_else(|| Path::new("sweeps").join(&job.name));
     if args.plan {
         return crate::plan::print(&job, &folder, registry, json);
@@ -204,19 +207,19 @@ pub(crate) fn run(args: &Sweep, registry: &Registry, json: bool, task: Task<'_>)
     }
     for (place, row) in summary.proposed.iter().enumerate() {
         let rank = if place == 0 { "Proposed:".to_string() } else { format!("{:8}:", place + 1) };
-        say!("{rank} {}", told(row));
+        say!("{rank} {}", text_of(row));
     }
     if let Some(display) = &summary.display {
         say!("{}", display.display());
     }
     if let (Some(best), true) = (&summary.best, summary.proposed.is_empty()) {
-        say!("Best: {}", told(best));
+        say!("Best: {}", text_of(best));
     }
     summary.plots.iter().for_each(|plot| say!("{}", plot.display()));
     if summary.more_plots > 0 {
         say!("{} more plots with --plots all", summary.more_plots);
     }
-    say!("{} designs, {} of them from before", summary.designs, summary.kept);
+    say!("{} designs, {} of them solved earlier", summary.designs, summary.kept);
     say!("{}", summary.csv.display());
     Ok(())
 }
@@ -240,7 +243,7 @@ fn change_search(old: &mut Option<SearchJob>, args: &Search) {
     search.enough_db = args.enough_db.or(search.enough_db);
 }
 
-fn told(row: &Row) -> String {
+fn text_of(row: &Row) -> String {
     let d = &row.design;
     let lenses =
         if d.lenslets == [0, 0] { String::new() } else { format!(", {} × {} lenslets", d.lenslets[0], d.lenslets[1]) };

@@ -1,4 +1,5 @@
-//! Wrong usage and help: clap's text with the command as it was started, and without words of programming.
+//! Wrong usage and help: clap's text with the name that started the command, and without terms of
+//! Rust.
 
 use std::io::{IsTerminal, Write};
 
@@ -7,14 +8,14 @@ use clap::error::ErrorKind;
 
 use crate::program::hinted;
 
-/// Prints clap's error, or the help that was asked for.
+/// Prints clap's error, or the requested help.
 pub(crate) fn print(error: &Error) {
     let to_stdout = matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion);
     let is_terminal = if to_stdout { std::io::stdout().is_terminal() } else { std::io::stderr().is_terminal() };
     let styled = error.render();
     let text = if is_terminal { styled.ansi().to_string() } else { styled.to_string() };
     let text = hinted(&in_words(&text));
-    // a closed pipe is nobody's fault
+    // a closed pipe is no error
     let _ = if to_stdout {
         std::io::stdout().write_all(text.as_bytes())
     } else {
@@ -22,7 +23,7 @@ pub(crate) fn print(error: &Error) {
     };
 }
 
-/// The parsers of the standard library name types of numbers.
+/// Replaces the messages of Rust's number parsers by plain ones.
 fn in_words(text: &str) -> String {
     let unit = match text.split_once(" <").and_then(|(_, rest)| rest.split_once('>')) {
         Some(("MM", _)) => " in millimetres",
@@ -45,7 +46,7 @@ fn in_words(text: &str) -> String {
     ]
     .iter()
     .fold(text.to_owned(), |text, (rust, words)| text.replace(rust, words));
-    // "70000 is not in 0..=65535"
+    // rewrites "70000 is not in 0..=65535"
     let Some((before, after)) = text.split_once(" is not in ") else { return text };
     let end = after.find(|c: char| !(c.is_ascii_digit() || ".=-".contains(c))).unwrap_or(after.len());
     let (range, rest) = after.split_at(end);
@@ -62,7 +63,7 @@ mod tests {
     use crate::args::Args;
 
     #[test]
-    fn numbers_that_are_none_are_told_in_units() {
+    fn errors_of_numbers_name_their_unit() {
         let said = |words: &[&str]| {
             let words = ["lumistack"].iter().chain(words);
             in_words(&Args::try_parse_from(words).unwrap_err().render().to_string())

@@ -1,8 +1,8 @@
-//! Values of options: sizes, angles, lists of numbers.
+//! Types of option values: sizes, angles, lists of numbers.
 
 use std::str::FromStr;
 
-/// Two whole numbers, "420x262".
+/// Two whole numbers, such as "420x262".
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Size(pub(crate) [usize; 2]);
 
@@ -18,7 +18,7 @@ impl FromStr for Size {
     }
 }
 
-/// Two angles, "20x20".
+/// Two angles in degrees, such as "20x20".
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Angles(pub(crate) [f64; 2]);
 
@@ -34,7 +34,7 @@ impl FromStr for Angles {
     }
 }
 
-/// Numbers between commas.
+/// `N` numbers, separated by commas.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Numbers<const N: usize>(pub(crate) [f64; N]);
 
@@ -51,7 +51,7 @@ impl<const N: usize> FromStr for Numbers<N> {
     }
 }
 
-/// A size on disk or in memory, for people.
+/// Formats a number of bytes.
 pub(crate) fn size_text(bytes: u64) -> String {
     match bytes {
         0..1_000 => format!("{bytes} B"),
@@ -61,7 +61,7 @@ pub(crate) fn size_text(bytes: u64) -> String {
     }
 }
 
-/// A time in the unit that people use.
+/// Formats a duration in a fitting unit.
 pub(crate) fn duration_text(seconds: f64) -> String {
     match seconds {
         0.0 => "0 s".into(),
@@ -86,8 +86,8 @@ mod tests {
     }
 
     #[test]
-    fn times_are_told_in_the_unit_that_people_use() {
-        let told = [0.0, 1e-5, 0.25, 12.34, 600.0, 36000.0].map(duration_text);
-        assert_eq!(told, ["0 s", "1 ms", "250 ms", "12.3 s", "10 min", "10.0 h"]);
+    fn durations_have_a_fitting_unit() {
+        let found = [0.0, 1e-5, 0.25, 12.34, 600.0, 36000.0].map(duration_text);
+        assert_eq!(found, ["0 s", "1 ms", "250 ms", "12.3 s", "10 min", "10.0 h"]);
     }
 }

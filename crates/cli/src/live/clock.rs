@@ -1,9 +1,9 @@
-//! The clock by which viewers, videos and steps of the solver are timed.
+//! The clock of viewers, videos and steps of the solver.
 
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
-/// Time since it was asked for first.
+/// Time since the first call.
 pub(super) fn now() -> Duration {
     static START: OnceLock<Instant> = OnceLock::new();
     START.get_or_init(Instant::now).elapsed()

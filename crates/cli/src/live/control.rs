@@ -7,13 +7,13 @@ use lumistack_core::Task;
 use lumistack_live::head_of_packet;
 use serde_json::{Map, Value, json};
 
-use super::desk::Desk;
+use super::requests::Requests;
 use crate::console::{say, tell};
 
 /// Longest line, bytes.
 const LINE: usize = 1 << 20;
 
-/// A command.
+/// A command of a line.
 #[derive(Clone, Debug, PartialEq)]
 enum Command {
     Set(Vec<(String, Value)>),
@@ -22,10 +22,10 @@ enum Command {
     Stop,
 }
 
-/// Carries out commands until there are no more. Those that make no sense are told and change nothing.
-pub(super) fn read_commands(mut lines: impl BufRead, desk: &Desk, json: bool) {
+/// Executes commands until the input ends. Wrong commands are reported and change nothing.
+pub(super) fn read_commands(mut lines: impl BufRead, requests: &Requests, json: bool) {
     let mut line = Vec::new();
-    while !desk.is_stopped() {
+    while !requests.is_stopped() {
         line.clear();
         match std::io::Read::take(&mut lines, LINE as u64).read_until(b'\n', &mut line) {
             Ok(0) | Err(_) => return,
@@ -35,7 +35,7 @@ pub(super) fn read_commands(mut lines: impl BufRead, desk: &Desk, json: bool) {
         if text.trim().is_empty() {
             continue;
         }
-        if let Err(error) = carry_out(&text, desk) {
+        if let Err(error) = carry_out(&text, requests) {
             match json {
                 true => say!("{}", json!({"event": "refused", "message": error})),
                 false => tell!("warning: standard input: {error}"),
@@ -44,14 +44,14 @@ pub(super) fn read_commands(mut lines: impl BufRead, desk: &Desk, json: bool) {
     }
 }
 
-fn carry_out(line: &str, desk: &Desk) -> Result<(), String> {
-    // all that a line says is understood before any of it is done
+fn carry_out(line: &str, requests: &Requests) -> Result<(), String> {
+    // parse the whole line first, so that a wrong line changes nothing
     for command in commands_of(line)? {
         match command {
-            Command::Set(keys) => desk.set(&keys).map_err(|error| error.to_string())?,
-            Command::Viewers(heads_mm) => desk.see(&heads_mm).map_err(|error| error.to_string())?,
-            Command::Reload => desk.reload(),
-            Command::Stop => desk.stop(),
+            Command::Set(keys) => requests.set(&keys).map_err(|error| error.to_string())?,
+            Command::Viewers(heads_mm) => requests.see(&heads_mm).map_err(|error| error.to_string())?,
+            Command::Reload => requests.reload(),
+            Command::Stop => requests.stop(),
         }
     }
     Ok(())
@@ -72,7 +72,7 @@ fn commands_of(line: &str) -> Result<Vec<Command>, String> {
             ("time", value) if value.is_number() || value.is_null() => {
                 Ok(Command::Set(vec![("pose.time_s".into(), value)]))
             }
-            ("time", value) => wrong("seconds, or null for the scene as it stands", &value),
+            ("time", value) => wrong("seconds, or null for the scene without its animation", &value),
             ("viewers", value) => match serde_json::from_value(value.clone()) {
                 Ok(heads_mm) => Ok(Command::Viewers(heads_mm)),
                 Err(_) => wrong("a list of positions [x, y, z] in millimetres", &value),
@@ -86,13 +86,13 @@ fn commands_of(line: &str) -> Result<Vec<Command>, String> {
     all.into_iter().map(one).collect()
 }
 
-/// Follows a head by OpenTrack's packets until the display is stopped.
-pub(super) fn read_packets(socket: &UdpSocket, centre_mm: [f64; 3], desk: &Desk, task: Task<'_>) {
+/// Follows a head by OpenTrack's packets until the display stops.
+pub(super) fn read_packets(socket: &UdpSocket, centre_mm: [f64; 3], requests: &Requests, task: Task<'_>) {
     let mut packet = [0; 512];
-    while !(desk.is_stopped() || task.cancel.is_cancelled()) {
-        // nothing for a while: time to look whether it is over
+    while !(requests.is_stopped() || task.cancel.is_cancelled()) {
+        // the timeout of the socket, so that the loop sees the end
         let Ok(length) = socket.recv(&mut packet) else { continue };
-        let seen = head_of_packet(&packet[..length], centre_mm).and_then(|head_mm| desk.see(&[head_mm]));
+        let seen = head_of_packet(&packet[..length], centre_mm).and_then(|head_mm| requests.see(&[head_mm]));
         if let Err(error) = seen {
             task.warn("--opentrack", error.to_string());
         }
@@ -105,35 +105,35 @@ mod tests {
 
     use super::*;
 
-    fn desk() -> Desk {
-        Desk::new(Job { scene: Some("a.glb".into()), ..Job::new(DisplayJob::by_name_or_path("fig7-uniform")) })
+    fn requests() -> Requests {
+        Requests::new(Job { scene: Some("a.glb".into()), ..Job::new(DisplayJob::by_name_or_path("fig7-uniform")) })
     }
 
     #[test]
-    fn lines_become_wishes_and_those_that_make_no_sense_change_nothing() {
-        let desk = desk();
+    fn lines_become_requests_and_wrong_lines_change_nothing() {
+        let requests = requests();
         let lines = "{\"set\": {\"display.brightness\": 0.3, \"display.frames\": 2}}\n\n{\"time\": 1.5, \"viewers\": [[10, 0, 600]]}\n\
                      {\"set\": {\"display.frames\": 4, \"display.brightness\": 7}}\n";
-        read_commands(lines.as_bytes(), &desk, false);
-        let (number, wish) = desk.wishes.after(0).unwrap();
-        let display = &wish.job.display;
+        read_commands(lines.as_bytes(), &requests, false);
+        let (number, request) = requests.newest.after(0).unwrap();
+        let display = &request.job.display;
         assert_eq!(
-            (number, display.brightness, display.frames, wish.job.pose.time_s),
+            (number, display.brightness, display.frames, request.job.pose.time_s),
             (2, Some(0.3), Some(2), Some(1.5))
         );
-        assert_eq!(desk.job(), wish.job);
-        // a job file that is written anew keeps what commands have set
-        let mut other = self::desk().job();
+        assert_eq!(requests.job(), request.job);
+        // a changed job file keeps the keys that commands have set
+        let mut other = self::requests().job();
         other.seed = 9;
-        desk.replace(other).unwrap();
-        assert_eq!((desk.job().seed, desk.job().display.frames), (9, Some(2)));
-        assert!(!desk.is_stopped());
-        carry_out("{\"stop\": true}", &desk).unwrap();
-        assert!(desk.is_stopped());
+        requests.replace(other).unwrap();
+        assert_eq!((requests.job().seed, requests.job().display.frames), (9, Some(2)));
+        assert!(!requests.is_stopped());
+        carry_out("{\"stop\": true}", &requests).unwrap();
+        assert!(requests.is_stopped());
     }
 
     #[test]
-    fn lines_that_make_no_sense_are_told_what_is_expected() {
+    fn errors_state_the_expected_line() {
         for (line, message) in [
             ("[]", "expected an object with `set`, `time`, `viewers`, `reload` or `stop` on one line"),
             ("{}", "found an empty one"),
@@ -145,7 +145,7 @@ mod tests {
             ("{\"stop\": false}", "stop: expected true"),
             ("{\"set\": {\"display.bright\": 1}}", "did you mean `brightness`?"),
         ] {
-            let error = carry_out(line, &desk()).unwrap_err();
+            let error = carry_out(line, &requests()).unwrap_err();
             assert!(error.contains(message), "{line}: {error}");
         }
     }

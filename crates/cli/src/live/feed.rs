@@ -1,12 +1,13 @@
-//! States for the page: one answer holds all of a state, so that it is shown whole.
+//! States for the page. One response holds a complete state, so the page never mixes two states.
 //!
 //! ```text
-//! GET /.live?after=NUMBER&edition=NAME      waits for a newer state; 204 where none comes for a while
+//! GET /.live?after=NUMBER&edition=NAME      waits for a newer state; 204 after a timeout
 //! u32 length of JSON (little endian) | JSON | files, one after another
-//! JSON: {"number", "edition", "files": [bytes, ...], "preview": text of preview.json, where the page has another edition}
+//! JSON: {"number", "edition", "files": [bytes, ...], "preview": text or null}
 //! ```
 //!
-//! Files are those of preview.json, in its order. An edition lasts as long as preview.json stays the same.
+//! Files are those of preview.json, in its order. An edition is a version of preview.json; its text
+//! is sent where the page has another edition.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -23,17 +24,17 @@ use lumistack_pipeline::{OutputData, PipelineError, Registry, write_output};
 use serde_json::{Map, Value, json};
 
 use super::clock::now;
-use super::desk::lock;
+use super::requests::lock;
 use crate::server::Feed;
 
-/// The script by which the page follows.
+/// The page's script, which requests states.
 const SCRIPT: &str = include_str!("../../dist/live.js");
-/// How long a question waits for an answer.
+/// Longest time that a request waits for a response.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// How often it looks whether all is over.
+/// Interval at which a waiting request checks for the end.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// Makes answers of the newest state.
+/// Makes responses of the newest state.
 pub(super) struct PageFeed<'a> {
     states: &'a Mailbox<State>,
     site: &'a Path,
@@ -52,7 +53,7 @@ struct Made {
     files: Arc<Vec<Vec<u8>>>,
 }
 
-/// A display, as the page knows it.
+/// A version of preview.json.
 struct Edition {
     key: String,
     name: String,
@@ -61,7 +62,7 @@ struct Edition {
 }
 
 impl<'a> PageFeed<'a> {
-    /// `site` is a folder for the page's own files, and the page's title.
+    /// Makes a feed. `site` is a folder for the page's own files, `title` the page's title.
     pub(super) fn new(
         states: &'a Mailbox<State>,
         (site, title): (&'a Path, &'a str),
@@ -75,18 +76,18 @@ impl<'a> PageFeed<'a> {
         self.site
     }
 
-    /// Ends all waiting.
+    /// Ends all waiting requests.
     pub(super) fn stop(&self) {
         self.stopped.store(true, Ordering::SeqCst);
     }
 
-    /// Makes the files of the newest state, once; `None` where there is no state, or its files cannot be made.
+    /// Encodes the newest state, once. `None` where there is no state, or its files cannot be made.
     pub(super) fn prepare(&self) -> Option<u64> {
         Some(self.newest()?.number)
     }
 
     fn newest(&self) -> Option<Made> {
-        // one makes the files, others wait for them
+        // the lock makes one thread encode while others wait
         let mut made = lock(&self.made);
         let known = made.as_ref().map_or(0, |made| made.number);
         if let Some((number, state)) = self.states.after(known) {
@@ -109,7 +110,7 @@ impl<'a> PageFeed<'a> {
         Ok(Made { number, edition, files: Arc::new(files.ok_or_else(unknown)?) })
     }
 
-    /// Writes the page for a display, and reads what it calls its files.
+    /// Writes the page for a display, and reads the names of its pictures.
     fn edition(&self, number: u64, key: String, state: &State) -> Result<Edition, PipelineError> {
         let title = ("title".into(), json!(self.title));
         let params = Map::from_iter([title, ("target".into(), json!(false)), ("single_file".into(), json!(false))]);
@@ -133,7 +134,7 @@ impl Feed for PageFeed<'_> {
         let (seen, edition) = asked(query);
         let deadline = now() + PATIENCE;
         while !self.stopped.load(Ordering::SeqCst) && now() < deadline {
-            // a page of an earlier run has seen numbers that are not ours
+            // a page of an earlier run sends a number above the newest
             let known = self.states.after(0).is_some_and(|(newest, _)| newest < seen);
             if self.states.wait_after(if known { 0 } else { seen }, LOOK).is_some() {
                 let made = self.newest()?;
@@ -144,7 +145,7 @@ impl Feed for PageFeed<'_> {
     }
 }
 
-/// The number and the edition that a page has.
+/// Reads state number and edition from a page's request.
 fn asked(query: &str) -> (u64, &str) {
     let value = |name: &str| query.split('&').find_map(|part| part.strip_prefix(name)?.strip_prefix('='));
     (value("after").and_then(|number| number.parse().ok()).unwrap_or(0), value("edition").unwrap_or_default())
@@ -162,7 +163,8 @@ fn frame_of(made: &Made, known: &str) -> Vec<u8> {
     frame
 }
 
-/// The PNG of a file that preview.json names: a layer in a frame, or the bins of a backlight side by side. `None` of any other.
+/// Encodes the PNG of an entry of preview.json: a mask, or the bins of a backlight side by side.
+/// `None` for other entries.
 fn picture_of(stack: &LayerStack, entry: &Value) -> Option<Vec<u8>> {
     let number = |key: &str| entry[key].as_u64().map(|number| number as usize);
     let (frame, code) = (number("frame")?, |value: &f32| (value.clamp(0.0, 1.0) * 255.0 + 0.5) as u8);

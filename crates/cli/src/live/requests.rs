@@ -1,4 +1,4 @@
-//! Where wishes meet: the job as files, command line and commands leave it, and the viewers.
+//! Requests to the display: the job after files, command line and commands, and the viewers.
 
 use std::collections::HashSet;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,52 +11,52 @@ use serde_json::Value;
 
 use super::clock::now;
 
-/// A job to show.
+/// A requested job.
 #[derive(Clone, Debug)]
-pub(super) struct Wish {
+pub(super) struct Request {
     pub(super) job: Job,
-    /// Raised when files have changed.
+    /// Number of changes to its files.
     pub(super) edition: u64,
 }
 
-/// Takes wishes from any thread.
-pub(super) struct Desk {
-    wish: Mutex<Kept>,
-    /// The newest wish.
-    pub(super) wishes: Mailbox<Wish>,
+/// Receives requests from any thread.
+pub(super) struct Requests {
+    request: Mutex<Kept>,
+    /// The newest request.
+    pub(super) newest: Mailbox<Request>,
     tracker: Mutex<Tracker>,
-    /// Of the work that a new wish makes needless.
+    /// Cancels work that a newer request makes useless.
     pass: Mutex<Option<Cancel>>,
     stopped: AtomicBool,
 }
 
 struct Kept {
-    wish: Wish,
-    /// Keys that were set by commands; they outlive a job file that is written anew.
+    request: Request,
+    /// Keys that commands have set; they also apply to a changed job file.
     set: Vec<(String, Value)>,
 }
 
-impl Desk {
+impl Requests {
     pub(super) fn new(job: Job) -> Self {
-        let kept = Kept { wish: Wish { job, edition: 0 }, set: Vec::new() };
+        let kept = Kept { request: Request { job, edition: 0 }, set: Vec::new() };
         Self {
-            wish: Mutex::new(kept),
-            wishes: Mailbox::default(),
+            request: Mutex::new(kept),
+            newest: Mailbox::default(),
             tracker: Mutex::default(),
             pass: Mutex::default(),
             stopped: AtomicBool::new(false),
         }
     }
 
-    /// The job as it stands.
+    /// The current job.
     pub(super) fn job(&self) -> Job {
-        lock(&self.wish).wish.job.clone()
+        lock(&self.request).request.job.clone()
     }
 
-    /// Sets keys of the job: all of them, or after an error none.
+    /// Sets keys of the job: all of them, or none after an error.
     pub(super) fn set(&self, keys: &[(String, Value)]) -> Result<(), PipelineError> {
-        let mut kept = lock(&self.wish);
-        kept.wish.job = with_keys(kept.wish.job.clone(), keys)?;
+        let mut kept = lock(&self.request);
+        kept.request.job = with_keys(kept.request.job.clone(), keys)?;
         for (key, value) in keys {
             kept.set.retain(|(other, _)| other != key);
             kept.set.push((key.clone(), value.clone()));
@@ -65,23 +65,23 @@ impl Desk {
         Ok(())
     }
 
-    /// Takes a job file that was written anew, with the keys that commands have set.
+    /// Replaces the job by a changed job file, and sets the keys of earlier commands again.
     pub(super) fn replace(&self, job: Job) -> Result<(), PipelineError> {
-        let mut kept = lock(&self.wish);
-        kept.wish.job = with_keys(job, &kept.set)?;
+        let mut kept = lock(&self.request);
+        kept.request.job = with_keys(job, &kept.set)?;
         self.post(&kept);
         Ok(())
     }
 
-    /// Has files read anew.
+    /// Requests to read files again.
     pub(super) fn reload(&self) {
-        let mut kept = lock(&self.wish);
-        kept.wish.edition += 1;
+        let mut kept = lock(&self.request);
+        kept.request.edition += 1;
         self.post(&kept);
     }
 
     fn post(&self, kept: &Kept) {
-        self.wishes.post(kept.wish.clone());
+        self.newest.post(kept.request.clone());
         self.cancel_pass();
     }
 
@@ -94,7 +94,7 @@ impl Desk {
         lock(&self.tracker).clone()
     }
 
-    /// A flag for work that the next wish makes needless.
+    /// Returns a flag for work that the next request makes useless.
     pub(super) fn pass(&self) -> Cancel {
         let cancel = Cancel::default();
         *lock(&self.pass) = Some(cancel.clone());
@@ -124,29 +124,29 @@ pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Passes each warning on once: a scene is rendered again and again.
+/// Passes each warning on once, since a scene is rendered many times.
 pub(super) struct Once<'a> {
     to: &'a dyn Warnings,
-    told: Mutex<HashSet<String>>,
+    seen: Mutex<HashSet<String>>,
 }
 
-/// Warnings that are remembered, at most.
-const MOST_TOLD: usize = 1000;
+/// Most warnings in memory.
+const MOST_SEEN: usize = 1000;
 
 impl<'a> Once<'a> {
     pub(super) fn new(to: &'a dyn Warnings) -> Self {
-        Self { to, told: Mutex::default() }
+        Self { to, seen: Mutex::default() }
     }
 }
 
 impl Warnings for Once<'_> {
     fn warn(&self, warning: Warning) {
-        let mut told = lock(&self.told);
-        if told.len() >= MOST_TOLD {
-            told.clear();
+        let mut seen = lock(&self.seen);
+        if seen.len() >= MOST_SEEN {
+            seen.clear();
         }
-        if told.insert(warning.to_string()) {
-            drop(told);
+        if seen.insert(warning.to_string()) {
+            drop(seen);
             self.to.warn(warning);
         }
     }

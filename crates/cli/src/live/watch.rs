@@ -1,36 +1,36 @@
-//! Files that are written while the display is shown, found by their length and time: that works on every file system, and for programs that
-//! replace files as well as for those that write into them.
+//! Detection of changed files by length and time. It works on every file system, for programs that
+//! replace files and for programs that write into them.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-/// A file's length and time, or those of all that lies in a folder; `None` of what is not there.
-type Looks = Vec<(PathBuf, Option<(u64, Option<SystemTime>)>)>;
+/// Length and time of a file, or of every file of a folder; `None` for a missing file.
+type FileStates = Vec<(PathBuf, Option<(u64, Option<SystemTime>)>)>;
 
-/// Files, as they were when they were taken up.
+/// Watched files, as they were at their last change.
 #[derive(Default)]
 pub(super) struct Watched {
-    seen: BTreeMap<PathBuf, Looks>,
-    /// A change that may not be whole yet.
-    moving: Option<BTreeMap<PathBuf, Looks>>,
+    seen: BTreeMap<PathBuf, FileStates>,
+    /// A change that may be incomplete.
+    moving: Option<BTreeMap<PathBuf, FileStates>>,
 }
 
 impl Watched {
-    /// Whether files have changed and have come to rest: they look the same at two looks one after another. Files that were not among those of the last look are
-    /// taken as they are.
+    /// Returns whether files have changed and are complete: two calls in a row must find the same
+    /// state. A file that is new in `files` is no change.
     pub(super) fn have_changed(&mut self, files: &[PathBuf]) -> bool {
-        let now: BTreeMap<PathBuf, Looks> = files.iter().map(|path| (path.clone(), looks(path))).collect();
+        let now: BTreeMap<PathBuf, FileStates> = files.iter().map(|path| (path.clone(), states(path))).collect();
         self.seen.retain(|path, _| now.contains_key(path));
-        for (path, looks) in &now {
-            self.seen.entry(path.clone()).or_insert_with(|| looks.clone());
+        for (path, states) in &now {
+            self.seen.entry(path.clone()).or_insert_with(|| states.clone());
         }
         if self.seen == now {
             self.moving = None;
             return false;
         }
-        // a file that is replaced is gone for a moment
-        let is_whole = now.values().flatten().all(|(_, looks)| looks.is_some());
+        // a file that a program replaces is missing for a short time
+        let is_whole = now.values().flatten().all(|(_, states)| states.is_some());
         if is_whole && self.moving.as_ref() == Some(&now) {
             (self.seen, self.moving) = (now, None);
             return true;
@@ -40,7 +40,7 @@ impl Watched {
     }
 }
 
-fn looks(path: &Path) -> Looks {
+fn states(path: &Path) -> FileStates {
     let of = |path: PathBuf| {
         let data = std::fs::metadata(&path).ok().map(|data| (data.len(), data.modified().ok()));
         (path, data)
@@ -56,7 +56,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn files_that_were_written_and_have_come_to_rest_are_told_once() {
+    fn complete_changes_are_reported_once() {
         let folder = tempfile::tempdir().unwrap();
         let paths = ["a.gltf", "views"].map(|name| folder.path().join(name));
         let [file, views] = &paths;
@@ -67,7 +67,7 @@ mod tests {
         assert_eq!(look(), [false; 3]);
         std::fs::write(file, "22").unwrap();
         assert_eq!(look(), [false, true, false]);
-        // replaced: gone for a moment
+        // a file that is replaced is missing for a short time
         std::fs::remove_file(file).unwrap();
         assert_eq!(look(), [false; 3]);
         std::fs::write(file, "333").unwrap();

@@ -14,32 +14,33 @@ use lumistack_pipeline::{PipelineError, Registry, Studio};
 use serde_json::json;
 
 use super::clock::now;
-use super::desk::{Desk, lock};
+use super::requests::{Requests, lock};
 use crate::console::say;
 
-/// How long a thread without work sleeps before it looks whether all is over.
+/// Sleep of a thread without work before it checks for the end.
 const IDLE: Duration = Duration::from_millis(20);
-/// How long one waits for the solver before it looks again.
+/// Sleep of the renderer while the solver is busy.
 const SHORT: Duration = Duration::from_millis(2);
-/// Updates of a light field after which patterns stay as they are.
+/// Most updates of a light field.
 const MOST_UPDATES: u32 = 60;
-/// Time that a step of the solver should take, at most, seconds: a display that follows late with good patterns is worse than one that is soon there.
+/// Longest step of the solver, seconds: a good state that comes late looks worse than a fair one
+/// that comes soon.
 const STEP_S: f64 = 0.3;
-/// How far a viewer goes before weights follow, millimetres.
+/// Motion of a viewer after which weights follow, mm.
 const TOLERANCE_MM: f64 = 2.0;
 
-/// A light field, and settings to solve it with.
+/// A light field to solve, and the settings of the solver.
 #[derive(Debug)]
-pub(super) struct Order {
+pub(super) struct SolveRequest {
     pub(super) target: Arc<Target>,
     settings: Settings,
 }
 
-/// What threads hand each other.
-pub(super) struct Stations {
-    pub(super) desk: Arc<Desk>,
-    orders: Mailbox<Order>,
-    /// What is to be shown.
+/// Values that the threads share.
+pub(super) struct Shared {
+    pub(super) requests: Arc<Requests>,
+    to_solve: Mailbox<SolveRequest>,
+    /// States to show.
     pub(super) states: Mailbox<State>,
     files: Mutex<Vec<PathBuf>>,
     updates: u32,
@@ -47,19 +48,19 @@ pub(super) struct Stations {
     stopped: AtomicBool,
 }
 
-/// Times of a video.
+/// Time steps of a video.
 pub(super) struct Rates {
-    /// None where the input is no video.
+    /// Light fields; empty where the input is no video.
     pub(super) times: Vec<PathBuf>,
     pub(super) rate_hz: f64,
     pub(super) most_late: usize,
 }
 
-impl Stations {
-    pub(super) fn new(desk: Desk, updates: u32, sigma_mm: f64) -> Self {
+impl Shared {
+    pub(super) fn new(requests: Requests, updates: u32, sigma_mm: f64) -> Self {
         Self {
-            desk: Arc::new(desk),
-            orders: Mailbox::default(),
+            requests: Arc::new(requests),
+            to_solve: Mailbox::default(),
             states: Mailbox::default(),
             files: Mutex::default(),
             updates,
@@ -71,57 +72,59 @@ impl Stations {
     /// Ends all threads.
     pub(super) fn stop(&self) {
         self.stopped.store(true, Ordering::SeqCst);
-        self.desk.stop();
-        self.desk.cancel_pass();
+        self.requests.stop();
+        self.requests.cancel_pass();
     }
 
     pub(super) fn is_stopped(&self) -> bool {
         self.stopped.load(Ordering::SeqCst)
     }
 
-    /// Files that the light field on show is made from.
+    /// Files of the current light field.
     pub(super) fn files(&self) -> Vec<PathBuf> {
         lock(&self.files).clone()
     }
 }
 
-/// Makes light fields until all is over. Returns how many times of a video were left out.
+/// Makes light fields until the end. Returns how many time steps of a video were skipped.
 ///
 /// # Errors
-/// When there is nothing to begin with; later errors are told, and what is shown stays.
+/// When the first light field fails; later errors are reported, and the current state stays.
 pub(super) fn render(
     mut studio: Studio,
-    stations: &Stations,
+    shared: &Shared,
     rates: Rates,
     registry: &Registry,
     task: Task<'_>,
 ) -> Result<usize, PipelineError> {
-    let (desk, is_video) = (&stations.desk, !rates.times.is_empty());
+    let (requests, is_video) = (&shared.requests, !rates.times.is_empty());
     let mut player = Player::new(rates.times.len(), rates.rate_hz, rates.most_late);
     let (mut seen, mut edition, mut is_new, mut sent) = (0, 0, true, 0);
-    while !stations.is_stopped() {
-        if let Some((number, wish)) = desk.wishes.after(seen) {
+    while !shared.is_stopped() {
+        // Apply the newest request.
+        if let Some((number, request)) = requests.newest.after(seen) {
             (seen, is_new) = (number, true);
-            let mut job = wish.job.clone();
+            let mut job = request.job.clone();
             if is_video {
                 job.light_field.clone_from(&studio.job().light_field);
             }
-            if wish.edition != edition {
-                edition = wish.edition;
+            if request.edition != edition {
+                edition = request.edition;
                 studio.reload();
             }
             if let Err(error) = studio.change(job) {
                 task.warn("live", error.to_string());
             }
         }
-        let is_solved = sent == 0 || stations.states.after(0).is_some_and(|(_, state)| state.target_number >= sent);
+        // Wait until the solver has used the last light field.
+        let is_solved = sent == 0 || shared.states.after(0).is_some_and(|(_, state)| state.target_number >= sent);
         if !(is_video || is_new || is_solved) {
-            // another pass would take the processors that the solver needs for the one before
-            drop(desk.wishes.wait_after(seen, SHORT));
+            // another pass would take processors from the solver
+            drop(requests.newest.wait_after(seen, SHORT));
             continue;
         }
         if is_video {
-            // in order: the next time is taken when the one before has become patterns
+            // in order: the next time step starts when the previous one has patterns
             match is_solved.then(|| player.next(now())) {
                 Some(Due::Time(time)) => {
                     let job = lumistack_pipeline::Job {
@@ -131,7 +134,7 @@ pub(super) fn render(
                     is_new = studio.change(job).is_ok();
                 }
                 Some(Due::End) => {
-                    desk.stop();
+                    requests.stop();
                     break;
                 }
                 Some(Due::Wait(time)) => std::thread::sleep(time.min(IDLE)),
@@ -141,62 +144,66 @@ pub(super) fn render(
                 continue;
             }
         }
-        // what is shown first of a change is not stopped by the next one, or nothing would be shown while one follows the other
-        let cancel = if is_new { task.cancel.clone() } else { desk.pass() };
+        // A new request must not cancel the first pass of the previous one: otherwise a series of
+        // requests would show nothing.
+        let cancel = if is_new { task.cancel.clone() } else { requests.pass() };
         let pass = studio.pass(registry, Task { cancel: &cancel, ..task }).and_then(|made| {
-            *lock(&stations.files) = studio.files();
+            *lock(&shared.files) = studio.files();
             Ok(match made {
-                Some(target) => Some(Order { target: Arc::new(target), settings: studio.settings()? }),
+                Some(target) => Some(SolveRequest { target: Arc::new(target), settings: studio.settings()? }),
                 None => None,
             })
         });
+        // Send the light field to the solver.
         match pass {
-            Ok(Some(order)) => {
-                sent = stations.orders.post(order);
+            Ok(Some(request)) => {
+                sent = shared.to_solve.post(request);
                 is_new = false;
             }
-            Ok(None) if !is_video => drop(desk.wishes.wait_after(seen, IDLE)),
+            Ok(None) if !is_video => drop(requests.newest.wait_after(seen, IDLE)),
             Ok(None) | Err(PipelineError::Cancelled) => {}
             Err(error) if sent == 0 => {
-                desk.stop();
+                requests.stop();
                 return Err(error);
             }
             Err(error) => {
-                // what was shown before stays; files may be half-written
-                *lock(&stations.files) = studio.files();
+                // the current state stays; files may be incomplete
+                *lock(&shared.files) = studio.files();
                 task.warn("live", error.to_string());
                 is_new = false;
-                while !(is_video || stations.is_stopped() || desk.wishes.wait_after(seen, IDLE).is_some()) {}
+                while !(is_video || shared.is_stopped() || requests.newest.wait_after(seen, IDLE).is_some()) {}
             }
         }
     }
     Ok(player.dropped)
 }
 
-/// Solves the newest light field again and again until all is over.
-pub(super) fn solve(stations: &Stations, json: bool, task: Task<'_>) {
+/// Solves the newest light field step by step until the end.
+pub(super) fn solve(shared: &Shared, json: bool, task: Task<'_>) {
     let mut solver: Option<Solver> = None;
-    let mut now_on: Option<OnShow> = None;
+    let mut current: Option<Current> = None;
     let (mut seen, mut latency, mut update_s) = (0, Duration::ZERO, 0.0);
-    while !(stations.is_stopped() || task.cancel.is_cancelled()) {
-        if let Some((number, order)) = stations.orders.after(seen) {
+    while !(shared.is_stopped() || task.cancel.is_cancelled()) {
+        // Take the newest light field, and follow the viewers.
+        if let Some((number, request)) = shared.to_solve.after(seen) {
             seen = number;
-            let solver = solver.get_or_insert_with(|| Solver::new(order.settings.clone()));
-            solver.set(order.settings.clone());
-            now_on = Some(OnShow::new(number, order, now_on.take()));
+            let solver = solver.get_or_insert_with(|| Solver::new(request.settings.clone()));
+            solver.set(request.settings.clone());
+            current = Some(Current::new(number, request, current.take()));
         }
-        let (Some(solver), Some(on)) = (&mut solver, &mut now_on) else {
-            drop(stations.orders.wait_after(seen, IDLE));
+        let (Some(solver), Some(on)) = (&mut solver, &mut current) else {
+            drop(shared.to_solve.wait_after(seen, IDLE));
             continue;
         };
-        on.follow(stations.desk.tracker().boxes(now(), latency), stations.sigma_mm, task);
+        on.follow(shared.requests.tracker().boxes(now(), latency), shared.sigma_mm, task);
         if on.left == 0 {
-            drop(stations.orders.wait_after(seen, IDLE));
+            drop(shared.to_solve.wait_after(seen, IDLE));
             continue;
         }
-        let (start, target) = (now(), on.order.target.clone());
+        let (start, target) = (now(), on.request.target.clone());
+        // As many updates as fit into a step.
         let affordable = if update_s > 0.0 { (STEP_S / update_s) as u32 } else { 1 };
-        let updates = affordable.clamp(1, stations.updates).min(on.left);
+        let updates = affordable.clamp(1, shared.updates).min(on.left);
         match solver.step(&target, &on.weights, updates, task) {
             Ok(solved) => {
                 on.left -= updates;
@@ -216,7 +223,7 @@ pub(super) fn solve(stations: &Stations, json: bool, task: Task<'_>) {
                 };
                 let (content, passes) = (state.target.content, state.target.passes);
                 let (psnr, updates) = (state.psnr_view, state.updates);
-                let number = stations.states.post(state);
+                let number = shared.states.post(state);
                 if json {
                     let psnr = psnr.is_finite().then_some(psnr);
                     let start = format!("{:?}", solved.start).to_lowercase();
@@ -236,32 +243,32 @@ pub(super) fn solve(stations: &Stations, json: bool, task: Task<'_>) {
     }
 }
 
-/// The light field that is solved.
-struct OnShow {
+/// The light field that is being solved.
+struct Current {
     number: u64,
-    order: Arc<Order>,
+    request: Arc<SolveRequest>,
     boxes: Boxes,
     weights: Arc<Weights>,
-    /// Updates since the content changed, and those that are left.
+    /// Updates since the content changed, and remaining updates.
     updates: u32,
     left: u32,
 }
 
-impl OnShow {
-    fn new(number: u64, order: Arc<Order>, before: Option<Self>) -> Self {
-        let same = before.filter(|before| before.order.target.content == order.target.content);
+impl Current {
+    fn new(number: u64, request: Arc<SolveRequest>, before: Option<Self>) -> Self {
+        let same = before.filter(|before| before.request.target.content == request.target.content);
         let updates = same.map_or(0, |before| before.updates);
         let boxes = Boxes { heads_mm: Vec::new(), zone: 1.0 };
-        let weights = Arc::new(order.target.weights.clone());
-        Self { number, order, boxes, weights, updates, left: MOST_UPDATES }
+        let weights = Arc::new(request.target.weights.clone());
+        Self { number, request, boxes, weights, updates, left: MOST_UPDATES }
     }
 
-    /// Makes weights follow viewers.
+    /// Computes the weights for moved viewers.
     fn follow(&mut self, boxes: Boxes, sigma_mm: f64, task: Task<'_>) {
         if boxes.is_like(&self.boxes, TOLERANCE_MM) {
             return;
         }
-        let target = &self.order.target;
+        let target = &self.request.target;
         match boxes.weights(target.field.geometry(), &target.weights, sigma_mm) {
             Ok(weights) => (self.weights, self.left) = (Arc::new(weights), MOST_UPDATES),
             Err(error) => task.warn("viewers", error.to_string()),
