@@ -1,11 +1,16 @@
-"""Renders the scenes of `cargo xtask bench agreement` with Mitsuba 3 and tests whether both renderers have the same mean in every pixel.
+"""Renders the scenes of `cargo xtask bench agreement` with Mitsuba 3, and tests for equal means in every pixel.
 
 agreement.py FOLDER
 
-Both sides give independent batches. Per pixel and channel Welch's t of the two means is tested two-sided; per picture the mean over all
-pixels, and the mean of t^2 over pixels (grey), which sees small differences spread over many pixels. A correct pair fails one run in
-1000: FALSE_ALARM_RATE is divided by the number of tests (Bonferroni). SYSTEMATIC is granted before: float32, and that Mitsuba multiplies
-the maskings of both directions where the other side takes their joint one, which at the roughness used here differs by less than that.
+Both renderers make independent batches. Three tests compare them:
+
+- Welch's t of the two means per pixel and channel, two-sided
+- the mean over all pixels of a picture
+- the mean of t^2 over pixels (grey), which detects small differences in many pixels
+
+A correct pair fails one run in 1000: FALSE_ALARM_RATE is divided by the number of tests (Bonferroni). A relative
+difference of SYSTEMATIC is allowed. It covers float32, and the masking-shadowing term: Mitsuba multiplies those of both
+directions, where the other side uses the joint term.
 """
 
 import json
@@ -128,7 +133,7 @@ def load(folder):
 
 
 def compare(ours, theirs):
-    """Differences of two stacks of batches: mean ratio, largest |t| with its p, p of the picture's mean, p of the mean of t^2."""
+    """Compares two stacks of batches: mean ratio, largest |t| with its p, p of the picture's mean, p of the mean of t^2."""
     count = len(ours)
 
     def t_of(a, b):
@@ -137,7 +142,7 @@ def compare(ours, theirs):
         error = np.sqrt((a.var(0, ddof=1) + b.var(0, ddof=1)) / count)
         excess = np.maximum(np.abs(difference) - granted, 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            # where both are without noise, being within what is granted is agreement
+            # without noise, a difference within SYSTEMATIC is agreement
             return np.where(excess > 0.0, excess / error, 0.0), error, difference
 
     freedom = count - 1

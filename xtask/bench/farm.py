@@ -1,4 +1,4 @@
-"""A sequence on one and on two workers: time, prediction, kills of workers and client, a full disk. `cargo xtask bench farm` runs it."""
+"""Runs a sequence on one and on two workers: time, prediction, kills of workers and client, a full disk. `cargo xtask bench farm` runs it."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ turn_deg = {turn}
 
 
 def results(folder: Path) -> dict[str, bytes]:
-    """Files of a run, those of caches and reports, which tell times, left out."""
+    """Reads the files of a run, without caches and reports, which contain times."""
     files = (path for path in sorted(folder.rglob("*")) if path.is_file() and "cache" not in path.relative_to(folder).parts)
     kept = (path for path in files if not path.name.startswith("report.") and path.name != "job.toml")
     return {str(path.relative_to(folder)): path.read_bytes() for path in kept}
 
 
 def predicted(folder: Path, workers: list[int]) -> dict[int, float]:
-    """Makespans by the measured times of a finished run, seconds."""
+    """Predicts makespans in seconds from the measured times of a finished run."""
     words = [*PROGRAM, "--json", "farm", "show", str(folder), "--workers", ",".join(map(str, workers))]
     answer = json.loads(subprocess.run(words, capture_output=True, text=True, check=True).stdout.splitlines()[-1])
     return {prediction["workers"]: prediction["makespan_seconds"] for prediction in answer["predictions"]}
@@ -55,13 +55,13 @@ def predicted(folder: Path, workers: list[int]) -> dict[int, float]:
 
 def timed(job: Path, folder: Path, workers: int, options: list[str]) -> float:
     with connected(None, None, workers, None) as client:
-        # the first unit of each worker pays for imports
+        # the first unit of each worker loads its modules
         client.run(lumistack.farm._work.probe, None, str(folder))
         return lumistack.farm.run(job, folder, options=options, client=client, threads=1).seconds
 
 
 def kill_often(job: Path, folder: Path, options: list[str], count: int) -> int:
-    """Kills workers at random moments, and once the client with all its children; gives the number of kills."""
+    """Kills workers at random times, and once the client with all its children. Returns the number of kills."""
     chance = random.Random(7)
     words = [*PROGRAM, "--threads", "1", "farm", str(job), "-o", str(folder), *options]
     first = subprocess.Popen(words, env={**os.environ, "LUMISTACK_PYTHON": sys.executable}, process_group=0, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
@@ -92,7 +92,7 @@ def kill_often(job: Path, folder: Path, options: list[str], count: int) -> int:
 
 
 def seams(place: Path, job: Path, times: int) -> dict[str, Any]:
-    """What cutting the chain of times into four chunks costs: error and flicker where chunks meet, beside the whole chain's."""
+    """Measures error and flicker at the seams of a sequence in four chunks, relative to the whole chain."""
 
     def report(folder: Path, *options: str) -> list[dict[str, Any]]:
         subprocess.run([*PROGRAM, "run", str(job), "-o", str(folder), *options], check=True, capture_output=True)
@@ -106,7 +106,7 @@ def seams(place: Path, job: Path, times: int) -> dict[str, Any]:
         if warm_up > chunk:
             continue
         folder = place / f"chunks-{warm_up}"
-        # views are those of the chain
+        # the views are those of the chain
         subprocess.run(["cp", "-r", str(place / "plain"), str(folder)], check=True)
         cut = report(folder, "--chunk-times", str(chunk), "--warm-up-times", str(warm_up))
         starts = range(chunk, times, chunk)
@@ -117,7 +117,7 @@ def seams(place: Path, job: Path, times: int) -> dict[str, Any]:
 
 
 def full_disk(job: Path, expected: dict[str, bytes], options: list[str]) -> str:
-    """A run into a file system that is too small, which is then enlarged; needs root."""
+    """Runs into a file system that is too small, then enlarges it and runs again; needs root."""
     with tempfile.TemporaryDirectory() as place:
         mount = ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", place]
         if os.geteuid() != 0 or subprocess.run(mount, capture_output=True).returncode != 0:
@@ -145,7 +145,7 @@ def main() -> int:
     given = parser.parse_args()
     size: dict[str, Any] = {"cols": 40, "rows": 26, "samples": 8, "times": 12} if given.quick else {"cols": 84, "rows": 52, "samples": 32, "times": 48}
     size["times"], size["samples"] = given.times or size["times"], given.samples or size["samples"]
-    # some 0.4° from time to time
+    # some 0.4° between time steps
     size["turn"] = 0.4 * (size["times"] - 1)
     figures: dict[str, Any] = dict(size)
     with tempfile.TemporaryDirectory() as name:

@@ -1,4 +1,4 @@
-"""`lumistack live` under random edits: states, memory, Ctrl-C. `cargo xtask bench live` runs it."""
+"""Tests `lumistack live` under random edits: states, memory, Ctrl-C. `cargo xtask bench live` runs it."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
-# Share of the memory after the first third of the edits by which it may have grown at the end.
+# Largest growth of memory from the first third of the edits to the end, as a share.
 GROWTH = 0.10
 FREEZE_S = 0.3
 
 
 def edit(random: random.Random) -> dict[str, Any]:
-    """A change of any kind, some of which make no sense."""
+    """Makes a random request, sometimes an invalid one."""
     pick = random.random()
     if pick < 0.2:
         return {"set": {"display.brightness": round(random.uniform(0.1, 1.0), 2)}}
@@ -48,7 +48,7 @@ def edit(random: random.Random) -> dict[str, Any]:
 
 
 class Watcher(threading.Thread):
-    """A page: takes every state that it can get, and checks that it is whole."""
+    """A page that requests every state, and checks that each is complete."""
 
     def __init__(self, address: str) -> None:
         super().__init__(daemon=True)
@@ -82,7 +82,7 @@ class Watcher(threading.Thread):
 
 
 def is_whole(png: bytes) -> bool:
-    """Whether every part of a PNG has its checksum."""
+    """Returns whether every part of a PNG matches its checksum."""
     at = 8
     while at + 12 <= len(png):
         size = struct.unpack_from(">I", png, at)[0]

@@ -1,7 +1,7 @@
-"""The view in Mitsuba 3, `llvm_ad_rgb`. Asked as `view.py` says.
+"""Renders the view in Mitsuba 3, `llvm_ad_rgb`. `view.py` describes the requests.
 
-Mitsuba compiles with the LLVM library that the system has; versions before 16 fail on machines with AVX-512, so the newest is chosen. On
-Debian, `apt-get install libllvm19` brings one. DRJIT_LIBLLVM_PATH names another.
+Mitsuba compiles with the system's LLVM library. Versions before 16 fail on machines with AVX-512, so the newest
+is chosen. On Debian `apt-get install libllvm19` installs one. DRJIT_LIBLLVM_PATH selects another.
 """
 import glob
 import os
@@ -38,7 +38,7 @@ def mesh(about, index):
     positions, triangles, uvs = v.arrays(about)
     picture = v.image(about)
     if picture:
-        # 8-bit files are sRGB to Mitsuba, which makes them linear
+        # Mitsuba reads 8-bit files as sRGB and makes them linear
         color = {"type": "bitmap", "filename": picture, "wrap_mode": "repeat"}
     else:
         color = {"type": "rgb", "value": about["color"]}
@@ -88,7 +88,7 @@ scene = mi.load_dict({
 sensors = {
     sampler: mi.load_dict(camera() | {"sampler": {"type": sampler, "sample_count": 16}}) for sampler in ("multijitter", "independent")
 }
-# Mitsuba counts segments from the camera: one more than scattering vertices
+# Mitsuba counts the segments of a path: one more than its scattering vertices
 integrator = mi.load_dict({"type": "path", "max_depth": view.BOUNCES_AFTER_FIRST_HIT + 2, "rr_depth": 1000})
 
 

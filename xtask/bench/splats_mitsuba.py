@@ -1,10 +1,11 @@
-"""Views of Gaussian splats by Mitsuba 3 (`ellipsoids`, `volprim_rf_basic`) beside ours, along the same rays, on the processor.
+"""Compares views of Gaussian splats with those of Mitsuba 3 (`ellipsoids`, `volprim_rf_basic`), along the same rays.
 
 splats_mitsuba.py FOLDER
 
-Mitsuba meets the ellipsoids one after another along every ray, where they begin, and takes the peak of each Gaussian on the ray. Ours are projected as a whole, are put in
-order by their centres, and are filtered by a pixel's box. Where neither matters, in the cases `apart`, pictures agree to LEAST_APART; of splats that overlap by
-thousands, LEAST_CAPTURE is what the orders leave. Mitsuba stops where 1 % of the light comes through.
+Mitsuba sorts the ellipsoids of every ray by their nearest points, and uses the peak of each Gaussian on the ray.
+Lumistack projects whole splats, sorts them by their centres, and filters by a pixel's box. In the cases `apart`
+neither matters, and pictures agree to LEAST_APART. Where thousands of splats overlap, the different orders limit
+the agreement to LEAST_CAPTURE. Mitsuba stops where 1 % of the light is transmitted.
 """
 
 import json
@@ -16,7 +17,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-# before any other use of it
+# must come before other uses of Mitsuba
 mi.set_variant("llvm_ad_rgb")
 
 LEAST_APART = 60.0
@@ -26,7 +27,7 @@ RAYS = 4
 
 
 def rays(case, slope):
-    """Origins and directions of all rays of a view, those of a pixel together: x right, y up, z towards the viewer."""
+    """Computes origins and directions of all rays of a view, pixel by pixel: x right, y up, z towards the viewer."""
     rows, cols, pitch = case["rows"], case["cols"], case["pitch_mm"]
     offsets = (np.arange(RAYS) + 0.5) / RAYS - 0.5
     row, col, i, j = np.meshgrid(np.arange(rows), np.arange(cols), offsets, offsets, indexing="ij")

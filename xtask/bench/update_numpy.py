@@ -1,4 +1,4 @@
-"""The paper's multiplicative update in NumPy, with shifted slices. Asked as `worker.py` says."""
+"""The paper's multiplicative update in NumPy, with shifted slices. `worker.py` describes the requests."""
 from functools import reduce
 from operator import mul
 

@@ -1,4 +1,7 @@
-"""The paper's multiplicative update in PyTorch on the CPU, with shifted slices and without gradients. Asked as `worker.py` says."""
+"""The paper's multiplicative update in PyTorch on the CPU, with shifted slices and without gradients.
+
+`worker.py` describes the requests.
+"""
 from functools import reduce
 from operator import mul
 

@@ -1,16 +1,16 @@
-"""What the peers of `cargo xtask bench render` share: the scene, and how they are asked.
+"""The scene and the requests that the peers of `cargo xtask bench render` share.
 
-A peer is a script that renders one view of a scene of diffuse surfaces. It is started with a folder as its argument, which holds
+A peer is a script that renders one view of a scene with diffuse surfaces. Its argument is a folder with
 
     scene.json          meshes, camera, sky and rectangle light; whether this light must be exact
     N_positions.npy     vertices of mesh N in the world, N_triangles.npy its indices, N_uvs.npy texture coordinates (v downwards)
     image_N.png         textures, sRGB
 
-and then answers requests, one line of text each, with one line of JSON each:
+It answers requests, one line of text each, with one line of JSON each:
 
     render SAMPLER SAMPLES SEED FILE    the picture goes to FILE as float32 [row][col][rgb], linear; {"seconds": time that the paths took}
 
-Paths: 4 bounces after the first hit, no roulette, no clamping, box filter.
+Paths: 4 bounces after the first hit, no Russian roulette, no clamping, box filter.
 """
 import json
 import sys
@@ -31,16 +31,16 @@ class View:
         self.exact = about["exact"]
 
     def arrays(self, mesh):
-        """Positions, triangles, texture coordinates of a mesh."""
+        """Reads positions, triangles and texture coordinates of a mesh."""
         return [np.load(f"{self.folder}/{mesh['files']}_{what}.npy") for what in ("positions", "triangles", "uvs")]
 
     def image(self, mesh):
-        """The picture's path, or None."""
+        """Returns the path of the texture, or None."""
         return None if mesh["image"] is None else f"{self.folder}/image_{mesh['image']}.png"
 
 
 def serve(name, samplers, render):
-    """Answers requests until there are no more. `render(sampler, samples, seed)` gives the seconds and the picture."""
+    """Answers requests until the input ends. `render(sampler, samples, seed)` returns the seconds and the picture."""
     answer({"name": name, "samplers": samplers})
     for line in sys.stdin:
         _, sampler, samples, seed, path = line.rstrip("\n").split("\t")

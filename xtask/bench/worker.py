@@ -1,18 +1,19 @@
-"""What the peers of `cargo xtask bench factorize` share: the problem, its geometry, and how they are asked.
+"""The problem, its geometry and the requests that the peers of `cargo xtask bench factorize` share.
 
-A peer is a script that runs the paper's multiplicative update (eq. 16) on arrays of its library. It is started with a folder as its argument, which holds
+A peer is a script that runs the paper's multiplicative update (eq. 16) on arrays of its library. Its argument is a
+folder with
 
     problem.json    pixels, pitch, views, angles, distances of the layers, frames, brightness
     target.npy      L, [view_y][view_x][row][col][rgb]
-    layer_N.npy     where layer N starts, [frame][row][col][rgb]; layer 0 is the rearmost
+    layer_N.npy     start of layer N, [frame][row][col][rgb]; layer 0 is the rearmost
 
-and then answers requests, one line of text each, with one line of JSON each:
+It answers requests, one line of text each, with one line of JSON each:
 
     save VARIANT FOLDER     one update from the start; its masks go to FOLDER/layer_N.npy as float32
     update VARIANT          one more update; {"seconds": time that it took}
 
-Geometry is derived here once more from the display's numbers: oblique views, nearest sampling, and rays that leave a layer do not count, so that
-every view meets every layer in one rectangle of pixels, a slice of the arrays.
+The geometry is derived again from the display's numbers, with oblique views and nearest sampling. Rays that leave a
+layer do not count. So every view hits every layer in one rectangle of pixels, a slice of the arrays.
 """
 import json
 import math
@@ -25,7 +26,7 @@ FLOOR = 1e-4  # an exact 0 could never grow again
 
 
 class Problem:
-    """Arrays with colour and frame outside rows and columns, as whole-array operations like them."""
+    """Arrays with colour and frame before rows and columns, which suits whole-array operations."""
 
     def __init__(self, folder):
         with open(f"{folder}/problem.json") as file:
@@ -40,7 +41,7 @@ class Problem:
 
 
 def views(about):
-    """Of every view: its index in the target, its slice of a layer's rays there, and its slice of every layer."""
+    """Computes for every view its slice of the target and its slice of every layer."""
     (cols, rows), (view_cols, view_rows) = about["resolution"], about["views"]
 
     def shifts(a, count, fov_deg):
@@ -58,13 +59,16 @@ def views(about):
 
 
 def others(layers, at, n):
-    """The slices of all layers but layer n."""
+    """Returns the slices of all layers but layer n."""
     return [layer[part] for k, (layer, part) in enumerate(zip(layers, at)) if k != n]
 
 
 def serve(name, threads, variants, array, numpy):
-    """Answers requests until there are no more. `variants`: updates by name, each taking target, layers (changed in place) and views;
-    `array` and `numpy` turn NumPy arrays into the library's and back."""
+    """Answers requests until the input ends.
+
+    `variants` are updates by name, each with the arguments target, layers (changed in place) and views. `array` and
+    `numpy` convert NumPy arrays to the library's and back.
+    """
     problem = Problem(sys.argv[1])
     target = array(problem.target)
     state = {}

@@ -1,4 +1,5 @@
-//! `bindgen IN.wasm OUT_DIR NAME`: the JavaScript and the types around a module.
+//! `bindgen IN.wasm OUT_DIR NAME` generates the JavaScript and the types around a WebAssembly
+//! module.
 
 use std::process::ExitCode;
 

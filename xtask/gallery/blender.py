@@ -1,13 +1,13 @@
-"""Renders one file of the gallery with Blender's Cycles: the camera and light that our render used, linear EXR pictures out.
+"""Renders one file of the gallery with Blender's Cycles, with Lumistack's camera and light, as linear EXR pictures.
 
     python blender.py FOLDER/ours.json [threads]
 
-Reads FOLDER/ours.json and environment.exr; writes FOLDER/blender-a.exr and blender-b.exr (half of the samples each, different seeds),
-FOLDER/covered.npy (share of every pixel that a surface covers) and FOLDER/blender.json.
+Reads FOLDER/ours.json and environment.exr. Writes FOLDER/blender-a.exr and blender-b.exr (half of the samples each,
+different seeds), FOLDER/covered.npy (covered share of every pixel) and FOLDER/blender.json.
 
 glTF's y up becomes Blender's z up: (x, y, z) -> (x, -z, y). Lights are imported as "Unitless" (COMPAT): W/sr for candela, W/m^2 for lux,
-as our path tracer takes them. Two things that the importer leaves otherwise than the format says are set right, so that what differs is the
-rendering: surfaces without a material get glTF's default one, and glass absorbs -ln(attenuationColor)/attenuationDistance.
+as in Lumistack's path tracer. Two deviations of the importer from the format are corrected, so that only the rendering
+differs. Surfaces without a material get glTF's default one. Glass absorbs -ln(attenuationColor)/attenuationDistance.
 """
 
 import hashlib
@@ -40,14 +40,14 @@ def main():
         return
     try:
         said.update(render(ours, folder, int(sys.argv[2]) if len(sys.argv) > 2 else 0))
-    except Exception as error:  # the importer raises whatever it stumbles over
+    except Exception as error:  # the importer raises exceptions of any type
         said["error"] = str(error).strip().splitlines()[-1]
     with open(os.path.join(folder, "blender.json"), "w") as file:
         json.dump(said, file, indent=1)
 
 
 def asked(ours, folder):
-    """A digest of everything that the pictures depend on."""
+    """Computes a digest of all inputs of the pictures."""
     keys = ["path", "size", "samples", "max_bounces", "animated", "environment", "reach", "window"]
     digest = hashlib.sha256(json.dumps([ours.get(key) for key in keys]).encode())
     for path in [ours["path"], __file__, os.path.join(folder, "environment.exr")]:
@@ -86,7 +86,7 @@ def render(ours, folder, threads):
 
 
 def rest():
-    """Lets the importer see no animations, so that nodes, joints and morphs stay as the file's nodes say."""
+    """Hides animations from the importer, so that nodes, joints and morph targets keep the values of the file's nodes."""
     from io_scene_gltf2.io.imp.gltf2_io_gltf import glTFImporter
 
     read = glTFImporter.read
@@ -99,7 +99,7 @@ def rest():
 
 
 def default_material():
-    """White metal, as rough as can be."""
+    """Gives surfaces without a material glTF's default one: fully rough white metal."""
     white = bpy.data.materials.new("glTF default")
     white.use_nodes = True
     shader = white.node_tree.nodes["Principled BSDF"]
@@ -112,7 +112,10 @@ def default_material():
 
 
 def absorption():
-    """Cycles absorbs density * (1 - color); the importer gives it 1/attenuationDistance and attenuationColor."""
+    """Corrects the absorption of glass.
+
+    Cycles absorbs density * (1 - color); the importer sets these to 1/attenuationDistance and attenuationColor.
+    """
     for material in bpy.data.materials:
         for node in material.node_tree.nodes if material.use_nodes else []:
             if node.type != "VOLUME_ABSORPTION":
@@ -154,7 +157,8 @@ def world(scene, ours, folder):
     picture = nodes.new("ShaderNodeTexEnvironment")
     picture.image = bpy.data.images.load(os.path.join(folder, "environment.exr"))
     picture.image.colorspace_settings.name = "Linear Rec.709"
-    # the middle of our maps looks along -z, which is Blender's +y; the middle of Blender's looks along +x
+    # the centre of Lumistack's maps looks along -z, which is Blender's +y; the centre of Blender's
+    # maps looks along +x
     x, y, z, w = ours["environment"]["rotation"]
     turned = mathutils.Quaternion((w, x, y, z)).to_matrix().to_4x4()
     scene_from_map = BLENDER_FROM_GLTF @ turned @ BLENDER_FROM_GLTF.inverted()
@@ -183,7 +187,7 @@ def settings(scene, ours, threads):
     cycles.use_denoising = False
     cycles.pixel_filter_type = "BOX"
     cycles.filter_width = 1.0
-    # nothing is cut off or blurred, and paths are as long as ours
+    # no clamping or blurring, and paths as long as Lumistack's
     cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0.0
     cycles.blur_glossy = 0.0
     cycles.caustics_reflective = cycles.caustics_refractive = True
@@ -204,7 +208,7 @@ def picture(scene, path, mode):
 
 
 def coverage(scene, folder):
-    """Share of a pixel that a surface covers, from the alpha of a short render before nothing."""
+    """Measures the covered share of every pixel, from the alpha of a short render without background."""
     scene.render.film_transparent = True
     scene.cycles.film_transparent_glass = False
     scene.cycles.samples = 16

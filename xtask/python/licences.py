@@ -23,7 +23,7 @@ with zipfile.ZipFile(wheel, "w", zipfile.ZIP_DEFLATED) as archive:
             rows.insert(len(rows) - 1, [name, f"sha256={digest}", str(len(content))])
             lines = io.StringIO()
             csv.writer(lines, lineterminator="\n").writerows(rows)
-            # installers look for the record at the end
+            # installers expect the record at the end
             archive.writestr(zipfile.ZipInfo(name, info.date_time), content, zipfile.ZIP_DEFLATED)
             data = lines.getvalue().encode()
         if info.filename != name:

@@ -1,4 +1,7 @@
-"""The documentation as pages: build.py FOLDER. Markdown stays as it is on the forge; links between pages are followed, and one that leads nowhere is an error."""
+"""Builds the documentation as a web site: build.py FOLDER.
+
+Links between pages are checked; a link to a missing page or heading is an error.
+"""
 
 import html
 import posixpath
@@ -10,7 +13,7 @@ from pathlib import Path
 import markdown
 
 ROOT = Path(__file__).resolve().parents[2]
-#: What stands on the left of every page: headings, and pages with their titles.
+#: Navigation of every page: headings, and pages with their titles.
 PARTS = {
     "Start here": {
         "README.md": "Lumistack",
@@ -72,7 +75,7 @@ PAGE = """<!doctype html>
 
 
 def slug(text: str, separator: str) -> str:
-    """As forges make anchors of headings."""
+    """Makes the anchor of a heading as forges do."""
     return re.sub(r"[^\w\- ]", "", text.lower()).strip().replace(" ", separator)
 
 
@@ -107,7 +110,7 @@ class Site:
         return "".join(lines)
 
     def link(self, path: str, target: str) -> str | None:
-        """Where a link of a page leads on the site; None for a folder, which has no page."""
+        """Returns the target of a link on the site; None for a folder, which has no page."""
         if re.match(r"[a-z]+:", target):
             return target
         target, _, anchor = target.partition("#")
@@ -133,7 +136,7 @@ class Site:
             extension_configs={"toc": {"slugify": slug}},
         )
         text = (ROOT / path).read_text()
-        # a list that follows a line of text begins a list on forges, without an empty line between
+        # on forges a list may follow a line of text without an empty line between
         text = re.sub(r"(?m)^(?!\s*(?:[*-]|\d+\.) |\s*$|\s+)(.+)\n(?=[*-] |\d+\. )", r"\1\n\n", text)
         body = maker.convert(text)
         self.anchors[path] = set(re.findall(r'id="([^"]+)"', body))

@@ -1,4 +1,5 @@
-//! Timings of release builds: the factorizer beside other libraries, how fast solvers converge, displays beyond memory, and the path tracer.
+//! Timings of release builds, in comparison with other programs: factorizer, solvers, path tracer,
+//! outputs and more.
 
 use std::path::{Path, PathBuf};
 
@@ -9,7 +10,7 @@ use crate::python;
 use crate::tools::{self, Outcome, absolute, cargo, command, example, output_of, text};
 use crate::web;
 
-/// What `cargo xtask bench --help` prints.
+/// Help of `cargo xtask bench --help`.
 pub const USAGE: &str = "\
 cargo xtask bench [what]
 
@@ -83,7 +84,7 @@ target/python-bench; Mitsuba also needs an LLVM
 library of the system (Debian: libllvm19).
 ";
 
-/// Runs what the words after `bench` ask for; `None` if they make no sense.
+/// Runs the bench that the words after `bench` select; `None` if they are wrong.
 pub fn run(arguments: &[&str]) -> Option<Outcome> {
     Some(match arguments {
         [] => factorize(&["--no-peers"])?.and_then(|()| bench_render::render(&["--no-peers"]).unwrap_or(Ok(()))),
@@ -198,7 +199,7 @@ fn convergence(options: &[&str]) -> Option<Outcome> {
     Some(example("lumistack-factorizer", "bench_convergence", &passed))
 }
 
-/// A Python with Mitsuba.
+/// Finds or makes a Python with Mitsuba.
 fn mitsuba() -> Outcome<PathBuf> {
     let given = std::env::var_os("LUMISTACK_BENCH_PYTHON").map(PathBuf::from);
     let python = given.clone().unwrap_or_else(|| tools::root().join("target/python-bench/bin/python"));
@@ -225,7 +226,7 @@ fn agreement(samples: &str) -> Outcome {
     tools::run(command(&python).arg(tools::root().join("xtask/bench/agreement.py")).arg(&folder))
 }
 
-/// Python and script of every library that can be had.
+/// Python and script of every library that can be installed.
 fn peers() -> Vec<[PathBuf; 2]> {
     let given = std::env::var_os("LUMISTACK_BENCH_PYTHON").map(PathBuf::from);
     let python = given.clone().unwrap_or_else(|| tools::root().join("target/python-bench/bin/python"));
@@ -242,7 +243,7 @@ fn peers() -> Vec<[PathBuf; 2]> {
     peers
 }
 
-/// Puts a library into an environment of the bench's own: PyTorch is large, and no test needs it.
+/// Installs a library into the bench's own environment: PyTorch is large, and no test needs it.
 fn fetch(module: &str, python: &Path) -> Outcome {
     if module == "numpy" {
         tools::make_python(&tools::root().join("target/python-bench"), "to compare our speed with")?;

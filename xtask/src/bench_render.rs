@@ -4,18 +4,18 @@ use std::path::{Path, PathBuf};
 
 use crate::tools::{self, Outcome, absolute, command, example, output_of, text};
 
-/// The peers as pip takes them, with what they import as and the script that asks them.
+/// The peers: package for pip, module, and the script that renders with it.
 const MITSUBA: [&str; 3] = ["mitsuba==3.*", "mitsuba", "render_mitsuba.py"];
 const CYCLES: [&str; 3] = ["bpy==5.0.1", "bpy", "render_cycles.py"];
 const EMBREE: [&str; 2] = ["embreex==4.*", "embreex"];
-/// Scenes of others, in LUMISTACK_ASSETS.
+/// Scenes of other projects, in LUMISTACK_ASSETS.
 const FLIGHT_HELMET: &str = "gltf/FlightHelmet/FlightHelmet.gltf";
 const CHESS_SET: &str = "usd/OpenChessSet/chess_set.usda";
 /// Copies of FlightHelmet that make 1.4 and 100 million triangles.
 const COPIES: &str = "15";
 const MANY_COPIES: &str = "1100";
 
-/// Runs the rays and the views; `None` if the options make no sense.
+/// Runs the benches of rays and of views; `None` if the options are wrong.
 pub fn render(options: &[&str]) -> Option<Outcome> {
     let (mut full, mut with_peers, mut scenes) = (false, true, Vec::new());
     for &word in options {
@@ -39,6 +39,7 @@ pub fn render(options: &[&str]) -> Option<Outcome> {
             peers.push(text(&tools::root().join("xtask/bench").join(script)));
         }
     }
+    // Rays first, then whole views with the peers.
     let run = || -> Outcome {
         for scene in &scenes {
             for copies in ["1", COPIES] {
@@ -55,7 +56,8 @@ pub fn render(options: &[&str]) -> Option<Outcome> {
     Some(run())
 }
 
-/// Compares converged pictures of FlightHelmet and OpenChessSet, diffuse with their textures, with Mitsuba's and Cycles'.
+/// Compares converged pictures of FlightHelmet and OpenChessSet, diffuse with their textures, to
+/// those of Mitsuba and Cycles.
 pub fn agree(samples: &str) -> Outcome {
     let scenes: Vec<String> = [FLIGHT_HELMET, CHESS_SET].into_iter().filter_map(asset).collect();
     if scenes.is_empty() {
@@ -77,7 +79,7 @@ pub fn agree(samples: &str) -> Outcome {
     Ok(())
 }
 
-/// Runs the scene of many copies.
+/// Runs the scene with many copies; `None` if the options are wrong.
 pub fn big(options: &[&str]) -> Option<Outcome> {
     let scene = match options {
         [] => default_scenes().swap_remove(0),
@@ -88,10 +90,12 @@ pub fn big(options: &[&str]) -> Option<Outcome> {
     Some(example("lumistack-pathtracer", "bench_render", &words))
 }
 
-/// Views, zone in degrees and samples of light fields: those of the paper's prototypes, the native ones of a display, and a quilt's.
+/// Views, zone in degrees and samples of light fields: those of the paper's prototypes, of a
+/// display's native views, and of a quilt.
 const FIELDS: [[&str; 3]; 3] = [["5x5", "20", "16"], ["13x13", "20", "2"], ["1x45", "35", "4"]];
 
-/// Renders light fields view by view and with shared light, of diffuse surfaces and of those that the files have, and of many copies.
+/// Renders light fields view by view and with shared light: diffuse surfaces, the files' own
+/// materials, and many copies.
 pub fn field(options: &[&str]) -> Option<Outcome> {
     let mut scenes: Vec<String> = options.iter().map(|scene| absolute(scene)).collect();
     if options.iter().any(|word| word.starts_with("--")) {
@@ -131,7 +135,7 @@ fn default_scenes() -> Vec<String> {
     scenes
 }
 
-/// A file of the collection of others, or a message.
+/// A file in LUMISTACK_ASSETS. Where it is missing, a message is printed.
 pub fn asset(file: &str) -> Option<String> {
     let path = std::env::var_os("LUMISTACK_ASSETS").map(|assets| Path::new(&assets).join(file));
     let found = path.filter(|path| path.is_file());
@@ -161,7 +165,7 @@ fn imports(python: &Path, module: &str) -> bool {
     output_of(command(python).args(["-c", &format!("import {module}")])).is_some()
 }
 
-/// Whether a peer is there; fetches it into the bench's own environment.
+/// Returns whether a peer is available; installs it into the bench's own environment first.
 fn has(python: &Path, [package, module]: &[&str; 2]) -> bool {
     if !imports(python, module) && std::env::var_os("LUMISTACK_BENCH_PYTHON").is_none() {
         println!("\nfetching: {package}, in target/python-render-bench (used only to compare our speed with)");
@@ -176,7 +180,7 @@ fn has(python: &Path, [package, module]: &[&str; 2]) -> bool {
     there
 }
 
-/// Embree's library inside its wheel.
+/// The path of Embree's library in its wheel.
 fn embree_library(python: &Path) -> Option<PathBuf> {
     let code = "import embreex, glob, os; f = os.path.dirname(os.path.dirname(embreex.__file__)); print(glob.glob(f + '/embreex.libs/libembree4*')[0])";
     let path = output_of(command(python).args(["-c", code]))?;

@@ -1,4 +1,5 @@
-//! `cargo xtask bench zone`: how right displays are all over their zone, beside the five by five views of the paper's prototypes.
+//! `cargo xtask bench zone`: zone scores of displays, beside displays with the 5 × 5 views of the
+//! paper's prototypes.
 
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
@@ -9,11 +10,12 @@ use serde_json::Value;
 use crate::bench_render::asset;
 use crate::tools::{Outcome, absolute, cargo, command, root, text};
 
-/// Samples per pixel of all views together, of every run.
+/// Samples per pixel of all views together, in every run.
 const SAMPLES: u32 = 400;
-/// Views, samples of each, filter and iterations of a display for 25 directions: the defaults before displays chose their views.
+/// Views, samples, filter and iterations of the displays for comparison: the defaults before
+/// displays chose their views.
 const FIXED: &str = "views = [5, 5]\n[render]\nsamples = 16\ndenoise = \"guided\"\n[factorize]\niterations = 50\n";
-/// Files of others, in LUMISTACK_ASSETS.
+/// Files of other projects, in LUMISTACK_ASSETS.
 const ASSETS: [&str; 2] = ["gltf/FlightHelmet/FlightHelmet.gltf", "gltf/2CylinderEngine/2CylinderEngine.glb"];
 
 /// A scene on a display.
@@ -24,7 +26,7 @@ struct Case {
     preset: &'static str,
     resolution: [usize; 2],
     frames: usize,
-    /// More keys of `[display]`.
+    /// Further keys of `[display]`.
     display: &'static str,
 }
 
@@ -40,12 +42,12 @@ impl Case {
         Self::new(name, &text(&root().join("scenes").join(name).join(format!("{name}.gltf"))))
     }
 
-    /// As large as the prototypes' light fields.
+    /// The case at the size of the prototypes' light fields.
     fn large(self) -> Self {
         Self { name: format!("{}, 840 × 525", self.name), resolution: [840, 525], ..self }
     }
 
-    /// The job, whose text ends with `rest`: keys of `[display]`, then other tables.
+    /// Text of the job. It ends with `rest`: keys of `[display]`, then other tables.
     fn job(&self, rest: &str) -> String {
         format!(
             "scene = {:?}\n[window]\nfit_depth = \"compress\"\n[display]\npreset = {:?}\nresolution = {:?}\nframes = {}\n{}\n{rest}",
@@ -54,11 +56,11 @@ impl Case {
     }
 }
 
-/// What one run shows.
+/// The result of a run.
 #[derive(Clone, Debug)]
 struct Run {
     report: Value,
-    /// Index of the light field.
+    /// Index of the target's light field.
     target: Value,
     wall: f64,
     cpu: f64,
@@ -69,20 +71,20 @@ impl Run {
         self.report[key].as_f64().unwrap_or(f64::NAN)
     }
 
-    /// psnr_zone, its worst tenth, SSIM and FLIP, as cells of a table.
+    /// Zone score, its worst tenth, SSIM and FLIP, as cells of a table.
     fn quality(&self) -> String {
         let [ssim, flip] = ["ssim", "flip"].map(|key| self.report["zone"][key].as_f64().unwrap_or(f64::NAN));
         let [zone, worst] = ["psnr_zone", "psnr_zone_worst_tenth"].map(|key| self.number(key));
         format!("{zone:.2} | {worst:.2} | {ssim:.3} | {flip:.3}")
     }
 
-    /// Columns × rows of the views that were solved for, of which the report shows some.
+    /// Columns × rows of the solved views, of which the report shows some.
     fn views(&self) -> String {
         let count = |key| self.target[key].as_array().map_or(0, Vec::len);
         format!("{} × {}", count("slope_x"), count("slope_y"))
     }
 
-    /// Seconds of a stage, 0 where it was kept.
+    /// Seconds of a stage; 0 where it was cached.
     fn stage(&self, name: &str) -> f64 {
         let stages = self.report["stages"].as_array().into_iter().flatten();
         let of = stages.filter(|stage| stage["name"] == name && stage["cached"] == false);
@@ -90,7 +92,7 @@ impl Run {
     }
 }
 
-/// Runs what the options ask for; `None` if they make no sense.
+/// Runs the cases that the options select; `None` if the options are wrong.
 pub fn run(options: &[&str]) -> Option<Outcome> {
     let (mut rounds, mut kinds, mut scenes) = (1, Vec::new(), Vec::new());
     let mut words = options.iter();
@@ -140,7 +142,7 @@ fn measure(cases: &[Case], kinds: &[&str], rounds: usize) -> Outcome {
     Ok(())
 }
 
-/// Displays that choose their views and those for 25 directions, in turn.
+/// Runs displays that choose their views, and displays with 5 × 5 views, in turn.
 fn beside_fixed(cases: &[Case], rounds: usize) -> Outcome {
     println!("\n| scene | views | psnr_zone | worst tenth | SSIM | FLIP | wall s | CPU s | render s | factorize s |");
     println!("|---|---|---|---|---|---|---|---|---|---|");
@@ -167,7 +169,7 @@ fn beside_fixed(cases: &[Case], rounds: usize) -> Outcome {
     Ok(())
 }
 
-/// The zone score against the number of views, at equal samples in all.
+/// Measures the zone score against the number of views, with the same number of samples in total.
 fn by_views(case: &Case) -> Outcome {
     println!("\n{}: {SAMPLES} samples per pixel of all views together, rounded up per view", case.name);
     println!("| views | psnr_zone | worst tenth | SSIM | FLIP | wall s | factorize s |\n|---|---|---|---|---|---|---|");
@@ -183,20 +185,20 @@ fn by_views(case: &Case) -> Outcome {
     Ok(())
 }
 
-/// The zone score against the solver's time.
+/// Measures the zone score against the solver's time.
 fn by_iterations(case: &Case) -> Outcome {
     println!("\n{}: the solver's time", case.name);
     println!("| iterations | psnr_zone | worst tenth | SSIM | FLIP | factorize s |\n|---|---|---|---|---|---|");
     for (i, iterations) in [1, 2, 4, 8, 16, 32, 64].into_iter().enumerate() {
         let rest = format!("[render]\nzone_samples = {SAMPLES}\n[factorize]\niterations = {iterations}\n");
-        // the views are those of the first run
+        // later runs reuse the views of the first
         let run = once(&case.job(&rest), i == 0)?;
         println!("| {iterations} | {} | {:.1} |", run.quality(), run.stage("factorize"));
     }
     Ok(())
 }
 
-/// Runs a job, into an empty folder where it is to be `fresh`.
+/// Runs a job; `fresh` empties the run folder first.
 fn once(job: &str, fresh: bool) -> Outcome<Run> {
     let folder = root().join("target/bench-zone");
     let out = folder.join("run");
@@ -221,12 +223,13 @@ fn once(job: &str, fresh: bool) -> Outcome<Run> {
     Ok(Run { report: read("report.json")?, target: read("target/lightfield.json")?, wall, cpu })
 }
 
-/// Processor seconds of all programs that have ended, where Linux says them.
+/// Processor seconds of all child processes that have ended, where Linux reports them.
 fn cpu_of_children() -> f64 {
-    /// Of clock ticks, which Linux fixes for programs.
+    /// Clock ticks per second, which Linux fixes for programs.
     const PER_SECOND: f64 = 100.0;
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    // the name in parentheses may hold anything; cutime and cstime are the 14th and 15th word behind it
+    // the name in parentheses may hold anything; cutime and cstime are the 14th and 15th word
+    // behind it
     let behind = stat.rsplit(')').next().unwrap_or_default();
     let ticks = |word: usize| behind.split_whitespace().nth(word).and_then(|text| text.parse::<f64>().ok());
     ticks(13).zip(ticks(14)).map_or(f64::NAN, |(user, system)| (user + system) / PER_SECOND)

@@ -1,20 +1,21 @@
-//! The Blender extension: its zip, validated by Blender's own tool, and tested in real Blenders, each the module bpy in an environment of its own.
+//! The Blender extension: its zip, validated by Blender's own tool. Its tests run in the module
+//! bpy, in an environment for each version.
 
 use std::path::{Path, PathBuf};
 
 use crate::python;
 use crate::tools::{self, Outcome, command, install, output_of, run};
 
-/// The Blender of CI, which also validates, and those of `--full`.
+/// Blender's version in CI, which also validates, and the further versions of `--full`.
 const BLENDER: &str = "5.0.1";
 const OLDER: [&str; 2] = ["4.5.15", "4.2.23"];
-/// The Python that all of them need.
+/// The Python version that all of them need.
 const PYTHON: &str = "3.11";
-/// What builds the wheel.
+/// Packages that build the wheel.
 const TOOLS: [&str; 3] = ["--only-binary=:all:", "maturin==1.16.*", "numpy"];
 
-/// Builds the extension as users get it, in `target/blender`: a zip for every platform that there is a wheel for. Wheels of other platforms are given; the one of this
-/// machine's is built where it is not.
+/// Builds the extension for users into `target/blender`: a zip for every platform with a wheel.
+/// `wheels` are those of other platforms; this machine's wheel is built if it is missing.
 pub fn build(wheels: &[&str]) -> Outcome {
     let python = environment(BLENDER)?;
     let mut wheels: Vec<PathBuf> = wheels.iter().map(PathBuf::from).collect();
@@ -27,7 +28,8 @@ pub fn build(wheels: &[&str]) -> Outcome {
     extension(&python, &wheels, &there).map(|_| ())
 }
 
-/// Builds the extension from the artefacts of the workspace's tests and runs its cases; `full` in all versions of Blender. Skips with a message where bpy cannot be had.
+/// Builds the extension from the artefacts of the workspace's tests, and runs its cases; with
+/// `full` in all versions of Blender. Skips with a message where bpy cannot be installed.
 pub fn check(full: bool) -> Outcome {
     let python = match environment(BLENDER) {
         Ok(python) => python,
@@ -51,14 +53,15 @@ pub fn check(full: bool) -> Outcome {
     Ok(())
 }
 
-/// Packages of Debian: Blender's program, 3.4 in Debian 12, whose Python is the system's; and by which file one knows that they are there.
+/// Debian packages of Blender's program (3.4 in Debian 12, whose Python is the system's), each with
+/// a file that shows that it is installed.
 const PROGRAM: [(&str, &str); 2] =
     [("/usr/bin/blender", "blender"), ("/usr/lib/python3/dist-packages/numpy", "python3-numpy")];
 
-/// Fetches bpy, and Blender's program where there is none.
+/// Fetches bpy, and Blender's program where it is missing.
 ///
 /// # Errors
-/// When one of them cannot be had.
+/// When one of them cannot be installed.
 pub fn fetch() -> Outcome {
     let python = environment(BLENDER)?;
     fetch_tools(&python)?;
@@ -76,8 +79,8 @@ fn fetch_program() -> Outcome {
     if has_blender() { Ok(()) } else { Err("Blender's program does not start".into()) }
 }
 
-/// The extension's command in a real `blender` program, in a process of its own without a window: the module bpy always has one. Takes the program that `PATH` has, else
-/// Debian's.
+/// Tests the extension's command in a `blender` process without a window, since the module bpy
+/// always has one. Uses the program on `PATH`, else Debian's.
 fn program(python: &Path, wheel: &Path) -> Outcome {
     if let Err(error) = fetch_program() {
         tools::skipped("blender's program", &error);
@@ -101,7 +104,7 @@ fn program(python: &Path, wheel: &Path) -> Outcome {
     run(blender.arg("plugins/blender/tests/program.py").arg("--").arg(&folder).arg(&place))
 }
 
-/// Some cases alone, in one version of Blender, with the zip that is there.
+/// Runs some cases in one version of Blender, with the existing zip.
 pub fn some(names: &str, version: &str) -> Outcome {
     let python = environment(version)?;
     let zip = zip_of(machine()?);
@@ -115,7 +118,7 @@ fn folder() -> PathBuf {
     tools::root().join("target/blender")
 }
 
-/// An environment with a version of bpy.
+/// Finds or makes an environment with a version of bpy.
 fn environment(version: &str) -> Outcome<PathBuf> {
     let has = |python: &Path| {
         let test = format!("import bpy, numpy, sys; sys.exit(bpy.app.version_string.split()[0] != '{version}')");
@@ -144,7 +147,7 @@ fn python_of_blender() -> Option<String> {
         .find(|python| output_of(command(python).args(["-c", test])).is_some_and(|said| said.trim() == PYTHON))
 }
 
-/// The wheel of this machine, as `make` makes it.
+/// Makes the wheel of this machine by `make`.
 fn wheel(python: &Path, make: fn(&Path) -> Outcome<PathBuf>) -> Outcome<PathBuf> {
     fetch_tools(python)?;
     make(python)
@@ -154,8 +157,9 @@ fn fetch_tools(python: &Path) -> Outcome {
     if output_of(command(python).args(["-c", "import maturin"])).is_some() { Ok(()) } else { install(python, &TOOLS) }
 }
 
-/// The zips, each with the wheel of its platform in it; the one of this machine.
+/// Builds the zips, each with the wheel of its platform. Returns the zip of this machine.
 fn extension(python: &Path, wheels: &[PathBuf], platforms: &[&str]) -> Outcome<PathBuf> {
+    // Collect the extension's files and the wheels.
     let (folder, source) = (folder(), tools::root().join("target/blender/lumistack"));
     let _ = std::fs::remove_dir_all(&folder);
     let io = |place: &Path, error: std::io::Error| format!("{}: {error}", place.display());
@@ -169,6 +173,7 @@ fn extension(python: &Path, wheels: &[PathBuf], platforms: &[&str]) -> Outcome<P
     for wheel in wheels {
         std::fs::copy(wheel, source.join("wheels").join(name_of(wheel))).map_err(|error| io(wheel, error))?;
     }
+    // The manifest names platforms and wheels.
     let manifest = source.join("blender_manifest.toml");
     let text = std::fs::read_to_string(&manifest).map_err(|error| io(&manifest, error))?;
     let version = env!("CARGO_PKG_VERSION");
@@ -178,6 +183,7 @@ fn extension(python: &Path, wheels: &[PathBuf], platforms: &[&str]) -> Outcome<P
     let names: Vec<String> = wheels.iter().map(|wheel| format!("./wheels/{}", name_of(wheel))).collect();
     let lines = format!("platforms = {platforms:?}\nwheels = {names:?}\n\n[permissions]");
     std::fs::write(&manifest, text.replacen("[permissions]", &lines, 1)).map_err(|error| io(&manifest, error))?;
+    // Blender's own tool packs and validates the zips.
     let tool = "import glob, sysconfig; print(glob.glob(sysconfig.get_path('purelib') + '/bpy/*/scripts/addons_core/bl_pkg/cli/blender_ext.py')[0])";
     let tool = output_of(command(python).args(["-c", tool])).ok_or("this bpy has no tool for extensions")?;
     let tool = || {
@@ -196,7 +202,7 @@ fn extension(python: &Path, wheels: &[PathBuf], platforms: &[&str]) -> Outcome<P
     Ok(zip_of(machine()?))
 }
 
-/// The zip of a platform.
+/// Path of a platform's zip.
 fn zip_of(platform: &str) -> PathBuf {
     folder().join(format!("lumistack-{}-{}.zip", env!("CARGO_PKG_VERSION"), platform.replace('-', "_")))
 }
@@ -215,7 +221,7 @@ fn machine() -> Outcome<&'static str> {
         .ok_or_else(|| format!("{system} on {machine}: no platform of Blender's"))
 }
 
-/// A platform that Blender runs on: its name there, those of Rust, and how a wheel's tag begins and ends.
+/// A platform of Blender: its name, Rust's names for it, and beginning and end of its wheels' tags.
 struct Platform {
     name: &'static str,
     system: &'static str,
@@ -232,7 +238,7 @@ const PLATFORMS: [Platform; 6] = [
     Platform { name: "windows-arm64", system: "windows", machine: "aarch64", tag: ["win", "_arm64"] },
 ];
 
-/// Platforms of wheels of this version, each of which must have one alone.
+/// Returns the platforms of wheels of this version; each platform may have only one wheel.
 fn platforms_of(wheels: &[PathBuf]) -> Outcome<Vec<&'static str>> {
     let mut found = Vec::new();
     for wheel in wheels {
@@ -240,7 +246,7 @@ fn platforms_of(wheels: &[PathBuf]) -> Outcome<Vec<&'static str>> {
         let expected = format!("lumistack-{}-cp311-abi3-", env!("CARGO_PKG_VERSION"));
         let tag = name.strip_prefix(&expected).and_then(|rest| rest.strip_suffix(".whl"));
         let tag = tag.ok_or_else(|| format!("{}: expected a wheel {expected}PLATFORM.whl", wheel.display()))?;
-        // manylinux_2_28_x86_64, macosx_11_0_universal2
+        // for example manylinux_2_28_x86_64 or macosx_11_0_universal2
         let fits = |platform: &&Platform| {
             let [system, machine] = platform.tag;
             let is_mac_of_both = system == "macosx" && tag.ends_with("_universal2");
@@ -265,7 +271,7 @@ fn cases(python: &Path, zip: &Path, version: &str, names: &str) -> Outcome {
     let place = folder().join(format!("cases-{version}"));
     let mut cases = command(python);
     cases.arg("plugins/blender/tests/cases.py").arg(names).arg(zip).arg(&place);
-    // the OpenUSD of the other tests, for Blenders that bring none
+    // the OpenUSD of the other tests, for Blenders without one
     run(cases.env("LUMISTACK_PYTHON", tools::python()?))
 }
 

@@ -1,4 +1,4 @@
-//! Everything that must hold before a change lands.
+//! All checks that must pass before a change lands.
 
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
@@ -18,10 +18,11 @@ use crate::web;
 use crate::words;
 use crate::workflows;
 
-/// The Rust version whose lints we have seen. A newer compiler may know lints that nobody has answered yet, so there they only warn.
+/// The Rust version whose lints must pass. A newer compiler may have lints that the code does not
+/// satisfy yet, so there they only warn.
 const LINTED_WITH: &str = "1.95";
 
-/// The steps that were begun, each with its seconds.
+/// The steps that have begun, with their seconds.
 #[derive(Default)]
 struct Steps(Mutex<Vec<(&'static str, f64)>>);
 
@@ -35,7 +36,8 @@ impl Steps {
     }
 }
 
-/// Runs all checks; `full` adds the slow tests. Processors are the bottleneck, so whatever waits for the network or for other programs runs beside what compiles.
+/// Runs all checks; `full` adds the slow tests. Processors are the bottleneck, so steps that wait
+/// for the network or other programs run beside steps that compile.
 fn run_steps(full: bool, steps: &Steps) -> Outcome {
     let version = output_of(command("rustc").arg("--version")).ok_or("rustc does not start")?;
     let strict = version.contains(&format!("rustc {LINTED_WITH}."));
@@ -74,7 +76,7 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
     )?;
     steps.step("tests", || {
         let mut tests = command("cargo");
-        // presentations run in the step of panels, alone
+        // presentations run alone, in the step of panels
         run(tests.arg("test").args(EVERYTHING).args(["--", "--skip", "show::"]).env("LUMISTACK_PYTHON", &python))
     })?;
     beside(
@@ -102,7 +104,7 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
     Ok(())
 }
 
-/// Does both at once; the result of the first, or the first error.
+/// Runs both at once. Returns the result of the first, or the first error.
 fn beside<T: Send>(waits: impl FnOnce() -> Outcome<T> + Send, works: impl FnOnce() -> Outcome) -> Outcome<T> {
     std::thread::scope(|scope| {
         let waits = scope.spawn(waits);
@@ -112,7 +114,8 @@ fn beside<T: Send>(waits: impl FnOnce() -> Outcome<T> + Send, works: impl FnOnce
     })
 }
 
-/// Fetches what the checks need; the Python of the tests. What cannot be had is skipped by the step that needs it.
+/// Fetches software for the checks, and returns the Python of the tests. A step whose software is
+/// missing skips its checks.
 fn fetch() -> Outcome<PathBuf> {
     let python = tools::python()?;
     tools::poppler();
@@ -124,7 +127,7 @@ fn fetch() -> Outcome<PathBuf> {
     Ok(python)
 }
 
-/// [`run_steps`], with a table of how long each step took.
+/// Runs all checks, and prints a table with the time of each step.
 pub fn run_ci(full: bool) -> Outcome {
     let (start, steps) = (Instant::now(), Steps::default());
     let result = run_steps(full, &steps);
@@ -138,7 +141,7 @@ pub fn run_ci(full: bool) -> Outcome {
     Ok(())
 }
 
-/// The portable crates compile to wasm32 without threads.
+/// Compiles the portable crates to wasm32 without threads.
 fn wasm() -> Outcome {
     if !tools::wasm_target() {
         tools::skipped("wasm32", "this machine cannot get the Rust target wasm32-unknown-unknown");
@@ -149,7 +152,7 @@ fn wasm() -> Outcome {
         arguments.extend(["--package", name]);
     }
     cargo(&arguments)?;
-    // the solver's kernels have vectors of their own there
+    // there the solver's kernels have their own vectors
     arguments.truncate(5);
     arguments.extend(["--package", "lumistack-factorizer", "--config", SIMD128]);
     cargo(&arguments)

@@ -1,7 +1,9 @@
-//! Files of a crate that use each other, directly or around: whoever reads one of them must have read the others first.
+//! Cycles of files in a crate that use each other: to read one of them, one must first have read
+//! the others.
 //!
-//! A file uses another when its code names something defined there, however it came into reach: `use` declarations and whole paths are followed through
-//! re-exports to the definition. Re-exports themselves and `mod` lines are no use, and neither is anything in tests.
+//! A file uses another one when its code names an item defined there. `use` declarations and whole
+//! paths are followed through re-exports to the definition. Re-exports, `mod` lines and tests do
+//! not count.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -9,29 +11,30 @@ use std::path::{Path, PathBuf};
 use syn::visit::{self, Visit};
 use syn::{Attribute, File, Item, ItemMod, ItemUse, UseTree, Visibility};
 
-/// Names of modules from the crate's root.
+/// Path of a module from the crate's root.
 type Names = Vec<String>;
 
-/// One file, with the modules that stand in it.
+/// One file, with its inline modules.
 struct Source {
     path: PathBuf,
-    /// Its module.
+    /// Path of its module.
     module: Names,
-    /// Names that `use` brings into reach, each with the whole path.
+    /// Names that `use` imports, each with its whole path.
     known: BTreeMap<String, Names>,
-    /// Modules that every name is taken from.
+    /// Modules of glob imports.
     globs: Vec<Names>,
-    /// Paths that the code names, whole.
+    /// Whole paths that the code names.
     named: BTreeSet<Names>,
-    /// Items that stand in the file.
+    /// Items that the file defines.
     defined: BTreeSet<String>,
 }
 
-/// Circles of the crate whose root file this is: of each its files, and after them a line for every use within it.
+/// Finds the cycles of the crate with this root file: the files of each, and a line for every use
+/// within it.
 pub fn of_crate(root: &Path) -> Result<Vec<[Vec<String>; 2]>, String> {
     let mut files = BTreeMap::new();
     read(root, Vec::new(), &mut files)?;
-    // of every file those that it uses, with a name that it uses there
+    // for every file the files that it uses, with one name that it uses there
     let edges: BTreeMap<&Names, BTreeMap<Names, String>> = files
         .iter()
         .map(|(module, source)| {
@@ -39,6 +42,7 @@ pub fn of_crate(root: &Path) -> Result<Vec<[Vec<String>; 2]>, String> {
             (module, used.filter(|(home, _)| home != module).collect())
         })
         .collect();
+    // Files that a file uses directly or through others.
     let reached = |from: &Names| -> BTreeSet<Names> {
         let (mut seen, mut todo) = (BTreeSet::new(), vec![from.clone()]);
         while let Some(module) = todo.pop() {
@@ -53,6 +57,7 @@ pub fn of_crate(root: &Path) -> Result<Vec<[Vec<String>; 2]>, String> {
     let reach: BTreeMap<&Names, BTreeSet<Names>> = edges.keys().map(|module| (*module, reached(module))).collect();
     let folder = root.parent().unwrap_or(Path::new(""));
     let name = |module: &Names| files[module].path.strip_prefix(folder).unwrap_or(root).display().to_string();
+    // A file that reaches itself lies in a cycle; its members reach each other.
     let mut circles = BTreeSet::new();
     for (module, seen) in reach.iter().filter(|(module, seen)| seen.contains(**module)) {
         let back = |other: &Names| seen.contains(other) && reach[other].contains(*module);
@@ -66,7 +71,7 @@ pub fn of_crate(root: &Path) -> Result<Vec<[Vec<String>; 2]>, String> {
     Ok(circles.into_iter().collect())
 }
 
-/// Reads a file and those of its modules.
+/// Reads a file and the files of its modules.
 fn read(path: &Path, module: Names, files: &mut BTreeMap<Names, Source>) -> Result<(), String> {
     let text = std::fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))?;
     let file: File = syn::parse_file(&text).map_err(|error| format!("{}: {error}", path.display()))?;
@@ -103,14 +108,15 @@ fn read(path: &Path, module: Names, files: &mut BTreeMap<Names, Source>) -> Resu
 
 struct Reader {
     source: Source,
-    /// Names of the modules within the file that are being read.
+    /// Path of the inline module that is being read.
     inner: Names,
-    /// Modules in files of their own, with the place that an attribute gives.
+    /// Modules in other files, with the file of a `path` attribute.
     children: Vec<(String, Option<String>)>,
 }
 
 impl Reader {
-    /// A path as the code has it, from the crate's root; `None` where it leads elsewhere or to what the file defines itself.
+    /// Returns a path of the code from the crate's root. `None` where it leads outside the crate or
+    /// to an item of this file.
     fn whole(&self, path: &[String]) -> Option<Names> {
         let here = || self.source.module.iter().chain(&self.inner).cloned();
         let (first, rest) = path.split_first()?;
@@ -239,7 +245,8 @@ impl<'ast> Visit<'ast> for Reader {
     }
 }
 
-/// The module whose file defines what a whole path names; `None` where that is no file of ours.
+/// Finds the module whose file defines the item of a whole path; `None` for items outside the
+/// crate.
 fn home_of(files: &BTreeMap<Names, Source>, path: &[String], depth: usize) -> Option<Names> {
     let module = (0..=path.len()).rev().map(|count| &path[..count]).find(|module| files.contains_key(*module))?;
     let source = &files[module];
@@ -249,7 +256,7 @@ fn home_of(files: &BTreeMap<Names, Source>, path: &[String], depth: usize) -> Op
             let from: Names = from.iter().chain(&path[module.len() + 1..]).cloned().collect();
             return home_of(files, &from, depth + 1);
         }
-        // a name behind a glob: taken for the glob's own where only one stands here
+        // a name from a glob import belongs to the glob's module if there is only one
         if let [glob] = source.globs.as_slice()
             && !source.defined.contains(name)
         {
@@ -260,7 +267,7 @@ fn home_of(files: &BTreeMap<Names, Source>, path: &[String], depth: usize) -> Op
     Some(module.to_vec())
 }
 
-/// Whether code is there for tests only.
+/// Returns whether code is compiled for tests only.
 fn for_tests(attributes: &[Attribute]) -> bool {
     attributes.iter().any(|attribute| match &attribute.meta {
         syn::Meta::List(list) if list.path.is_ident("cfg") => list.tokens.to_string() == "test",

@@ -1,33 +1,35 @@
-//! Licences, sources, bans and security advisories of all dependencies, by cargo-deny and `deny.toml`.
+//! Licences, sources, bans and security advisories of all dependencies, checked by cargo-deny with
+//! `deny.toml`.
 //!
-//! Advisories need the RustSec database, which is fetched where the network allows it. cargo-deny takes two minutes to build, so `ci`
-//! checks with it only where it is installed already. Neither is a check of this tree alone, so that none of the two counts as skipped, which is a failure on CI.
+//! Advisories need the RustSec database, which is fetched where the network allows it. cargo-deny
+//! takes two minutes to build, so `ci` uses it only where it is installed. Both depend on more than
+//! this tree, so their absence does not count as a skipped check, which would fail on CI.
 
 use std::path::{Path, PathBuf};
 
 use crate::tools::{self, Outcome, command, output_of};
 
-/// Checks everything, with a cargo-deny that is installed if need be.
+/// Checks everything; installs cargo-deny if it is missing.
 pub fn check() -> Outcome {
     let program = found().map_or_else(install, Ok)?;
     let deny = |arguments: &[&str]| {
         let mut deny = command(&program);
-        // by itself it is a subcommand of cargo, whose name comes first
+        // it expects cargo's subcommand as the first word
         deny.arg("deny").args(arguments);
         deny
     };
     tools::run(&mut deny(&["check", "licenses", "bans", "sources"]))?;
     let fetched = deny(&["fetch", "db"]).output().map_err(|error| format!("cargo-deny: {error}"))?;
     if !fetched.status.success() {
-        let told = String::from_utf8_lossy(&fetched.stderr);
-        let cause = told.trim().lines().last().unwrap_or("no reason was told");
+        let said = String::from_utf8_lossy(&fetched.stderr);
+        let cause = said.trim().lines().last().unwrap_or("no reason was given");
         println!("advisories: not checked: the database (github.com/RustSec/advisory-db) cannot be fetched: {cause}");
         return Ok(());
     }
     tools::run(&mut deny(&["--offline", "check", "advisories"]))
 }
 
-/// [`check`] as a step of `ci`, which has no two minutes to spare for the tool itself.
+/// Checks as a step of `ci`, where installing the tool would take too long.
 pub fn in_ci() -> Outcome {
     if found().is_none() {
         println!("dependencies: not checked here, there is no cargo-deny; `cargo xtask deny` installs it");
@@ -40,7 +42,7 @@ fn root() -> PathBuf {
     tools::root().join("target/deny-tools")
 }
 
-/// An installed cargo-deny.
+/// Finds an installed cargo-deny.
 fn found() -> Option<PathBuf> {
     let works = |program: &Path| output_of(command(program).arg("--version")).is_some();
     [PathBuf::from("cargo-deny"), root().join("bin/cargo-deny")].into_iter().find(|program| works(program))

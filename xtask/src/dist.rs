@@ -1,4 +1,4 @@
-//! Releases: everything that one downloads, made into `target/dist`, and tried out as its users will.
+//! Releases: builds all files that users download into `target/dist`, and tests their installation.
 
 mod archive;
 mod build;
@@ -14,7 +14,7 @@ use self::build::Target;
 use crate::blender;
 use crate::tools::{self, Outcome, command, run};
 
-/// What `cargo xtask dist --help` says.
+/// Help of `cargo xtask dist --help`.
 pub const USAGE: &str = "\
 cargo xtask dist [PART...] [--target TRIPLE]...
 cargo xtask dist test [WAY...]
@@ -26,18 +26,18 @@ cargo xtask dist sums
   npm       the viewer for web pages
   blender   the extension of Blender, a zip for every wheel
   sbom      all parts with their licences, as CycloneDX
-  test      installs what is there in a clean Debian, or where that cannot be had into an empty prefix, and runs the first job;
+  test      installs the parts in a clean Debian, or into an empty prefix where there is none, and runs the first job;
             WAY is tarball, deb, wheel, npm, blender, or pages: every command of the documentation's first pages
-  sums      the checksums alone
+  sums      computes the checksums again
 
-Without a PART all. On Linux for x86-64 and ARM with a glibc from 2.17 on (zig links); elsewhere for this machine.
-Licences of all parts go into each of them, and SHA256SUMS holds the checksums of what is in target/dist.
+Without a PART all parts. On Linux for x86-64 and ARM with a glibc from 2.17 on (zig links); elsewhere for this machine.
+Every part holds the licences of all dependencies. SHA256SUMS holds the checksums of target/dist.
 ";
 
-/// What can be made, in this order: extensions hold wheels.
+/// The parts, in the order of their making: extensions hold wheels.
 const PARTS: [&str; 6] = ["tarball", "deb", "wheel", "npm", "blender", "sbom"];
 
-/// Makes what is asked for; `None` where the words make no sense.
+/// Makes the parts that the words select; `None` if they are wrong.
 pub fn dist(words: &[&str]) -> Option<Outcome> {
     if let ["test", ways @ ..] = words {
         return ways.iter().all(|way| install::WAYS.contains(way)).then(|| install::test(ways, &folder()));
@@ -65,6 +65,7 @@ fn make(parts: &[&str], mut targets: Vec<Target>) -> Outcome {
     if targets.is_empty() {
         targets = Target::of_this_machine()?;
     }
+    // Programs share manual pages and documents; the extension of Blender needs the wheels.
     let wanted = |part: &str| parts.is_empty() || parts.contains(&part);
     let dist = folder();
     std::fs::create_dir_all(&dist).map_err(|error| format!("{}: {error}", dist.display()))?;
@@ -117,7 +118,7 @@ fn write(folder: &Path, name: &str, bytes: &[u8]) -> Outcome {
     Ok(())
 }
 
-/// Files of a folder whose names end so, by name.
+/// Files of a folder whose names have an ending, sorted by name.
 fn files_of(folder: &Path, ending: &str) -> Outcome<Vec<PathBuf>> {
     let entries = std::fs::read_dir(folder).map_err(|error| format!("{}: {error}", folder.display()))?;
     let mut files: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).filter(|path| path.is_file()).collect();
@@ -126,7 +127,7 @@ fn files_of(folder: &Path, ending: &str) -> Outcome<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// Checksums of all that is there, in the form that `sha256sum --check` reads.
+/// Writes the checksums of all files, for `sha256sum --check`.
 fn sums(folder: &Path) -> Outcome {
     let mut lines = String::new();
     for path in files_of(folder, "")?.iter().filter(|path| !path.ends_with(SUMS)) {

@@ -1,13 +1,15 @@
-//! Fuzzing of every reader with cargo-fuzz, from the repository's own files and the corpora of others as seeds.
+//! Fuzzing of every reader by cargo-fuzz. Seeds are files of the repository and corpora of other
+//! projects.
 
 use std::path::{Path, PathBuf};
 
 use crate::tools::{self, Outcome, command, output_of};
 
-/// Largest file that becomes a seed: small ones are mutated fastest.
+/// Largest seed: small files are mutated fastest.
 const MAX_SEED_BYTES: u64 = 64 << 10;
 
-/// A target in `fuzz/fuzz_targets`, and where its seeds are besides `fuzz/seeds/NAME`: folders of the repository, folders of the assets, extensions.
+/// A target in `fuzz/fuzz_targets`. Its seeds lie in `fuzz/seeds/NAME`, in folders of the
+/// repository and in folders of the assets; `extensions` selects them.
 struct Target {
     name: &'static str,
     own: &'static [&'static str],
@@ -39,7 +41,8 @@ const TARGETS: [Target; 11] = [
     Target { name: "calibration", own: &[], assets: &[], extensions: &[] },
 ];
 
-/// Fuzzes every target, or the one that is named, for some minutes each; an input that breaks a reader is an error, after the other targets.
+/// Fuzzes every target, or the named one, for some minutes each. An input that breaks a reader is
+/// an error, reported after all targets.
 pub fn run(minutes: f64, only: Option<&str>) -> Outcome {
     let targets: Vec<&Target> = TARGETS.iter().filter(|target| only.is_none_or(|only| target.name == only)).collect();
     if targets.is_empty() {
@@ -73,6 +76,7 @@ fn fuzz(target: &Target, minutes: f64, cargo_fuzz: &Path, nightly: bool) -> Outc
     for folder in [&seeds, &corpus, &found] {
         make(folder)?;
     }
+    // Collect the seeds.
     let assets = std::env::var_os("LUMISTACK_ASSETS").map(PathBuf::from);
     let assets = assets.unwrap_or_else(|| tools::root().join("../shared/scenes"));
     let own = target.own.iter().map(|folder| tools::root().join(folder));
@@ -80,8 +84,9 @@ fn fuzz(target: &Target, minutes: f64, cargo_fuzz: &Path, nightly: bool) -> Outc
     let mut count: usize = folders.map(|folder| copy_seeds(&folder, &seeds, target.extensions)).sum();
     count += copy_seeds(&tools::root().join("fuzz/seeds").join(target.name), &seeds, &["seed"]);
     println!("bench: {}: {count} seeds, {minutes} minutes", target.name);
+    // Start the fuzzer on a clean environment.
     let mut fuzzer = if nightly { command("rustup") } else { command(cargo_fuzz) };
-    // the toolchain that runs this task must not be the one that builds the fuzzer
+    // the toolchain of this task must not build the fuzzer
     for variable in ["CARGO", "RUSTC", "RUSTUP_TOOLCHAIN", "RUSTFLAGS", "CARGO_TARGET_DIR"] {
         fuzzer.env_remove(variable);
     }
@@ -90,19 +95,20 @@ fn fuzz(target: &Target, minutes: f64, cargo_fuzz: &Path, nightly: bool) -> Outc
     } else {
         fuzzer.env("RUSTC_BOOTSTRAP", "1");
     }
-    // -O: the checks are those of the profile in fuzz/Cargo.toml, which excepts a library
+    // -O: the profile in fuzz/Cargo.toml sets the checks, with an exception for one library
     fuzzer.args(["run", "-O", "--sanitizer", "none", "--target-dir"]).arg(&build);
     fuzzer.arg(target.name).arg(&corpus).arg(&seeds).arg("--");
     let seconds = (60.0 * minutes).ceil().max(1.0);
     fuzzer.arg(format!("-max_total_time={seconds}")).arg(format!("-artifact_prefix={}/", found.display()));
-    // an input of this size takes milliseconds. Scenes may take 64 MiB there, pictures what their headers claim within the limits of the readers.
+    // An input of this size takes milliseconds. Scenes may take 64 MiB there. Pictures may take the
+    // size in their header, within the readers' limits.
     let memory_mib = if target.name == "load" { 1024 } else { 8192 };
     fuzzer.args(["-timeout=25", "-max_len=65536", "-print_final_stats=1", "-verbosity=1"]);
     fuzzer.arg(format!("-rss_limit_mb={memory_mib}"));
     tools::run(&mut fuzzer)
 }
 
-/// cargo-fuzz, installed if need be; `None` where it cannot be had.
+/// Finds or installs cargo-fuzz; `None` where that fails.
 fn cargo_fuzz() -> Option<PathBuf> {
     let works = |program: &Path| output_of(command(program).arg("--version")).is_some();
     let installed = PathBuf::from("cargo-fuzz");
@@ -120,7 +126,7 @@ fn cargo_fuzz() -> Option<PathBuf> {
     works(&own).then_some(own)
 }
 
-/// Copies what can be a seed, flat, and returns how many files that were.
+/// Copies the seeds of a folder into one flat folder, and returns their number.
 fn copy_seeds(folder: &Path, seeds: &Path, extensions: &[&str]) -> usize {
     let mut count = 0;
     let mut open = vec![folder.to_owned()];
@@ -134,7 +140,7 @@ fn copy_seeds(folder: &Path, seeds: &Path, extensions: &[&str]) -> usize {
             } else if is_small && is_input {
                 let name = path.strip_prefix(folder).unwrap_or(&path).display().to_string().replace(['/', '\\'], "-");
                 let Ok(bytes) = std::fs::read(&path) else { continue };
-                // a Draco stream by itself too
+                // a Draco stream is also a seed of its own
                 let stream = bytes.windows(5).position(|window| window == b"DRACO").map(|at| &bytes[at..]);
                 for (name, bytes) in [(name.clone(), Some(&*bytes)), (format!("{name}.drc"), stream)] {
                     count += usize::from(bytes.is_some_and(|bytes| std::fs::write(seeds.join(name), bytes).is_ok()));

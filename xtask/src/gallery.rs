@@ -1,31 +1,32 @@
-//! The gallery: our renders of glTF files, each beside Blender's of the same file, camera and light, on one page.
+//! The gallery: Lumistack's renders of glTF files beside Blender's, with the same file, camera and
+//! light, on one page.
 
 use std::path::{Path, PathBuf};
 
 use crate::tools::{self, Outcome, cargo, command, output_of, run};
 
-/// What `cargo xtask gallery --help` prints.
+/// Help of `cargo xtask gallery --help`.
 pub const USAGE: &str = "\
 cargo xtask gallery [folder] [options]
 
   Renders every glTF and USD file below the folder (default: gltf in the folder that LUMISTACK_ASSETS names, or
-  ../shared/scenes/gltf) with our path tracer and with Blender's Cycles, and writes target/gallery/index.html. What is said there about each
-  file stands in xtask/gallery/notes.toml. Blender's pictures are kept between runs while what it is asked stays the same.
+  ../shared/scenes/gltf) with Lumistack's path tracer and with Blender's Cycles, and writes target/gallery/index.html. Its notes about each
+  file come from xtask/gallery/notes.toml. Blender's pictures are kept while its input stays the same.
 
   --out FOLDER     another folder for the page
   --size COLSxROWS default 420x262
   --samples N      paths per pixel; default 128
-  --turn DEG       the window seen from the right by so much
+  --turn DEG       rotation of the viewer to the right
   --threads N      of both renderers; default all
 
 The package bpy (Blender as a Python module, some 400 MB, for Python 3.11) is fetched into target/python-gallery at the first run; without it
-the page shows our renders alone. LUMISTACK_BENCH_PYTHON names a Python that has it already.
+the page shows Lumistack's renders alone. LUMISTACK_BENCH_PYTHON names a Python that has it already.
 ";
 
-/// The version of Blender that the notes speak of.
+/// The version of Blender that the notes describe.
 const BLENDER: [&str; 2] = ["bpy==5.0.1", "numpy"];
 
-/// Runs what the words after `gallery` ask for; `None` if they make no sense.
+/// Runs the task with the words after `gallery`; `None` if they are wrong.
 pub fn gallery(arguments: &[&str]) -> Option<Outcome> {
     let root = tools::root();
     let assets = std::env::var_os("LUMISTACK_ASSETS").map_or_else(|| root.join("../shared/scenes"), PathBuf::from);
@@ -57,6 +58,7 @@ fn build(scenes: &Path, out: &Path, options: &[&str], threads: &str) -> Outcome 
         cargo.env("RAYON_NUM_THREADS", threads);
         run(cargo.args(words))
     };
+    // Lumistack's renders, Blender's renders, then the page.
     example(&[&["render", &scenes, &folder], options].concat())?;
     match blender() {
         Ok(python) => {
@@ -71,7 +73,7 @@ fn build(scenes: &Path, out: &Path, options: &[&str], threads: &str) -> Outcome 
             for entry in entries {
                 let mut blender = command(&python);
                 blender.arg(&script).arg(entry.join("ours.json")).arg(threads);
-                // one file that ends Blender is no reason to go without the others
+                // a file that crashes Blender must not cost the other files
                 if !blender.output().is_ok_and(|output| output.status.success()) {
                     println!("gallery: Blender ended early on {}", entry.display());
                 } else {
@@ -85,7 +87,7 @@ fn build(scenes: &Path, out: &Path, options: &[&str], threads: &str) -> Outcome 
     example(&["page", &folder, &notes.to_string_lossy()])
 }
 
-/// A Python that has bpy.
+/// Finds or makes a Python with bpy.
 fn blender() -> Outcome<PathBuf> {
     let given = std::env::var_os("LUMISTACK_BENCH_PYTHON").map(PathBuf::from);
     let folder = tools::root().join("target/python-gallery");

@@ -1,9 +1,11 @@
-//! The architecture as a check: a crate depends only on lower layers, and some edges are forbidden wherever they stand.
+//! The architecture as a check: a crate depends only on lower layers, and some dependencies are
+//! forbidden everywhere.
 //!
-//! Each crate names its layer in `[package.metadata.lumistack] layer = n`. Development dependencies are free: tests may look anywhere. Build dependencies run
-//! on the machine that builds and are no part of the program, so a crate of layer 0 may have one of layer 0.
+//! Each crate states its layer in `[package.metadata.lumistack] layer = n`. Development
+//! dependencies are free. Build dependencies are no part of the program, so a crate of layer 0 may
+//! have one of layer 0.
 //!
-//! Within a crate the same holds of its files: none may use each other, directly or around.
+//! Within a crate no two files may use each other, directly or through others.
 
 use std::collections::HashMap;
 
@@ -12,14 +14,14 @@ use serde_json::Value;
 use crate::circles;
 use crate::tools::{Outcome, command, output_of};
 
-/// External crates that only the named workspace crates may depend on.
+/// External crates, and the only workspace crates that may depend on them.
 const FORBIDDEN: [(&str, &[&str]); 3] = [
     ("pyo3", &["lumistack-python"]),
     ("wgpu", &["lumistack-factorizer-gpu", "lumistack-plugin-panels"]),
     ("libloading", &["lumistack-plugin-host"]),
 ];
 
-/// Crates that must compile to wasm32 and so take no file system, clock or terminal.
+/// Crates that must compile to wasm32, and so use no file system, clock or terminal.
 pub const PORTABLE: [&str; 10] = [
     "lumistack-simd",
     "lumistack-core",
@@ -33,7 +35,7 @@ pub const PORTABLE: [&str; 10] = [
     "lumistack-web-solver",
 ];
 
-/// Calls that the portable crates must not make; files and clocks come in as arguments.
+/// Calls that portable crates must not make; files and times are arguments there.
 const NOT_PORTABLE: [&str; 4] = ["std::fs", "std::time::Instant", "std::time::SystemTime", "std::thread::spawn"];
 
 /// Checks the whole workspace.
@@ -42,6 +44,7 @@ pub fn check() -> Outcome {
         .ok_or("cargo metadata failed")?;
     let metadata: Value = serde_json::from_str(&text).map_err(|error| error.to_string())?;
     let packages = metadata["packages"].as_array().ok_or("cargo metadata lists no packages")?;
+    // The layer of every crate, then every dependency against it.
     let mut layers = HashMap::new();
     for package in packages {
         let name = package["name"].as_str().unwrap_or_default();
@@ -70,6 +73,7 @@ pub fn check() -> Outcome {
                 }
             }
         }
+        // Cycles of files, and calls that wasm32 lacks.
         for target in package["targets"].as_array().into_iter().flatten() {
             let is_code = ["lib", "cdylib", "rlib", "bin"].iter().any(|kind| target["kind"][0] == **kind);
             let root = std::path::Path::new(target["src_path"].as_str().unwrap_or_default());
@@ -94,13 +98,13 @@ pub fn check() -> Outcome {
     }
 }
 
-/// Looks for banned calls in the code before the tests of each file.
+/// Finds banned calls in the code before the tests of each file.
 fn check_portable(folder: &std::path::Path, problems: &mut Vec<String>) -> Outcome {
     let entries = std::fs::read_dir(folder).map_err(|error| format!("{}: {error}", folder.display()))?;
     for entry in entries {
         let path = entry.map_err(|error| error.to_string())?.path();
         if path.is_dir() {
-            // src/tests holds test modules, which run on the developer's machine
+            // src/tests holds test modules, which do not run on wasm32
             if path.file_name().is_some_and(|name| name != "tests") {
                 check_portable(&path, problems)?;
             }

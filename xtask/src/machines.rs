@@ -1,8 +1,10 @@
-//! The vector kernels of machines other than this one: NEON under emulation and simd128 in Node.js, against the same oracles as here.
+//! The vector kernels of other machines, against the same oracles: NEON under emulation, and
+//! simd128 in Node.js.
 
 use crate::tools::{Outcome, apt, command, output_of, root, run, skipped};
 
-/// What a kernel's tests need besides the Rust target: programs and the Debian packages that bring each to work.
+/// Requirements of a machine beside the Rust target: programs, each with the Debian packages that
+/// contain it.
 struct Machine {
     target: &'static str,
     programs: &'static [(&'static str, &'static str)],
@@ -11,14 +13,14 @@ struct Machine {
     flags: &'static str,
 }
 
-/// What has kernels, and which tests run them: the package, options, and words of test names.
+/// Packages with kernels, their options, and words of the names of their tests.
 const TESTS: [(&str, &[&str], &str); 3] = [
     ("lumistack-simd", &[], ""),
     ("lumistack-factorizer", &["--no-default-features"], "updates"),
     ("lumistack-pathtracer", &[], "bvh"),
 ];
 
-/// Runs the tests on every machine that can be had.
+/// Runs the tests on every machine whose requirements can be installed.
 pub fn check() -> Outcome {
     let wasi = format!("node --no-warnings {}", root().join("xtask/wasi.mjs").display());
     let machines = [
@@ -65,10 +67,10 @@ impl Machine {
     }
 
     fn test(&self, package: &str, options: &[&str], names: &str) -> Outcome {
-        let variable = |what: &str| format!("CARGO_TARGET_{}_{what}", self.target.to_uppercase().replace('-', "_"));
+        let variable = |key: &str| format!("CARGO_TARGET_{}_{key}", self.target.to_uppercase().replace('-', "_"));
         let mut cargo = command("cargo");
         cargo.args(["test", "--target", self.target, "--package", package, "--lib"]).args(options);
-        // neither has threads to give
+        // neither machine has threads
         cargo.args(["--", "--test-threads=1", "--nocapture", names]);
         cargo.env(variable("RUNNER"), &self.runner).env("RUSTFLAGS", self.flags);
         if let Some(linker) = self.linker {

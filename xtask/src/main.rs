@@ -1,4 +1,4 @@
-//! Development tasks: `cargo xtask ci` is what CI runs and what a developer runs before a push.
+//! Development tasks. `cargo xtask ci` runs the same checks in CI and for developers.
 
 mod bench;
 mod bench_render;

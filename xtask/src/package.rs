@@ -1,4 +1,4 @@
-//! Whether cargo can package what is published: every crate but those of development, in one go, so that they are found by each other.
+//! Packages every published crate with cargo, in one call, so that the packages find each other.
 
 use std::path::Path;
 
@@ -6,7 +6,8 @@ use serde_json::Value;
 
 use crate::tools::{Outcome, command, output_of, run};
 
-/// Packages every published crate without compiling it, and looks for what registries and compilers of a package miss.
+/// Packages every published crate without compiling it. Checks keys that registries need, and files
+/// that a package would lack.
 pub fn check() -> Outcome {
     let said = output_of(command("cargo").args(["metadata", "--format-version", "1", "--no-deps"]));
     let metadata: Value =
@@ -39,7 +40,7 @@ pub fn check() -> Outcome {
     Ok(())
 }
 
-/// Files that code includes from outside its crate, which its package lacks.
+/// Finds files that code includes from outside its crate.
 fn outside(folder: &Path, problems: &mut Vec<String>) -> Outcome {
     let failed = |error: std::io::Error| format!("{}: {error}", folder.display());
     for entry in std::fs::read_dir(folder).map_err(failed)? {

@@ -1,8 +1,10 @@
-//! The windows of `lumistack show`: behind a feature, so that nothing else waits for winit and wgpu, and tested here on real compositors without hardware.
+//! The windows of `lumistack show`. They are behind a feature, since winit and wgpu compile slowly,
+//! and are tested on real compositors without hardware.
 
 use crate::tools::{EVERYTHING, Outcome, apt, build_everything, command, run, skipped};
 
-/// Packages of Debian: compositors with outputs that do not exist, programs that look at them, and a graphics driver in software.
+/// Programs and their Debian packages: compositors with virtual outputs, programs that capture
+/// them, and more.
 const NEEDED: [(&str, &str); 6] = [
     ("sway", "sway"),
     ("grim", "grim"),
@@ -11,7 +13,7 @@ const NEEDED: [(&str, &str); 6] = [
     ("import", "imagemagick"),
     ("setpriv", "util-linux"),
 ];
-/// Libraries, which are no programs, and by which file one knows that they are there.
+/// Debian packages of libraries and drivers, each with a file that shows that it is installed.
 const LIBRARIES: [(&str, &str); 4] = [
     ("/usr/lib/xorg/modules/drivers/dummy_drv.so", "xserver-xorg-video-dummy"),
     ("/usr/share/vulkan/icd.d", "mesa-vulkan-drivers"),
@@ -19,10 +21,10 @@ const LIBRARIES: [(&str, &str); 4] = [
     ("/usr/share/doc/libxkbcommon-x11-0", "libxkbcommon-x11-0"),
 ];
 
-/// How often `full` starts and ends presentations, and how often it stalls a solver.
+/// Repetitions with `full`: starts of presentations, and stalls of a solver.
 const FULL_TURNS: [&str; 2] = ["50", "5"];
 
-/// Builds and tests; `full` repeats what may fail now and then (some minutes more).
+/// Builds and tests; `full` repeats tests that could fail rarely (some minutes more).
 pub fn check(full: bool) -> Outcome {
     if let Err(error) = fetch() {
         skipped("panels", &format!("not tested on every compositor: {error}"));
@@ -43,10 +45,10 @@ pub fn check(full: bool) -> Outcome {
     Ok(())
 }
 
-/// Fetches what is missing; tests skip what they cannot have.
+/// Fetches missing packages; tests skip without them.
 ///
 /// # Errors
-/// When something cannot be had.
+/// When a package cannot be installed.
 pub fn fetch() -> Outcome {
     let has = |program: &str| {
         std::env::var_os("PATH")

@@ -1,4 +1,5 @@
-//! Plugins as libraries, the samples for plugin authors, and the pages about parameters.
+//! Checks of plugins as shared libraries, of the samples for plugin authors, and of the pages about
+//! parameters.
 
 use std::env::consts::{DLL_PREFIX, DLL_SUFFIX, EXE_SUFFIX};
 use std::fmt::Write as _;
@@ -9,14 +10,14 @@ use serde_json::{Value, json};
 
 use crate::tools::{EVERYTHING, Outcome, build_everything, command, output_of, root, run as run_program};
 
-/// All plugins and their parameters, as `lumistack --json plugins` tells them.
+/// All plugins and their parameters, as `lumistack --json plugins` prints them.
 const DUMP: &str = "docs/plugins.json";
-/// A page for each.
+/// A page for each plugin.
 const PAGES: &str = "docs/plugins";
-/// A crate outside the workspace, as the tutorial builds it.
+/// A crate outside the workspace, built as in the tutorial.
 const SAMPLE: &str = "examples/rust-plugin";
 
-/// Builds and checks everything about plugins; `write` renews the committed pages.
+/// Builds and checks all plugins; `write` rewrites the committed pages.
 pub fn run(write: bool) -> Outcome {
     // a plugin's library is an example of its crate
     build_everything()?;
@@ -26,7 +27,7 @@ pub fn run(write: bool) -> Outcome {
     let target = PathBuf::from(metadata["target_directory"].as_str().ok_or("cargo metadata names no target folder")?);
     pages(&target.join("debug").join(format!("lumistack{EXE_SUFFIX}")), write)?;
     let folder = target.join("plugins");
-    // of plugins that are gone
+    // removes libraries of former plugins
     let _ = fs::remove_dir_all(&folder);
     fs::create_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
     for package in metadata["packages"].as_array().into_iter().flatten() {
@@ -43,9 +44,9 @@ pub fn run(write: bool) -> Outcome {
     run_program(tests.env("LUMISTACK_TEST_PLUGINS", &folder))
 }
 
-/// Builds the crate of the tutorial on its own, tests it, and takes its library.
+/// Builds the crate of the tutorial on its own, tests it, and copies its library.
 fn sample(target: &Path, folder: &Path) -> Outcome {
-    // the versions of the workspace, and so nothing to fetch
+    // the workspace's versions, so nothing is fetched
     let lock = root().join(SAMPLE).join("Cargo.lock");
     fs::copy(root().join("Cargo.lock"), &lock).map_err(|error| format!("{}: {error}", lock.display()))?;
     for task in ["build", "test"] {
@@ -65,15 +66,15 @@ fn take(built: &Path, package: &str, folder: &Path) -> Outcome {
         .map_err(|error| format!("{}: {error}", built.join(name).display()))
 }
 
-/// Compares the committed dump and pages with what the program says, or writes them.
+/// Compares the committed pages and the list of plugins with the program's output, or writes them.
 fn pages(lumistack: &Path, write: bool) -> Outcome {
     let mut program = command(lumistack);
     program.args(["--json", "plugins"]);
-    // only what is compiled in
+    // only compiled-in plugins
     program.env_remove("LUMISTACK_PLUGIN_PATH").env("XDG_DATA_HOME", root().join("target/no-such-folder"));
-    let told = output_of(&mut program).ok_or("`lumistack --json plugins` failed")?;
-    let told: Value = serde_json::from_str(&told).map_err(|error| format!("`lumistack --json plugins`: {error}"))?;
-    let mut plugins: Vec<Value> = told["plugins"].as_array().cloned().ok_or("`lumistack --json plugins` lists none")?;
+    let said = output_of(&mut program).ok_or("`lumistack --json plugins` failed")?;
+    let said: Value = serde_json::from_str(&said).map_err(|error| format!("`lumistack --json plugins`: {error}"))?;
+    let mut plugins: Vec<Value> = said["plugins"].as_array().cloned().ok_or("`lumistack --json plugins` lists none")?;
     plugins.retain(|plugin| plugin["origin"] == "compiled in");
     for plugin in plugins.iter_mut().filter_map(Value::as_object_mut) {
         plugin.remove("origin");
@@ -93,12 +94,12 @@ fn pages(lumistack: &Path, write: bool) -> Outcome {
                 .map_err(|error| format!("{}: {error}", path.display()))?;
             fs::write(&path, wanted).map_err(|error| format!("{}: {error}", path.display()))?;
         } else if fs::read_to_string(&path).unwrap_or_default().replace("\r\n", "\n") != *wanted {
-            return Err(format!("{} is not what the plugins say: `cargo xtask plugins --write`", file.display()));
+            return Err(format!("{} differs from the plugins: `cargo xtask plugins --write`", file.display()));
         }
     }
     for path in &stale {
         if !write {
-            return Err(format!("{} is of no plugin: `cargo xtask plugins --write`", path.display()));
+            return Err(format!("{} belongs to no plugin: `cargo xtask plugins --write`", path.display()));
         }
         fs::remove_file(path).map_err(|error| format!("{}: {error}", path.display()))?;
     }
@@ -114,7 +115,7 @@ fn text<'a>(value: &'a Value, key: &str) -> &'a str {
     value[key].as_str().unwrap_or_default()
 }
 
-/// The page of one plugin.
+/// Writes the page of one plugin.
 fn page(plugin: &Value) -> String {
     let (id, kind) = (text(plugin, "id"), text(plugin, "kind"));
     let mut page =
@@ -135,7 +136,7 @@ fn page(plugin: &Value) -> String {
         page.push_str("\nThere are no parameters.\n");
         return page;
     }
-    // a file
+    // a file has no default
     let none = json!("");
     page.push_str("\n| parameter | default | values | meaning |\n|---|---|---|---|\n");
     for param in params {
@@ -145,8 +146,8 @@ fn page(plugin: &Value) -> String {
             "choice" => {
                 let options = || param["options"].as_array().into_iter().flatten();
                 let values = options().map(|option| format!("`{}`", text(option, "value"))).collect::<Vec<_>>();
-                let told = options().map(|option| format!("`{}`: {}", text(option, "value"), text(option, "help")));
-                (values.join(", "), told.map(|told| format!(" {told}")).collect())
+                let helps = options().map(|option| format!("`{}`: {}", text(option, "value"), text(option, "help")));
+                (values.join(", "), helps.map(|help| format!(" {help}")).collect())
             }
             "int" => (format!("{} to {}{unit}, whole", param["min"], param["max"]), String::new()),
             "float" => (format!("{} to {}{unit}", param["min"], param["max"]), String::new()),

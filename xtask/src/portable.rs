@@ -1,11 +1,12 @@
-//! Windows and macOS: the command compiles for them from any machine; what needs no other program is tested on them.
+//! Windows and macOS: the command is type-checked for them on any machine. Tests that need no other
+//! program run on the systems themselves.
 
 use crate::tools::{self, Outcome, cargo};
 
-/// Systems that releases are for, beside Linux. Their own libraries are not needed to check types.
+/// Systems with releases, beside Linux. Type checks do not need their libraries.
 const TARGETS: [&str; 3] = ["x86_64-pc-windows-gnu", "x86_64-apple-darwin", "aarch64-apple-darwin"];
 
-/// Crates whose tests need neither Debian's packages nor a display.
+/// Crates whose tests need neither Debian packages nor a display.
 const TESTED: [&str; 10] = [
     "lumistack-core",
     "lumistack-scene",
@@ -32,7 +33,7 @@ pub fn check() -> Outcome {
     Ok(())
 }
 
-/// Tests, on the system that this is.
+/// Runs tests on this system.
 pub fn test() -> Outcome {
     let packages = TESTED.iter().flat_map(|name| ["--package", name]);
     cargo(&["test", "--lib"].into_iter().chain(packages).collect::<Vec<_>>())

@@ -1,10 +1,11 @@
-//! The Python package: built as a wheel, installed into `target/python`, tested there as a stranger would use it, and measured.
+//! The Python package: built as a wheel, installed into `target/python`, tested there like a user's
+//! installation, and measured.
 
 use std::path::{Path, PathBuf};
 
 use crate::tools::{self, Outcome, command, install, output_of, run};
 
-/// What builds and checks the package, as pip takes it.
+/// Packages for pip that build and check the package.
 const TOOLS: [&str; 10] = [
     "--only-binary=:all:",
     "maturin==1.16.*",
@@ -18,14 +19,14 @@ const TOOLS: [&str; 10] = [
     "moto[server]==5.*",
 ];
 
-/// What notebooks have, as pip takes them: the package's arrays and plots go there.
+/// Packages for pip that notebooks use: tests pass arrays and plots to them.
 const NOTEBOOKS: [&str; 4] = ["--only-binary=:all:", "matplotlib==3.*", "xarray", "pillow"];
 
-/// The oldest Python for which the wheel is made.
+/// The oldest Python that the wheel supports.
 const OLDEST: (u32, u32) = (3, 11);
 
-/// Packs the wheel from the artefacts of the workspace's tests, installs it, and checks and measures it. Skips with a message where this machine's Python is too old or
-/// the tools cannot be fetched.
+/// Packs the wheel from the artefacts of the workspace's tests, installs it, and checks and
+/// measures it. Skips with a message where Python is too old or the tools cannot be fetched.
 pub fn check() -> Outcome {
     let python = tools::python()?;
     if let Err(error) = fetch(&python) {
@@ -40,10 +41,10 @@ pub fn check() -> Outcome {
     measure(&python, &wheel)
 }
 
-/// Fetches what builds and checks the package.
+/// Fetches the tools that build and check the package.
 ///
 /// # Errors
-/// Where this machine's Python is too old or the tools cannot be had.
+/// Where this machine's Python is too old, or the tools cannot be installed.
 pub fn fetch(python: &Path) -> Outcome {
     if !is_new_enough(python) {
         return Err(format!("the package is for Python {}.{} and newer", OLDEST.0, OLDEST.1));
@@ -61,7 +62,7 @@ pub fn fetch(python: &Path) -> Outcome {
     Ok(())
 }
 
-/// The wheel as users get it, in `target/wheels`.
+/// Builds the release wheel into `target/wheels`, installs it and measures it.
 pub fn release() -> Outcome {
     let python = tools::python()?;
     if !can_import(&python, "maturin") {
@@ -72,10 +73,10 @@ pub fn release() -> Outcome {
     measure(&python, &wheel)
 }
 
-/// A Python with the package as users get it, and all that its checks need.
+/// A Python with the release wheel, and with all tools of its checks.
 ///
 /// # Errors
-/// Where the tools cannot be had or the package does not build.
+/// Where the tools cannot be installed or the package does not build.
 pub fn release_environment() -> Outcome<PathBuf> {
     let python = tools::python()?;
     fetch(&python)?;
@@ -93,7 +94,7 @@ fn is_new_enough(python: &Path) -> bool {
     output_of(command(python).args(["-c", &test])).is_some()
 }
 
-/// Builds the wheel as users get it; its path.
+/// Builds the release wheel, and returns its path.
 pub fn build(python: &Path) -> Outcome<PathBuf> {
     let folder = empty("target/wheels/release")?;
     let maturin = python.with_file_name("maturin");
@@ -101,8 +102,8 @@ pub fn build(python: &Path) -> Outcome<PathBuf> {
     only_file(&folder)
 }
 
-/// Packs a wheel of what the tests of the workspace have compiled, which maturin would compile again with other features; its path. Everything but the
-/// module is as maturin has it.
+/// Packs a wheel from the artefacts of the workspace's tests, which maturin would compile again
+/// with other features, and returns its path. All but the module comes from maturin.
 pub fn pack(python: &Path) -> Outcome<PathBuf> {
     tools::build_everything()?;
     let (info, folder) = (empty("target/wheels/info")?, empty("target/wheels/dev")?);
@@ -130,7 +131,7 @@ fn only_file(folder: &Path) -> Outcome<PathBuf> {
     files.next().map(|file| file.path()).ok_or_else(|| format!("maturin left nothing in {}", folder.display()))
 }
 
-/// mypy over the examples and tests, and the stubs against the module.
+/// Runs mypy over the examples and tests, and compares the stubs with the module.
 fn types(python: &Path) -> Outcome {
     run(command(python).args(["-m", "mypy", "examples/python"]))?;
     run(command(python).args(["-m", "mypy", "crates/python/tests"]))?;

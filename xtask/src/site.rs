@@ -1,13 +1,13 @@
-//! The documentation as pages, in `target/site`.
+//! The documentation as a web site, in `target/site`.
 
 use std::path::PathBuf;
 
 use crate::tools::{self, Outcome, command, install, output_of, run};
 
-/// What makes pages of Markdown, as pip takes it.
+/// The package for pip that converts Markdown.
 const TOOLS: [&str; 2] = ["--only-binary=:all:", "markdown==3.*"];
 
-/// Makes the pages; every link between them is followed.
+/// Builds the site, and checks every link between its pages.
 pub fn build() -> Outcome {
     let python = tools::python()?;
     if output_of(command(&python).args(["-c", "import markdown"])).is_none() {

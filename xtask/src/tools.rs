@@ -1,9 +1,9 @@
-//! Running programs, and fetching the few that the tests need.
+//! Running programs, and fetching the software that tests need.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// A failed step, as one sentence.
+/// The result of a step; an error is one sentence.
 pub type Outcome<T = ()> = Result<T, String>;
 
 /// The workspace's root folder.
@@ -16,36 +16,40 @@ pub fn cargo(arguments: &[&str]) -> Outcome {
     run(command("cargo").args(arguments))
 }
 
-/// What CI compiles, lints and documents: one selection of packages with one set of features, so that nothing is compiled twice.
+/// The packages and features that CI compiles, lints and documents: one selection, so that nothing
+/// is compiled twice. It includes the windows of panels.
 pub const EVERYTHING: [&str; 3] = ["--workspace", "--features", "lumistack-plugin-panels/window,lumistack-cli/panels"];
 
-/// Builds all programs, the Python module and all examples, among them the libraries of plugins, into `target/debug`.
+/// Builds all programs, the Python module and all examples into `target/debug`. The examples
+/// include the libraries of plugins.
 ///
-/// Examples may use what tests use. Without them cargo would select fewer features of some dependencies than `cargo test` does, and compile a third of the workspace again.
+/// Examples may use what tests use. Without them cargo would select fewer features than
+/// `cargo test`, and compile a third of the workspace again.
 pub fn build_everything() -> Outcome {
     cargo(&[&["build", "--quiet"], &EVERYTHING[..], &["--lib", "--bins", "--examples"]].concat())
 }
 
-/// A program that runs in the workspace's root, and whose tests list what they skip.
+/// A program that runs in the workspace's root. Its tests add to the list of skipped checks.
 pub fn command(program: impl AsRef<std::ffi::OsStr>) -> Command {
     let mut command = Command::new(program);
     command.current_dir(root()).env(SKIPPED, skip_list());
     command
 }
 
-/// Names the file in which tests list what they skip; `lumistack_testkit::skip` and the Python tests write there too.
+/// Variable with the file of skipped checks; `lumistack_testkit::skip` and the Python tests write
+/// there too.
 const SKIPPED: &str = "LUMISTACK_SKIPPED";
 
 fn skip_list() -> PathBuf {
     root().join("target/skipped.txt")
 }
 
-/// Whether this is a run of continuous integration, where a check that should run and does not is a failure.
+/// Returns whether this is continuous integration, where a skipped check is a failure.
 fn is_ci() -> bool {
     std::env::var("CI").is_ok_and(|value| !["", "0", "false"].contains(&value.as_str()))
 }
 
-/// Says that a check is not run, and why. At the end [`account_of_skipped`] lists it.
+/// Reports that a check is skipped, and why. At the end [`account_of_skipped`] lists it.
 pub fn skipped(check: &str, why: &str) {
     use std::io::Write;
     let line = format!("{check}: {}", why.replace('\n', " "));
@@ -57,20 +61,20 @@ pub fn skipped(check: &str, why: &str) {
     }
 }
 
-/// Begins a new list of what is skipped.
+/// Empties the list of skipped checks.
 pub fn forget_skipped() {
     let _ = std::fs::remove_file(skip_list());
 }
 
-/// Prints what was skipped since [`forget_skipped`].
+/// Prints the checks that were skipped since [`forget_skipped`].
 ///
 /// # Errors
-/// On CI (`CI=true`), when anything was.
+/// On CI (`CI=true`), when a check was skipped.
 pub fn account_of_skipped() -> Outcome {
     account(&std::fs::read_to_string(skip_list()).unwrap_or_default(), is_ci())
 }
 
-/// [`account_of_skipped`] of a list, one check a line.
+/// Prints a list of skipped checks, one a line.
 fn account(list: &str, is_ci: bool) -> Outcome {
     let mut lines: Vec<&str> = list.lines().collect();
     lines.sort_unstable();
@@ -88,7 +92,8 @@ fn account(list: &str, is_ci: bool) -> Outcome {
     }
 }
 
-/// Installs Debian packages. Waits for other programs that install, and fetches the lists of packages where they are missing or old.
+/// Installs Debian packages. Waits for other programs that install, and updates the package lists
+/// where they are missing or old.
 ///
 /// # Errors
 /// When they cannot be installed.
@@ -107,17 +112,17 @@ pub fn apt(packages: &[&str], purpose: &str) -> Outcome {
         if result.is_ok() || turn + 1 == TURNS {
             return result;
         }
-        // the lock of the lists has no timeout of its own
+        // the lock of the lists has no timeout
         std::thread::sleep(std::time::Duration::from_secs(20 * turn));
         let _ = apt(&["update"]);
     }
     Ok(())
 }
 
-/// How often an installation is tried.
+/// Number of attempts at an installation.
 const TURNS: u64 = 4;
 
-/// Runs a program to its end, showing what it prints.
+/// Runs a program to its end, and shows its output.
 pub fn run(command: &mut Command) -> Outcome {
     let name = describe(command);
     println!("\n$ {name}");
@@ -128,7 +133,7 @@ pub fn run(command: &mut Command) -> Outcome {
     }
 }
 
-/// What a program prints; `None` when it fails.
+/// Returns the output of a program; `None` when it fails.
 pub fn output_of(command: &mut Command) -> Option<String> {
     let output = command.output().ok()?;
     output.status.success().then(|| String::from_utf8_lossy(&output.stdout).into_owned())
@@ -139,17 +144,17 @@ fn describe(command: &Command) -> String {
     words.map(|word| word.to_string_lossy()).collect::<Vec<_>>().join(" ")
 }
 
-/// Reference tools of image metrics, as pip takes them; tests that use them skip where they cannot be had.
+/// Reference tools of image metrics, as packages for pip; tests skip without them.
 const METRICS: [&str; 3] = ["--only-binary=:all:", "scikit-image", "flip-evaluator==1.*"];
 
-/// Readers of pictures, which check files that we write.
+/// Readers of pictures, which check the files that Lumistack writes.
 const READERS: [&str; 3] = ["--only-binary=:all:", "pillow", "OpenEXR==3.*"];
 
-/// OpenUSD with its MaterialX plugin; tests over USD stages skip where it cannot be had.
+/// OpenUSD with its MaterialX plugin; tests of USD stages skip without it.
 const USD: [&str; 2] = ["--only-binary=:all:", "usd-exchange==3.*"];
 
-/// A Python with NumPy, in `target/python`, and where their wheels exist with Pillow and OpenEXR's bindings, scikit-image and flip-evaluator, and OpenUSD. Some tests check
-/// our files and figures with other people's software, and USD is read by it.
+/// A Python with NumPy, in `target/python`. Where their wheels exist it also has Pillow, OpenEXR,
+/// scikit-image, flip-evaluator and OpenUSD. Tests check Lumistack's files and metrics with them.
 pub fn python() -> Outcome<PathBuf> {
     let folder = root().join("target/python");
     let python = folder.join("bin/python");
@@ -185,7 +190,7 @@ pub fn python() -> Outcome<PathBuf> {
     Ok(python)
 }
 
-/// Installs packages; `packages` may hold options of pip.
+/// Installs packages; `packages` may also hold options of pip.
 pub fn install(python: &Path, packages: &[&str]) -> Outcome {
     let mut pip = command(python);
     pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check"]);
@@ -204,7 +209,7 @@ pub fn make_python(folder: &Path, purpose: &str) -> Outcome {
     Ok(())
 }
 
-/// `pdftoppm`, which turns the pages of our PDF files into pixels; tests that need it skip where it cannot be had.
+/// Finds or installs `pdftoppm`, which renders the pages of PDF files; tests skip without it.
 pub fn poppler() {
     if output_of(command("pdftoppm").arg("-v")).is_some() {
         return;
@@ -214,15 +219,15 @@ pub fn poppler() {
     }
 }
 
-/// Whether rustc can compile to wasm32; asks rustup for the target where it cannot.
+/// Returns whether rustc can compile to wasm32; installs the target with rustup if it is missing.
 pub fn wasm_target() -> bool {
     rust_target("wasm32-unknown-unknown").is_ok()
 }
 
-/// Makes sure that rustc can compile to a target; asks rustup for it where it cannot.
+/// Makes sure that rustc can compile to a target; installs it with rustup if it is missing.
 ///
 /// # Errors
-/// Where the target cannot be had.
+/// Where the target cannot be installed.
 pub fn rust_target(triple: &str) -> Outcome {
     let installed = || {
         output_of(command("rustc").args(["--print", "target-libdir", "--target", triple]))
@@ -243,12 +248,11 @@ pub fn example(package: &str, name: &str, arguments: &[String]) -> Outcome {
     cargo(&words)
 }
 
-/// A path that the user gave, seen from where they stand.
+/// Returns a path of the user, relative to the working folder, as an absolute path.
 pub fn absolute(path: &str) -> String {
     std::path::absolute(path).map_or_else(|_| path.to_owned(), |path| text(&path))
 }
 
-/// A path as text.
 pub fn text(path: &Path) -> String {
     path.to_string_lossy().into_owned()
 }
@@ -258,7 +262,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_skipped_is_a_failure_on_ci_alone() {
+    fn skipped_checks_fail_on_ci_alone() {
         assert_eq!(account("", true), Ok(()));
         let list = "wasm32: no target\ntest a: no files\nwasm32: no target\n";
         assert_eq!(account(list, false), Ok(()));

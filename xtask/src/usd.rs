@@ -1,15 +1,16 @@
-//! How USD is read by the oldest and the newest OpenUSD that this machine's Python can have; the tests themselves take the one in `target/python`.
+//! Tests of USD with the oldest and the newest OpenUSD for this machine's Python. The other tests
+//! use the one in `target/python`.
 
 use std::path::{Path, PathBuf};
 
 use crate::tools::{self, EVERYTHING, Outcome, command, install, make_python, output_of, run};
 
-/// Versions as pip takes them. Python 3.11 has wheels from 24.3 on.
+/// Versions for pip. Python 3.11 has wheels from 24.3 on.
 const VERSIONS: [(&str, &str); 2] = [("oldest", "usd-core==24.3"), ("newest", "usd-core")];
-/// Tests that ask OpenUSD.
+/// Tests that use OpenUSD.
 const TESTS: [&str; 5] = ["--test", "usd", "--", "stages::", "shading::"];
 
-/// Runs the tests with each version; skips one that cannot be had.
+/// Runs the tests with each version; skips a version that cannot be installed.
 pub fn check() -> Outcome {
     for (name, package) in VERSIONS {
         match environment(name, package) {
@@ -23,10 +24,10 @@ pub fn check() -> Outcome {
     Ok(())
 }
 
-/// Fetches the versions that can be had.
+/// Fetches the versions.
 ///
 /// # Errors
-/// When one of them cannot.
+/// When a version cannot be installed.
 pub fn fetch() -> Outcome {
     let mut fetched = Ok(());
     for (name, package) in VERSIONS {

@@ -1,7 +1,9 @@
-//! The simulator's module and page: built, made small, measured, tested in a browser, and compared with what is committed.
+//! The simulator's module and page: built, optimized, measured, tested in a browser, and compared
+//! with the committed files.
 //!
-//! `web/dist` is committed, so that a machine without a WebAssembly toolchain writes working previews. Beside it stands a hash of all that it is made
-//! from: where that differs from the sources, somebody changed them and did not build the page anew.
+//! `web/dist` is committed, so that the program writes previews on machines without a WebAssembly
+//! toolchain. A hash of all its sources lies beside it. Where the hash differs from the sources,
+//! the page was not rebuilt after a change.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -13,28 +15,29 @@ use crate::tools::{self, Outcome, cargo, command, output_of, root};
 /// A WebAssembly module.
 struct Module {
     package: &'static str,
-    /// Of the files around it, too.
+    /// Name of the module and of the files around it.
     name: &'static str,
     profile: &'static str,
 }
 
-/// The viewer's module, and that of the page that solves.
+/// The viewer's module, and the module of the page that solves.
 const MODULES: [Module; 2] = [
     Module { package: "lumistack-web", name: "lumistack_web", profile: "web" },
     Module { package: "lumistack-web-solver", name: "lumistack_web_solver", profile: "web-solver" },
 ];
-/// Where the module and its glue go; not committed.
+/// Folder of the modules and their glue; not committed.
 const PACKAGE: &str = "web/pkg";
-/// The page; committed.
+/// Folder of the pages; committed.
 const DIST: &str = "web/dist";
-/// Of the sources of `web/dist`.
+/// Hash of the sources of `web/dist`.
 const HASH: &str = "web/dist/sources.blake3";
-/// Files of the viewer, and what the page that solves adds, with what they are compressed to at most, all together, bytes.
+/// Files of the viewer, further files of the page that solves, and the largest compressed size of
+/// each group, bytes.
 const BUDGETS: [(&str, &[&str], usize); 2] = [
     ("page", &["index.html", "viewer.js", "lumistack_web_bg.wasm"], 150_000),
     ("solver", &["solve.html", "solve.js", "lumistack_web_solver_bg.wasm"], 950_000),
 ];
-/// Sources of the page, besides the lock entries of what they depend on.
+/// Sources of the pages, beside the lock entries of their dependencies.
 const SOURCES: [&str; 21] = [
     "crates/core/src",
     "crates/display/src",
@@ -59,7 +62,7 @@ const SOURCES: [&str; 21] = [
     "xtask/examples/bindgen.rs",
 ];
 
-/// Builds module and page into `web/dist`, and measures them.
+/// Builds modules and pages into `web/dist`, and measures them.
 pub fn build() -> Outcome {
     modules()?;
     tools::run(command("npm").args(["run", "--silent", "build", "--prefix", "web"]))?;
@@ -67,7 +70,7 @@ pub fn build() -> Outcome {
     measure()
 }
 
-/// Fails where the committed page is not that of the sources, and tests the page that the sources give.
+/// Fails where the committed pages differ from the sources, and tests pages built from the sources.
 pub fn check() -> Outcome {
     let (now, committed) = (sources_hash()?, fs::read_to_string(root().join(HASH)).unwrap_or_default());
     if now != committed.trim() {
@@ -82,7 +85,7 @@ pub fn check() -> Outcome {
 /// Fetches the browser and the npm packages.
 ///
 /// # Errors
-/// When they cannot be had.
+/// When they cannot be installed.
 pub fn fetch() -> Outcome {
     npm_packages()?;
     chromium().map(drop)
@@ -117,7 +120,8 @@ fn module(&Module { package: name_of_package, name, profile }: &Module) -> Outco
 }
 
 const WASM: &str = "wasm32-unknown-unknown";
-/// Fixed-width vectors, which every browser has had since 2023; and no paths of the machine that built the module in its messages.
+/// Flags of rustc: fixed-width vectors, which every browser has had since 2023, and messages
+/// without paths of the build machine.
 fn rustflags() -> Vec<String> {
     let home = std::env::var_os("CARGO_HOME").map(PathBuf::from);
     let home = home.or_else(|| std::env::home_dir().map(|home| home.join(".cargo"))).unwrap_or_default();
@@ -127,7 +131,7 @@ fn rustflags() -> Vec<String> {
     flags.sort();
     flags
 }
-/// What the compiler and the glue may use.
+/// Instructions that compiler and glue may use.
 const FEATURES: [&str; 7] = [
     "--enable-bulk-memory",
     "--enable-nontrapping-float-to-int",
@@ -138,7 +142,7 @@ const FEATURES: [&str; 7] = [
     "--enable-multivalue",
 ];
 
-/// The previews and reference views that the browser tests compare with.
+/// Writes the previews and reference views for the browser tests.
 pub fn fixtures() -> Outcome {
     let folder = root().join("web/tests/fixtures");
     tools::build_everything()?;
@@ -148,7 +152,7 @@ pub fn fixtures() -> Outcome {
 /// Runs the tests of `web/tests` in a headless browser.
 pub fn browser_tests() -> Outcome {
     let chromium = chromium()?;
-    // for `lumistack preview`
+    // builds the program for `lumistack preview`
     tools::build_everything()?;
     let binary = target_folder()?.join("debug").join(format!("lumistack{}", std::env::consts::EXE_SUFFIX));
     let mut tests = command("npm");
@@ -180,7 +184,7 @@ pub fn bench() -> Outcome {
     tools::run(bench.env("LUMISTACK_CHROMIUM", chromium()?))
 }
 
-/// Chromium: the one that `LUMISTACK_CHROMIUM` names, or the system's.
+/// Finds Chromium: the program in `LUMISTACK_CHROMIUM`, or the system's.
 fn chromium() -> Outcome<PathBuf> {
     if let Some(path) = std::env::var_os("LUMISTACK_CHROMIUM") {
         return Ok(path.into());
@@ -199,8 +203,8 @@ fn chromium() -> Outcome<PathBuf> {
     })
 }
 
-/// Prints the sizes of the files of both pages; an error above a budget. What counts is Brotli, which is what static hosts send to every browser of today; gzip is
-/// printed beside it.
+/// Prints the sizes of the files of both pages. A size above a budget is an error. The size is that
+/// of Brotli, which static hosts send to all current browsers; gzip is printed beside it.
 fn measure() -> Outcome {
     let script = "const z = require('zlib'), b = require('fs').readFileSync(process.argv[1]); \
         console.log(b.length, z.gzipSync(b, { level: 9 }).length, z.brotliCompressSync(b).length)";
@@ -208,9 +212,9 @@ fn measure() -> Outcome {
         let mut total = [0; 3];
         for name in names {
             let path = root().join(DIST).join(name);
-            let told = output_of(command("node").args(["-e", script]).arg(&path));
+            let said = output_of(command("node").args(["-e", script]).arg(&path));
             let sizes =
-                told.map(|text| text.split_whitespace().filter_map(|word| word.parse().ok()).collect::<Vec<usize>>());
+                said.map(|text| text.split_whitespace().filter_map(|word| word.parse().ok()).collect::<Vec<usize>>());
             let sizes =
                 sizes.filter(|sizes| sizes.len() == 3).ok_or_else(|| format!("{}: not measured", path.display()))?;
             println!("{name:>28} {:8} bytes, gzip {:7}, brotli {:7}", sizes[0], sizes[1], sizes[2]);
@@ -224,7 +228,8 @@ fn measure() -> Outcome {
     Ok(())
 }
 
-/// Hash of the names and contents of all sources, of the build profile, and of the lock entries of every crate that the module is made of.
+/// Hash of the names and contents of all sources, of the build profile, and of the lock entries of
+/// all crates in the modules.
 fn sources_hash() -> Outcome<String> {
     let mut files = Vec::new();
     for source in SOURCES {
@@ -240,7 +245,7 @@ fn sources_hash() -> Outcome<String> {
     let manifest = fs::read_to_string(root().join("Cargo.toml")).map_err(|error| format!("Cargo.toml: {error}"))?;
     let profile = manifest.find("[profile.web]").ok_or("Cargo.toml has no [profile.web]")?;
     hash.update(&manifest.as_bytes()[profile..]);
-    // names, versions and checksums, as cargo says them
+    // names, versions and checksums, as cargo prints them
     let mut crates = Vec::new();
     for Module { package, .. } in &MODULES {
         let tree = ["tree", "--package", package, "--target", WASM, "--edges", "normal,build", "--prefix", "none"];
@@ -275,7 +280,7 @@ pub fn target_folder() -> Outcome<PathBuf> {
     folder.ok_or_else(|| "cargo metadata names no target folder".into())
 }
 
-/// The npm packages of `web/package-lock.json`, fetched where they are not there yet.
+/// Installs the npm packages of `web/package-lock.json` where they are missing or old.
 fn npm_packages() -> Outcome {
     let web = root().join("web");
     let (lock, installed) = (web.join("package-lock.json"), web.join("node_modules/.package-lock.json"));

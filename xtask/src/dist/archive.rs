@@ -1,4 +1,5 @@
-//! Archives whose bytes depend on their content alone: tarballs, and packages of Debian's, which are an `ar` of two tarballs.
+//! Archives whose bytes depend on their content alone: tarballs, and Debian packages, which are an
+//! `ar` of two tarballs.
 
 use std::collections::BTreeSet;
 use std::io::Write as _;
@@ -8,17 +9,17 @@ use flate2::{Compression, GzBuilder};
 use super::tree::File;
 use crate::tools::{Outcome, command, output_of};
 
-/// A tarball of files below one folder.
+/// Makes a tarball of files below one folder.
 pub fn tarball(folder: &str, files: &[File]) -> Outcome<Vec<u8>> {
     let entries: Vec<_> = files.iter().map(|file| (format!("{folder}/{}", file.path), file.clone())).collect();
     packed(&entries)
 }
 
-/// A package of Debian's for a processor of its name.
+/// Makes a Debian package for a processor, by Debian's name for it.
 pub fn deb(architecture: &str, files: &[File]) -> Outcome<Vec<u8>> {
     let mut entries = Vec::new();
     for file in files {
-        // Debian's policy: manual pages compressed, the licence under its own name
+        // Debian's policy: manual pages are compressed, and the licences are in `copyright`
         let (path, bytes) = match file.path.as_str() {
             path if path.starts_with("share/man/") => (format!("{path}.gz"), gzipped(&file.bytes)?),
             "share/doc/lumistack/THIRD-PARTY.txt" => ("share/doc/lumistack/copyright".into(), copyright(files, file)),
@@ -43,7 +44,7 @@ pub fn deb(architecture: &str, files: &[File]) -> Outcome<Vec<u8>> {
     Ok(archive)
 }
 
-/// Our own licences, then those of all parts.
+/// The text of `copyright`: Lumistack's licences, then those of its dependencies.
 fn copyright(files: &[File], parts: &File) -> Vec<u8> {
     let own =
         ["LICENSE-MIT", "LICENSE-APACHE"].iter().filter_map(|name| files.iter().find(|file| file.path.ends_with(name)));
@@ -55,7 +56,7 @@ fn copyright(files: &[File], parts: &File) -> Vec<u8> {
     text
 }
 
-/// One file of an `ar`.
+/// Appends a file to an `ar`.
 fn member(archive: &mut Vec<u8>, name: &str, bytes: &[u8]) {
     let header = format!("{name:<16}{:<12}{:<6}{:<6}{:<8}{:<10}`\n", time(), 0, 0, 100_644, bytes.len());
     archive.extend_from_slice(header.as_bytes());
@@ -65,7 +66,7 @@ fn member(archive: &mut Vec<u8>, name: &str, bytes: &[u8]) {
     }
 }
 
-/// Seconds since 1970 of all files: those of the commit, or of `SOURCE_DATE_EPOCH`.
+/// Time of all files, in seconds since 1970: of the commit, or `SOURCE_DATE_EPOCH`.
 fn time() -> u64 {
     let asked = std::env::var("SOURCE_DATE_EPOCH").ok();
     let commit = || output_of(command("git").args(["log", "-1", "--format=%ct"]));
@@ -83,7 +84,7 @@ fn packed(entries: &[(String, File)]) -> Outcome<Vec<u8>> {
         header.set_mtime(time());
         header
     };
-    // installers want every folder before what is in it
+    // installers expect every folder before its files
     let folders: BTreeSet<String> =
         entries.iter().flat_map(|(path, _)| path.match_indices('/').map(|(end, _)| path[..=end].to_owned())).collect();
     for folder in folders {
@@ -137,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn a_package_has_what_debian_asks_for() {
+    fn a_package_has_what_debian_requires() {
         let bytes = deb("amd64", &files()).unwrap();
         let mut rest = bytes.strip_prefix(b"!<arch>\n").unwrap();
         let mut members = Vec::new();

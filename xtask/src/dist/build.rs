@@ -1,4 +1,5 @@
-//! Programs and wheels. On Linux zig links them against an old glibc, for other processors too.
+//! Builds programs and wheels. On Linux zig links them against an old glibc, for other processors
+//! too.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -6,20 +7,20 @@ use std::process::Command;
 
 use crate::tools::{self, Outcome, command, install, output_of, run};
 
-/// The oldest glibc on which programs and wheels run: the oldest that Rust's own library takes.
+/// The oldest glibc of programs and wheels: the oldest that Rust's standard library supports.
 const GLIBC: &str = "2.17";
 
-/// Linker and builders, as pip takes them.
+/// Linker and builders, as packages for pip.
 const TOOLS: [&str; 4] = ["--only-binary=:all:", "ziglang==0.17.*", "cargo-zigbuild==0.24.*", "maturin==1.16.*"];
 
-/// A kind of machine that releases are for.
+/// A kind of machine that releases support.
 #[derive(Clone, Copy)]
 pub struct Target {
-    /// Rust's name.
+    /// Rust's name of the target.
     pub triple: &'static str,
-    /// Debian's name of the processor.
+    /// Debian's name of the processor, on Linux.
     pub debian: Option<&'static str>,
-    /// What the names of its programs end with.
+    /// Ending of the program's name.
     pub ending: &'static str,
 }
 
@@ -27,7 +28,7 @@ const fn target(triple: &'static str, debian: Option<&'static str>, ending: &'st
     Target { triple, debian, ending }
 }
 
-/// All of them; those before the others are made on Linux.
+/// All targets. Linux builds those with a Debian name.
 const TARGETS: [Target; 5] = [
     target("x86_64-unknown-linux-gnu", Some("amd64"), ""),
     target("aarch64-unknown-linux-gnu", Some("arm64"), ""),
@@ -37,12 +38,12 @@ const TARGETS: [Target; 5] = [
 ];
 
 impl Target {
-    /// The target of a name.
+    /// Finds a target by Rust's name.
     pub fn of(triple: &str) -> Option<Self> {
         TARGETS.into_iter().find(|target| target.triple == triple)
     }
 
-    /// What this machine makes.
+    /// The targets that this machine builds.
     pub fn of_this_machine() -> Outcome<Vec<Self>> {
         let host = host()?;
         if host.is_linux() {
@@ -62,7 +63,7 @@ fn host() -> Outcome<Target> {
     Target::of(triple).ok_or_else(|| format!("{triple}: no machine that releases are for"))
 }
 
-/// A Python with the builders.
+/// Finds or makes a Python with the builders.
 fn builders() -> Outcome<PathBuf> {
     let folder = tools::root().join("target/python-dist");
     let bin = folder.join(if cfg!(windows) { "Scripts" } else { "bin" });
@@ -86,7 +87,7 @@ fn builder(python: &Path, name: &str) -> Outcome<Command> {
     Ok(builder)
 }
 
-/// Builds the program with the windows of panels; its path.
+/// Builds the program with the windows of panels, and returns its path.
 pub fn program(target: &Target) -> Outcome<PathBuf> {
     tools::rust_target(target.triple)?;
     let words = ["--release", "--locked", "--package", "lumistack-cli", "--features", "panels", "--target"];
@@ -101,12 +102,12 @@ pub fn program(target: &Target) -> Outcome<PathBuf> {
     Ok(tools::root().join("target").join(target.triple).join("release").join(name))
 }
 
-/// The program for this machine, which writes manual pages and completions of all.
+/// Builds the program for this machine, which writes manual pages and completions for all targets.
 pub fn own_program() -> Outcome<PathBuf> {
     program(&host()?)
 }
 
-/// Builds the wheel, with the licences in it; its path.
+/// Builds the wheel with the licences in it, and returns its path.
 pub fn wheel(target: &Target, folder: &Path, licences: &str) -> Outcome<PathBuf> {
     tools::rust_target(target.triple)?;
     let python = builders()?;
@@ -121,7 +122,7 @@ pub fn wheel(target: &Target, folder: &Path, licences: &str) -> Outcome<PathBuf>
     run(&mut maturin)?;
     let text = out.join("THIRD-PARTY.txt");
     std::fs::write(&text, licences).map_err(|error| format!("{}: {error}", text.display()))?;
-    // the name is what maturin made of version and platform
+    // maturin puts version and platform into the name
     let wheels = std::fs::read_dir(&out).map_err(|error| format!("{}: {error}", out.display()))?;
     let wheel =
         wheels.flatten().map(|entry| entry.path()).find(|path| path.extension().is_some_and(|end| end == "whl"));

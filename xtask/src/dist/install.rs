@@ -1,4 +1,5 @@
-//! Tries out what is in `target/dist`: each way of installing in a Debian of its own, which has no Rust, or, where none can be made, in an empty prefix.
+//! Tests the installation from `target/dist`. Each way runs in its own Debian without Rust, or in
+//! an empty prefix where no Debian can be made.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -6,10 +7,10 @@ use std::time::Instant;
 
 use crate::tools::{self, Outcome, command, output_of, run};
 
-/// Scripts of `tests/install`.
+/// Names of the scripts in `tests/install`.
 pub const WAYS: [&str; 6] = ["tarball", "deb", "wheel", "npm", "blender", "pages"];
 
-/// Runs the scripts of the ways, of none all, on what is in `dist`.
+/// Runs the scripts of some ways on the files in `dist`; without ways all of them.
 pub fn test(ways: &[&str], dist: &Path) -> Outcome {
     let clean = debian().map_err(|why| println!("no clean Debian ({why}): into an empty prefix instead")).ok();
     let mut times = Vec::new();
@@ -17,7 +18,8 @@ pub fn test(ways: &[&str], dist: &Path) -> Outcome {
     for way in WAYS.into_iter().filter(|way| ways.is_empty() || ways.contains(way)) {
         println!("\n=== {way}");
         let start = Instant::now();
-        // the extension needs a Blender newer than Debian's, which the module bpy is; pages lie in the repository
+        // the extension needs a Blender newer than Debian's, which the module bpy is; pages need
+        // the repository
         let result = match &clean {
             Some(base) if way != "blender" && way != "pages" => in_debian(base, way, dist),
             _ => in_prefix(way, dist),
@@ -49,7 +51,7 @@ fn debian() -> Outcome<PathBuf> {
     if output_of(command("debootstrap").arg("--version")).is_none() {
         tools::apt(&["debootstrap"], "make a clean Debian")?;
     }
-    // from where this machine's packages come
+    // the mirror of this machine's packages
     let sites = output_of(command("apt-get").args(["indextargets", "--format", "$(SITE)"])).unwrap_or_default();
     let site = sites.lines().find(|site| !site.contains("security")).ok_or("apt-get names no mirror")?.to_owned();
     let part = folder().join("debian-part");
@@ -78,7 +80,7 @@ fn in_debian(base: &Path, way: &str, dist: &Path) -> Outcome {
     result
 }
 
-/// Runs a script with an empty home and nothing in its environment.
+/// Runs a script with an empty home and an almost empty environment.
 fn in_prefix(way: &str, dist: &Path) -> Outcome {
     let home = folder().join(format!("{way}-home"));
     let _ = std::fs::remove_dir_all(&home);

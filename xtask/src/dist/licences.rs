@@ -1,4 +1,5 @@
-//! Which parts are in the program and under which licences: a list for people, with all texts, and one for machines (CycloneDX).
+//! Dependencies of the program and their licences: a list to read, with all texts, and a bill of
+//! materials (CycloneDX).
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
@@ -8,30 +9,31 @@ use serde_json::{Value, json};
 use super::build::Target;
 use crate::tools::{Outcome, command, output_of, root};
 
-/// What is released; what is only built or tested with is no part of it.
+/// The released packages; dependencies of builds and tests alone do not count.
 const RELEASED: [[&str; 4]; 2] =
     [["--package", "lumistack-cli", "--features", "panels"], ["--package", "lumistack-python", "--features", "panels"]];
 
-/// A package of Rust in the program.
+/// A Rust package in the program.
 struct Part {
     name: String,
     version: String,
     /// SPDX expression.
     licence: String,
     authors: Vec<String>,
-    /// SHA-256 of what the registry gives; none of our own packages.
+    /// SHA-256 of the registry's file; `None` for Lumistack's own packages.
     sum: Option<String>,
     folder: PathBuf,
-    /// `name version` of parts that it uses.
+    /// `name version` of its dependencies.
     uses: BTreeSet<String>,
 }
 
 /// All parts, by name and version.
 pub struct Licences(BTreeMap<String, Part>);
 
-/// Asks cargo for the parts of programs and modules for these targets.
+/// Collects the parts of programs and modules for some targets, by cargo.
 pub fn collect(targets: &[Target]) -> Outcome<Licences> {
     let ids = targets.iter().map(in_target).collect::<Outcome<Vec<_>>>()?.concat();
+    // cargo names the packages; their checksums are in the lock file.
     let said = output_of(command("cargo").args(["metadata", "--format-version", "1", "--locked"]));
     let metadata: Value =
         serde_json::from_str(&said.ok_or("cargo metadata failed")?).map_err(|error| error.to_string())?;
@@ -43,6 +45,7 @@ pub fn collect(targets: &[Target]) -> Outcome<Licences> {
     let of_cargo: HashMap<&str, String> =
         packages.iter().map(|package| (package["id"].as_str().unwrap_or_default(), id(package))).collect();
     let nodes = metadata["resolve"]["nodes"].as_array().into_iter().flatten();
+    // Dependencies between the parts, for the bill of materials.
     let mut uses: HashMap<String, BTreeSet<String>> = nodes
         .filter_map(|node| {
             let of = of_cargo.get(node["id"].as_str()?)?.clone();
@@ -68,7 +71,7 @@ pub fn collect(targets: &[Target]) -> Outcome<Licences> {
     licences.check().map(|()| licences)
 }
 
-/// `name version` of all that programs and modules for a target are made of.
+/// `name version` of all parts of programs and modules for a target.
 fn in_target(target: &Target) -> Outcome<Vec<String>> {
     let mut ids = Vec::new();
     for words in RELEASED {
@@ -91,7 +94,7 @@ fn in_target(target: &Target) -> Outcome<Vec<String>> {
     Ok(ids)
 }
 
-/// Checksums in a lock file, by `name version`.
+/// Checksums of a lock file, by `name version`.
 fn sums(lock: &str) -> HashMap<String, String> {
     let packages = lock.split("[[package]]").skip(1);
     let value = |package: &str, key: &str| {
@@ -107,14 +110,14 @@ fn sums(lock: &str) -> HashMap<String, String> {
 }
 
 impl Licences {
-    /// Every part must say its licence.
+    /// Checks that every part states its licence.
     fn check(&self) -> Outcome {
         let silent: Vec<_> =
             self.0.iter().filter(|(_, part)| part.licence.is_empty()).map(|(id, _)| id.as_str()).collect();
         if silent.is_empty() { Ok(()) } else { Err(format!("no licence is said by {}", silent.join(", "))) }
     }
 
-    /// All parts with their licences, then every text with the parts that carry it.
+    /// All parts with their licences, then every text with its parts.
     pub fn text(&self) -> String {
         let mut text =
             String::from("Lumistack is made of these packages of Rust, each under the licence beside it.\n\n");
@@ -136,7 +139,7 @@ impl Licences {
         text
     }
 
-    /// The same for machines.
+    /// The bill of materials, as CycloneDX.
     pub fn sbom(&self) -> Value {
         let url = |id: &str| format!("pkg:cargo/{}", id.replace(' ', "@"));
         let components = self.0.iter().map(|(id, part)| {
@@ -164,7 +167,7 @@ impl Licences {
     }
 }
 
-/// The texts that a package brings along.
+/// The licence texts of a package.
 fn texts_in(folder: &Path) -> Vec<String> {
     let is_licence = |path: &Path| {
         let name = path.file_name().unwrap_or_default().to_string_lossy().to_uppercase();
@@ -176,7 +179,7 @@ fn texts_in(folder: &Path) -> Vec<String> {
     paths.iter().filter_map(|path| std::fs::read_to_string(path).ok()).map(|text| text.replace('\r', "")).collect()
 }
 
-/// For a package that brings no text along: the standard one of a licence that it offers, with its authors.
+/// The standard text for a package without one: of a licence that it offers, with its authors.
 fn standard(part: &Part) -> Vec<String> {
     let ours = |name: &str| std::fs::read_to_string(root().join(name)).unwrap_or_default();
     let text = match part.licence.as_str() {

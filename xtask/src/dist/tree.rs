@@ -1,32 +1,33 @@
-//! What an installation has beside the program: manual pages, completions, documents, schemas and the first scene.
+//! Files of an installation beside the program: manual pages, completions, documents, schemas and
+//! the first scene.
 
 use std::path::{Path, PathBuf};
 
 use super::build::Target;
 use crate::tools::{self, Outcome, command, run};
 
-/// A file of an installation; its path begins below the prefix, as in `bin/lumistack`.
+/// A file of an installation; its path begins below the prefix, such as `bin/lumistack`.
 #[derive(Clone)]
 pub struct File {
-    /// Folders and name, between `/`.
+    /// Folders and name, separated by `/`.
     pub path: String,
-    /// Whether it is a program.
+    /// The file is a program.
     pub runs: bool,
-    /// What is in it.
+    /// Content.
     pub bytes: Vec<u8>,
 }
 
-/// Completions by shell, where their shells look for them.
+/// Shells, and the places where each looks for completions.
 const COMPLETIONS: [(&str, &str); 3] = [
     ("bash", "share/bash-completion/completions/lumistack"),
     ("zsh", "share/zsh/site-functions/_lumistack"),
     ("fish", "share/fish/vendor_completions.d/lumistack.fish"),
 ];
 
-/// Where documents go, with the links between them.
+/// Folder of documents, with the links between them.
 const DOCUMENTS: &str = "share/doc/lumistack";
 
-/// Files of the repository that come along, and where to.
+/// Files of the repository, and their folder in an installation.
 const COPIED: [(&str, &str); 9] = [
     ("README.md", DOCUMENTS),
     ("CHANGELOG.md", DOCUMENTS),
@@ -36,11 +37,11 @@ const COPIED: [(&str, &str); 9] = [
     ("docs/plugins", DOCUMENTS),
     ("docs/schema", DOCUMENTS),
     ("scenes/still-life", "share/lumistack"),
-    // by which the scene's job is checked
+    // checks the scene's job
     ("docs/schema", "share/lumistack"),
 ];
 
-/// Endings of what comes along of folders.
+/// Endings of the files that are copied from folders.
 const ENDINGS: [&str; 7] = [".md", ".jpg", ".json", ".toml", ".gltf", ".bin", ".hdr"];
 
 /// All files but the program, which writes some of them.
@@ -73,7 +74,7 @@ pub fn shared(program: &Path, licences: &str) -> Outcome<Vec<File>> {
     Ok(files)
 }
 
-/// The same with the program of a target.
+/// All files with the program of a target.
 pub fn with_program(shared: &[File], program: &Path, target: &Target) -> Outcome<Vec<File>> {
     let program = File { path: format!("bin/lumistack{}", target.ending), runs: true, bytes: read(program)? };
     Ok(std::iter::once(program).chain(shared.iter().cloned()).collect())
