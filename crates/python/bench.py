@@ -1,4 +1,5 @@
-"""What the package costs beside its work: import time, and the overhead of calls on a light field of 5×5 views of 100×160 pixels (4.8 MB).
+"""Measures the package's overhead: import time, and calls on a light field of 5×5 views of 100×160
+pixels (4.8 MB).
 
     python crates/python/bench.py
 """

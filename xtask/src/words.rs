@@ -27,6 +27,7 @@ const CLEAN: &[&str] = &[
     "crates/pathtracer",
     "crates/plot",
     "crates/plugin-abi",
+    "crates/python",
     "crates/scene",
     "crates/shot",
     "crates/simd",

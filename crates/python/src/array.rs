@@ -1,9 +1,10 @@
-//! Arrays in and out, through Python's buffer protocol: NumPy is not needed to read or to lend one.
+//! Arrays in and out by Python's buffer protocol, so that NumPy is not needed.
 //!
-//! In, from the buffer protocol, `__array__` or DLPack: `float32` in row-major order is used where it is. Everything else is copied to that: other strides, Fortran order, misaligned memory, the other byte order,
-//! `float16` and `float64`. `uint8` and `uint16` are sRGB code values and become linear light, as in pictures; other types are refused.
+//! In: by the buffer protocol, `__array__` or DLPack. Row-major, aligned `float32` is used without
+//! a copy. Other layouts, byte orders, `float16` and `float64` are copied. `uint8` and `uint16` are
+//! sRGB codes and become linear, as in pictures. Other types are refused.
 //!
-//! Out: an [`Array`] lends its values, read-only, for as long as anybody looks at them.
+//! Out: an [`Array`] exports its values, read-only, for as long as a buffer of it exists.
 
 use std::ffi::{CString, c_int};
 use std::sync::Arc;
@@ -17,7 +18,7 @@ use pyo3::prelude::*;
 
 use crate::own::in_package;
 
-/// Values that came from Python, row-major.
+/// Values from Python, row-major.
 pub(crate) struct Values {
     pub(crate) shape: Vec<usize>,
     data: Data,
@@ -29,12 +30,12 @@ enum Data {
 }
 
 impl Values {
-    /// Reads `object`; `what` it is goes into messages.
+    /// Reads `object`; messages call it `what`.
     pub(crate) fn read(object: &Bound<'_, PyAny>, what: &str) -> PyResult<Self> {
         let py = object.py();
         let mut object = object.clone();
+        // Find the protocol that the object supports.
         let mut buffer = PyUntypedBuffer::get(&object);
-        // tensors of other libraries
         if buffer.is_err() && object.hasattr("__array__")? {
             object = object.call_method0("__array__")?;
             buffer = PyUntypedBuffer::get(&object);
@@ -46,6 +47,7 @@ impl Values {
             let found = object.get_type().name()?;
             return Err(PyTypeError::new_err(format!("{what}: expected an array of floats, found {found}")));
         };
+        // Check type and shape.
         let scalar = Scalar::of(&buffer).ok_or_else(|| {
             let named = object.getattr("dtype").and_then(|dtype| Ok(dtype.str()?.to_string()));
             let found = named.unwrap_or_else(|_| format!("format `{}`", buffer.format().to_string_lossy()));
@@ -56,6 +58,7 @@ impl Values {
             return Err(PyTypeError::new_err(format!("{what}: expected an array in one piece, found one of pointers")));
         }
         let shape = buffer.shape().to_vec();
+        // Use the memory itself if it has the layout of a tensor, and copy it otherwise.
         if scalar == Scalar::NATIVE && buffer.is_c_contiguous() && buffer.buf_ptr().cast::<f32>().is_aligned() {
             return Ok(Self { shape, data: Data::Lent(Arc::new(Borrowed(buffer))) });
         }
@@ -63,7 +66,7 @@ impl Values {
         Ok(Self { shape, data: Data::Own(data) })
     }
 
-    /// The values as a tensor whose axes are named so.
+    /// The values as a tensor with named axes.
     pub(crate) fn tensor<const N: usize>(self, what: &str, axes: [&'static str; N]) -> PyResult<Tensor<N>> {
         let shape: [usize; N] = self.shape.as_slice().try_into().map_err(|_| {
             let axes = axes.join(", ");
@@ -76,7 +79,6 @@ impl Values {
         tensor.map_err(|error| PyTypeError::new_err(format!("{what}: {error}")))
     }
 
-    /// Shape and values.
     pub(crate) fn into_parts(self) -> (Vec<usize>, Vec<f32>) {
         let data = match self.data {
             Data::Own(data) => data,
@@ -94,13 +96,14 @@ impl AsRef<[f32]> for Borrowed {
         if self.0.item_count() == 0 {
             return &[];
         }
-        // SAFETY: the exporter keeps memory, shape and place of a buffer for as long as it is held; `Values::read` has seen that its format is `f32`, that it is
-        // row-major and aligned. That nobody writes to it meanwhile is asked of the caller in the documentation of `LightField` and `LayerStack`.
+        // SAFETY: the exporter keeps memory, shape and address of a buffer while it is held.
+        // `Values::read` has checked that its format is `f32`, row-major and aligned. The
+        // documentation of `LightField` and `LayerStack` forbids writing to it meanwhile.
         unsafe { std::slice::from_raw_parts(self.0.buf_ptr().cast::<f32>(), self.0.item_count()) }
     }
 }
 
-/// Type of the values, and whether their bytes are reversed.
+/// Type of the values, and true if their bytes are reversed.
 #[derive(Clone, Copy, PartialEq, Eq)]
 struct Scalar {
     kind: Kind,
@@ -143,7 +146,7 @@ impl Scalar {
     }
 }
 
-/// Every value in row-major order as `f32`.
+/// Copies every value in row-major order as `f32`.
 fn copied(buffer: &PyUntypedBuffer, scalar: Scalar) -> Vec<f32> {
     let mut out = Vec::with_capacity(buffer.item_count());
     match scalar.kind {
@@ -167,7 +170,7 @@ fn each<const BYTES: usize>(buffer: &PyUntypedBuffer, swapped: bool, mut take: i
     if buffer.item_count() == 0 {
         return;
     }
-    // neighbouring axes that lie one after another are one
+    // Join axes that are contiguous, so that the innermost loop is long.
     let mut axes: Vec<(usize, isize)> = Vec::new();
     for (&count, &stride) in buffer.shape().iter().zip(buffer.strides()) {
         match axes.last_mut() {
@@ -176,7 +179,8 @@ fn each<const BYTES: usize>(buffer: &PyUntypedBuffer, swapped: bool, mut take: i
         }
     }
     walk(buffer.buf_ptr().cast::<u8>(), &axes, &mut |item| {
-        // SAFETY: an item of `BYTES` bytes lies at every index of the shape, at the sum of index times stride; it may be misaligned
+        // SAFETY: every index of the shape has an item of `BYTES` bytes at the sum of index times
+        // stride; it may be misaligned.
         let mut bytes = unsafe { item.cast::<[u8; BYTES]>().read_unaligned() };
         if swapped {
             bytes.reverse();
@@ -185,7 +189,7 @@ fn each<const BYTES: usize>(buffer: &PyUntypedBuffer, swapped: bool, mut take: i
     });
 }
 
-/// Calls `take` with the place of every item below `axes`, outermost first.
+/// Calls `take` with the address of every item below `axes`, outermost first.
 fn walk(place: *const u8, axes: &[(usize, isize)], take: &mut impl FnMut(*const u8)) {
     match axes {
         [] => take(place),
@@ -196,7 +200,7 @@ fn walk(place: *const u8, axes: &[(usize, isize)], take: &mut impl FnMut(*const 
     }
 }
 
-/// A half float (IEEE 754 binary16) as `f32`, exactly.
+/// Converts a half float (IEEE 754 binary16) exactly.
 fn half(bits: u16) -> f32 {
     let sign = if bits >> 15 == 1 { -1.0 } else { 1.0 };
     let (exponent, fraction) = (i32::from(bits >> 10 & 31), f32::from(bits & 1023));
@@ -208,7 +212,7 @@ fn half(bits: u16) -> f32 {
     }
 }
 
-/// What lends its values.
+/// The owner of exported values.
 #[derive(Clone)]
 pub(crate) enum Part {
     Field(Arc<LightField>),
@@ -216,7 +220,7 @@ pub(crate) enum Part {
     Emission(Arc<LayerStack>),
     Picture(Arc<Tensor<3>>),
     Weights(Arc<Tensor<4>>),
-    /// Of any shape.
+    /// Values of any shape.
     Values(Vec<usize>, Arc<[f32]>),
 }
 
@@ -244,11 +248,11 @@ impl Part {
     }
 }
 
-/// Values that can be looked at, read-only, through the buffer protocol: numpy.asarray(a) and memoryview(a) copy nothing.
+/// Read-only values with the buffer protocol: numpy.asarray(a) and memoryview(a) copy nothing.
 #[pyclass(frozen, module = "lumistack")]
 pub(crate) struct Array {
     part: Part,
-    /// As the protocol wants them; they stay where they are.
+    /// In the protocol's types; a buffer refers to these vectors.
     shape: Vec<isize>,
     strides: Vec<isize>,
 }
@@ -263,7 +267,7 @@ impl Array {
         Self { part, shape, strides }
     }
 
-    /// As an array of NumPy, without a copy.
+    /// A NumPy array without a copy.
     pub(crate) fn numpy(py: Python<'_>, part: Part) -> PyResult<Bound<'_, PyAny>> {
         let numpy = py.import("numpy").map_err(|error| {
             let message = "arrays are handed out as arrays of NumPy: `pip install numpy`";
@@ -302,8 +306,9 @@ impl Array {
         let wanted = |flag: c_int| flags & flag == flag;
         let format = if wanted(ffi::PyBUF_FORMAT) { CString::new("f")?.into_raw() } else { std::ptr::null_mut() };
         let strides = this.strides.as_ptr().cast_mut();
-        // SAFETY: `view` is the caller's to fill. Values, shape and strides belong to a frozen object, which `obj` keeps alive until the buffer is released; the
-        // protocol forbids writing to any of them. The format is taken back in `__releasebuffer__`.
+        // SAFETY: the caller provides `view`. Values, shape and strides belong to a frozen object,
+        // and `obj` keeps it alive until the buffer is released. The protocol forbids writing to
+        // them. `__releasebuffer__` frees the format.
         unsafe {
             (*view).buf = data.as_ptr().cast_mut().cast();
             (*view).len = size_of_val(data) as isize;
@@ -321,7 +326,7 @@ impl Array {
     }
 
     unsafe fn __releasebuffer__(&self, view: *mut ffi::Py_buffer) {
-        // SAFETY: `__getbuffer__` made the format, or left it out
+        // SAFETY: `__getbuffer__` allocated the format or left it null
         unsafe {
             if !(*view).format.is_null() {
                 drop(CString::from_raw((*view).format));

@@ -14,18 +14,21 @@ use crate::json::{map_of, parsed, table, to_python};
 
 /// A tensor display and the light field that it is made for.
 ///
-/// what: name of a preset (displays() lists them), path of a display file (.toml), a mapping with the keys of such a file, or another Display;
-/// without it the preset "paper-three-layer". What else is given changes it:
+/// The other arguments change the display of `what`:
 ///
-/// * resolution: (columns, rows) of the light field; masks and lenslets scale along, the size in millimetres stays
-/// * views: "auto", as many as make the display right between them; (horizontal, vertical) views; or {"step": (x, y)}, at multiples of these slopes
-/// * fov_deg: (horizontal, vertical) full angles of view, degrees, 0 to less than 180
+/// * `what`: name of a preset (displays() lists them), path of a display file (.toml), a mapping
+///   with the keys of such a file, or another Display; by default "paper-three-layer"
+/// * resolution: (columns, rows) of the light field; the layers' resolutions follow, sizes in
+///   millimetres stay
+/// * views: (horizontal, vertical) number of views; "auto": as many as the display needs to be
+///   right between them; {"step": (x, y)}: views at multiples of these slopes
+/// * fov_deg: (horizontal, vertical) field of view, full angles in degrees, 0 to less than 180
 /// * frames: time-multiplexed frames M, 1 to 1000
 /// * brightness: brightness scale β, above 0 and at most 1: the display emits β times the target
-/// * sampling: "nearest" or "bilinear", how a ray reads a layer between pixel centres
-/// * missing: "drop" or "clear", what a ray does that leaves a layer
+/// * sampling: "nearest" or "bilinear" interpolation of a layer between pixel centres
+/// * missing: "drop" or "clear": how rays that leave a layer are treated
 ///
-/// Displays do not change; they compare by value and can be pickled.
+/// Displays are immutable; they compare by value and can be pickled.
 ///
 /// >>> display = Display("fig7-uniform", resolution=(64, 40), views=(3, 3), frames=4)
 /// >>> display.frames, display.light_field_shape
@@ -64,7 +67,7 @@ impl Display {
         changed.map(|display| Self(Arc::new(display))).map_err(|error| raised(py, &error))
     }
 
-    /// Name for people.
+    /// Name for users.
     #[getter]
     fn name(&self) -> &str {
         &self.0.name
@@ -82,20 +85,22 @@ impl Display {
         self.0.brightness
     }
 
-    /// Distances of the layers from the plane of zero parallax, rear to front, millimetres; above 0 towards the viewer.
+    /// Distances of the layers from the display plane, rear to front, millimetres; above 0 towards
+    /// the viewer.
     #[getter]
     fn layer_distances_mm<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
         PyTuple::new(py, self.0.layers.iter().map(|layer| layer.d_mm))
     }
 
-    /// Shapes of the layers' patterns, rear to front: (frame, row, col, rgb).
+    /// Shapes of the layers' masks, rear to front: (frame, row, col, rgb).
     #[getter]
     fn layer_shapes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
         let shape = |n| lumistack_display::LayerStack::layer_shape(&self.0, n).into();
         PyTuple::new(py, (0..self.0.layers.len()).map(shape).collect::<Vec<(usize, usize, usize, usize)>>())
     }
 
-    /// Shape of the emission of a directional backlight, (frame, bin_y, bin_x, lenslet_row, lenslet_col, rgb); None of a uniform one.
+    /// Shape of the emission of a directional backlight, (frame, bin_y, bin_x, lenslet_row,
+    /// lenslet_col, rgb); None for a uniform one.
     #[getter]
     fn emission_shape(&self) -> Option<(usize, usize, usize, usize, usize, usize)> {
         lumistack_display::LayerStack::emission_shape(&self.0).map(Into::into)
@@ -108,7 +113,7 @@ impl Display {
         (view_rows, view_cols, field.resolution[1], field.resolution[0], 3)
     }
 
-    /// Tangents of the view columns, left to right, and of the view rows, y up, top to bottom.
+    /// Slopes of the view columns, left to right, and of the view rows, y up, top to bottom.
     #[getter]
     fn slopes(&self, py: Python<'_>) -> PyResult<(Vec<f64>, Vec<f64>)> {
         let place = PathBuf::from(&self.0.name);
@@ -119,26 +124,27 @@ impl Display {
         Ok((geometry.grid.slope_x, geometry.grid.slope_y))
     }
 
-    /// Pixel pitch of the light field on the plane of zero parallax, millimetres.
+    /// Pixel pitch of the light field on the display plane, millimetres.
     #[getter]
     fn pitch_mm(&self) -> f64 {
         self.0.field.pitch_mm
     }
 
-    /// Viewing distance of a display whose views are perspective, millimetres; None where they are parallel projections.
+    /// Viewing distance of perspective views, millimetres; None for parallel projections.
     #[getter]
     fn distance_mm(&self) -> Option<f64> {
         (self.0.field.projection == ProjectionKind::Perspective).then_some(self.0.field.distance_mm).flatten()
     }
 
-    /// The depths (low, high) at which the finest detail of the light field's pixels can be shown, millimetres, above 0 towards the viewer; None where
-    /// there are none.
+    /// Depths (low, high) between which the display shows the light field's finest detail,
+    /// millimetres, above 0 towards the viewer; None if there are none.
     fn depth_of_field_mm(&self) -> Option<(f64, f64)> {
         self.0.depth_of_field(self.0.field.pitch_mm).map(Into::into)
     }
 
-    /// The same display for a light field that is there already: masks take its resolution and size, views and angles are its own, and a directional backlight's
-    /// lenslets and bins follow. SettingError where a backlight cannot tell its views apart.
+    /// This display, adapted to a light field. Masks get its resolution and size, and views and
+    /// angles are the light field's. The lenslets and bins of a directional backlight follow.
+    /// Raises SettingError if the backlight cannot separate the views.
     fn adapted_to(&self, py: Python<'_>, light_field: &LightField) -> PyResult<Self> {
         adapted(py, &self.0, &light_field.field).map(Self)
     }
@@ -148,7 +154,7 @@ impl Display {
         to_python(py, &serde_json::to_value(&*self.0).expect("displays serialize"))
     }
 
-    /// The text of a display file, every default written out.
+    /// The text of a display file with every default.
     fn to_toml(&self) -> String {
         self.0.to_toml()
     }
@@ -178,7 +184,7 @@ impl Display {
     }
 }
 
-/// The display that an argument means.
+/// The display for an argument.
 pub(crate) fn display_of(py: Python<'_>, what: Option<&Bound<'_, PyAny>>) -> PyResult<Arc<Description>> {
     let Some(what) = what.filter(|what| !what.is_none()) else { return preset(py, lumistack_cli::DEFAULT_DISPLAY) };
     if let Ok(display) = what.cast::<Display>() {
@@ -203,10 +209,10 @@ fn preset(py: Python<'_>, name: &str) -> PyResult<Arc<Description>> {
     lumistack_pipeline::DisplayJob::by_name_or_path(name).resolve().map(Arc::new).map_err(|error| raised(py, &error))
 }
 
-/// The display that shows this light field: itself where it is made for it.
+/// The display that shows this light field: unchanged if it is made for it.
 ///
 /// # Errors
-/// Where its backlight cannot follow.
+/// If its backlight cannot follow.
 pub(crate) fn adapted(py: Python<'_>, display: &Arc<Description>, field: &Field) -> PyResult<Arc<Description>> {
     match display.geometry() {
         Ok(geometry) if geometry == *field.geometry() => Ok(display.clone()),

@@ -1,4 +1,5 @@
-//! Errors of the pipeline as Python exceptions, with the messages that the command prints. The classes are in `lumistack/_errors.py`.
+//! Converts errors of the pipeline to Python exceptions, with the messages of the command. The
+//! classes are in `lumistack/_errors.py`.
 
 use std::io::ErrorKind;
 
@@ -15,7 +16,7 @@ pub(crate) fn raised(py: Python<'_>, error: &PipelineError) -> PyErr {
     exception(py, class_of(error), &in_python(&error.to_string()))
 }
 
-/// An exception of the package by the name of its class.
+/// An exception of the package, by the name of its class.
 pub(crate) fn exception(py: Python<'_>, class: &str, message: &str) -> PyErr {
     let made = || py.import("lumistack._errors")?.getattr(class)?.call1((message,));
     match made() {
@@ -24,7 +25,7 @@ pub(crate) fn exception(py: Python<'_>, class: &str, message: &str) -> PyErr {
     }
 }
 
-/// A value that makes no sense.
+/// The exception for an invalid value.
 pub(crate) fn setting(py: Python<'_>, message: impl AsRef<str>) -> PyErr {
     exception(py, "SettingError", message.as_ref())
 }
@@ -52,7 +53,7 @@ fn class_of(error: &PipelineError) -> &'static str {
     }
 }
 
-/// Flags of the command line under the names that they have here.
+/// Flags of the command and the arguments of Python for the same settings.
 const FLAGS: [(&str, &str); 23] = [
     ("--fit-depth=compress", "fit_depth=\"compress\""),
     ("--fit-depth", "fit_depth=\"move\""),
@@ -79,7 +80,7 @@ const FLAGS: [(&str, &str); 23] = [
     ("`lumistack displays` lists the presets", "lumistack.displays() lists the presets"),
 ];
 
-/// A message in which flags of the command line have the names of arguments.
+/// Replaces flags of the command in a message by the names of arguments.
 pub(crate) fn in_python(message: &str) -> String {
     FLAGS.iter().fold(message.into(), |text, (flag, name)| text.replace(flag, name))
 }

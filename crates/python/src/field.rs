@@ -7,21 +7,28 @@ use lumistack_pipeline::References;
 use pyo3::prelude::*;
 use serde_json::{Map, Value};
 
-/// A light field: linear radiance, 0 to 1 after exposure, of every view, and where its rays are.
+/// A light field: linear radiance of every view, 0 to 1 after exposure, and the geometry of its
+/// rays.
 ///
-/// radiance: array [view_y, view_x, row, col, rgb]; view (0, 0) is the leftmost and topmost, row 0 the top. Row-major float32 is used where it is, without a
-/// copy: do not write to it while the light field is in use. Other layouts, float64, float16 and the other byte order are copied; uint8 and uint16 are
-/// sRGB code values and become linear; other types raise TypeError.
+/// radiance: array [view_y, view_x, row, col, rgb]; view (0, 0) is the leftmost and topmost, row 0
+/// the top. Row-major float32 is used without a copy, so do not write to it while the light field
+/// is in use. Other layouts and byte orders, float64 and float16 are copied. uint8 and uint16 are
+/// sRGB codes and become linear. Other types raise TypeError.
 ///
-/// The rays' geometry is that of a display whose views have the array's shape, or is given:
+/// The geometry is that of a display whose views have the array's shape, or is given by numbers:
 ///
-/// * display: a Display, or what makes one
-/// * pitch_mm: pixel pitch on the plane of zero parallax, millimetres, above 0
-/// * fov_deg: (horizontal, vertical) full angles of view, degrees, 0 to less than 180; views stand at the centres of equal bins
-/// * slope_x, slope_y: instead, tangents of every view column (left to right) and row (y up, top to bottom)
-/// * distance_mm: viewing distance of perspective views, millimetres; without it the views are parallel projections
+/// * display: a Display, or an argument for one
+/// * pitch_mm: pixel pitch on the display plane, millimetres, above 0
+/// * fov_deg: (horizontal, vertical) field of view, full angles in degrees, 0 to less than 180;
+///   views are at the centres of equal bins
+/// * slope_x, slope_y: instead of fov_deg, the slopes of view columns (left to right) and rows (y
+///   up, top to bottom)
+/// * distance_mm: viewing distance of perspective views, millimetres; without it the views are
+///   parallel projections
 ///
-/// >>> light_field = LightField(memoryview(bytes(4 * 3 * 3 * 8 * 8 * 3)).cast("f", (3, 3, 8, 8, 3)), pitch_mm=1.0, fov_deg=(20, 20))
+/// >>> zeros = memoryview(bytes(4 * 3 * 3 * 8 * 8 * 3)).cast("f", (3, 3, 8, 8, 3))
+///
+/// >>> light_field = LightField(zeros, pitch_mm=1.0, fov_deg=(20, 20))
 /// >>> light_field.shape
 /// (3, 3, 8, 8, 3)
 /// >>> memoryview(light_field.array).nbytes
@@ -29,11 +36,11 @@ use serde_json::{Map, Value};
 #[pyclass(frozen, module = "lumistack")]
 pub(crate) struct LightField {
     pub(crate) field: Arc<Field>,
-    /// What it was rendered for.
+    /// The display for which it was rendered.
     pub(crate) display: Option<Arc<Description>>,
-    /// How it was made.
+    /// Settings of its rendering.
     pub(crate) info: Map<String, Value>,
-    /// The scene all over the zone, where it was rendered with that.
+    /// References all over the viewing zone, if they were rendered.
     pub(crate) references: Option<Arc<References>>,
 }
 

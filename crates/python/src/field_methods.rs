@@ -1,4 +1,4 @@
-//! What light fields can do.
+//! Methods of light fields.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -32,6 +32,7 @@ impl LightField {
         slope_y: Option<&Bound<'_, PyAny>>,
         distance_mm: Option<f64>,
     ) -> PyResult<Self> {
+        // Read the arguments.
         let radiance = Values::read(radiance, "radiance")?.tensor("radiance", Field::AXES)?;
         let [view_rows, view_cols, rows, cols, channels] = radiance.shape();
         if channels != 3 {
@@ -42,6 +43,7 @@ impl LightField {
         let slope_x: Option<Vec<f64>> = numbers("slope_x", slope_x)?;
         let slope_y: Option<Vec<f64>> = numbers("slope_y", slope_y)?;
         let own = [pitch_mm.is_some(), fov_deg.is_some(), slope_x.is_some(), slope_y.is_some(), distance_mm.is_some()];
+        // Take the geometry from a display, or from numbers.
         let (grid, pitch_mm, display) = if let Some(display) = display {
             if own.contains(&true) {
                 return Err(setting(py, "light field: expected either `display` or its numbers, found both"));
@@ -73,6 +75,7 @@ impl LightField {
             };
             (grid, pitch_mm, None)
         };
+        // Check that radiance and geometry agree.
         let geometry = FieldGeometry { rows, cols, pitch_mm, grid };
         let resolution = display.as_ref().map(|display| display.field.resolution);
         if let Some([display_cols, display_rows]) = resolution.filter(|resolution| *resolution != [cols, rows]) {
@@ -85,11 +88,22 @@ impl LightField {
         Ok(Self { field: Arc::new(field), display, info: Map::new(), references: None })
     }
 
-    /// Reads a light field of any kind: a light-field folder or a run's folder, HCI and Stanford folders, a quilt, .npy.
+    /// Reads a light field of any format: a light-field folder, a run's folder, HCI and Stanford
+    /// folders, a quilt, .npy.
     ///
-    /// What the files do not say is given, and wins over what they say: grid ("oblique" or "perspective"), fov_deg, pitch_mm, distance_mm, views (to keep),
-    /// quilt and tiles (columns, rows), resolution (to reduce to), focus_px (disparity that is put on the display's plane), mirror (x, y). From `display` come size
-    /// and angles where nothing says them. Where fewer `views` are kept than there are, psnr_zone() and report() judge displays by some of those between. `callback(stage, fraction)` hears of progress.
+    /// These arguments supply geometry that the files lack, and override theirs:
+    ///
+    /// * grid: "oblique" or "perspective"
+    /// * fov_deg, pitch_mm, distance_mm: as for LightField
+    /// * views: (columns, rows) of views to keep
+    /// * quilt and tiles: (columns, rows)
+    /// * resolution: (columns, rows) to reduce to
+    /// * focus_px: disparity that is moved to the display plane
+    /// * mirror: (x, y)
+    ///
+    /// Without any of these, size and angles are those of `display`. If `views` keeps fewer views
+    /// than there are, psnr_zone() and report() use some of the others as references.
+    /// `callback(stage, fraction)` receives progress.
     #[classmethod]
     #[pyo3(signature = (path, *, display=None, callback=None, **geometry))]
     fn open(
@@ -109,20 +123,22 @@ impl LightField {
         Ok(Self { references: references.map(Arc::new), ..Self::plain(field) })
     }
 
-    /// The same light field under another exposure: values times 2^exposure_ev, through a tone curve.
+    /// The light field under another exposure: values times 2^exposure_ev, through a tone curve.
     ///
-    /// tone: "linear", which clips to 0..1, "khronos-neutral" or "agx", which compress what is bright. One curve serves all views. For light fields with values that
-    /// no display shows; factorize() and report() warn of them.
+    /// tone: "linear" clips to 0..1; "khronos-neutral" and "agx" compress bright values. One curve
+    /// serves all views. Use it for light fields with values that no display shows; factorize() and
+    /// report() warn of them.
     #[pyo3(signature = (exposure_ev=0.0, *, tone="linear"))]
     fn exposed(&self, py: Python<'_>, exposure_ev: f64, tone: &str) -> PyResult<Self> {
         let field = py.detach(|| expose_field(&self.field, exposure_ev, tone)).map_err(|error| raised(py, &error))?;
         let (field, display, info) = (Arc::new(field), self.display.clone(), self.info.clone());
-        // those of the zone have the old exposure
+        // The references have the old exposure, so they are dropped.
         Ok(Self { field, display, info, references: None })
     }
 
-    /// Writes a light-field folder: lightfield.json and one OpenEXR picture of half floats per view. A path that ends with .npy gets the values alone, as one array
-    /// of float32: LightField.open() asks for their geometry again.
+    /// Writes a light-field folder: lightfield.json and one OpenEXR picture of half floats per
+    /// view. A path that ends in .npy receives only the values, as one float32 array. Then
+    /// LightField.open() needs the geometry as arguments.
     #[pyo3(signature = (path, *, info=None))]
     fn save(&self, py: Python<'_>, path: PathBuf, info: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
         if path.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("npy")) {
@@ -142,13 +158,13 @@ impl LightField {
         long(py, None, |_| lumistack_field_io::write_field(&folder, &self.field, &all).map_err(PipelineError::Field))
     }
 
-    /// All values, [view_y, view_x, row, col, rgb], as a read-only array of NumPy: no copy is made.
+    /// All values, [view_y, view_x, row, col, rgb], as a read-only NumPy array without a copy.
     #[getter]
     fn radiance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         Array::numpy(py, Part::Field(self.field.clone()))
     }
 
-    /// The same for those without NumPy: memoryview(light_field.array).
+    /// The same without NumPy: memoryview(light_field.array).
     #[getter]
     fn array(&self) -> Array {
         Array::new(Part::Field(self.field.clone()))
@@ -160,25 +176,25 @@ impl LightField {
         self.field.radiance().shape().into()
     }
 
-    /// Pixel pitch on the plane of zero parallax, millimetres.
+    /// Pixel pitch on the display plane, millimetres.
     #[getter]
     fn pitch_mm(&self) -> f64 {
         self.field.geometry().pitch_mm
     }
 
-    /// Tangents of the view columns, left to right.
+    /// Slopes of the view columns, left to right.
     #[getter]
     fn slope_x(&self) -> Vec<f64> {
         self.field.geometry().grid.slope_x.clone()
     }
 
-    /// Tangents of the view rows, y up, top to bottom.
+    /// Slopes of the view rows, y up, top to bottom.
     #[getter]
     fn slope_y(&self) -> Vec<f64> {
         self.field.geometry().grid.slope_y.clone()
     }
 
-    /// Viewing distance of perspective views, millimetres; None of parallel projections.
+    /// Viewing distance of perspective views, millimetres; None for parallel projections.
     #[getter]
     fn distance_mm(&self) -> Option<f64> {
         match self.field.geometry().grid.projection {
@@ -187,19 +203,20 @@ impl LightField {
         }
     }
 
-    /// The display that it was made for, if any.
+    /// The display for which it was made; None without one.
     #[getter]
     fn display(&self) -> Option<Display> {
         self.display.clone().map(Display)
     }
 
-    /// How it was made: of a rendered one exposure, tone, depth_scale and what its depth asks of the display.
+    /// Settings of a rendered light field: exposure, tone, depth_scale, and the depth that the
+    /// display must show.
     #[getter]
     fn info<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         to_python(py, &Value::Object(self.info.clone()))
     }
 
-    /// Type of the values, float32, as NumPy names it.
+    /// Type of the values, float32, as a NumPy dtype.
     #[getter]
     fn dtype<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         self.radiance(py)?.getattr("dtype")
@@ -211,12 +228,13 @@ impl LightField {
         Field::AXES.len()
     }
 
-    /// Number of view rows, as of the array.
+    /// Number of view rows, as for the array.
     fn __len__(&self) -> usize {
         self.field.radiance().shape()[0]
     }
 
-    /// light_field[view_y, view_x] is a view [row, col, rgb]; every index of NumPy is taken. Nothing is copied that NumPy does not copy.
+    /// light_field[view_y, view_x] is a view [row, col, rgb]. Every index of NumPy is allowed, and
+    /// copies are made only where NumPy makes them.
     fn __getitem__<'py>(&self, py: Python<'py>, index: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
         self.radiance(py)?.get_item(index)
     }
@@ -225,7 +243,8 @@ impl LightField {
         Ok(self.radiance(py)?.try_iter()?.into_any())
     }
 
-    /// The values for libraries that take DLPack, such as torch.from_dlpack(): lent where those know of read-only memory (NumPy 2.1 or newer), else copied.
+    /// The values for libraries with DLPack, such as torch.from_dlpack(). The memory is shared with
+    /// libraries that support read-only memory (NumPy 2.1 or newer), and copied for others.
     #[pyo3(signature = (**options))]
     fn __dlpack__<'py>(&self, py: Python<'py>, options: Option<&Bound<'py, PyDict>>) -> PyResult<Bound<'py, PyAny>> {
         in_package(py, "_arrays", "dlpack", (self.radiance(py)?,), options)
@@ -235,7 +254,7 @@ impl LightField {
         self.radiance(py)?.call_method0("__dlpack_device__")
     }
 
-    /// The same as lumistack.factorize(light_field, display, ...).
+    /// Equivalent to lumistack.factorize(light_field, display, ...).
     #[pyo3(signature = (display=None, **settings))]
     fn factorize<'py>(
         slf: &Bound<'py, Self>,
@@ -245,14 +264,15 @@ impl LightField {
         in_python(slf.py(), "factorize", (slf, display), settings)
     }
 
-    /// The values as an xarray.DataArray, without a copy: axes view_y, view_x, row, col and rgb, with slopes, places on the display in millimetres and channels as
-    /// coordinates. xarray must be installed.
+    /// The values as an xarray.DataArray, without a copy. Its axes are view_y, view_x, row, col and
+    /// rgb; coordinates are slopes, positions on the display in millimetres and channels. Requires
+    /// xarray.
     fn to_xarray<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
         in_package(slf.py(), "_arrays", "to_xarray", (slf,), None)
     }
 
-    /// Draws a view through matplotlib, sRGB encoded, over millimetres on the display: view = (view_y, view_x), the middle one by default. Gives the axes, which are
-    /// made unless they are given.
+    /// Draws a view with matplotlib, sRGB encoded, over millimetres on the display. view = (view_y,
+    /// view_x) is the middle one by default. Returns the axes; new ones unless `ax` is given.
     #[pyo3(signature = (view=None, *, ax=None))]
     fn plot<'py>(
         slf: &Bound<'py, Self>,
@@ -296,7 +316,7 @@ impl LightField {
     }
 }
 
-/// What `__array__` gives.
+/// The result of `__array__`.
 pub(crate) fn as_array<'py>(
     array: Bound<'py, PyAny>,
     dtype: Option<&Bound<'py, PyAny>>,

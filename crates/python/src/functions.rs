@@ -28,21 +28,34 @@ use crate::work::{command, long};
 
 /// Path-traces the views that a display needs of a scene.
 ///
-/// scene: a Scene, or the path of one; display: a Display, or what makes one ("paper-three-layer" without it). The rest is optional and means what it means
-/// in a job file (docs/JOB.md; defaults() has the defaults):
+/// scene: a Scene, or the path of one; display: a Display, or an argument for one; without it
+/// "paper-three-layer". All other arguments are optional and have the meaning of a job file's keys
+/// (docs/JOB.md); defaults() returns the defaults:
 ///
-/// * samples: paths per pixel and view, 1 to 65536, or zone_samples: of all views together, "auto" for as many as the display profits from; max_bounces: bounces after the first hit, 0 to 1024; clamp: largest value of a single path
-/// * denoise: "auto", "off", "shared", "guided" or "oidn"; angular_filter: "point", "bin" or "display"; lens_deg: angle of a lens, degrees, 0 to 90
-/// * camera: name or number of the camera whose plane of focus the display takes; look_from: (azimuth, elevation) from which a scene is framed, degrees;
-///   fit_depth: "auto", "off", "move" or "compress"; depth_scale: factor on parallax,
-///   0.001 to 10; window: a mapping with the other keys of [window], such as {"from": "bounds"}
-/// * exposure_ev: stops added to the automatic exposure; tone: "auto", "linear", "khronos-neutral" or "agx"; light: a mapping with other keys of [light]
-/// * seed: of all random streams; the same seed gives the same values on any number of threads
-/// * zone_directions: directions all over the zone, 32 to 4096, from which the scene is rendered, too, so that psnr_zone() and report() can score displays; 0 for none
-/// * cache: a folder that keeps traced views, from which a call that was stopped goes on; without it they are forgotten
-/// * callback: callback(stage, fraction) hears of progress
+/// * samples: paths per pixel and view, 1 to 65536
+/// * zone_samples: instead of samples, paths per pixel of all views together; "auto": as many as
+///   improve the display
+/// * max_bounces: bounces after the first hit, 0 to 1024
+/// * clamp: largest value of a single path
+/// * denoise: "auto", "off", "shared", "guided" or "oidn"
+/// * angular_filter: "point", "bin" or "display"
+/// * lens_deg: angle of a lens, degrees, 0 to 90
+/// * camera: name or number of the camera whose plane of focus becomes the display plane
+/// * look_from: (azimuth, elevation) from which a scene is framed, degrees
+/// * fit_depth: "auto", "off", "move" or "compress"
+/// * depth_scale: factor on parallax, 0.001 to 10
+/// * window: a mapping with the other keys of [window], such as {"from": "bounds"}
+/// * exposure_ev: stops added to the automatic exposure
+/// * tone: "auto", "linear", "khronos-neutral" or "agx"
+/// * light: a mapping with other keys of [light]
+/// * seed: seed of all random numbers; the same seed gives the same values on any number of threads
+/// * zone_directions: number of references all over the viewing zone, 32 to 4096, with which
+///   psnr_zone() and report() score displays; 0 for none
+/// * cache: a folder that keeps traced views, so that a call that was stopped can be resumed;
+///   without it they are discarded
+/// * callback: callback(stage, fraction) receives progress
 ///
-/// Gives a LightField that is ready for factorize(). Ctrl-C stops it.
+/// Returns a LightField for factorize(). Ctrl-C stops the call.
 #[pyfunction]
 #[pyo3(signature = (
     scene, display=None, *, samples=None, zone_samples=None, max_bounces=None, clamp=None, denoise=None, angular_filter=None, lens_deg=None, camera=None, look_from=None, fit_depth=None,
@@ -72,6 +85,7 @@ pub(crate) fn render(
     cache: Option<PathBuf>,
     callback: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<LightField> {
+    // Read the settings as tables of a job, so that the job's checks apply.
     let render: RenderJob = table(
         py,
         "render",
@@ -89,6 +103,7 @@ pub(crate) fn render(
     let fit =
         [("camera", camera.as_ref()), ("look_from", look_from), ("fit_depth", fit_depth), ("depth_scale", depth_scale)];
     let window: WindowJob = parsed(py, "window", merged("window", window, &fit)?)?;
+    // Load the scene, unless it is one.
     let loaded;
     let scene = match scene.cast::<Scene>() {
         Ok(scene) => scene.get(),
@@ -105,6 +120,7 @@ pub(crate) fn render(
     let display = display_of(py, display)?;
     let mut job = Job::new(Default::default());
     (job.render, job.window, job.light) = (render, window, parsed(py, "light", lit)?);
+    // A Scene has fixed its lights, so other ones here are an error.
     for (key, differs) in [
         ("environment", job.light.environment != scene.light.environment),
         ("environment_strength", job.light.environment_strength != scene.light.environment_strength),
@@ -118,6 +134,7 @@ pub(crate) fn render(
             return Err(setting(py, message));
         }
     }
+    // Trace the views; without a cache, in a temporary folder.
     job.report.zone_directions = zone_directions;
     (job.scene, job.seed) = (Some(scene.path.clone()), seed.unwrap_or(job.seed));
     let traced = long(py, callback, |task| {
@@ -128,6 +145,7 @@ pub(crate) fn render(
         let folder = forgotten.as_ref().map(tempfile::TempDir::path).or(cache.as_deref()).unwrap_or(Path::new("."));
         render_field(&job, &display, &scene.ingested, folder, task)
     })?;
+    // Keep the settings for info.
     let mut info = Map::new();
     info.insert("scene".into(), scene.path.display().to_string().into());
     info.insert("exposure".into(), traced.exposure.into());
@@ -140,20 +158,30 @@ pub(crate) fn render(
 
 /// Factorizes a light field into the patterns of a display.
 ///
-/// light_field: a LightField, rendered by render() or from any array; display: a Display, or what makes one; without it the one that the light field was made
-/// for, else "paper-three-layer". The display takes the light field's resolution, size and views. The rest is optional and means what it means in a job
-/// file (docs/JOB.md; defaults() has the defaults):
+/// light_field: a LightField, from render() or from an array; display: a Display, or an argument
+/// for one. Without it: the display for which the light field was made, otherwise
+/// "paper-three-layer". The display is adapted to the light field's resolution, size and views. All
+/// other arguments are optional and have the meaning of a job file's keys (docs/JOB.md); defaults()
+/// returns the defaults:
 ///
-/// * brightness: β, above 0 and at most 1, and frames: M, 1 to 1000, instead of the display's
-/// * solver: "auto", "multiplicative" (the paper's), "block-exact" or "extrapolated"; iterations: full updates
-/// * start: "auto", "random", "smooth" or "content"; coarse_levels, coarse_iterations: levels of half the resolution to begin at
-/// * levels: whether patterns for layers of few bits are re-optimized on the values that the panel can show
-/// * weights: an array ≥ 0, [view_y, view_x] or [view_y, view_x, row, col]; or eyes: a list of {"eye_mm": (x, y, z), "sigma_mm": s, "weight": w} with eye_floor
-/// * warm_start: a LayerStack of the same display to start from
-/// * seed: of everything random; the same seed gives the same patterns on any number of threads
-/// * callback: callback(stage, fraction) hears of progress
+/// * brightness: β, above 0 and at most 1, instead of the display's
+/// * frames: M, 1 to 1000, instead of the display's
+/// * solver: "auto", "multiplicative" (the paper's), "block-exact" or "extrapolated"
+/// * iterations: updates of every factor
+/// * start: "auto", "random", "smooth" or "content"
+/// * coarse_levels, coarse_iterations: number of levels at half the resolution each, and their
+///   iterations
+/// * levels: how masks of layers with few bits are re-optimized on the values that the panel can
+///   show
+/// * weights: an array ≥ 0, [view_y, view_x] or [view_y, view_x, row, col]
+/// * eyes: instead of weights, a list of {"eye_mm": (x, y, z), "sigma_mm": s, "weight": w}, with
+///   eye_floor
+/// * warm_start: a LayerStack of the same display, used as the start
+/// * seed: seed of all random numbers; the same seed gives the same patterns on any number of
+///   threads
+/// * callback: callback(stage, fraction) receives progress
 ///
-/// Gives a LayerStack. Python's lock is released; Ctrl-C stops it.
+/// Returns a LayerStack. Python's lock is released, and Ctrl-C stops the call.
 #[pyfunction]
 #[pyo3(signature = (
     light_field, display=None, *, brightness=None, frames=None, solver=None, iterations=None, start=None, coarse_levels=None, coarse_iterations=None,
@@ -178,6 +206,7 @@ pub(crate) fn factorize(
     seed: Option<u64>,
     callback: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<LayerStack> {
+    // Read the settings as a table of a job, so that the job's checks apply.
     let arguments = [
         ("solver", solver),
         ("iterations", iterations),
@@ -189,6 +218,7 @@ pub(crate) fn factorize(
         ("eye_floor", eye_floor),
     ];
     let job: FactorizeJob = table(py, "factorize", &arguments)?;
+    // Adapt the display to the light field.
     let display = match (display, &light_field.display) {
         (None, Some(display)) => display.clone(),
         (display, _) => display_of(py, display)?,
@@ -204,6 +234,7 @@ pub(crate) fn factorize(
         let path = PathBuf::from(&display.name);
         return Err(raised(py, &PipelineError::Display { path, text: String::new(), source }));
     }
+    // Run the solver on another thread, and record the time of every evaluation.
     let weights = weights.map(|weights| Values::read(weights, "weights")).transpose()?.map(Values::into_parts);
     let seed = seed.unwrap_or(Job::new(Default::default()).seed);
     let warm = warm_start.map(|warm| &*warm.stack);
@@ -227,12 +258,17 @@ pub(crate) fn factorize(
     Ok(LayerStack { stack: Arc::new(made.stack), display, solved })
 }
 
-/// What a display shows from somewhere: an array [row, col, rgb] of NumPy, linear.
+/// Simulates a display: returns a NumPy array [row, col, rgb], linear, of the picture seen from a
+/// viewpoint.
 ///
-/// From where: slope = (x, y), tangents to the right and up, or angle_deg = (x, y), the same in degrees: a parallel projection, as from far away; or eye_mm = (x, y, z),
-/// an eye in millimetres from the display's centre, right, up and in front: a perspective view. Without any: straight on.
+/// The viewpoint is one of these; without any it is the slope (0, 0):
 ///
-/// The picture is what an adapted viewer sees, L̃/β; with raw=True the emitted light L̃ itself.
+/// * slope: (x, y), to the right and up; a parallel projection
+/// * angle_deg: (x, y), the same in degrees
+/// * eye_mm: (x, y, z), right, up and in front of the display's centre, millimetres; a perspective
+///   view
+///
+/// The picture is that of an adapted viewer, L̃/β; with raw=True it is the emitted light L̃ itself.
 #[pyfunction]
 #[pyo3(signature = (stack, slope=None, *, angle_deg=None, eye_mm=None, raw=false))]
 pub(crate) fn simulate<'py>(
@@ -258,9 +294,15 @@ pub(crate) fn simulate<'py>(
 
 /// Writes patterns or a light field with an output plugin; plugins() lists them.
 ///
-/// what: a LayerStack or a LightField; plugin: its id; folder: where to, made if need be; params: the plugin's own parameters by name. display: of a light field, the
-/// display that it is for; target: of patterns, the light field that they should show, for plugins that compare. Gives the files, relative to the folder.
-/// They appear together when the plugin has finished, or not at all.
+/// * `what`: a LayerStack or a LightField
+/// * plugin: its id
+/// * folder: the destination, created if necessary
+/// * display: for a light field, the display that shows it
+/// * target: for patterns, the light field that they should show, for plugins that compare
+/// * params: the plugin's own parameters by name
+///
+/// Returns the files, relative to the folder. They appear together after the plugin has finished,
+/// or not at all.
 #[pyfunction]
 #[pyo3(signature = (what, plugin, folder, *, display=None, target=None, callback=None, **params))]
 pub(crate) fn write(
@@ -273,6 +315,7 @@ pub(crate) fn write(
     callback: Option<&Bound<'_, PyAny>>,
     params: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Vec<PathBuf>> {
+    // Find the data and their display.
     let registry = registry(py)?;
     let params = params.map(|params| map_of("params", params.as_any())).transpose()?.unwrap_or_default();
     let (display, stack, field) = if let Ok(stack) = what.cast::<LayerStack>() {
@@ -302,7 +345,9 @@ pub(crate) fn write(
     })
 }
 
-/// Measures patterns against the light field that they should show, and all over the zone where it was rendered with zone_directions, and writes report.html and report.json into a folder. Gives the content of the latter.
+/// Measures patterns against the light field that they should show, and over the viewing zone if it
+/// has references. Writes report.html and report.json into a folder, and returns the content of the
+/// latter.
 #[pyfunction]
 #[pyo3(signature = (stack, light_field, folder, *, title=None, weights=None, callback=None))]
 pub(crate) fn report<'py>(
@@ -332,10 +377,12 @@ pub(crate) fn report<'py>(
     to_python(py, &answer)
 }
 
-/// Runs a whole job into a folder: what `lumistack run` does. What is finished is kept, and the same call goes on from it.
+/// Runs a whole job into a folder, as `lumistack run` does. Finished parts are kept, and the same
+/// call resumes the run.
 ///
-/// job: path of a job file, or a mapping with its keys (docs/JOB.md), in which paths are relative to the working folder; folder: the run's, by default
-/// runs/NAME. Gives the summary: report, psnr_view, psnr_raw, and so on.
+/// job: path of a job file, or a mapping with its keys (docs/JOB.md), with paths relative to the
+/// working folder; folder: the run's folder, by default runs/NAME. Returns the summary: report,
+/// psnr_view, psnr_raw, and so on.
 #[pyfunction]
 #[pyo3(signature = (job, folder=None, *, callback=None))]
 pub(crate) fn run<'py>(
@@ -367,7 +414,8 @@ fn warn_of_plugins(registry: &Registry, task: Task<'_>) {
     registry.failed().iter().for_each(|error| task.warn("plugin", error.to_string()));
 }
 
-/// What is in a file or folder: a scene, a light field, patterns, a run, a display or a job; what `lumistack info --json` prints.
+/// Returns the content of a file or folder, as `lumistack info --json` does: a scene, a light
+/// field, patterns, a run, a display or a job.
 #[pyfunction]
 #[pyo3(signature = (path, *, callback=None))]
 pub(crate) fn info<'py>(
@@ -380,22 +428,24 @@ pub(crate) fn info<'py>(
     to_python(py, &value)
 }
 
-/// All plugins: dictionaries with id, kind, version, doc, ports, origin and params (name, help, kind, default, range and unit of each).
+/// All plugins: dictionaries with id, kind, version, doc, ports, origin and params.
+///
+/// Each of params has a name, help, kind, default, range and unit.
 #[pyfunction]
 pub(crate) fn plugins(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     let registry = registry(py)?;
-    // libraries are loaded for this, in processes of their own
+    // libraries are loaded for this list, each in its own process
     let list = py.detach(|| plugin_list(registry, &[])).map_err(|error| raised(py, &error))?;
     to_python(py, &list["plugins"])
 }
 
-/// Names of the displays that come with the package; Display(name) makes one.
+/// Names of the presets; Display(name) reads one.
 #[pyfunction]
 pub(crate) fn displays() -> Vec<&'static str> {
     presets::PRESETS.iter().map(|(name, _)| *name).collect()
 }
 
-/// Every setting of a job that has a default, with that.
+/// The defaults of all settings of a job.
 ///
 /// >>> defaults()["render"]["max_bounces"]
 /// 6
@@ -404,14 +454,15 @@ pub(crate) fn defaults(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     to_python(py, &serde_json::to_value(Job::new(Default::default())).expect("jobs serialize"))
 }
 
-/// Sets the number of worker threads of the process; results do not depend on it. Call it before any work.
+/// Sets the number of worker threads of the process; results do not depend on it. Call it before
+/// any other work.
 #[pyfunction]
 pub(crate) fn set_threads(py: Python<'_>, count: usize) -> PyResult<()> {
     lumistack_pipeline::set_threads(count).map_err(|error| setting(py, format!("set_threads: {error}")))
 }
 
-/// Runs the command `lumistack` with these arguments and gives its exit code: 0 done, 1 failed, 2 wrong usage, 130 interrupted. Hints name the
-/// command as `program`.
+/// Runs the command `lumistack` with these arguments and returns its exit code: 0 done, 1 failed, 2
+/// wrong usage, 130 interrupted. Messages name the command as `program`.
 #[pyfunction]
 #[pyo3(signature = (arguments, program = None))]
 pub(crate) fn main(py: Python<'_>, arguments: Vec<OsString>, program: Option<OsString>) -> PyResult<u8> {
@@ -421,7 +472,7 @@ pub(crate) fn main(py: Python<'_>, arguments: Vec<OsString>, program: Option<OsS
     command(py, &words)
 }
 
-/// A table from a mapping and from named arguments, which win.
+/// Merges a mapping with named arguments, which take precedence.
 fn merged(
     place: &str,
     mapping: Option<&Bound<'_, PyAny>>,

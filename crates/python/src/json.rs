@@ -1,4 +1,5 @@
-//! Settings from Python and answers to it, by way of JSON: what reads job files reads settings.
+//! Converts settings from Python and results to Python by JSON, so that the types of job files
+//! check settings.
 
 use std::path::PathBuf;
 
@@ -11,10 +12,9 @@ use serde_json::{Map, Number, Value};
 
 use crate::error::setting;
 
-/// Named arguments; `None` leaves the default.
+/// Named arguments; `None` keeps the default.
 pub(crate) type Arguments<'a, 'py> = &'a [(&'a str, Option<&'a Bound<'py, PyAny>>)];
 
-/// A table of settings from named arguments.
 pub(crate) fn table<T: DeserializeOwned>(py: Python<'_>, place: &str, arguments: Arguments<'_, '_>) -> PyResult<T> {
     let mut map = Map::new();
     for (name, value) in arguments {
@@ -25,25 +25,25 @@ pub(crate) fn table<T: DeserializeOwned>(py: Python<'_>, place: &str, arguments:
     parsed(py, place, map)
 }
 
-/// A table of settings from a mapping, or its default.
+/// Reads a mapping as a table of settings.
 pub(crate) fn table_of<T: DeserializeOwned>(place: &str, mapping: &Bound<'_, PyAny>) -> PyResult<T> {
     parsed(mapping.py(), place, map_of(place, mapping)?)
 }
 
-/// Numbers in a row: a sequence or an array of NumPy.
+/// Reads a list of numbers from a sequence or a NumPy array.
 pub(crate) fn numbers<T: DeserializeOwned>(place: &str, value: Option<&Bound<'_, PyAny>>) -> PyResult<Option<T>> {
     let Some(value) = value.filter(|value| !value.is_none()) else { return Ok(None) };
     let numbers = serde_json::from_value(value_of(value)?);
     numbers.map(Some).map_err(|error| setting(value.py(), format!("{place}: {}", plain(&error.to_string(), place))))
 }
 
-/// Reads a table; a value that does not fit is told with its key.
+/// Reads a table; an error names the key of the wrong value.
 pub(crate) fn parsed<T: DeserializeOwned>(py: Python<'_>, place: &str, map: Map<String, Value>) -> PyResult<T> {
     let error = match serde_json::from_value::<T>(Value::Object(map.clone())) {
         Ok(table) => return Ok(table),
         Err(error) => error.to_string(),
     };
-    // every key has a default in most tables, so alone it fails as it does among the others
+    // Most tables have defaults for all keys, so the wrong value fails alone as well.
     let alone = |(key, value): (String, Value)| {
         let found = serde_json::from_value::<T>(Value::Object(Map::from_iter([(key.clone(), value)]))).err()?;
         (found.to_string() == error && !error.contains(&format!("`{key}`"))).then_some(key)
@@ -55,7 +55,7 @@ pub(crate) fn parsed<T: DeserializeOwned>(py: Python<'_>, place: &str, map: Map<
     Err(setting(py, format!("{place}: {key}{plainly}{near}")))
 }
 
-/// A mapping with names as keys.
+/// Converts a mapping with names as keys.
 pub(crate) fn map_of(place: &str, mapping: &Bound<'_, PyAny>) -> PyResult<Map<String, Value>> {
     match value_of(mapping)? {
         Value::Object(map) => Ok(map),
@@ -66,7 +66,8 @@ pub(crate) fn map_of(place: &str, mapping: &Bound<'_, PyAny>) -> PyResult<Map<St
     }
 }
 
-/// A value as JSON: numbers, texts, paths, mappings and sequences of them, and scalars of NumPy.
+/// Converts a value to JSON: numbers, texts, paths, mappings and sequences of them, and NumPy's
+/// scalars.
 pub(crate) fn value_of(value: &Bound<'_, PyAny>) -> PyResult<Value> {
     if value.is_none() {
         return Ok(Value::Null);
@@ -91,7 +92,7 @@ pub(crate) fn value_of(value: &Bound<'_, PyAny>) -> PyResult<Value> {
                 let found = key.get_type().name()?;
                 return Err(PyTypeError::new_err(format!("expected texts as keys, found {found}")));
             };
-            // as an argument that is not given
+            // None stands for an absent argument
             if !value.is_none() {
                 map.insert(key.to_string(), value_of(&value)?);
             }
@@ -136,7 +137,7 @@ fn float(value: &Bound<'_, PyAny>) -> PyResult<Value> {
         .ok_or_else(|| setting(value.py(), format!("expected a finite number, found {number}")))
 }
 
-/// JSON as plain objects of Python.
+/// Converts JSON to plain Python objects.
 pub(crate) fn to_python<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyAny>> {
     Ok(match value {
         Value::Null => py.None().into_bound(py),

@@ -1,12 +1,14 @@
-//! The Python package: scenes, displays, light fields and patterns as objects, arrays in and out, and the `lumistack` command.
+//! The Python package: scenes, displays, light fields and patterns as objects, arrays in and out,
+//! and the command `lumistack`.
 //!
 //! ```text
 //! Python arrays ──array──▶ LightField ─┐                     ┌──▶ arrays (buffer protocol)
 //! Scene ──render──────────▶ LightField ─┴─factorize─▶ LayerStack ──▶ simulate, write, report
 //! ```
 //!
-//! A thin shell over the pipeline: settings are checked by the types that read job files, so names, defaults and ranges stand in one place. Long work runs on a
-//! thread of its own without Python's lock, while the calling thread passes progress and warnings on and looks for Ctrl-C (`work.rs`).
+//! A thin layer over the pipeline. The types of job files check settings, so names, defaults and
+//! ranges have one definition. Long work runs on its own thread without Python's lock; the calling
+//! thread passes on progress and warnings and checks for Ctrl-C (`work.rs`).
 
 mod array;
 mod display;

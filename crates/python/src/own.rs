@@ -1,4 +1,4 @@
-//! Calls of the package's own Python: what notebooks and other libraries want is written there.
+//! Calls functions of the package that are written in Python, for notebooks and other libraries.
 
 use pyo3::call::PyCallArgs;
 use pyo3::prelude::*;

@@ -1,4 +1,4 @@
-//! Plugins in libraries: each runs in a process of its own, which is this Python again.
+//! Plugins in libraries: each runs in its own process of this Python.
 
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -10,12 +10,12 @@ use pyo3::prelude::*;
 
 use crate::error::raised;
 
-/// The child's program; its first argument is the folder in which this package lies, which need not be on the child's
-/// own path.
+/// Runs a child; its first argument is the folder of this package, which may be missing in the
+/// child's path.
 const BOOT: &str = "import sys; sys.path.insert(0, sys.argv[1]); from lumistack._lumistack import _plugin_child; \
                     sys.exit(_plugin_child(sys.argv[2:]))";
 
-/// The plugins, found once.
+/// The plugins, searched once.
 pub(crate) fn registry(py: Python<'_>) -> PyResult<&'static Registry> {
     static REGISTRY: OnceLock<Registry> = OnceLock::new();
     if let Some(registry) = REGISTRY.get() {
@@ -26,8 +26,8 @@ pub(crate) fn registry(py: Python<'_>) -> PyResult<&'static Registry> {
     Ok(REGISTRY.get_or_init(|| found))
 }
 
-/// Says how a process for a plugin is started. Without a Python to start there is none, which is told where a plugin
-/// needs it.
+/// Sets the command that starts a plugin's process. Without one, plugins that need a process report
+/// an error.
 pub(crate) fn set_launcher(py: Python<'_>) {
     if let Ok(launcher) = launcher(py) {
         launcher.set_for_process();
@@ -44,9 +44,9 @@ fn launcher(py: Python<'_>) -> PyResult<Launcher> {
     Ok(Launcher { program, args: vec!["-c".into(), BOOT.into(), folder] })
 }
 
-/// The whole work of a process that runs a plugin for another: its exit code.
+/// Runs a plugin for another process; returns the exit code.
 #[pyfunction]
 pub(crate) fn _plugin_child(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
-    // the plugin works on this thread, the main one
+    // the plugin runs on the main thread
     py.detach(|| lumistack_cli::plugin_child(&arguments))
 }

@@ -15,14 +15,22 @@ use crate::splats;
 use crate::usd;
 use crate::work::long;
 
-/// A scene: glTF (.gltf, .glb), USD (.usd, .usda, .usdc, .usdz), or what an importer plugin takes.
+/// A scene: glTF (.gltf, .glb), USD (.usd, .usda, .usdc, .usdz), or a file for an importer plugin.
 ///
-/// path: the file, or a stage (pxr.Usd.Stage), which is read as it stands in memory; time: seconds at which its animations are sampled (without it as its nodes
-/// stand); animation, variant: name or number, of glTF; variants: of USD, a list of "set=variant" for every prim or "/prim{set=variant}" for one; light: a mapping with the keys of a job's [light], of which environment (a Radiance HDR or OpenEXR file), environment_strength, environment_rotation_deg and automatic (whether a scene without light gets
-/// the studio light) belong to the scene, and the others are what render() takes unless it is told otherwise; importer: a mapping {"plugin": ..., "allow_outside": ..., "picture_mib": ..., "params":
-/// {...}}. `callback(stage, fraction)` hears of progress.
+/// * path: the file, or a stage (pxr.Usd.Stage), which is read from memory
+/// * time: seconds at which animations are sampled; without it the nodes' own poses
+/// * animation, variant: name or number, for glTF
+/// * variants: for USD, a list of "set=variant" for every prim or "/prim{set=variant}" for one
+/// * light: a mapping with the keys of a job's [light]
+/// * importer: a mapping {"plugin": ..., "allow_outside": ..., "picture_mib": ..., "params": {...}}
+/// * callback: callback(stage, fraction) receives progress
 ///
-/// The file is read once, and what is made of it for rendering is kept: render() may be called many times.
+/// These keys of light belong to the scene: environment (a Radiance HDR or OpenEXR file),
+/// environment_strength, environment_rotation_deg, and automatic (studio light for a scene without
+/// light). The others are defaults for render().
+///
+/// The file is read once, and its acceleration structures are kept: render() may be called many
+/// times.
 #[pyclass(frozen, module = "lumistack")]
 pub(crate) struct Scene {
     pub(crate) path: PathBuf,
@@ -34,7 +42,8 @@ pub(crate) struct Scene {
 }
 
 impl Scene {
-    /// From a file or a stage. USD is read in this process where this Python has OpenUSD, otherwise by one that has, as the command does.
+    /// Reads a file or a stage. USD is read in this process if this Python has OpenUSD, otherwise
+    /// by another Python, as in the command.
     pub(crate) fn load(
         py: Python<'_>,
         source: &Bound<'_, PyAny>,
@@ -43,6 +52,7 @@ impl Scene {
         importer: ImporterJob,
         callback: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
+        // Read USD with this Python's OpenUSD if possible.
         let stage = usd::is_stage(source).then_some(source);
         let path: PathBuf = match stage {
             Some(stage) => stage.call_method0("GetRootLayer")?.getattr("identifier")?.extract()?,
@@ -55,12 +65,14 @@ impl Scene {
                 let name = path.display().to_string();
                 let scene = lumistack_usd::scene_from_package(&name, &walked.package(), task)?;
                 let files: Vec<PathBuf> = walked.header.files.iter().map(PathBuf::from).collect();
-                // a stage in memory may differ from its files
+                // A stage in memory may differ from its files, so its content becomes part of the
+                // key.
                 let content = if is_given { walked.content() } else { Vec::new() };
                 take_scene(scene, &files, &content, &pose, &light, task)
             })?;
             return Ok(Self::new_of(path, light, ingested, SceneContents::Usd(walked.header.contents)));
         }
+        // Read all other files as the command does.
         let registry = registry(py)?;
         let (ingested, contents) = long(py, callback, |task| {
             let ingested = load_scene(&path, &pose, &importer, registry, &light, None, task)?;
@@ -105,7 +117,7 @@ impl Scene {
         importer: Option<&Bound<'_, PyAny>>,
         callback: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
-        // by name or by number
+        // both accept a name or a number
         let [animation, variant] = [animation, variant].map(|choice| choice.map(|choice| choice.str()).transpose());
         let (animation, variant) = (animation?.map(Bound::into_any), variant?.map(Bound::into_any));
         let pose = [
@@ -120,21 +132,26 @@ impl Scene {
         Self::load(py, path, pose, light, importer, callback)
     }
 
-    /// A scene of Gaussian splats that lie in arrays: one mapping, or a sequence of mappings, as `splats` gives them.
+    /// A scene of Gaussian splats in arrays: one mapping, or a sequence of mappings, as `splats`
+    /// returns them.
     ///
-    /// * positions [splat, xyz], in a scene whose y points up
-    /// * rotations [splat, xyzw], quaternions from a splat's own axes; without them there is no turn
+    /// * positions [splat, xyz], in a scene with y up
+    /// * rotations [splat, xyzw], quaternions from a splat's own axes; without them no rotation
     /// * scales [splat, xyz], standard deviations, not their logarithms
     /// * opacities [splat], 0 to 1
-    /// * harmonics [splat, coefficient, rgb], 1, 4, 9 or 16 coefficients by degree and then order; a colour is ½ and their sum
+    /// * harmonics [splat, coefficient, rgb], 1, 4, 9 or 16 coefficients by degree and then order;
+    ///   a colour is ½ plus their sum
     /// * encoding, "srgb" (the default, as captures are trained) or "linear"
     /// * scene_from_cloud [4, 4], a matrix of column vectors that places the cloud
     ///
-    /// light: as of a file; name: for messages.
+    /// light: as for a file; name: for messages.
     ///
     /// >>> import numpy as np
     /// >>> red = [[[1.77, -1.77, -1.77]]]
-    /// >>> ball = {"positions": np.zeros((1, 3)), "scales": np.ones((1, 3)), "opacities": np.ones(1), "harmonics": np.array(red)}
+    ///
+    /// >>> ball = {"positions": np.zeros((1, 3)), "scales": np.ones((1, 3))}
+    /// >>> ball.update(opacities=np.ones(1), harmonics=np.array(red))
+    ///
     /// >>> Scene.from_splats(ball).splats[0]["harmonics"].shape
     /// (1, 1, 3)
     #[staticmethod]
@@ -157,21 +174,22 @@ impl Scene {
         Ok(Self { path: name.into(), light, ingested, animations, variants, duration })
     }
 
-    /// The splats: a dict of arrays for every cloud that stands in the scene, as `from_splats` takes it.
+    /// The splats: a dict of arrays for every placed cloud, as `from_splats` reads it.
     ///
-    /// Splats that are no Gaussians are gone, and large clouds are in another order than in their file.
+    /// Splats that are no Gaussians are missing, and the order within large clouds differs from the
+    /// file.
     #[getter]
     fn splats<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
         splats::to_python(py, &self.ingested.scene)
     }
 
-    /// The file that it was read from; of a stage in memory its identifier.
+    /// The file that was read; for a stage in memory its identifier.
     #[getter]
     fn path(&self) -> PathBuf {
         self.path.clone()
     }
 
-    /// Number of triangles, copies of a mesh counted.
+    /// Number of triangles, counting every copy of a mesh.
     #[getter]
     fn triangles(&self) -> usize {
         self.ingested.scene.triangle_count()
@@ -195,19 +213,20 @@ impl Scene {
         self.animations.clone()
     }
 
-    /// Seconds until the last animation has ended, or that the USD stage plays; None where nothing says so.
+    /// Seconds until the last animation ends, or the length of the USD stage; None without
+    /// animations.
     #[getter]
     fn duration(&self) -> Option<f64> {
         self.duration
     }
 
-    /// Names of the material variants of glTF; of USD every choice, "/prim{set=variant}".
+    /// Names of the material variants of glTF; for USD every choice, "/prim{set=variant}".
     #[getter]
     fn variants(&self) -> Vec<String> {
         self.variants.clone()
     }
 
-    /// Corners of the box around everything, in scene units: ((x, y, z), (x, y, z)).
+    /// Corners of the bounding box of everything, in scene units: ((x, y, z), (x, y, z)).
     #[getter]
     fn bounds(&self) -> ((f32, f32, f32), (f32, f32, f32)) {
         let bounds = Arc::as_ref(&self.ingested.scene).bounds();

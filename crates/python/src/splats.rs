@@ -8,7 +8,7 @@ use pyo3::types::{PyDict, PyList};
 use crate::array::{Array, Part, Values};
 use crate::error::setting;
 
-/// Every cloud of a scene as a dict of arrays, placed as often as it stands there.
+/// Every cloud of a scene as a dict of arrays, once per placement.
 pub(crate) fn to_python<'py>(py: Python<'py>, scene: &Scene) -> PyResult<Bound<'py, PyList>> {
     let list = PyList::empty(py);
     for placed in &scene.placed_clouds {
@@ -38,7 +38,7 @@ pub(crate) fn to_python<'py>(py: Python<'py>, scene: &Scene) -> PyResult<Bound<'
     Ok(list)
 }
 
-/// The parts of a scene that shows these clouds: one mapping, or a sequence of them.
+/// The parts of a scene with these clouds: one mapping, or a sequence of them.
 pub(crate) fn from_python(name: &str, splats: &Bound<'_, PyAny>) -> PyResult<SceneParts> {
     let py = splats.py();
     let mut parts = SceneParts { name: name.to_owned(), ..SceneParts::default() };
@@ -57,6 +57,7 @@ pub(crate) fn from_python(name: &str, splats: &Bound<'_, PyAny>) -> PyResult<Sce
 const KEYS: [&str; 7] = ["positions", "rotations", "scales", "opacities", "harmonics", "encoding", "scene_from_cloud"];
 
 fn cloud(py: Python<'_>, place: &str, one: &Bound<'_, PyAny>) -> PyResult<(Cloud, Affine3A)> {
+    // A misspelt key is an error, since optional keys have defaults.
     for key in one.call_method0("keys")?.try_iter()? {
         let key: String = key?.extract()?;
         if !KEYS.contains(&key.as_str()) {
@@ -80,6 +81,7 @@ fn cloud(py: Python<'_>, place: &str, one: &Bound<'_, PyAny>) -> PyResult<(Cloud
             Err(setting(py, format!("{place}[\"{key}\"]: expected an array of shape {expected:?}, found {shape:?}")))
         }
     };
+    // Read the required arrays, which determine the number of splats and the degree.
     let (shape, positions) = needed("positions")?;
     let count = shape.first().copied().unwrap_or(0);
     checked("positions", &shape, &[count, 3])?;
@@ -96,6 +98,7 @@ fn cloud(py: Python<'_>, place: &str, one: &Bound<'_, PyAny>) -> PyResult<(Cloud
         return Err(setting(py, message));
     };
     checked("harmonics", &shape, &[count, (degree + 1).pow(2), 3])?;
+    // Read the optional values.
     let rotations = match read("rotations")? {
         Some((shape, values)) => {
             checked("rotations", &shape, &[count, 4])?;
@@ -125,7 +128,7 @@ fn cloud(py: Python<'_>, place: &str, one: &Bound<'_, PyAny>) -> PyResult<(Cloud
     Ok((cloud, scene_from_cloud))
 }
 
-/// All values of the clouds, to tell a scene from another.
+/// All values of the clouds, for the scene's key.
 pub(crate) fn content(parts: &SceneParts) -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut put = |values: &mut dyn Iterator<Item = f32>| values.for_each(|value| bytes.extend(value.to_le_bytes()));

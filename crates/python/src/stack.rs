@@ -19,15 +19,19 @@ use crate::field::LightField;
 use crate::own::{in_package, in_python};
 use crate::work::long;
 
-/// The patterns of a display: transmittances 0 to 1, linear, of every layer and frame.
+/// The patterns of a display: linear transmittances 0 to 1 of every layer and frame.
 ///
-/// layers: one array [frame, row, col, rgb] per layer, rear to front; display: the Display that shows them, or what makes one; emission: for a directional
-/// backlight [frame, bin_y, bin_x, lenslet_row, lenslet_col, rgb]; brightness: β for which they were made, above 0 and at most 1, by default
-/// the display's. Arrays are taken as by LightField.
+/// * layers: one array [frame, row, col, rgb] per layer, rear to front
+/// * display: the Display that shows them, or an argument for one
+/// * emission: for a directional backlight [frame, bin_y, bin_x, lenslet_row, lenslet_col, rgb]
+/// * brightness: β of the patterns, above 0 and at most 1; by default the display's
+///
+/// Arrays are read as by LightField.
 ///
 /// >>> display = Display("fig7-uniform", resolution=(8, 8), frames=1)
-/// >>> grey = [memoryview(bytes(4 * 8 * 8 * 3)).cast("f", (1, 8, 8, 3)) for _ in display.layer_shapes]
-/// >>> LayerStack(grey, display).frames
+///
+/// >>> grey = memoryview(bytes(4 * 8 * 8 * 3)).cast("f", (1, 8, 8, 3))
+/// >>> LayerStack([grey for _ in display.layer_shapes], display).frames
 /// 1
 #[pyclass(frozen, module = "lumistack")]
 pub(crate) struct LayerStack {
@@ -36,14 +40,14 @@ pub(crate) struct LayerStack {
     pub(crate) solved: Option<Solved>,
 }
 
-/// How a solver came to patterns.
+/// Settings and history of a factorization.
 pub(crate) struct Solved {
     pub(crate) solution: lumistack_report::Solution,
     pub(crate) steps: Vec<lumistack_report::Iteration>,
 }
 
 impl Solved {
-    /// `seconds` after the start of every evaluation.
+    /// `seconds` are the times of the evaluations after the start.
     pub(crate) fn of(made: &Factorization, seconds: &[f64], warm: bool) -> Self {
         let settings = &made.settings;
         let start = if warm { "warm" } else { settings.start.unwrap_or_default().name() };
@@ -95,7 +99,7 @@ impl LayerStack {
         Ok(Self { stack: Arc::new(stack), display, solved: None })
     }
 
-    /// Reads patterns: of a run's folder, or of a `layers` folder with the display that they are for.
+    /// Reads patterns from a run's folder, or from a `layers` folder for the given display.
     #[classmethod]
     #[pyo3(signature = (folder, *, display=None))]
     fn open(
@@ -109,7 +113,8 @@ impl LayerStack {
         Ok(Self { stack: Arc::new(stack), display, solved: None })
     }
 
-    /// Writes a run's folder: display.toml and `layers` with stack.json and one .npy array per layer.
+    /// Writes a run's folder: display.toml, and `layers` with stack.json and one .npy array per
+    /// layer.
     fn save(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
         long(py, None, |_| {
             let layers = folder.join("layers");
@@ -120,14 +125,14 @@ impl LayerStack {
         })
     }
 
-    /// One read-only array of NumPy [frame, row, col, rgb] per layer, rear to front: no copies are made.
+    /// One read-only NumPy array [frame, row, col, rgb] per layer, rear to front, without copies.
     #[getter]
     fn layers<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
         let layers = (0..self.stack.layers.len()).map(|n| Array::numpy(py, Part::Layer(self.stack.clone(), n)));
         PyTuple::new(py, layers.collect::<PyResult<Vec<_>>>()?)
     }
 
-    /// The same for those without NumPy: objects of which memoryview(...) can be taken.
+    /// The same without NumPy: objects for memoryview(...).
     #[getter]
     fn arrays<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
         let layers =
@@ -135,7 +140,8 @@ impl LayerStack {
         PyTuple::new(py, layers.collect::<PyResult<Vec<_>>>()?)
     }
 
-    /// Of a directional backlight a read-only array [frame, bin_y, bin_x, lenslet_row, lenslet_col, rgb]; None of a uniform one.
+    /// For a directional backlight a read-only array [frame, bin_y, bin_x, lenslet_row,
+    /// lenslet_col, rgb]; None for a uniform one.
     #[getter]
     fn emission<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
         let lent = || Array::numpy(py, Part::Emission(self.stack.clone()));
@@ -160,15 +166,17 @@ impl LayerStack {
         self.stack.brightness
     }
 
-    /// Of factorized patterns: (iterations done, Σ w (βL − L̃)², PSNR in dB) from the start on. Otherwise empty.
+    /// For factorized patterns: (iterations done, Σ w (βL − L̃)², PSNR in dB) from the start on.
+    /// Otherwise empty.
     #[getter]
     fn history(&self) -> Vec<(u32, f64, f64)> {
         let steps = self.solved.iter().flat_map(|solved| &solved.steps);
         steps.map(|step| (step.iteration, step.objective, step.psnr_view)).collect()
     }
 
-    /// Of factorized patterns: solver, start and coarse_levels as they were chosen, unsettled (how far the patterns are from the first-order conditions, rms)
-    /// and, where layers have few bits, the PSNRs of continuous, rounded and re-optimized patterns. Otherwise None.
+    /// For factorized patterns: the effective solver, start and coarse_levels, and `unsettled`, the
+    /// KKT residual (rms). For layers with few bits also the PSNRs of continuous, rounded and
+    /// re-optimized masks. Otherwise None.
     #[getter]
     fn solution<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
         let Some(Solved { solution, .. }) = &self.solved else { return Ok(None) };
@@ -181,9 +189,11 @@ impl LayerStack {
         Ok(Some(dict))
     }
 
-    /// PSNR in dB of what the display shows against what it should, peak 1, over all rays that count: weights as for factorize().
+    /// PSNR in dB, with peak 1, of the shown against the target light field over all rays with
+    /// weight; weights as for factorize().
     ///
-    /// It compares L̃/β with L, what an adapted viewer sees; with raw=True L̃ with βL, which is higher by −20 log10 β.
+    /// It compares L̃/β with L, as an adapted viewer sees them; with raw=True L̃ with βL, which is
+    /// higher by −20 log10 β.
     #[pyo3(signature = (light_field, *, weights=None, raw=false))]
     fn psnr(
         &self,
@@ -201,11 +211,13 @@ impl LayerStack {
         })
     }
 
-    /// How right the display is where eyes are: the PSNR in dB of seen pictures, which are means over the area of every pixel, in directions that the solver did not see.
+    /// The zone score: PSNR in dB of seen pictures in directions that the solver did not use. A
+    /// seen picture is the mean over every pixel's area.
     ///
-    /// references: a LightField that render() made with zone_directions, whose pictures from all over the zone are compared; of any other light field its own views, so
-    /// let it be one that the patterns were not made for. Gives a dictionary with psnr_zone, psnr_zone_worst_tenth, the same of the worst tenth of the directions, and
-    /// directions, a list of (slope, psnr).
+    /// references: a LightField that render() made with zone_directions, whose references are
+    /// compared. For any other light field its own views are compared, so it should not be the
+    /// target of the patterns. Returns a dictionary with psnr_zone, psnr_zone_worst_tenth (over the
+    /// worst tenth of the directions) and directions, a list of (slope, psnr).
     #[pyo3(signature = (references, *, callback=None))]
     fn psnr_zone<'py>(
         &self,
@@ -226,7 +238,8 @@ impl LayerStack {
         Ok(dict)
     }
 
-    /// What the display shows along the rays of a light field, as one: L̃/β, or L̃ itself with raw=True. Rays that leave the display are 0.
+    /// Simulates the rays of a light field: L̃/β, or L̃ itself with raw=True, as a light field.
+    /// Rays that leave the display are 0.
     #[pyo3(signature = (like, *, raw=false, callback=None))]
     fn views(
         &self,
@@ -253,9 +266,12 @@ impl LayerStack {
         Ok(LightField::plain(field))
     }
 
-    /// The weight of every ray of a light field in psnr(), [view_y, view_x, row, col]: 0 where a ray misses the display, else what `weights` says, 1 without them.
+    /// The weight of every ray of a light field in psnr(), [view_y, view_x, row, col].
     ///
-    /// psnr() is -10 log10 of the mean of (views(light_field).radiance - light_field.radiance)² over all rays of a weight above 0 and all channels.
+    /// A ray that misses the display has weight 0. The others have that of `weights`, or 1.
+    ///
+    /// Let d be views(light_field).radiance - light_field.radiance. Then psnr() is -10 log10 of the
+    /// mean of d² over all channels and all rays with a weight above 0.
     #[pyo3(signature = (light_field, *, weights=None))]
     fn weights<'py>(
         &self,
@@ -272,7 +288,7 @@ impl LayerStack {
         Array::numpy(py, Part::Weights(Arc::new(weights)))
     }
 
-    /// The same as lumistack.simulate(stack, ...).
+    /// Equivalent to lumistack.simulate(stack, ...).
     #[pyo3(signature = (slope=None, **viewpoint))]
     fn simulate<'py>(
         slf: &Bound<'py, Self>,
@@ -282,7 +298,7 @@ impl LayerStack {
         in_python(slf.py(), "simulate", (slf, slope), viewpoint)
     }
 
-    /// The same as lumistack.write(stack, plugin, folder, ...).
+    /// Equivalent to lumistack.write(stack, plugin, folder, ...).
     #[pyo3(signature = (plugin, folder, **params))]
     fn write<'py>(
         slf: &Bound<'py, Self>,
@@ -293,13 +309,15 @@ impl LayerStack {
         in_python(slf.py(), "write", (slf, plugin, folder), params)
     }
 
-    /// Draws the patterns of a frame through matplotlib, rear to front, and beside them the picture that is seen from the middle. Gives the figure.
+    /// Draws the masks of a frame with matplotlib, rear to front, and the seen picture from the
+    /// middle. Returns the figure.
     #[pyo3(signature = (frame=0))]
     fn plot<'py>(slf: &Bound<'py, Self>, frame: usize) -> PyResult<Bound<'py, PyAny>> {
         in_package(slf.py(), "_show", "plot_patterns", (slf, frame), None)
     }
 
-    /// Draws PSNR against iterations through matplotlib. Gives the axes, which are made unless they are given.
+    /// Draws PSNR against iterations with matplotlib. Returns the axes; new ones unless `ax` is
+    /// given.
     #[pyo3(signature = (*, ax=None))]
     fn plot_history<'py>(slf: &Bound<'py, Self>, ax: Option<&Bound<'py, PyAny>>) -> PyResult<Bound<'py, PyAny>> {
         in_package(slf.py(), "_show", "plot_history", (slf, ax), None)

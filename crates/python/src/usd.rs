@@ -1,4 +1,5 @@
-//! USD in the caller's own Python: the walker of `lumistack-usd` runs here, and its arrays are read where they lie.
+//! USD in the caller's own Python: runs the walker of `lumistack-usd` and reads its arrays without
+//! a copy.
 
 use std::ffi::CString;
 use std::path::Path;
@@ -11,7 +12,7 @@ use pyo3::types::{PyBytes, PyDict, PyModule};
 
 use crate::error::{exception, raised, setting};
 
-/// A scene as the walker found it.
+/// A scene as the walker describes it.
 pub(crate) struct Walked {
     pub(crate) header: Header,
     text: Vec<u8>,
@@ -19,12 +20,12 @@ pub(crate) struct Walked {
 }
 
 impl Walked {
-    /// What [`lumistack_usd::scene_from_package`] takes.
+    /// The input of [`lumistack_usd::scene_from_package`].
     pub(crate) fn package(&self) -> Package<'_> {
         Package { header: self.header.clone(), buffers: self.buffers.iter().map(bytes).collect() }
     }
 
-    /// All of it, to tell it from another.
+    /// All content, for the scene's key.
     pub(crate) fn content(&self) -> Vec<&[u8]> {
         std::iter::once(&*self.text).chain(self.buffers.iter().map(bytes)).collect()
     }
@@ -34,19 +35,20 @@ fn bytes(buffer: &PyUntypedBuffer) -> &[u8] {
     if buffer.len_bytes() == 0 {
         return &[];
     }
-    // SAFETY: the exporter keeps memory and size of a buffer for as long as it is held, and `walk` keeps row-major ones alone. Nobody writes to them: they are the
-    // walker's own, or values of OpenUSD, which copies before it writes.
+    // SAFETY: the exporter keeps memory and size of a buffer while it is held, and `walk` keeps
+    // only row-major ones. They are not written to: they belong to the walker, or to OpenUSD, which
+    // copies values before it writes.
     unsafe { std::slice::from_raw_parts(buffer.buf_ptr().cast::<u8>(), buffer.len_bytes()) }
 }
 
-/// Whether this Python has OpenUSD.
+/// Returns true if this Python has OpenUSD.
 pub(crate) fn is_here(py: Python<'_>) -> bool {
     py.import("pxr.Usd").is_ok()
 }
 
-/// Whether an object is a stage.
+/// Returns true if an object is a stage.
 pub(crate) fn is_stage(object: &Bound<'_, PyAny>) -> bool {
-    // without the module there are none, and to import it takes a while
+    // without the module no stage exists, and its import is slow
     let modules = object.py().import("sys").and_then(|sys| sys.getattr("modules"));
     let stage = modules.and_then(|modules| modules.get_item("pxr.Usd")).and_then(|usd| usd.getattr("Stage"));
     stage.and_then(|stage| object.is_instance(&stage)).unwrap_or(false)
@@ -54,6 +56,7 @@ pub(crate) fn is_stage(object: &Bound<'_, PyAny>) -> bool {
 
 /// Walks a stage of the caller, or a file.
 pub(crate) fn walk(py: Python<'_>, stage: Option<&Bound<'_, PyAny>>, path: &Path, pose: &PoseJob) -> PyResult<Walked> {
+    // Refuse settings that have no effect here.
     if stage.is_some() && !pose.variants.is_empty() {
         let message = "variants: expected none beside a stage, whose own selections count, found some";
         return Err(setting(py, message));
@@ -70,6 +73,7 @@ pub(crate) fn walk(py: Python<'_>, stage: Option<&Bound<'_, PyAny>>, path: &Path
         let source = std::io::Error::from(std::io::ErrorKind::NotFound);
         return Err(raised(py, &PipelineError::Read { path: path.into(), source }));
     }
+    // Run the walker; only its own refusals are errors of the file.
     let modules = modules(py)?;
     let request = PyDict::new(py);
     request.set_item("path", path.to_string_lossy())?;
@@ -89,6 +93,7 @@ pub(crate) fn walk(py: Python<'_>, stage: Option<&Bound<'_, PyAny>>, path: &Path
     let text = text.cast::<PyBytes>()?.as_bytes().to_vec();
     let header = Header::parse(&text)
         .map_err(|error| exception(py, "InternalError", &format!("a mistake in Lumistack: {error}")))?;
+    // Keep the arrays; those with gaps are copied.
     let mut buffers = Vec::new();
     for view in writer.getattr("buffers")?.try_iter()? {
         let view = view?;
@@ -102,7 +107,7 @@ pub(crate) fn walk(py: Python<'_>, stage: Option<&Bound<'_, PyAny>>, path: &Path
     Ok(Walked { header, text, buffers })
 }
 
-/// The walker, a package `lumistack_usd` that lives in memory.
+/// Imports the walker as a package `lumistack_usd` from memory.
 fn modules(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     const PACKAGE: &str = "lumistack_usd";
     let known = py.import("sys")?.getattr("modules")?;

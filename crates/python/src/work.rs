@@ -1,7 +1,9 @@
-//! Long work: on a thread of its own, without Python's lock.
+//! Long work on another thread, without Python's lock.
 //!
-//! The calling thread looks every [`TICK`] for signals (Python delivers Ctrl-C to its main thread alone), calls back with progress and passes warnings on. What
-//! it meets there – a `KeyboardInterrupt`, an exception of the callback, a warning that is an error – cancels the work and is raised once it has stopped.
+//! The calling thread wakes every [`POLL`]. It checks for signals (Python delivers Ctrl-C only to
+//! its main thread), calls back with progress and passes warnings on. An exception there cancels
+//! the work and is raised after the work has stopped: a `KeyboardInterrupt`, an exception of the
+//! callback, or a warning that is an error.
 
 use std::any::Any;
 use std::ffi::OsString;
@@ -16,28 +18,29 @@ use pyo3::prelude::*;
 use crate::error::{exception, in_python, raised};
 use crate::own::in_package;
 
-/// Time between two looks.
-const TICK: Duration = Duration::from_millis(30);
+/// Interval of checks.
+const POLL: Duration = Duration::from_millis(30);
 
-/// Does `work` and gives its result. `callback(stage, fraction)` hears of its progress; without one a terminal or a notebook shows it.
+/// Runs `work` and returns its result. `callback(stage, fraction)` receives its progress; without
+/// one a terminal or a notebook shows it.
 pub(crate) fn long<T: Send>(
     py: Python<'_>,
     callback: Option<&Bound<'_, PyAny>>,
     work: impl FnOnce(Task<'_>) -> Result<T, PipelineError> + Send,
 ) -> PyResult<T> {
     if callback.is_some() {
-        return told(py, callback, work);
+        return watched(py, callback, work);
     }
     let shown = in_package(py, "_progress", "shown", (), None)?;
     if shown.is_none() {
-        return told(py, None, work);
+        return watched(py, None, work);
     }
-    let result = told(py, Some(&shown), work);
+    let result = watched(py, Some(&shown), work);
     shown.call_method0("close")?;
     result
 }
 
-fn told<T: Send>(
+fn watched<T: Send>(
     py: Python<'_>,
     callback: Option<&Bound<'_, PyAny>>,
     work: impl FnOnce(Task<'_>) -> Result<T, PipelineError> + Send,
@@ -50,8 +53,8 @@ fn told<T: Send>(
         &sink,
         || work(task),
         || {
-            let told = py.check_signals().and_then(|()| sink.tell(py, callback));
-            told.inspect_err(|_| cancel.cancel())
+            let result = py.check_signals().and_then(|()| sink.report(py, callback));
+            result.inspect_err(|_| cancel.cancel())
         },
     );
     match (problem, result) {
@@ -62,7 +65,7 @@ fn told<T: Send>(
     }
 }
 
-/// Runs a command line as the program does: Ctrl-C stops it cleanly, a second one at once.
+/// Runs a command line as the program does: the first Ctrl-C stops it cleanly, the second at once.
 pub(crate) fn command(py: Python<'_>, words: &[OsString]) -> PyResult<u8> {
     let cancel = Cancel::default();
     let (result, _) = beside(
@@ -82,12 +85,13 @@ pub(crate) fn command(py: Python<'_>, words: &[OsString]) -> PyResult<u8> {
     result.map_err(|panic| panicked(py, &*panic))
 }
 
-/// Runs `work` on another thread, and `look` on this one again and again until it is done or `look` has failed.
+/// Runs `work` on another thread. Until it is done, calls `poll` on this thread repeatedly, or
+/// until `poll` fails.
 fn beside<T: Send>(
     py: Python<'_>,
     sink: &Sink,
     work: impl FnOnce() -> T + Send,
-    mut look: impl FnMut() -> PyResult<()>,
+    mut poll: impl FnMut() -> PyResult<()>,
 ) -> (std::thread::Result<T>, Option<PyErr>) {
     std::thread::scope(|scope| {
         let worker = scope.spawn(|| {
@@ -99,7 +103,7 @@ fn beside<T: Send>(
         loop {
             let finished = py.detach(|| sink.wait());
             if problem.is_none() {
-                problem = look().err();
+                problem = poll().err();
             }
             if finished {
                 break;
@@ -116,7 +120,7 @@ fn panicked(py: Python<'_>, panic: &(dyn Any + Send)) -> PyErr {
     exception(py, "InternalError", &format!("a mistake in Lumistack: {text}"))
 }
 
-/// What the work has said since the last look.
+/// Progress and warnings since the last check.
 #[derive(Default)]
 struct Sink {
     state: Mutex<State>,
@@ -128,7 +132,7 @@ struct State {
     stage: String,
     total: u64,
     done: u64,
-    /// Stage and share; of one stage only the newest, and its end.
+    /// Stage and fraction: per stage only the newest, and its end.
     news: Vec<(String, f64)>,
     warnings: Vec<Warning>,
     seen: Vec<Warning>,
@@ -150,10 +154,10 @@ impl Sink {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Waits for the end, but not longer than a tick; whether it has come.
+    /// Waits for the end for at most [`POLL`]; returns true at the end.
     fn wait(&self) -> bool {
         let state = self.lock();
-        let waited = self.wake.wait_timeout_while(state, TICK, |state| !state.finished);
+        let waited = self.wake.wait_timeout_while(state, POLL, |state| !state.finished);
         waited.unwrap_or_else(PoisonError::into_inner).0.finished
     }
 
@@ -162,8 +166,8 @@ impl Sink {
         self.wake.notify_all();
     }
 
-    /// Tells Python what has come in.
-    fn tell(&self, py: Python<'_>, callback: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
+    /// Passes progress and warnings on to Python.
+    fn report(&self, py: Python<'_>, callback: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
         let (news, warnings) = {
             let mut state = self.lock();
             (std::mem::take(&mut state.news), std::mem::take(&mut state.warnings))

@@ -1,4 +1,5 @@
-"""What the tests share: a small display, a light field of smooth waves at known depths, and the repository's scenes."""
+"""Shared fixtures: a small display, a light field of smooth waves at known depths, and the
+repository's scenes."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[3]
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Adds what was skipped to the list of `cargo xtask`, which CI takes for a failure."""
+    """Adds skipped tests to the list of `cargo xtask`, which are failures in CI."""
     skips = os.environ.get("LUMISTACK_SKIPPED")
     for report in terminalreporter.stats.get("skipped", []) if skips else []:
         reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longrepr

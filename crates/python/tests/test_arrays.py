@@ -1,4 +1,5 @@
-"""Arrays in and out: which layouts are used where they are, which are copied, which are refused, and that every one gives the same values."""
+"""Arrays in and out: layouts that are used without a copy, copied or refused; all give the same
+values."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ GEOMETRY: dict[str, Any] = {"pitch_mm": 1.0, "fov_deg": (20, 20)}
 
 def values() -> NDArray[numpy.float32]:
     count = int(numpy.prod(SHAPE))
-    # exact in half floats
+    # These values are exact in half floats.
     return ((numpy.arange(count) * 37 % 512) / 512).astype(numpy.float32).reshape(SHAPE)
 
 

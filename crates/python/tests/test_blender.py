@@ -1,4 +1,5 @@
-"""What the Blender extension shares with the hand-over of .blend files, without Blender: cameras, kept views, outlines, forms, .glb files."""
+"""Code that the Blender extension and the export of .blend files share, without Blender: cameras,
+kept views, outlines, forms, .glb files."""
 
 from __future__ import annotations
 
@@ -31,7 +32,8 @@ def random_window(chance: random.Random) -> Window:
 
 @pytest.mark.parametrize("distance_mm", [None, 600.0, 200.0])
 def test_a_view_sees_what_lies_on_its_rays(distance_mm: float | None) -> None:
-    """The rays of the design: (x, y, 0) + z (s, 1), and those through an eye; worked out here a second time."""
+    """Compares with the rays of the design, computed independently: (x, y, 0) + z (s, 1), and those
+    through an eye."""
     chance = random.Random(1)
     for _ in range(200):
         window = random_window(chance)
@@ -48,7 +50,7 @@ def test_a_view_sees_what_lies_on_its_rays(distance_mm: float | None) -> None:
         assert seen_at_mm(camera, window, window.point(place)) == pytest.approx(expected, abs=1e-6)
         back = window.place_mm(window.point(place))
         assert back == pytest.approx(place, abs=1e-9)
-        # nothing between the camera and the scene is cut off
+        # Nothing between the camera and the scene is clipped.
         columns = numpy.array(camera.matrix)
         inner = numpy.linalg.solve(columns[:3, :3], numpy.array(window.point(place)) - columns[:3, 3])
         assert -camera.clip_end < inner[2] < -camera.clip_start
@@ -64,11 +66,11 @@ def test_views_beyond_what_cameras_can_are_refused() -> None:
 
 def test_the_window_is_the_camera_frustum_at_its_focus() -> None:
     frame = [(0.6, 0.3, -1.0), (0.6, -0.3, -1.0), (-0.4, -0.3, -1.0), (-0.4, 0.3, -1.0)]
-    # turned by 90 degrees about z, and scaled, which does not count
+    # Rotated by 90 degrees about z, and scaled, which has no effect.
     matrix = [[0.0, -2.0, 0.0, 1.0], [2.0, 0.0, 0.0, 0.0], [0.0, 0.0, 2.0, 5.0], [0.0, 0.0, 0.0, 1.0]]
     window = window_of_camera(matrix, frame, False, 4.0, (400.0, 250.0))
     assert window.scale * 400.0 == pytest.approx(4.0)
-    # the shifted picture's middle is 0.1 to the camera's right, which is the scene's +y
+    # The middle of the shifted picture is 0.1 to the camera's right, which is the scene's +y.
     assert window.centre == pytest.approx((1.0, 0.4, 1.0))
     flat = window_of_camera(matrix, frame, True, 4.0, (400.0, 250.0))
     assert flat.scale * 400.0 == pytest.approx(1.0)
@@ -88,7 +90,7 @@ def test_a_window_is_scaled_and_moved_in_its_plane() -> None:
         size, shift = chance.uniform(0.2, 3.0), (chance.uniform(-1, 1), chance.uniform(-1, 1))
         moved = window.resized(size, shift)
         width = window.size_mm[0]
-        # one corner, worked out in the window as it was
+        # One corner, computed in the original window.
         x, y = 0.5 * size * width + shift[0] * width, 0.5 * size * window.size_mm[1] + shift[1] * width
         assert moved.point((width / 2, window.size_mm[1] / 2, 0.0)) == pytest.approx(window.point((x, y, 0.0)))
         cage = numpy.array(outline.cage(size, shift, 7.0)).reshape(4, 4).T
@@ -103,7 +105,7 @@ def test_kept_views_are_not_rendered_again(tmp_path: Path) -> None:
     for view in views.missing()[:4]:
         views.begin(view).write_bytes(b"whole")
         views.keep(view)
-    # killed in the middle of the fifth
+    # The run is killed while it writes the fifth view.
     views.begin((1, 1)).write_bytes(b"ha")
     again = Views(folder, 3, 3, key_of({"size": [64, 40]}))
     assert again.missing() == [(1, 1), (1, 2), (2, 0), (2, 1), (2, 2)]
@@ -147,7 +149,7 @@ def test_outlines() -> None:
     assert len(outline.frame(size)) == 4
     box = outline.depth_box(size, (-60.0, 60.0), eye)
     assert len(box) == 12
-    # before an eye the box follows the lines of sight
+    # Before an eye the box follows the lines of sight.
     for (x, y, z) in (end for line in box for end in line):
         assert abs(x) == pytest.approx(200.0 * (eye - z) / eye) and abs(y) == pytest.approx(125.0 * (eye - z) / eye)
     assert outline.depth_box(size, None, None) == []
@@ -173,9 +175,9 @@ def test_fitted_depths_lie_in_the_range(distance_mm: float | None) -> None:
     shown = [depth.shown_at(z, fit, distance_mm) for z in depths]
     assert 0.01 < fit.depth_scale < 0.4
     assert depth.outside(shown, (-20.0, 20.0)) <= 0.05
-    # and no more than needed: something reaches an end
+    # The fit moves no farther than necessary: some content reaches an end of the range.
     assert max(map(abs, shown)) > 19.0
-    # the box that is drawn holds what is sharp once it is fitted
+    # The drawn box contains the depths that are sharp after the fit.
     low, high = depth.in_scene((-20.0, 20.0), fit.depth_scale, distance_mm) or (0.0, 0.0)
     unmoved = depth.Fit(0.0, fit.depth_scale)
     assert depth.shown_at(high, unmoved, distance_mm) == pytest.approx(20.0)

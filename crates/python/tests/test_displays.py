@@ -1,4 +1,4 @@
-"""Displays: where they come from, what changes them, what they say."""
+"""Displays: sources, changes and properties."""
 
 from __future__ import annotations
 

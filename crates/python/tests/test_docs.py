@@ -1,4 +1,4 @@
-"""What help() shows, and that its examples and those of docs/PYTHON.md do what they say."""
+"""Texts of help(): examples there and in docs/PYTHON.md give the stated results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Errors: their classes, and that they say what was expected and what was found."""
+"""Errors: their classes, and messages with the expected and the found value."""
 
 from __future__ import annotations
 
@@ -217,7 +217,7 @@ def test_jobs(tmp_path: Path) -> None:
 
 
 def test_warnings_are_warnings_of_python(display: Display) -> None:
-    # frames that are equal stay equal, which the solver says
+    # Equal frames stay equal, which causes a warning of the solver.
     equal = LayerStack([numpy.full(shape, 0.5, "f4") for shape in display.layer_shapes], display)
     field = LightField(numpy.full(display.light_field_shape, 0.2, "f4"), display=display)
     with pytest.warns(lumistack.LumistackWarning, match="warm start: all frames are equal"):

@@ -1,4 +1,5 @@
-"""Runs on many machines: bytes are those of one, whatever is killed; what cannot be used is refused by name; exports run, or unpack to the same graph."""
+"""Runs on many machines: results are byte-equal to those of one machine, even if processes are
+killed. Unusable workers are named. Exports run, or give the same graph."""
 
 from __future__ import annotations
 
@@ -51,7 +52,7 @@ def command(*words: str | Path) -> str:
 
 
 def results(folder: Path) -> dict[str, bytes]:
-    """Files of a run, those of caches and reports, which tell times, left out."""
+    """Files of a run, without caches and reports, which contain times."""
     files = (path for path in sorted(folder.rglob("*")) if path.is_file() and "cache" not in path.relative_to(folder).parts)
     kept = (path for path in files if not path.name.startswith("report.") and path.name != "job.toml")
     return {str(path.relative_to(folder)): path.read_bytes() for path in kept}
@@ -82,7 +83,7 @@ def expected(place: Path, job: Path) -> dict[str, bytes]:
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
-    """Two workers that all tests share but those that kill them."""
+    """Two workers that all tests share, except those that kill workers."""
     with lumistack.farm._engine.connected(None, None, 2, None) as client:
         yield client
 
@@ -96,7 +97,7 @@ def test_two_workers_give_the_bytes_of_one_machine(place: Path, job: Path, expec
     order = [event["id"] for event in events if event["event"] == "done_unit"]
     for unit in units:
         assert all(order.index(taken) < order.index(unit["id"]) for taken in unit["inputs"])
-    # again: only the check of everything
+    # A second run only checks all results.
     again = lumistack.farm.run(job, place / "two", options=BLOCKS, client=cluster, threads=1)
     assert (again.done, again.before) == (["finish"], len(units) - 1)
 
@@ -107,7 +108,7 @@ def test_workers_and_client_that_are_killed_cost_nothing_but_time(place: Path, j
     first = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env={**os.environ, "LUMISTACK_PYTHON": sys.executable}, process_group=0)
     assert first.stdout is not None
     assert any(json.loads(line)["event"] == "done_unit" for line in first.stdout), "it ended before a unit was done"
-    # the client, its scheduler and its workers at once
+    # Kill the client, its scheduler and its workers at once.
     os.killpg(first.pid, signal.SIGKILL)
     first.wait()
     first.stdout.close()
@@ -115,7 +116,7 @@ def test_workers_and_client_that_are_killed_cost_nothing_but_time(place: Path, j
     with lumistack.farm._engine.connected(None, None, 2, None) as client:
 
         def kill(event: dict[str, Any]) -> None:
-            # every third unit costs a worker its life
+            # Kill a worker after every third unit.
             if event["event"] == "done_unit" and event["done"] % 3 == 0:
                 pids = list(client.run(os.getpid).values())
                 os.kill(pids[0], signal.SIGKILL)
@@ -129,7 +130,7 @@ def test_workers_and_client_that_are_killed_cost_nothing_but_time(place: Path, j
 def test_a_unit_ends_with_its_worker(place: Path, job: Path) -> None:
     folder = place / "attached"
     lumistack.farm.plan(job, folder, options=BLOCKS)
-    # waits for units that nobody executes, until standard input ends
+    # This unit waits for units that are never executed, until standard input ends.
     words = [*PROGRAM, "farm", "unit", "--attached", str(folder), "t0001/expose"]
     child = subprocess.Popen(words, stdin=subprocess.PIPE)
     time.sleep(0.5)
@@ -152,7 +153,7 @@ def test_a_worker_that_does_not_see_the_folder_is_refused(place: Path, job: Path
 
 
 def test_paths_are_mapped(place: Path, job: Path, cluster: Any, expected: dict[str, bytes]) -> None:
-    # the folder under another name, as another machine may have it
+    # The folder has another name, as on another machine.
     other = place.with_name(place.name + "-there")
     other.symlink_to(place)
     try:
@@ -178,10 +179,10 @@ def test_a_poisoned_unit_ends_with_one_message_and_all_else_done(place: Path, cl
         lumistack.farm.run(job, place / "poisoned", client=cluster, threads=1)
     message = str(caught.value)
     assert "unit t0002/read failed 3 times" in message and "t2.npy" in message, message
-    assert "units that depend on it were left" in message
+    assert "units that depend on it were not started" in message
     done = {unit["id"] for unit in lumistack.farm.plan(job, place / "poisoned")["units"] if unit["done"]}
     assert {"t0001/read", "t0001/factorize", "t0003/read"} <= done and "t0003/factorize" not in done
-    # a rerun goes on
+    # A rerun continues.
     numpy.save(times / "t2.npy", values)
     outcome = lumistack.farm.run(job, place / "poisoned", client=cluster, threads=1)
     assert outcome.before == len(done) and "finish" in outcome.done
@@ -204,7 +205,7 @@ def test_ctrl_c_stops_units_and_keeps_what_is_done(place: Path, cluster: Any) ->
     job = place / "long.toml"
     scene = json.dumps(str(ROOT / "scenes" / "letters" / "letters.gltf"))
     job.write_text(f"scene = {scene}\n[display]\npreset = \"paper-three-layer\"\nresolution = [420, 262]\n[render]\nsamples = 64\n")
-    # what starts this suite in the background may ignore interrupts
+    # Interrupts may be ignored if this suite runs in the background.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     threading.Timer(4.0, signal.raise_signal, [signal.SIGINT]).start()
     with pytest.raises(KeyboardInterrupt):

@@ -1,4 +1,5 @@
-"""Light fields and patterns among other libraries of Python: indices, DLPack, xarray, notebooks, plots, progress."""
+"""Light fields and patterns with other Python libraries: indices, DLPack, xarray, notebooks, plots,
+progress."""
 
 from __future__ import annotations
 
@@ -38,7 +39,7 @@ def test_a_light_field_is_indexed_as_its_array(light_field: lumistack.LightField
 
 
 class Tensor:
-    """A tensor that has DLPack's methods alone."""
+    """A tensor with DLPack's methods only."""
 
     def __init__(self, array: NDArray[Any]) -> None:
         self.array = array
@@ -70,7 +71,7 @@ def test_dlpack_goes_out(light_field: lumistack.LightField) -> None:
     assert numpy.array_equal(taken, light_field.radiance)
     if tuple(map(int, numpy.__version__.split(".")[:2])) >= (2, 1):
         assert numpy.shares_memory(taken, light_field.radiance) and not taken.flags.writeable
-    # who knows the older protocol alone gets a copy, and may write to it
+    # A library with only the older protocol gets a copy, which it may write to.
     capsule = light_field.__dlpack__()
     assert "dltensor" in repr(capsule)
 
@@ -81,7 +82,7 @@ def test_xarray_has_the_axes_with_their_places(light_field: lumistack.LightField
     assert data.dims == ("view_y", "view_x", "row", "col", "rgb")
     assert numpy.shares_memory(data.values, light_field.radiance)
     assert data.slope_x.values.tolist() == light_field.slope_x
-    # 24 × 16 pixels of 1 mm, y up
+    # 24 × 16 pixels of 1 mm, y up.
     assert data.x_mm.values[[0, -1]].tolist() == [-11.5, 11.5] and data.y_mm.values[[0, -1]].tolist() == [7.5, -7.5]
     red = data.sel(rgb="r").isel(view_y=1, view_x=1)
     assert numpy.array_equal(red.values, light_field.radiance[1, 1, :, :, 0])
@@ -135,7 +136,7 @@ def test_a_notebook_shows_views_and_sliders(light_field: lumistack.LightField) -
     views = pictures(html)
     assert len(views) == 9 and views[0].shape == (16, 24, 3)
     expected = light_field[0, 0]
-    # IEC 61966-2-1
+    # IEC 61966-2-1.
     encoded = numpy.where(expected <= 0.0031308, 12.92 * expected, 1.055 * expected ** (1 / 2.4) - 0.055)
     assert numpy.abs(views[0] - 255 * encoded).max() < 0.51
     assert html.count('type="range"') == 2 and html.count("display:none") == 8
@@ -146,9 +147,9 @@ def test_a_notebook_shows_patterns(light_field: lumistack.LightField) -> None:
     stack = light_field.factorize(iterations=3)
     html = stack._repr_html_()
     assert html is not None and "-12, 0, 12 mm" in html and f"{stack.history[-1][2]:.2f} dB" in html
-    # the seen picture at three slopes, and three layers
+    # The seen picture at three slopes, and three layers.
     assert len(pictures(html)) == 6
-    # a name is text, whatever it looks like
+    # Every name is text, never HTML.
     display = lumistack.Display({**stack.display.to_dict(), "name": "<script>alert(1)</script>"})
     named = lumistack.LayerStack(stack.layers, display)._repr_html_()
     assert named is not None and "<script" not in named
@@ -196,17 +197,17 @@ def output_of(before: str, iterations: int) -> str:
     return done.stderr.decode()
 
 
-def test_nothing_is_shown_where_nobody_looks() -> None:
+def test_nothing_is_shown_without_a_terminal() -> None:
     assert output_of("", 5) == ""
 
 
-def test_progress_is_shown_when_asked_for_and_wiped() -> None:
+def test_progress_is_shown_on_request_and_wiped() -> None:
     text = output_of("lumistack.set_progress(True)\nlumistack._progress._PATIENCE = 0.0", 10)
     assert re.search(r"\rfactorize[^\r]*: \d+ %", text), text
     assert text.endswith("\r\x1b[K")
 
 
-def test_what_remains_is_told_in_words() -> None:
+def test_the_remaining_time_has_units() -> None:
     assert [_progress._duration(s) for s in (0.2, 59.2, 61.0, 600.0)] == ["1 s", "59 s", "1 min 01 s", "10 min 00 s"]
 
 

@@ -1,4 +1,4 @@
-"""Scene to light field to patterns to pictures, all in memory, and what is written."""
+"""Scene to light field to patterns to pictures in memory, and the written files."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_patterns_show_what_the_forward_model_says(light_field: LightField, disp
 def test_a_picture_is_a_seen_view(light_field: LightField) -> None:
     stack = lumistack.factorize(light_field, iterations=3)
     views = stack.views(light_field).radiance
-    # straight on, layers lie on one another, and a ray stands for its pixel
+    # Seen from slope 0, the layers are aligned, and a ray represents its pixel.
     assert numpy.allclose(lumistack.simulate(stack), views[1, 1], atol=1e-6)
     slope = (light_field.slope_x[2], light_field.slope_y[0])
     seen = lumistack.simulate(stack, slope)
@@ -67,7 +67,8 @@ def test_a_picture_is_a_seen_view(light_field: LightField) -> None:
     assert numpy.allclose(far, seen, atol=1e-5)
     raw = lumistack.simulate(stack, slope, raw=True)
     assert numpy.allclose(raw / stack.brightness, seen, atol=1e-6) and raw.dtype == numpy.float32
-    # 9 × 9 rays per pixel, those at the rim left out, where some miss a layer
+    # 9 × 9 rays per pixel; pixels at the border are excluded, since some of their rays miss a
+    # layer.
     rows, cols, _ = seen.shape
     fine = numpy.zeros((1, 1, 9 * rows, 9 * cols, 3), numpy.float32)
     like = LightField(fine, pitch_mm=light_field.pitch_mm / 9, slope_x=[slope[0]], slope_y=[slope[1]])
@@ -203,7 +204,7 @@ def test_a_job_runs_as_it_does_from_a_file(scene: Path, tmp_path: Path) -> None:
     stack = LayerStack.open(tmp_path / "a")
     target = LightField.open(tmp_path / "a")
     assert stack.psnr(target) == pytest.approx(summary["psnr_view"], abs=1e-6)
-    # the same steps by hand
+    # The same steps as single calls.
     rendered = lumistack.render(scene, Display(stack.display), samples=1, max_bounces=1)
     assert numpy.array_equal(rendered.radiance, target.radiance)
     made = lumistack.factorize(rendered, iterations=2)

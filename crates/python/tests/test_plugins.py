@@ -1,4 +1,4 @@
-"""Plugins in libraries run in a process of their own, which is this Python again."""
+"""Plugins in libraries run in their own process of this Python."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 from conftest import ROOT
 
-# what another process does, since a process looks for plugins once
+# Runs in another process, since a process searches plugins only once.
 USES = """
 import sys
 import numpy

@@ -1,4 +1,5 @@
-"""The schemas of docs/schema against every job and display file of the repository, by somebody else's validator."""
+"""Checks every job and display file of the repository with the schemas of docs/schema, by the
+package jsonschema."""
 
 import copy
 import json
@@ -26,7 +27,7 @@ JOB, DISPLAY = checker("job"), checker("display")
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_files_of_the_repository_fit(path: Path) -> None:
     file = tomllib.loads(path.read_text())
-    # only displays have layers of their own
+    # Only displays have layers.
     schema = DISPLAY if "layers" in file else JOB
     errors = [f"{error.json_path}: {error.message}" for error in schema.iter_errors(file)]
     assert not errors

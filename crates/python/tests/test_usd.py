@@ -1,4 +1,4 @@
-"""USD, read in this process by its own OpenUSD: files, and stages that live in memory."""
+"""USD, read in this process by its own OpenUSD: files, and stages in memory."""
 
 from __future__ import annotations
 

@@ -16,12 +16,13 @@ import pytest
 
 import lumistack
 
-#: What an interrupt may take, seconds, on a machine that does other things too; on a free one it is below 0.2.
+#: Limit for an interrupt, seconds, on a busy machine; on an idle one it takes less than 0.2.
 PATIENCE = 1.0
 
 
 def interruptible() -> None:
-    """What starts this suite in the background may ignore interrupts, and children would inherit that."""
+    """Enables interrupts: they may be ignored if this suite runs in the background, and children
+    inherit that."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
@@ -87,7 +88,7 @@ def test_the_lock_is_released(slow: tuple[lumistack.LightField, lumistack.Displa
     counts: list[int] = []
 
     def count() -> None:
-        # sys.setswitchinterval's 5 ms are not waited for: nobody else holds the lock
+        # No wait for sys.setswitchinterval's 5 ms: no other thread holds the lock.
         end, n = time.perf_counter() + 0.3, 0
         while time.perf_counter() < end:
             n += 1
@@ -107,7 +108,8 @@ def test_the_lock_is_released(slow: tuple[lumistack.LightField, lumistack.Displa
     with pytest.raises(StopIteration, match="counted"):
         lumistack.factorize(light_field, iterations=100000, callback=begin)
     alone, beside = counts
-    # two solver threads on two cores leave it a third of a core; with the lock held it would be nothing
+    # Two solver threads on two cores leave this thread a third of a core; with the lock held it
+    # would be 0.
     assert beside > 0.1 * alone, counts
 
 

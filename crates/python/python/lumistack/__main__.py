@@ -8,7 +8,7 @@ from lumistack import main as run
 
 def main() -> int:
     started = sys.argv[0]
-    # python -m runs this very file
+    # With `python -m`, argv[0] is this file.
     is_module = Path(started).name == "__main__.py"
     return run(sys.argv[1:], f"{Path(sys.executable).name} -m lumistack" if is_module else started)
 

@@ -9,16 +9,16 @@ if TYPE_CHECKING:
 
 
 def dlpack(array: Any, **options: Any) -> Any:
-    """A capsule of a read-only array of NumPy."""
+    """A DLPack capsule of a read-only NumPy array."""
     try:
         return array.__dlpack__(**options)
     except (BufferError, TypeError):
-        # the older protocol knows no read-only memory, and no options but `stream`
+        # The older protocol has no read-only memory, and no option except `stream`.
         return array.copy().__dlpack__(**{key: value for key, value in options.items() if key == "stream"})
 
 
 def from_dlpack(tensor: Any, what: str) -> Any:
-    """An array of NumPy of what has DLPack's methods and no other that we know."""
+    """A NumPy array of an object with DLPack's methods and no other known protocol."""
     import numpy
 
     try:

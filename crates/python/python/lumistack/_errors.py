@@ -1,8 +1,8 @@
-"""What the package raises; each message is the one that the command line prints."""
+"""Exceptions of the package; each message is the one that the command line prints."""
 
 
 class Error(Exception):
-    """Something that Lumistack cannot do; the base of all its exceptions."""
+    """The base of all exceptions of Lumistack."""
 
 
 class FileError(Error, OSError):
@@ -10,19 +10,20 @@ class FileError(Error, OSError):
 
 
 class MissingFileError(FileError, FileNotFoundError):
-    """A file or folder is not there."""
+    """A file or folder does not exist."""
 
 
 class SettingError(Error, ValueError):
-    """A setting, a job or a display makes no sense: unknown names, values out of range."""
+    """A setting, a job or a display is invalid: an unknown name, a value out of range."""
 
 
 class DataError(Error, ValueError):
-    """A light field or patterns that cannot be used: damaged, incomplete, or of another shape than the display's."""
+    """A light field or patterns cannot be used: damaged, incomplete, or of another shape than the
+    display's."""
 
 
 class SceneError(Error, ValueError):
-    """A scene that cannot be used."""
+    """A scene cannot be used."""
 
 
 class RenderError(Error):
@@ -30,19 +31,19 @@ class RenderError(Error):
 
 
 class FactorizeError(Error, ValueError):
-    """The factorizer cannot use what it was given."""
+    """The factorizer cannot use its input."""
 
 
 class PluginError(Error):
-    """A plugin is not there, does not take its parameters or data, or failed."""
+    """A plugin does not exist, refuses its parameters or data, or failed."""
 
 
 class InternalError(Error):
-    """A mistake in Lumistack. The message says where; please report it."""
+    """An error in Lumistack itself. Please report its message."""
 
 
 class LumistackWarning(UserWarning):
-    """Something that the user should know and that does not stop the work."""
+    """A warning for the user; the work continues."""
 
 
 for _class in list(globals().values()):

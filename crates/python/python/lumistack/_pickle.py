@@ -1,4 +1,4 @@
-"""How pickles are opened."""
+"""Functions that restore pickled objects."""
 
 from __future__ import annotations
 

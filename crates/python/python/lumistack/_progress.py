@@ -1,4 +1,5 @@
-"""How long work shows that it goes on, where nobody passed a callback: a line in a terminal, a bar in a notebook, nothing elsewhere."""
+"""Progress of long calls without a callback: a line in a terminal, a bar in a notebook, nothing
+elsewhere."""
 
 from __future__ import annotations
 
@@ -8,18 +9,19 @@ import threading
 import time
 from typing import Any
 
-#: Work that is done sooner shows nothing, seconds.
+#: Shorter work shows nothing, seconds.
 _PATIENCE = 0.5
-#: Between two updates, seconds.
+#: Interval of updates, seconds.
 _PAUSE = 0.1
 
 _wanted: bool | None = None
 
 
 def set_progress(shown: bool | None = None) -> None:
-    """Whether long work shows its progress by itself.
+    """Sets whether long calls show their progress.
 
-    shown: True for always, False for never, None for in terminals and notebooks alone, as at the start. A callback that is passed to a call takes its place.
+    shown: True for always, False for never, None for terminals and notebooks only (the default). A
+    callback of a call replaces this display.
 
     >>> set_progress(False)
     """
@@ -28,7 +30,7 @@ def set_progress(shown: bool | None = None) -> None:
 
 
 class _Shown:
-    """Takes (stage, fraction) and shows them, with what remains of the stage."""
+    """Shows (stage, fraction), with an estimate of the stage's remaining time."""
 
     def __init__(self) -> None:
         self._begin = self._last = self._stage_begin = time.monotonic()
@@ -43,7 +45,7 @@ class _Shown:
             return
         self._last, self._was_shown = now, True
         spent = now - self._stage_begin
-        # a guess from the first moments would be a bad one
+        # An estimate from the first moments would be wrong.
         is_known = fraction > 0.02 and spent > 1.0
         remains = f", {_duration(spent / fraction - spent)} left" if is_known and fraction < 1.0 else ""
         self.show(stage, fraction, f"{stage}: {100 * fraction:.0f} %{remains}")
@@ -87,7 +89,7 @@ class _Bar(_Shown):
 
 
 def shown() -> _Shown | None:
-    """What shows the progress of the work that begins now, if anything does."""
+    """The display of progress for work that begins now; None for no display."""
     if _wanted is False or threading.current_thread() is not threading.main_thread():
         return None
     if _in_notebook():

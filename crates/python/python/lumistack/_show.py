@@ -1,4 +1,4 @@
-"""How light fields and patterns look in a notebook, and as plots."""
+"""Light fields and patterns in notebooks and as plots."""
 
 from __future__ import annotations
 
@@ -11,15 +11,17 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from lumistack._lumistack import LayerStack, LightField
 
-#: Thumbnails are reduced to this width, pixels.
+#: Width of thumbnails, pixels.
 _WIDTH = 320
-#: Views that a notebook holds at most along the only axis of views, and along each of two: pictures weigh.
+#: Largest number of views in a notebook: along a single axis of views, and along each of two.
+#: More would make the notebook's file large.
 _VIEWS = 9
 _VIEWS_OF_TWO = 5
 
 
 def light_field(light_field: LightField) -> str | None:
-    """HTML: a view with a slider for each axis of views, and what the light field is. None without NumPy."""
+    """HTML: a view with a slider per axis of views, and the light field's properties. None without
+    NumPy."""
     if not _has_numpy():
         return None
     view_rows, view_cols, rows, cols, _ = light_field.shape
@@ -36,7 +38,8 @@ def light_field(light_field: LightField) -> str | None:
 
 
 def layer_stack(stack: LayerStack) -> str | None:
-    """HTML: the picture that is seen, with a slider for the angle, the patterns of the first frame, and what they are. None without NumPy."""
+    """HTML: the seen picture with a slider for the angle, the masks of the first frame, and their
+    properties. None without NumPy."""
     if not _has_numpy():
         return None
     slopes = sorted(stack.display.slopes[0])
@@ -67,7 +70,7 @@ def plot_view(light_field: LightField, view: tuple[int, int] | None, ax: Any) ->
 
 
 def plot_patterns(stack: LayerStack, frame: int) -> Any:
-    """Patterns of a frame, and what is seen from the middle over all frames."""
+    """Masks of a frame, and the picture seen from the middle over all frames."""
     from matplotlib import pyplot
 
     if not -stack.frames <= frame < stack.frames:
@@ -113,7 +116,7 @@ def _has_numpy() -> bool:
 
 
 def _spread(count: int, most: int) -> list[int]:
-    """Indices all over an axis, its ends and middle among them."""
+    """Indices spread over an axis, with its ends and its middle."""
     if count <= most:
         return list(range(count))
     return [round(i * (count - 1) / (most - 1)) for i in range(most)]
@@ -141,7 +144,7 @@ def _png(linear: Any) -> str:
     if step > 1 and rows and cols:
         linear = numpy.asarray(linear)[: rows * step, : cols * step].reshape(rows, step, cols, step, 3).mean((1, 3))
     codes = _srgb(linear)
-    # a filter byte of 0 before every row
+    # PNG's filter byte 0 before every row.
     lines = b"".join(b"\x00" + row.tobytes() for row in codes)
     header = struct.pack(">IIBBBBB", codes.shape[1], codes.shape[0], 8, 2, 0, 0, 0)
     chunks = [(b"IHDR", header), (b"IDAT", zlib.compress(lines)), (b"IEND", b"")]
@@ -152,7 +155,7 @@ def _png(linear: Any) -> str:
 
 
 def _viewer(name: str, facts: dict[str, str], views: list[list[str]]) -> str:
-    """A picture of many, chosen by sliders, beside a table."""
+    """HTML: a table beside one of many pictures, which sliders select."""
     rows = "".join(f"<tr><th style='text-align:left'>{key}</th><td style='text-align:left'>{value}</td></tr>" for key, value in facts.items())
     middle = (len(views) // 2, len(views[0]) // 2)
     pictures = "".join(

@@ -1,13 +1,15 @@
 """The window in a scene, and Blender's camera for every view through it.
 
-A view of slope s sees at the point (x, y) of the plane z = 0 whatever lies on the line (x, y, 0) + z (s, 1).
+A view of slope s shows at the point (x, y) of the plane z = 0 the content on the line (x, y, 0) + z
+(s, 1).
 
-    oblique        all rays of a view have its slope: an orthographic camera whose matrix is sheared,
+    oblique        all rays of a view have its slope: an orthographic camera with a sheared matrix,
                    (x, y, z) -> (x + z s_x, y + z s_y, z)
-    perspective    a pinhole at the eye (D s_x, D s_y, D) that looks straight ahead, whose picture is moved until it is the window:
-                   shift = -D s / width, in widths of the picture
+    perspective    a pinhole at the eye (D s_x, D s_y, D) that looks straight ahead; its picture is
+                   shifted to the window: shift = -D s / width, in widths of the picture
 
-A shear is no location, rotation and scale, so Blender takes it as the inverse matrix of the camera's parent.
+A shear is no product of location, rotation and scale, so it is set as the inverse matrix of the
+camera's parent.
 """
 
 from __future__ import annotations
@@ -22,14 +24,14 @@ Matrix = tuple[tuple[float, ...], ...]
 
 #: Blender's limit on the shift of a camera.
 MOST_SHIFT = 10.0
-#: Width of the film behind a perspective camera, millimetres: any will do.
+#: Width of the film of a perspective camera, millimetres; any value would do.
 SENSOR_MM = 36.0
-#: Of what lies between the camera and the scene, the share that is not seen.
+#: Distance of the clipping plane, as a fraction of the distance to the scene.
 NEAREST = 1e-4
 
 
 class WindowError(ValueError):
-    """A camera or a view that makes no picture."""
+    """A camera or a view without a picture."""
 
 
 @dataclass(frozen=True)
@@ -47,30 +49,33 @@ class Window:
     size_mm: tuple[float, float]
 
     def point(self, place_mm: Sequence[float]) -> Vector:
-        """A point of display space in the scene."""
+        """Converts a point of display space to the scene."""
         x, y, z = (self.scale * part for part in place_mm)
         return _sum(self.centre, _times(self.right, x), _times(self.up, y), _times(self.back, z))
 
     def place_mm(self, point: Sequence[float]) -> Vector:
-        """A point of the scene in display space."""
+        """Converts a point of the scene to display space."""
         offset = tuple(a - b for a, b in zip(point, self.centre, strict=True))
         x, y, z = (_dot(offset, axis) / self.scale for axis in (self.right, self.up, self.back))
         return (x, y, z)
 
     def moved_back(self, by_mm: float, distance_mm: float | None = None) -> Window:
-        """What was at depth -by_mm comes to lie in the plane; what is seen straight on stays. Before an eye the window grows with the distance."""
+        """Moves the window so that depth -by_mm comes to the display plane. The view from the
+        middle stays: before an eye the window grows with the distance."""
         factor = 1.0 if distance_mm is None else (distance_mm + by_mm) / distance_mm
         centre = self.point((0.0, 0.0, -by_mm))
         return Window(centre, self.right, self.up, self.back, self.scale * factor, self.size_mm)
 
     def resized(self, factor: float, shift: Sequence[float] = (0.0, 0.0)) -> Window:
-        """Larger by a factor, and moved in its plane by so many of its widths to the right and up."""
+        """Scales the window by a factor, and moves it in its plane; the shift is in its widths, to
+        the right and up."""
         width = self.size_mm[0]
         centre = self.point((shift[0] * width, shift[1] * width, 0.0))
         return Window(centre, self.right, self.up, self.back, self.scale * factor, self.size_mm)
 
     def as_job(self) -> dict[str, object]:
-        """As [window] of a job, in the coordinates of an exported glTF file: Blender's (x, y, z) is its (x, z, -y)."""
+        """The window as [window] of a job, in the coordinates of an exported glTF file: Blender's
+        (x, y, z) is its (x, z, -y)."""
         forward = _times(self.back, -1.0)
         return {
             "from": "given",
@@ -83,15 +88,15 @@ class Window:
 
 @dataclass(frozen=True)
 class ViewCamera:
-    """What Blender's camera of one view is."""
+    """The settings of Blender's camera for one view."""
 
-    #: World matrix, four rows; of oblique views sheared.
+    #: World matrix, four rows; sheared for oblique views.
     matrix: Matrix
-    #: Width of an orthographic picture, scene units; None of a perspective one.
+    #: Width of an orthographic picture, scene units; None if perspective.
     ortho_scale: float | None
-    #: Focal length in millimetres for a film of SENSOR_MM; None of an orthographic one.
+    #: Focal length in millimetres for a film of SENSOR_MM; None if orthographic.
     lens_mm: float | None
-    #: Of the picture, in its widths.
+    #: Shift of the picture, in its widths.
     shift: tuple[float, float]
     clip_start: float
     clip_end: float
@@ -102,7 +107,8 @@ def window_of_camera(
 ) -> Window:
     """A camera's plane of focus, as wide as its frustum there.
 
-    matrix: world matrix, rows; frame: corners of the picture in camera space, as `Camera.view_frame` gives them; focus: distance, scene units.
+    matrix: world matrix, rows; frame: corners of the picture in camera space, from
+    `Camera.view_frame`; focus: distance, scene units.
     """
     if not (math.isfinite(focus) and focus > 0.0):
         raise WindowError(f"camera: expected a focus distance above 0, found {focus}")
@@ -113,7 +119,7 @@ def window_of_camera(
     if not (math.isfinite(width) and width > 0.0):
         raise WindowError(f"camera: expected a picture of finite width, found {width}")
     columns = [tuple(matrix[row][column] for row in range(3)) for column in range(4)]
-    # a camera's scale does not count
+    # A camera's scale has no effect in Blender.
     right, up, back = (_unit(column) for column in columns[:3])
     middle = ((max(xs) + min(xs)) / 2, (max(ys) + min(ys)) / 2)
     origin = columns[3]
@@ -122,7 +128,7 @@ def window_of_camera(
 
 
 def window_of_job(job: dict[str, object], size_mm: tuple[float, float]) -> Window:
-    """The opposite of `Window.as_job`."""
+    """The inverse of `Window.as_job`."""
     centre, forward, up = (z_up(job[key]) for key in ("centre", "forward", "up"))  # type: ignore[arg-type]
     back = _unit(_times(forward, -1.0))
     right = _unit(_cross(up, back))
@@ -132,13 +138,13 @@ def window_of_job(job: dict[str, object], size_mm: tuple[float, float]) -> Windo
 def view_camera(window: Window, slope: Sequence[float], distance_mm: float | None, depth_mm: Sequence[float]) -> ViewCamera:
     """The camera of a view.
 
-    slope: tangents to the right and up; distance_mm: of the eye, None of oblique views; depth_mm: nearest and farthest content before and behind
-    the window, millimetres along z, the farthest first.
+    slope: to the right and up; distance_mm: of the eye, None for oblique views; depth_mm: farthest
+    and nearest content, millimetres along z.
     """
     farthest, nearest = min(depth_mm), max(depth_mm)
     scale, (s_x, s_y) = window.scale, slope
     if distance_mm is None:
-        # in front of everything; what lies between has no share in the picture
+        # Place it in front of all content; its distance does not affect the picture.
         stand = max(nearest, 0.0) + max(0.05 * (nearest - farthest), 0.01 * window.size_mm[0])
         back = _sum(_times(window.right, s_x), _times(window.up, s_y), window.back)
         origin = window.point((s_x * stand, s_y * stand, stand))
@@ -156,7 +162,7 @@ def view_camera(window: Window, slope: Sequence[float], distance_mm: float | Non
     width = window.size_mm[0]
     shift = (-distance_mm * s_x / width, -distance_mm * s_y / width)
     if max(map(abs, shift)) > MOST_SHIFT:
-        found = f"{max(map(abs, shift)):.1f}: the view stands too far beside a window of {width:.0f} mm"
+        found = f"{max(map(abs, shift)):.1f}: the view is too far to the side of a window of {width:.0f} mm"
         raise WindowError(f"shift: expected at most {MOST_SHIFT:.0f} widths of the picture, as Blender's cameras have, found {found}")
     lens = SENSOR_MM * distance_mm / width
     if lens < 1.0:
@@ -167,7 +173,8 @@ def view_camera(window: Window, slope: Sequence[float], distance_mm: float | Non
 
 
 def seen_at_mm(camera: ViewCamera, window: Window, point: Sequence[float]) -> tuple[float, float]:
-    """Where a camera of this file shows a point of the scene: the place on the window. For tests, and for pictures drawn without Blender."""
+    """The position on the window where a camera of this module shows a point of the scene. For
+    tests, and for pictures drawn without Blender."""
     columns = [tuple(camera.matrix[row][column] for row in range(3)) for column in range(4)]
     offset = tuple(a - b for a, b in zip(point, columns[3], strict=True))
     x, y, z = _solve(columns[0], columns[1], columns[2], offset)

@@ -1,4 +1,5 @@
-"""The words after `blender -b FILE.blend --command lumistack`, as settings of the extension."""
+"""Parses the words after `blender -b FILE.blend --command lumistack` into settings of the
+extension."""
 
 from __future__ import annotations
 
@@ -6,12 +7,12 @@ import argparse
 from dataclasses import dataclass, field
 from typing import Any, NoReturn, TextIO
 
-#: Of all that is to be done, what must have been done before it is worth another line.
+#: Progress that is worth another line, as a fraction of the work.
 WORTH_A_LINE = 0.02
 
 
 class Usage(Exception):
-    """Wrong words (code 2), or help that was asked for (code 0)."""
+    """Wrong words (code 2), or a request for help (code 0)."""
 
     def __init__(self, text: str, code: int) -> None:
         super().__init__(text)
@@ -20,7 +21,7 @@ class Usage(Exception):
 
 @dataclass(frozen=True)
 class Asked:
-    """What is to be done."""
+    """The requested work."""
 
     #: "make" or "views".
     what: str
@@ -60,8 +61,8 @@ def _frames(text: str) -> tuple[int, int]:
 
 
 def parse(words: list[str]) -> Asked:
-    """Raises `Usage`."""
-    parser = _Parser(prog="blender -b FILE.blend --command lumistack", description="Makes a tensor display of a scene. What is not given is as the file has it.")
+    """Parses the words. Raises `Usage`."""
+    parser = _Parser(prog="blender -b FILE.blend --command lumistack", description="Makes patterns of a scene. Settings that are not given are those of the file.")
     parser.add_argument("what", nargs="?", choices=["make", "views"], default="make", help="patterns and outputs (make), or the views alone (views)")
     parser.add_argument("--blend", metavar="FILE", help="another .blend file to open")
     parser.add_argument("--scene", metavar="NAME", help="a scene of the file")
@@ -84,6 +85,7 @@ def parse(words: list[str]) -> Asked:
     parser.add_argument("--frames", type=_frames, metavar="A..B", help="a range of frames")
     parser.add_argument("--plugin", metavar="ID", help="output plugin")
     found = parser.parse_args(words)
+    # Convert the words to the extension's settings.
     settings: dict[str, Any] = {}
     for name, value in (
         ("folder", found.folder),
@@ -104,6 +106,7 @@ def parse(words: list[str]) -> Asked:
     ):
         if value is not None:
             settings[name] = value
+    # Settings with a switch turn it on.
     if found.display is not None:
         is_file = found.display.endswith(".toml")
         settings["display_from"] = "FILE" if is_file else "PRESET"
@@ -123,7 +126,7 @@ def parse(words: list[str]) -> Asked:
 
 
 class Teller:
-    """Prints how far the work is, a line at every stage and at every few per cent."""
+    """Prints progress: a line per stage, and per few per cent."""
 
     def __init__(self, file: TextIO) -> None:
         self._file, self._last = file, ("", -1.0)

@@ -1,11 +1,12 @@
-"""Whether what is seen lies where the display shows it sharply, and what brings it there.
+"""Compares the depth of a scene with the display's depth of field, and fits it.
 
-The window moves along its normal, and where that is not enough parallax is scaled; neither changes what is seen straight on. Content at z appears at
+The window moves along its normal; if that is not enough, parallax is scaled. Neither changes the
+view from the middle. Content at z appears at
 
     oblique        k (z + t)
     perspective    z' with z'/(D - z') = k y/(D - y),   y = (z + t) D/(D + t)
 
-after the window has moved back by t and slopes are scaled by k, as `pipeline/src/fit.rs` has it.
+after the window has moved back by t and slopes are scaled by k, as in `pipeline/src/fit.rs`.
 """
 
 from __future__ import annotations
@@ -14,24 +15,24 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-#: Shares of the depths that are seen between which a scene is fitted: a few stray surfaces do not count.
+#: Quantiles of the visible depths that are fitted: a few stray surfaces have no effect.
 ENDS = (0.02, 0.98)
-#: Parallax is not scaled further than this.
+#: Smallest factor on parallax.
 LEAST_SCALE = 0.01
-#: From this share of the scene outside on, it is worth a warning.
+#: A larger fraction of the picture outside the range causes a warning.
 WORTH_SAYING = 0.05
 
 
 @dataclass(frozen=True)
 class Fit:
-    """What `fit` advises."""
+    """A proposed fit."""
 
     moved_back_mm: float
     depth_scale: float
 
 
 def outside(depths_mm: Sequence[float], range_mm: Sequence[float]) -> float:
-    """Share of what is seen that lies beyond the depths which the display shows sharply."""
+    """Fraction of the visible content outside the depths that the display shows sharply."""
     if not depths_mm:
         return 0.0
     low, high = range_mm
@@ -39,7 +40,7 @@ def outside(depths_mm: Sequence[float], range_mm: Sequence[float]) -> float:
 
 
 def sentence(depths_mm: Sequence[float], range_mm: Sequence[float] | None) -> str | None:
-    """The warning of a scene that is too deep; None where it fits, or nothing is seen."""
+    """The warning for a scene that is too deep; None if it fits, or nothing is visible."""
     if not depths_mm:
         return None
     if range_mm is None:
@@ -55,7 +56,7 @@ def sentence(depths_mm: Sequence[float], range_mm: Sequence[float] | None) -> st
 
 
 def shown_at(depth_mm: float, fit: Fit, distance_mm: float | None) -> float:
-    """Where content appears once the window is fitted."""
+    """Depth at which content appears after the fit."""
     if distance_mm is None:
         return fit.depth_scale * (depth_mm + fit.moved_back_mm)
     moved = (depth_mm + fit.moved_back_mm) * distance_mm / (distance_mm + fit.moved_back_mm)
@@ -64,20 +65,21 @@ def shown_at(depth_mm: float, fit: Fit, distance_mm: float | None) -> float:
 
 
 def in_scene(range_mm: Sequence[float] | None, depth_scale: float, distance_mm: float | None) -> tuple[float, float] | None:
-    """Where content must lie, before parallax is scaled, to appear within a range."""
+    """Depths, before parallax is scaled, that appear within a range."""
     if range_mm is None:
         return None
     if distance_mm is None:
         low, high = (depth / depth_scale for depth in range_mm)
         return low, high
-    # all that lies behind the window has a parallax above -1
+    # content behind the window has a parallax above -1
     parallax = (-1.0 if depth == -math.inf else _parallax(depth, distance_mm) / depth_scale for depth in range_mm)
     low, high = (-math.inf if part <= -1.0 else distance_mm * part / (1.0 + part) for part in parallax)
     return low, high
 
 
 def best_fit(depths_mm: Sequence[float], range_mm: Sequence[float], distance_mm: float | None, compress: bool) -> Fit:
-    """The movement that brings most of the depths into the range, and with `compress` the scale that brings in the rest."""
+    """The movement that brings most of the depths into the range, and with `compress` the scale
+    that brings in the rest."""
     ordered = sorted(depth for depth in depths_mm if math.isfinite(depth))
     if not ordered:
         return Fit(0.0, 1.0)
@@ -87,7 +89,7 @@ def best_fit(depths_mm: Sequence[float], range_mm: Sequence[float], distance_mm:
     if distance_mm is None:
         fit = Fit(wanted - (far + near) / 2, 1.0)
     else:
-        # the middle of both ends after the movement, by bisection: it rises with the movement
+        # Bisect for the movement that centres both ends; their middle grows with the movement.
         least, most = -0.9 * distance_mm, 100.0 * (abs(far) + abs(near) + abs(wanted) + distance_mm)
         for _ in range(200):
             by = (least + most) / 2

@@ -1,4 +1,5 @@
-"""Parameters of output plugins as Blender's properties: one schema serves the command line, Python, the browser and this panel."""
+"""Parameters of output plugins as Blender's properties. The same schema serves the command line,
+Python, the browser and this panel."""
 
 from __future__ import annotations
 
@@ -7,17 +8,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-#: Blender's whole numbers.
+#: Largest whole number of Blender.
 MOST_INT = 2**31 - 1
 
 
 @dataclass(frozen=True)
 class Field:
-    """One property."""
+    """A property for one parameter."""
 
-    #: Of the parameter.
+    #: Name of the parameter.
     name: str
-    #: A name that Blender takes.
+    #: A name that Blender accepts.
     identifier: str
     #: "bool", "int", "float", "choice", "text" or "file".
     kind: str
@@ -31,13 +32,13 @@ class Field:
 
 
 def fields_of(plugin: Mapping[str, Any]) -> list[Field]:
-    """The properties of a plugin as `lumistack.plugins()` describes it."""
+    """The properties of a plugin that `lumistack.plugins()` describes."""
     return [_field(plugin["id"], param) for param in plugin.get("params", ())]
 
 
 def _field(plugin: str, param: Mapping[str, Any]) -> Field:
     name, kind = param["name"], param["kind"]
-    # a number of no unit has the unit 1
+    # Numbers without a unit have the unit 1.
     unit = f" ({param['unit']})" if param.get("unit") not in (None, "", "1") else ""
     default, least, most = param.get("default"), param.get("min"), param.get("max")
     if kind == "int":
@@ -63,12 +64,12 @@ def identifier(plugin: str, name: str) -> str:
 
 
 def given(fields: Sequence[Field], values: Mapping[str, Any]) -> dict[str, Any]:
-    """What is passed to the plugin: all values that are not the default."""
+    """The values for the plugin: all that differ from their defaults."""
     changed = {}
     for each in fields:
         value = values[each.identifier]
         if each.kind == "float" and abs(value - each.default) <= 1e-6 * max(abs(each.default), 1e-6):
-            # Blender keeps single precision
+            # Blender stores single precision.
             continue
         if value != each.default:
             changed[each.name] = value

@@ -1,4 +1,5 @@
-"""A .glb file to which is added what Blender's exporter leaves out: lights with a surface, the environment, and cameras with their focus."""
+"""Adds to a .glb file the content that Blender's exporter leaves out: lights with a surface, the
+environment, and cameras with their focus."""
 
 from __future__ import annotations
 
@@ -59,7 +60,7 @@ class Glb:
         return scene
 
     def add_node(self, name: str, matrix: Sequence[Sequence[float]] | None = None, **parts: Any) -> None:
-        """matrix: four rows, glTF's axes."""
+        """Adds a node; matrix: four rows, in glTF's axes."""
         node: dict[str, Any] = {"name": name, **parts}
         if matrix is not None:
             node["matrix"] = [float(matrix[row][column]) for column in range(4) for row in range(4)]
@@ -80,7 +81,9 @@ class Glb:
         radiance: Sequence[float],
         seen: bool = True,
     ) -> None:
-        """A black surface that shines from its front with this radiance; seen: whether cameras see it."""
+        """Adds a black surface that emits this radiance from its front; seen: true if cameras see
+        it."""
+        # A material with emission alone.
         strength = max(max(radiance), 1e-30)
         self._use(STRENGTH)
         material = self._append(
@@ -94,6 +97,7 @@ class Glb:
             },
         )
         self._use("KHR_materials_specular")
+        # The mesh.
         flat = [float(value) for position in positions for value in position]
         accessor = {
             "min": [min(flat[axis::3]) for axis in range(3)],
@@ -109,13 +113,14 @@ class Glb:
         self.add_node(name, matrix, mesh=mesh)
 
     def add_camera(self, name: str, matrix: Sequence[Sequence[float]], camera: dict[str, Any], focus_distance: float | None) -> None:
-        """Cameras count in the order in which they are added."""
+        """Adds a camera; cameras are numbered in the order of these calls."""
         if focus_distance is not None:
             camera = {**camera, "extras": {"lumistack": {"focus_distance": focus_distance}}}
         self.add_node(name, matrix, camera=self._append("cameras", {"name": name, **camera}))
 
     def set_environment(self, width: int, height: int, texels: Sequence[Sequence[float]], strength: float = 1.0) -> None:
-        """texels: linear RGB, row by row from the top; the middle column is glTF's -z, columns to the right turn towards +x."""
+        """Sets the environment; texels: linear RGB, row by row from the top. The middle column is
+        glTF's -z, and columns to the right turn towards +x."""
         uri = "data:image/vnd.radiance;base64," + base64.b64encode(radiance_hdr(width, height, texels)).decode()
         extras = self.scene.setdefault("extras", {})
         extras.setdefault("lumistack", {})["environment"] = {"image": uri, "strength": strength}
@@ -140,7 +145,7 @@ class Glb:
 
 
 def radiance_hdr(width: int, height: int, texels: Sequence[Sequence[float]]) -> bytes:
-    """A Radiance picture of shared exponents, not compressed."""
+    """A Radiance picture with shared exponents, not compressed."""
     header = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n".encode()
     return header + b"".join(map(_rgbe, texels))
 
@@ -149,7 +154,7 @@ def _rgbe(rgb: Sequence[float]) -> bytes:
     brightest = max(rgb)
     if not brightest > 1e-32:
         return b"\0\0\0\0"
-    # brightest = mantissa 2^exponent, of which 8 bits are kept, rounded
+    # brightest = mantissa 2^exponent; the mantissa is rounded to 8 bits.
     mantissa, exponent = math.frexp(brightest)
     if mantissa >= 255.5 / 256:
         exponent += 1

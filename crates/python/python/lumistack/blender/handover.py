@@ -1,15 +1,17 @@
-"""Hands the open scene of Blender over as one .glb file, lights and all.
+"""Exports Blender's active scene as one .glb file, with lights.
 
-Blender's exporter writes the meshes and materials, as modifiers, poses and shape keys make them at the current frame. Light is added here, in the units
-in which Cycles sees it: watts W become
+Blender's exporter writes meshes and materials at the current frame, with modifiers, poses and shape
+keys applied. This module adds the lights in the units of Cycles: watts W become
 
     sun             irradiance W                          directional light
-    point           W / (4 pi) per steradian              point light; with a radius r a ball of radiance W / (4 pi^2 r^2)
+    point           W / (4 pi) per steradian              point light; with a radius r a ball of
+                                                          radiance W / (4 pi^2 r^2)
     spot            W / (4 pi) per steradian              spot light
-    area A          W / (pi A) of radiance                a surface that shines from its front
+    area A          radiance W / (pi A)                   a surface that emits from its front
     world           its radiance                          environment
 
-Whether cameras see a lamp is noted with it, as its ray visibility says. Cameras come with their plane of focus, the scene's own first. What cannot be handed over is a warning.
+A lamp's visibility for cameras is recorded with it. Cameras are exported with their plane of focus,
+the scene's own camera first. Content that cannot be exported causes a warning.
 """
 
 from __future__ import annotations
@@ -24,17 +26,18 @@ from .glb import Glb
 from .rig import focus_of
 from .unshown import is_rendered, is_volume_alone
 
-#: Size of the picture of a world that is not of one colour.
+#: Size of the picture of a world that is not a plain colour.
 SKY = (512, 256)
 SKY_SAMPLES = 32
-#: Rings of a ball that shines, and corners of a disk.
+#: Rings of a ball and corners of a disk that emit light.
 RINGS, CORNERS = 8, 24
 Warn = Callable[[str, str], None]
 Rows = list[list[float]]
 
 
 def export_scene(bpy: Any, path: str | Path, warn: Warn, scene: Any = None) -> None:
-    """Writes a scene, the open one where none is named, as it stands at the current frame. warn(place, message) hears what is left out."""
+    """Writes a scene, by default the active one, at the current frame. warn(place, message)
+    receives content that is left out."""
     scene = scene or bpy.context.scene
     with in_window(bpy, scene):
         changed = _as_rendered(bpy)
@@ -59,17 +62,18 @@ def export_scene(bpy: Any, path: str | Path, warn: Warn, scene: Any = None) -> N
 
 @contextlib.contextmanager
 def in_window(bpy: Any, scene: Any) -> Iterator[None]:
-    """Exporters ask for the window and its active object, which a command (`blender --command`) does not have: lends them a window that shows the scene."""
+    """Lends exporters a window that shows the scene: they need one with an active object, which a
+    command (`blender --command`) lacks."""
     window = bpy.context.window
     if window is not None and bpy.context.screen is not None and bpy.context.scene == scene:
         yield
         return
     windows = [each for manager in bpy.data.window_managers for each in manager.windows]
     if not windows:
-        raise RuntimeError("Blender has no window open, and its exporters need one even where nothing is drawn: start it with a file that has one")
+        raise RuntimeError("Blender has no window open, and its exporters need one: start it with a file that has one")
     window = window or windows[0]
     shown = window.scene
-    # the exporter reads the scene of the window
+    # The exporter reads the scene of the window.
     window.scene = scene
     try:
         with bpy.context.temp_override(window=window, screen=window.screen, scene=scene, view_layer=window.view_layer):
@@ -79,7 +83,8 @@ def in_window(bpy: Any, scene: Any) -> Iterator[None]:
 
 
 def files_of(bpy: Any) -> tuple[list[str], list[str]]:
-    """The files that the scene was made from, and those that were looked for in vain: libraries, pictures, fonts, caches of geometry."""
+    """The files that the scene depends on, and those that do not exist: libraries, pictures, fonts,
+    caches of geometry."""
     named = [(data, data.library) for kind in ("images", "cache_files", "volumes", "fonts") for data in getattr(bpy.data, kind, ())]
     named += [(library, None) for library in bpy.data.libraries]
     named += [(modifier, held.library) for held in bpy.data.objects for modifier in held.modifiers if modifier.type == "MESH_CACHE"]
@@ -87,7 +92,7 @@ def files_of(bpy: Any) -> tuple[list[str], list[str]]:
     missing: set[str] = set()
     for data, library in named:
         name = data.filepath
-        # Blender's own font is no file
+        # Blender's own font is no file.
         if name and not name.startswith("<") and not getattr(data, "packed_file", None):
             path = Path(bpy.path.abspath(name, library=library))
             (found if path.is_file() else missing).add(str(path))
@@ -95,7 +100,8 @@ def files_of(bpy: Any) -> tuple[list[str], list[str]]:
 
 
 def untracked(bpy: Any) -> str | None:
-    """What the scene reads that `files_of` does not list, so that nothing tells whether it is still the same; None of most scenes."""
+    """Input that `files_of` does not list, so its changes cannot be detected; None for most scenes.
+    """
     for image in bpy.data.images:
         if image.users and image.source in ("SEQUENCE", "TILED"):
             return f"{image.name}: a picture of many files"
@@ -112,7 +118,8 @@ def untracked(bpy: Any) -> str | None:
 
 
 def _as_rendered(bpy: Any) -> list[tuple[Any, str, Any]]:
-    """The exporter reads what the viewport shows: modifiers are set to what a render shows. What was changed."""
+    """Gives modifiers the settings of a render, since the exporter reads those of the viewport.
+    Returns the changes."""
     changed = []
 
     def change(held: Any, name: str, value: Any) -> None:
@@ -125,7 +132,7 @@ def _as_rendered(bpy: Any) -> list[tuple[Any, str, Any]]:
         if held.mode == "EDIT":
             held.update_from_editmode()
         if is_volume_alone(held):
-            # what bounds smoke is not seen, and would be a white box
+            # A domain of smoke is invisible, but would be exported as a white box.
             change(held, "hide_render", True)
         for modifier in held.modifiers:
             change(modifier, "show_viewport", modifier.show_render)
@@ -162,7 +169,7 @@ def _export_meshes(bpy: Any, path: str | Path) -> None:
 
 
 def y_up(matrix: Any) -> Rows:
-    """A matrix of Blender in glTF's axes."""
+    """Converts a matrix of Blender to glTF's axes."""
     rows = [[float(value) for value in row] for row in matrix]
     return [rows[0], rows[2], [-value for value in rows[1]], rows[3]]
 
@@ -174,7 +181,7 @@ def _add_lights(bpy: Any, scene: Any, file: Glb, warn: Warn) -> None:
         if held.type == "LIGHT" and is_rendered(held.original):
             placed.append((held.original, instance.matrix_world.copy()))
     there = {held for held, _ in placed}
-    # those that the viewport hides and a render does not
+    # Lights that the viewport hides and a render shows.
     placed += [(held, held.matrix_world) for held in scene.objects if held.type == "LIGHT" and held not in there and is_rendered(held)]
     for held, matrix in placed:
         _add_light(held, matrix, file, warn)
@@ -186,9 +193,11 @@ def _add_light(held: Any, matrix: Any, file: Glb, warn: Warn) -> None:
     if not max(power) > 0.0:
         return
     seen = getattr(held, "visible_camera", True)
+    # Cycles may define the power per area.
     area = light.area(matrix_world=matrix) if hasattr(light, "area") else None
     if not getattr(light, "normalize", True) and light.type != "SUN" and area:
         power = [value * area for value in power]
+    # Convert each type with the table at the top of this file.
     if light.type == "SUN":
         file.add_light(name, y_up(matrix), {"type": "directional", "color": [1.0, 1.0, 1.0], **_strength(power)})
     elif light.type == "SPOT":
@@ -241,7 +250,7 @@ def _strength(power: Sequence[float], over: float = 1.0) -> dict[str, object]:
 
 
 def ball(radius: float) -> tuple[list[list[float]], list[list[int]]]:
-    """A ball of triangles whose surface is that of a sphere, so that it shines as brightly."""
+    """A ball of triangles with the area of a sphere, so that it emits the same power."""
     columns = 2 * RINGS
     positions = [[0.0, 0.0, radius]]
     for ring in range(1, RINGS):
@@ -265,7 +274,7 @@ def ball(radius: float) -> tuple[list[list[float]], list[list[int]]]:
 
 
 def panel(width: float, height: float, is_round: bool) -> tuple[list[list[float]], list[list[int]]]:
-    """A rectangle or an ellipse in the plane z = 0 that faces -z, of the true area."""
+    """A rectangle or an ellipse with its exact area in the plane z = 0, facing -z."""
     if not is_round:
         x, y = width / 2, height / 2
         return [[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]], [[0, 2, 1], [0, 3, 2]]
@@ -287,7 +296,7 @@ def surface(positions: Sequence[Sequence[float]], triangles: Sequence[Sequence[i
 
 
 def _without_scale(matrix: Any) -> Any:
-    """A point light's ball does not grow with its object."""
+    """A point light's ball does not scale with its object."""
     return matrix.normalized()
 
 
@@ -333,7 +342,7 @@ def _add_world(bpy: Any, scene: Any, file: Glb, warn: Warn) -> None:
 
 
 def plain_colour(world: Any) -> list[float] | None:
-    """The radiance of a world that is the same everywhere; None of any other."""
+    """The radiance of a uniform world; None for any other."""
     if not world.use_nodes or world.node_tree is None:
         return [float(channel) for channel in world.color]
     outputs = [node for node in world.node_tree.nodes if node.type == "OUTPUT_WORLD" and node.is_active_output]
@@ -348,11 +357,13 @@ def plain_colour(world: Any) -> list[float] | None:
 
 
 def _picture_of_world(bpy: Any, scene: Any) -> tuple[int, int, list[list[float]]]:
-    """The world as Cycles sees it, in a scene of its own: rows from the top, the middle column along Blender's +y."""
+    """Renders the world with Cycles in its own scene: rows from the top, the middle column along
+    Blender's +y."""
     import tempfile
 
     import numpy
 
+    # Set up a panoramic camera in a temporary scene.
     width, height = SKY
     place = bpy.data.scenes.new("Lumistack world")
     data = bpy.data.cameras.new("Lumistack world")
@@ -365,6 +376,7 @@ def _picture_of_world(bpy: Any, scene: Any) -> tuple[int, int, list[list[float]]
         data.type = "PANO"
         owner = data if hasattr(data, "panorama_type") else data.cycles
         owner.panorama_type = "EQUIRECTANGULAR"
+        # Render linear values without any processing.
         render = place.render
         render.engine = "CYCLES"
         render.resolution_x, render.resolution_y, render.resolution_percentage = width, height, 100
@@ -377,13 +389,14 @@ def _picture_of_world(bpy: Any, scene: Any) -> tuple[int, int, list[list[float]]
         if hasattr(settings, "media_type"):
             settings.media_type = "IMAGE"
         settings.file_format, settings.color_mode, settings.color_depth = "OPEN_EXR", "RGB", "32"
+        # Render to a file, since Blender does not give access to the values of a render.
         with tempfile.TemporaryDirectory() as folder:
             render.filepath = str(Path(folder) / "world.exr")
             bpy.ops.render.render(write_still=True, scene=place.name)
             image = bpy.data.images.load(render.filepath)
             values = numpy.empty(width * height * 4, dtype=numpy.float32)
             image.pixels.foreach_get(values)
-        # Blender's first row is the lowest
+        # Blender's first row is the lowest.
         texels: list[list[float]] = values.reshape(height, width, 4)[::-1, :, :3].reshape(-1, 3).tolist()
         return width, height, texels
     finally:

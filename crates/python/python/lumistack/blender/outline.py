@@ -1,4 +1,5 @@
-"""What is drawn around the window in the 3D view, and what a hand that moves there means. Lines are pairs of points of display space, millimetres."""
+"""Outlines around the window in the 3D view, and the effect of dragging them. Lines are pairs of
+points of display space, millimetres."""
 
 from __future__ import annotations
 
@@ -8,9 +9,9 @@ from collections.abc import Sequence
 Point = tuple[float, float, float]
 Line = tuple[Point, Point]
 
-#: Length of the drawn part of the viewing cone, widths of the window.
+#: Length of the drawn part of the viewing cone, in widths of the window.
 CONE = 0.9
-#: Depths of field are drawn up to so many widths of the window.
+#: Depths of field are drawn up to this depth, in widths of the window.
 MOST_DEPTH = 2.0
 
 
@@ -22,12 +23,14 @@ def frame(size_mm: Sequence[float], z_mm: float = 0.0, spread: Sequence[float] =
 
 
 def spread_at(z_mm: float, distance_mm: float | None) -> float:
-    """How much of the window's width is seen at a depth, straight on: all of it in parallel projection, (D - z)/D before an eye."""
+    """Visible width at a depth from the middle, in widths of the window: 1 in parallel projection,
+    (D - z)/D before an eye."""
     return 1.0 if distance_mm is None else max((distance_mm - z_mm) / distance_mm, 0.0)
 
 
 def depth_box(size_mm: Sequence[float], depth_mm: Sequence[float] | None, distance_mm: float | None) -> list[Line]:
-    """The depths that the display shows sharply: a frame at either end, and lines between their corners. Empty of a display that shows none."""
+    """The depths that the display shows sharply: a frame at either end, and lines between their
+    corners. Empty for a display without any."""
     if depth_mm is None:
         return []
     most = MOST_DEPTH * size_mm[0]
@@ -40,7 +43,8 @@ def depth_box(size_mm: Sequence[float], depth_mm: Sequence[float] | None, distan
 
 
 def cone(size_mm: Sequence[float], fov_deg: Sequence[float]) -> list[Line]:
-    """From where the display is seen: planes through the window's edges that lean outwards by half the angle of view."""
+    """The viewing zone: planes through the window's edges that lean outwards by half the field of
+    view."""
     reach = CONE * size_mm[0]
     x, y = size_mm[0] / 2, size_mm[1] / 2
     out_x, out_y = (reach * math.tan(math.radians(angle) / 2) for angle in fov_deg)
@@ -50,35 +54,37 @@ def cone(size_mm: Sequence[float], fov_deg: Sequence[float]) -> list[Line]:
 
 
 def slope_of_mouse(mouse_px: Sequence[float], size_px: Sequence[float], fov_deg: Sequence[float]) -> tuple[float, float]:
-    """The mouse's place in an area as a direction from which the display is looked at: the area's edges are those of the field of view. y counts up."""
+    """Converts the mouse's position in an area to the slope of a view: the area's edges are those
+    of the field of view. y points up."""
     shares = [2.0 * min(max(place / max(size, 1.0), 0.0), 1.0) - 1.0 for place, size in zip(mouse_px, size_px, strict=True)]
     x, y = (share * math.tan(math.radians(angle) / 2) for share, angle in zip(shares, fov_deg, strict=True))
     return (x, y)
 
 
 def cage(size: float, shift: Sequence[float], width: float) -> list[float]:
-    """The matrix of a frame that a hand moves and scales, column by column, in the plane of the camera's picture of so many units of width."""
+    """The matrix of a frame that the user drags, column by column; `width` is that of the camera's
+    picture in its plane, in units."""
     x, y = (part * width for part in shift)
     return [size, 0.0, 0.0, 0.0, 0.0, size, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, x, y, 0.0, 1.0]
 
 
 def of_cage(matrix: Sequence[float], width: float) -> tuple[float, tuple[float, float]]:
-    """The opposite: size and shift."""
+    """The inverse of `cage`: size and shift."""
     return abs(matrix[0]), (matrix[12] / width, matrix[13] / width)
 
 
 def is_in_front(eye_mm: Sequence[float], size_mm: Sequence[float]) -> bool:
-    """Whether an eye sees the window from its front, not from within a hundredth of its width."""
+    """True if an eye is in front of the window, farther than a hundredth of its width."""
     return eye_mm[2] > 0.01 * size_mm[0]
 
 
 def in_cone(eye_mm: Sequence[float], fov_deg: Sequence[float]) -> bool:
-    """Whether an eye is where the display shows what it should, seen from the window's centre."""
+    """True if an eye is in the viewing zone, seen from the window's centre."""
     if eye_mm[2] <= 0.0:
         return False
     return all(abs(place) <= eye_mm[2] * math.tan(math.radians(angle) / 2) for place, angle in zip(eye_mm, fov_deg, strict=False))
 
 
 def turned(value: float, step: float, low: float, high: float) -> float:
-    """A value that a gizmo moves, kept in its range."""
+    """A value that a gizmo changes, clamped to its range."""
     return min(max(value + step, low), high)

@@ -1,4 +1,5 @@
-"""Renders views with Blender's own engines: a camera for every view, settings that make them comparable, and everything put back afterwards."""
+"""Renders views with Blender's engines: a camera per view, and comparable settings, which are
+restored afterwards."""
 
 from __future__ import annotations
 
@@ -11,23 +12,23 @@ from typing import Any
 
 from .cameras import SENSOR_MM, ViewCamera, Window, window_of_camera
 
-#: Names what is added to a file for a render, and taken out again.
+#: Name of temporary objects in a file.
 TEMPORARY = "Lumistack view"
 
 
-#: Seconds after which drawing a picture of 4 × 4 pixels is given up.
+#: Time after which drawing a picture of 4 × 4 pixels is stopped, seconds.
 LONGEST_S = 120.0
 
 
 class NoWindow(ValueError):
-    """The scene gives no window: the message says what is missing."""
+    """The scene defines no window; the message names the missing part."""
 
 
 class NoOpenGL(RuntimeError):
-    """The engine draws with OpenGL, and there is none."""
+    """The engine draws with OpenGL, which is not available."""
 
 
-#: What a child does to find out: the cheapest picture that OpenGL draws.
+#: The child's test: the cheapest picture that OpenGL draws.
 _DRAW = """
 import bpy, os
 render = bpy.context.scene.render
@@ -41,7 +42,8 @@ _can_draw: list[bool] = []
 
 
 def check_engine(bpy: Any, scene: Any) -> None:
-    """Without a window Blender breaks down where its engine finds no OpenGL; a child finds out first. Raises `NoOpenGL`."""
+    """Tests OpenGL in a child: without a window Blender crashes if its engine finds no OpenGL.
+    Raises `NoOpenGL`."""
     engine = scene.render.engine
     if not bpy.app.background or not engine.startswith(("BLENDER_EEVEE", "BLENDER_WORKBENCH")):
         return
@@ -52,16 +54,17 @@ def check_engine(bpy: Any, scene: Any) -> None:
             quiet = subprocess.DEVNULL
             drew = b"LUMISTACK DREW" in subprocess.run(words, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet, timeout=LONGEST_S).stdout
         except subprocess.TimeoutExpired:
-            # it is slow, and draws
+            # Drawing is slow, but works.
             drew = True
         _can_draw.append(drew)
     if not _can_draw[0]:
         name = "Workbench" if "WORKBENCH" in engine else "EEVEE"
-        raise NoOpenGL(f"{name} needs OpenGL, and without a window Blender finds none here: take Cycles, or give it a display (such as `xvfb-run`)")
+        raise NoOpenGL(f"{name} needs OpenGL, and without a window Blender finds none here: use Cycles, or give it a display (such as `xvfb-run`)")
 
 
 class Rig:
-    """A camera that takes any matrix, and render settings: linear OpenEXR of the display's resolution. `with Rig(...) as rig: rig.aim(...)`."""
+    """A camera with any matrix, and render settings: linear OpenEXR at the display's resolution.
+    `with Rig(...) as rig: rig.aim(...)`."""
 
     def __init__(self, bpy: Any, scene: Any, resolution: Sequence[int]) -> None:
         self._bpy, self._scene, self._resolution = bpy, scene, resolution
@@ -84,11 +87,11 @@ class Rig:
         bpy, scene = self._bpy, self._scene
         data = bpy.data.cameras.new(TEMPORARY)
         self._camera = bpy.data.objects.new(TEMPORARY, data)
-        # a child's matrix is its parent's times any other, which may be a shear
+        # Blender multiplies a child's matrix with one of its parent's, which may be a shear.
         self._holder = bpy.data.objects.new(TEMPORARY, None)
         for held in (self._holder, self._camera):
             scene.collection.objects.link(held)
-            # nobody is to see it in the 3D view
+            # The 3D view does not show it.
             held.hide_viewport = True
         self._camera.parent = self._holder
         data.sensor_fit, data.sensor_width = "HORIZONTAL", SENSOR_MM
@@ -115,14 +118,14 @@ class Rig:
         setattr(held, name, value)
 
     def set(self, held: Any, name: str, value: Any) -> None:
-        """Changes a setting until the end."""
+        """Changes a setting until `close`."""
         if hasattr(held, name):
             self._set(held, name, value)
 
     def aim(self, camera: ViewCamera, path: str | Path) -> None:
-        """Turns the camera to a view, whose picture goes to a file."""
+        """Sets the camera to a view and the output to a file."""
         data, held = self._camera.data, self._camera
-        # plain lists would be taken column by column
+        # A plain list would be read column by column.
         held.matrix_parent_inverse = type(held.matrix_world)([list(row) for row in camera.matrix])
         if camera.ortho_scale is not None:
             data.type, data.ortho_scale = "ORTHO", camera.ortho_scale
@@ -133,13 +136,13 @@ class Rig:
         self._scene.render.filepath = str(path)
 
     def close(self) -> None:
-        """Puts everything back; a second time does nothing."""
+        """Restores everything; a second call has no effect."""
         while self._old:
             held, name, value = self._old.pop()
             try:
                 setattr(held, name, value)
             except (AttributeError, ReferenceError, TypeError):
-                # a scene that was deleted in between
+                # The scene was deleted in between.
                 pass
         for held in (self._camera, self._holder):
             if held is None:
@@ -155,7 +158,7 @@ class Rig:
 
 
 def remove_leftovers(bpy: Any) -> None:
-    """Removes what a render left in a file that was saved in the middle of it."""
+    """Removes objects that an interrupted render left in a saved file."""
     for held in [held for held in bpy.data.objects if held.name.startswith(TEMPORARY)]:
         bpy.data.objects.remove(held, do_unlink=True)
     for data in [data for data in bpy.data.cameras if data.name.startswith(TEMPORARY) and not data.users]:
@@ -169,7 +172,8 @@ def render_views(
     todo: Iterable[tuple[ViewCamera, Path, Callable[[], object]]],
     prepare: Callable[[Rig], None] = lambda _: None,
 ) -> None:
-    """Renders views one after the other, and calls the function of each when its file is whole. Blocks; runs where Blender's Python runs."""
+    """Renders views one after the other, and calls each view's function when its file is complete.
+    Blocks; runs on the thread of Blender's Python."""
     with Rig(bpy, scene, resolution) as rig:
         prepare(rig)
         for camera, path, finished in todo:
@@ -179,7 +183,7 @@ def render_views(
 
 
 def focus_of(bpy: Any, camera: Any) -> float | None:
-    """Distance of a camera's plane of focus, scene units; None where the camera focuses on nothing."""
+    """Distance of a camera's plane of focus, scene units; None without focus."""
     dof = camera.data.dof
     held = dof.focus_object
     if held is not None:
@@ -194,7 +198,8 @@ def focus_of(bpy: Any, camera: Any) -> float | None:
 
 
 def window_of(bpy: Any, scene: Any, size_mm: tuple[float, float], distance: float | None = None, camera: Any = None) -> Window:
-    """The window of the scene's camera: at its plane of focus, at a distance, or else where the middle of what it sees is."""
+    """The window of the scene's camera: at the given distance, at its plane of focus, or at the
+    middle of its visible depths."""
     camera = camera or scene.camera
     if camera is None:
         raise NoWindow("the scene has no camera: add one (Add > Camera, then View > Cameras > Set Active Object as Camera)")
@@ -207,12 +212,13 @@ def window_of(bpy: Any, scene: Any, size_mm: tuple[float, float], distance: floa
     frame = [tuple(corner) for corner in camera.data.view_frame(scene=scene)]
     focus = distance or focus_of(bpy, camera) or middle_of_view(bpy, scene, camera)
     if focus is None:
-        raise NoWindow(f"{camera.name}: the camera sees nothing on which a window could stand: aim it, or set its focus distance")
+        raise NoWindow(f"{camera.name}: the camera sees no object to place the window at: aim it, or set its focus distance")
     return window_of_camera(matrix, frame, camera.data.type == "ORTHO", focus, size_mm)
 
 
 def middle_of_view(bpy: Any, scene: Any, camera: Any, columns: int = 15, rows: int = 11) -> float | None:
-    """The middle between the nearest and the farthest of what a camera sees, scene units; None where it sees nothing."""
+    """The middle of the nearest and the farthest visible depth of a camera, scene units; None if it
+    sees nothing."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     matrix = camera.evaluated_get(depsgraph).matrix_world.normalized()
     frame = [corner.copy() for corner in camera.data.view_frame(scene=scene)]
@@ -233,14 +239,14 @@ def middle_of_view(bpy: Any, scene: Any, camera: Any, columns: int = 15, rows: i
                 depths.append(float(-(matrix.inverted() @ point).z))
     if not depths:
         return None
-    # stray surfaces and the ground's far end do not count
+    # Ignore stray surfaces and the far end of the ground.
     depths.sort()
     low, high = depths[len(depths) // 10], depths[len(depths) - 1 - len(depths) // 10]
     return (low + high) / 2
 
 
 def depths_through(bpy: Any, scene: Any, window: Window, distance_mm: float | None, columns: int = 40, rows: int = 25) -> list[float]:
-    """What is seen straight on through the window: depths in millimetres."""
+    """Depths of the content that is visible through the window from the middle, millimetres."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     vector = type(scene.cursor.location)
     nearest = depth_range(bpy, scene, window)[1]
@@ -259,7 +265,8 @@ def depths_through(bpy: Any, scene: Any, window: Window, distance_mm: float | No
 
 
 def depth_range(bpy: Any, scene: Any, window: Window) -> tuple[float, float]:
-    """Farthest and nearest of everything that can be rendered, millimetres along the window's normal."""
+    """Farthest and nearest depth of all content of a render, millimetres along the window's normal.
+    """
     depsgraph = bpy.context.evaluated_depsgraph_get()
     depths = [0.0]
     for instance in depsgraph.object_instances:

@@ -1,7 +1,9 @@
-"""Finds what glTF, and so our path tracer, cannot show of a scene of Blender: materials made of other nodes, hair, volumes.
+"""Finds content of a Blender scene that glTF cannot express: materials of unsupported nodes, hair,
+volumes.
 
-The hand-over reduces a material to constants and pictures at a Principled BSDF. All that lies behind other nodes is lost there without a word from
-the exporter, so this walks through the nodes that a render would evaluate and names what it meets.
+The export reduces a material to constants and pictures of a Principled BSDF. Blender's exporter
+drops all other nodes without a warning. This module visits the nodes that a render evaluates and
+lists the dropped ones.
 """
 
 from __future__ import annotations
@@ -9,17 +11,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-#: Names in one line; the rest is counted.
+#: Names in one line; further ones are counted.
 MOST_NAMES = 8
-#: Nodes that the exporter follows, or that change nothing.
+#: Nodes that the exporter supports, or that have no effect.
 FOLLOWED = frozenset(
     "OUTPUT_MATERIAL BSDF_PRINCIPLED EMISSION BACKGROUND BSDF_TRANSPARENT LIGHT_PATH TEX_IMAGE UVMAP TEX_COORD MAPPING NORMAL_MAP"
     " SEPARATE_COLOR SEPRGB VERTEX_COLOR ATTRIBUTE VALUE RGB REROUTE FRAME GROUP GROUP_INPUT GROUP_OUTPUT".split()
 )
-#: Operations of the node Math that the exporter takes as factors and thresholds.
+#: Operations of the node Math that the exporter reads as factors and thresholds.
 FOLLOWED_MATH = ("MULTIPLY", "ROUND", "LESS_THAN", "SUBTRACT")
 MIXED_SHADERS = ("MIX_SHADER", "ADD_SHADER")
-#: Kinds of objects of which nothing is handed over.
+#: Types of objects that are not exported.
 LEFT_OUT = {"CURVES": "hair", "VOLUME": "volumes", "POINTCLOUD": "point clouds", "GREASEPENCIL": "drawings", "GPENCIL": "drawings"}
 LINES = {
     "materials": "made of nodes that glTF does not have, which our path tracer shows as plain colours",
@@ -31,9 +33,11 @@ LINES = {
 
 
 def unshown(bpy: Any, scene: Any, depsgraph: Any = None) -> list[str]:
-    """A line for each kind of thing that a render by Blender shows and the hand-over loses; empty for most scenes."""
+    """A line per kind of content that a render by Blender shows and the export loses; empty for
+    most scenes."""
     found: dict[str, dict[str, None]] = {kind: {} for kind in LINES}
     judged: set[str] = set()
+    # Check every visible object: its type, modifiers and materials.
     for held, shown in _rendered(bpy, scene, depsgraph):
         if shown.type in LEFT_OUT:
             found[LEFT_OUT[shown.type]][held.name] = None
@@ -64,7 +68,8 @@ def unshown(bpy: Any, scene: Any, depsgraph: Any = None) -> list[str]:
 
 
 def is_volume_alone(held: Any) -> bool:
-    """Whether only the inside of an object is rendered, as that of a smoke domain: its surface is nothing, and no box is to be shown."""
+    """True if only the inside of an object is rendered, as for a smoke domain; its box must not be
+    exported."""
     outputs = [_output(slot.material) for slot in held.material_slots if slot.material is not None]
     return bool(outputs) and all(
         output is not None and output.inputs["Volume"].is_linked and not output.inputs["Surface"].is_linked for output in outputs
@@ -72,7 +77,7 @@ def is_volume_alone(held: Any) -> bool:
 
 
 def is_rendered(held: Any) -> bool:
-    """Whether an object, by its own settings and those of its collections, is rendered."""
+    """True if an object and its collections are enabled for renders."""
     return not held.hide_render and not (held.users_collection and all(each.hide_render for each in held.users_collection))
 
 
@@ -82,19 +87,20 @@ def _listed(names: list[str]) -> str:
 
 
 def _rendered(bpy: Any, scene: Any, depsgraph: Any) -> Iterator[tuple[Any, Any]]:
-    """Objects that a render shows, each with what it has become: instances and what geometry nodes make included."""
+    """Objects that a render shows, each with its evaluated object, including instances and results
+    of geometry nodes."""
     depsgraph = depsgraph or bpy.context.evaluated_depsgraph_get()
     met: set[tuple[str, str]] = set()
     for instance in depsgraph.object_instances:
         shown = instance.object
-        # what nodes make of an object is an instance of it, of another type
+        # The result of geometry nodes is an instance with another type.
         held = (instance.parent if instance.is_instance and shown.original.name not in scene.objects else shown).original
         key = (held.name, shown.name + shown.type)
         if key not in met and is_rendered(held):
             met.add(key)
             yield held, shown
     there = {name for name, _ in met}
-    # those that the viewport hides and a render does not
+    # Objects that the viewport hides and a render shows.
     for held in scene.objects:
         if held.name not in there and is_rendered(held):
             yield held, held
@@ -114,27 +120,28 @@ def _is_smoke(modifier: Any) -> bool:
 
 def _materials(shown: Any) -> Iterable[Any]:
     slots = [slot.material for slot in shown.material_slots]
-    # geometry nodes may set others
+    # Geometry nodes may set other materials.
     slots += list(getattr(shown.data, "materials", None) or ())
     return [material for material in dict.fromkeys(slots) if material is not None]
 
 
 def _output(material: Any) -> Any:
-    """The output node that Cycles takes; None of a material without nodes."""
+    """The output node that Cycles uses; None for a material without nodes."""
     tree = material.node_tree
-    # later versions have nodes in every material, and say so in a property that is to go
+    # Later versions have nodes in every material, and a deprecated property says that they are
+    # used.
     if tree is None or not getattr(material, "use_nodes", True):
         return None
     return tree.get_output_node("CYCLES") or tree.get_output_node("ALL")
 
 
 def _reasons(output: Any) -> Iterator[str]:
-    """What lies before an output that the exporter does not follow."""
+    """The parts before an output that the exporter does not support."""
     if output.inputs["Displacement"].is_linked:
         yield "displacement"
     nodes = list(_behind(output.inputs["Surface"], ()))
     kinds = {node.type for node, _ in nodes}
-    # the usual way to say that a surface is shown whatever the light
+    # The usual way to make a surface that is independent of light.
     shadeless = "LIGHT_PATH" in kinds and not any(kind.startswith("BSDF") and kind != "BSDF_TRANSPARENT" for kind in kinds)
     for node, socket in nodes:
         if node.type in MIXED_SHADERS and shadeless:
@@ -162,7 +169,7 @@ def _reason(node: Any, socket: Any) -> str | None:
 
 
 def _is_factor(node: Any) -> bool:
-    """Whether a mixture is a picture times a constant or a colour of vertices, which glTF has."""
+    """True if a mix is a picture times a constant or a vertex colour, which glTF supports."""
     if node.blend_type != "MULTIPLY" or getattr(node, "data_type", "RGBA") != "RGBA":
         return False
     linked = [socket for socket in node.inputs if socket.enabled and socket.is_linked]
@@ -173,7 +180,7 @@ def _is_factor(node: Any) -> bool:
 
 
 def _behind(socket: Any, groups: tuple[Any, ...]) -> Iterator[tuple[Any, Any]]:
-    """All nodes that a socket depends on, each with the output by which it is reached; groups are entered."""
+    """All nodes that a socket depends on, each with the output that is used; groups are entered."""
     todo, met = [(socket, groups)], set()
     while todo:
         socket, groups = todo.pop()
@@ -184,7 +191,7 @@ def _behind(socket: Any, groups: tuple[Any, ...]) -> Iterator[tuple[Any, Any]]:
                 continue
             met.add(key)
             if node.mute:
-                # what is muted passes some of its inputs on
+                # A muted node passes some of its inputs on.
                 todo += [(each, groups) for each in node.inputs]
                 continue
             if node.type == "GROUP" and node.node_tree is not None and len(groups) < 16:

@@ -1,4 +1,4 @@
-"""Hands the open scene of Blender over as a USD file, by Blender's own exporter and with its units of light."""
+"""Exports Blender's active scene as a USD file, by Blender's exporter and in its units of light."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ SETTINGS = {
 
 
 def is_readable(bpy: Any) -> bool:
-    """Whether this Python reads USD files, with the OpenUSD that Blender brings along where it has no other: as a module Blender does not offer it by itself."""
+    """True if this Python reads USD files. As a module, Blender hides its own OpenUSD, so it is
+    searched here."""
     if importlib.util.find_spec("pxr") is None:
         version = f"python{sys.version_info[0]}.{sys.version_info[1]}"
         home = Path(bpy.utils.resource_path("LOCAL")) / "python"
@@ -48,7 +49,7 @@ class NoExporter(RuntimeError):
 
 
 def export_scene(bpy: Any, path: str | Path) -> None:
-    """Writes the scene as it stands at the current frame; pictures go to a folder beside it."""
+    """Writes the scene at the current frame; pictures are written to a folder beside it."""
     if not bpy.app.build_options.usd:
         raise NoExporter(f"Blender {bpy.app.version_string} was built without USD: hand the scene over as glTF")
     known = bpy.ops.wm.usd_export.get_rna_type().properties.keys()

@@ -1,7 +1,8 @@
-"""A folder of rendered views from which a second run goes on.
+"""A folder of rendered views with which an interrupted run can be resumed.
 
-Every view is written under another name and renamed when it is whole, so a view that is there is finished, however a run ended. Views belong to a
-key, a digest of everything that they depend on, and stand in a folder named by it.
+Every view is written under another name and renamed when it is complete, so an existing view is
+always finished. Views belong to a key, a digest of everything that they depend on, and are in a
+folder named after it.
 """
 
 from __future__ import annotations
@@ -12,13 +13,13 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-#: Characters of a key that name its folder.
+#: Characters of a key in the name of its folder.
 NAMED_BY = 16
 View = tuple[int, int]
 
 
 def key_of(parts: object) -> str:
-    """A digest of settings, which may be anything that JSON holds."""
+    """A digest of settings; all values of JSON are allowed."""
     return hashlib.sha256(json.dumps(parts, sort_keys=True, ensure_ascii=False).encode()).hexdigest()
 
 
@@ -43,17 +44,17 @@ class Views:
         return self.path(view).is_file()
 
     def missing(self) -> list[View]:
-        """Those that are still to be rendered, in order."""
+        """The views that are not rendered yet, in order."""
         return [view for view in self.all() if not self.is_there(view)]
 
     def begin(self, view: View) -> Path:
-        """Where a view is to be written; what an interrupted run left there is removed."""
+        """The path for writing a view; a part that an interrupted run left there is removed."""
         path = self.folder / f"unfinished_{self.path(view).name}"
         path.unlink(missing_ok=True)
         return path
 
     def keep(self, view: View) -> Path:
-        """Makes a view that was written whole a finished one."""
+        """Marks a completely written view as finished."""
         written = self.folder / f"unfinished_{self.path(view).name}"
         if not written.is_file() or written.stat().st_size == 0:
             raise FileNotFoundError(f"{written}: expected the view that was just rendered, found nothing")

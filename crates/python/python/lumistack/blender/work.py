@@ -1,4 +1,5 @@
-"""Long work off the main thread: a job that tells how far it is, can be stopped, and gives its result or its error."""
+"""Long work off the main thread: it reports progress, can be stopped, and keeps its result or its
+error."""
 
 from __future__ import annotations
 
@@ -8,14 +9,15 @@ from typing import Any
 
 
 class Stopped(Exception):
-    """Somebody asked the work to stop."""
+    """The user stopped the work."""
 
 
 class Work:
-    """One piece of work on a thread of its own.
+    """One piece of work on its own thread.
 
-    make(report) does it; report(stage, fraction) is to be called now and then and raises Stopped once somebody has asked for it. It has the
-    signature of the callback of the package's functions, which then stop too.
+    make(report) does it. It must call report(stage, fraction) regularly, which raises Stopped after
+    a request to stop. report has the signature of the callback of the package's functions, which
+    then stop too.
     """
 
     def __init__(self, make: Callable[[Callable[[str, float], None]], Any]) -> None:
@@ -32,11 +34,11 @@ class Work:
         return self
 
     def stop(self) -> None:
-        """Asks the work to stop; it does at its next report."""
+        """Requests the work to stop, which happens at its next report."""
         self._stop.set()
 
     def wait(self, seconds: float | None = None) -> bool:
-        """Waits for the end; whether it came."""
+        """Waits for the end; returns true at the end."""
         self._thread.join(seconds)
         return self.is_done()
 
@@ -48,7 +50,7 @@ class Work:
 
     @property
     def progress(self) -> tuple[str, float]:
-        """Name of the stage, and the share of it that is done."""
+        """Name of the stage, and its finished fraction."""
         with self._lock:
             return self._progress
 
@@ -62,5 +64,5 @@ class Work:
         try:
             self._report("", 0.0)
             self.result = self._make(self._report)
-        except BaseException as error:  # noqa: BLE001  it is told on the main thread
+        except BaseException as error:  # noqa: BLE001  the main thread reports it
             self.error = error

@@ -1,4 +1,5 @@
-"""`python -m lumistack.farm FOLDER`: executes the plan in a run folder. `lumistack farm` starts it."""
+"""`python -m lumistack.farm FOLDER`: executes the plan in a run folder. `lumistack farm` starts it.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ def _told(event: dict[str, Any]) -> str:
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m lumistack.farm", description="Executes the units of work in a run folder.")
     parser.add_argument("folder")
-    parser.add_argument("--program", default="null", help="words that start lumistack on this machine, as JSON")
+    parser.add_argument("--program", default="null", help="command that starts lumistack on this machine, a JSON list of words")
     parser.add_argument("--dask", metavar="ADDRESS")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--threads", type=int)
@@ -45,6 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
     program = json.loads(given.program)
     tls = (given.tls_ca, given.tls_cert, given.tls_key) if given.tls_ca else None
     words = [*_work._program(program), "--json", "farm", "show", given.folder]
+    # Read the plan, then execute it; errors and Ctrl-C become exit codes.
     try:
         found = subprocess.run(words, capture_output=True, text=True)
         planned = _work._answer(found.stdout, "farm_plan")
@@ -67,7 +69,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("error: stopped; the same command goes on from what is finished", file=sys.stderr)
+        print("error: stopped; the same command continues after the finished units", file=sys.stderr)
         return 130
     if given.json:
         print(json.dumps({"event": "done", "seconds": outcome.seconds, "units": len(outcome.done), "lost": outcome.lost}))

@@ -1,4 +1,5 @@
-"""The client: submits units that are ready, looks at how they ended, and goes on."""
+"""The client: submits units that are ready, reads their results, and continues with the units that
+depend on them."""
 
 from __future__ import annotations
 
@@ -20,20 +21,21 @@ from urllib.parse import urlsplit
 
 from lumistack.farm import _store, _work
 
-# How often a unit may fail before it is given up.
+# A unit that fails so often is abandoned.
 MOST_FAILURES = 3
-# How often a unit may be lost with its worker before it is given up: workers that are preempted are no fault of the unit.
+# A unit that is lost with its worker so often is abandoned. The limit is high, since preempted
+# workers are not the unit's fault.
 MOST_LOSSES = 50
-# How long to wait for workers when there is none, seconds.
+# Time to wait for workers if there is none, seconds.
 WORKER_SECONDS = 60.0
-# How often workers are looked at while all units run, seconds.
+# Interval of checks of the workers while all units run, seconds.
 TEND_SECONDS = 2.0
 # Name of the resource that workers may offer, bytes.
 MEMORY = "memory"
 
 
 class FarmError(Exception):
-    """A run that did not finish; what is finished is kept, and the same call goes on."""
+    """A run did not finish; finished units are kept, and the same call continues."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ class Unit:
 
 @dataclass
 class Outcome:
-    """What a run ended with."""
+    """The result of a run."""
 
     seconds: float = 0.0
     done: list[str] = field(default_factory=list)
@@ -59,20 +61,20 @@ class Outcome:
     before: int = 0
     """Units that were done before."""
     failed: dict[str, str] = field(default_factory=dict)
-    """Units that were given up, with the cause."""
+    """Abandoned units, with the cause."""
     left: list[str] = field(default_factory=list)
-    """Units that depend on those."""
+    """Units that depend on abandoned ones."""
     refused: dict[str, str] = field(default_factory=dict)
     """Workers that could not be used, with the reason."""
     lost: int = 0
-    """How often a unit was lost with its worker and done again."""
+    """Number of units that were lost with their worker and done again."""
 
 
 Tell = Callable[[dict[str, Any]], None]
 
 
 def quiet(event: dict[str, Any]) -> None:
-    """Says nothing."""
+    """Reports nothing."""
 
 
 def plan(
@@ -82,7 +84,8 @@ def plan(
     options: Sequence[str] = (),
     program: Sequence[str] | None = None,
 ) -> dict[str, Any]:
-    """Plans a job into its run folder; `options` are those of `lumistack farm plan`. Returns units and what is known of them."""
+    """Plans a job into its run folder; `options` are those of `lumistack farm plan`. Returns the
+    units and their state."""
     words = [*(program or [sys.executable, "-m", "lumistack"]), "--json", "farm", "plan", os.fspath(job), "-o", os.fspath(folder), *options]
     found = subprocess.run(words, capture_output=True, text=True)
     answer = _work._answer(found.stdout, "farm_plan")
@@ -121,12 +124,18 @@ def execute(
 ) -> Outcome:
     """Executes the units of a plan.
 
-    `address`: of a Dask scheduler; without one, and without a `client` of Dask, so many `workers` of this machine are started. `threads`: of a unit; default: the
-    worker's share of its machine. `maps`: texts "/here=/there". `tls`: files of authority, certificate and key. `worker_program`: words that start lumistack on
-    workers; default: the package of the worker's Python. `store`: an object store by which workers exchange files, such as "s3://bucket/shots", where they share
-    no folder; `send`: folders of this machine whose files go there too, those of the scene for instance.
+    * `address`: of a Dask scheduler. Without one, and without a `client` of Dask, `workers` processes
+      are started on this machine.
+    * `threads`: of a unit; by default the worker's share of its machine.
+    * `maps`: texts "/here=/there".
+    * `tls`: files of authority, certificate and key.
+    * `worker_program`: command that starts lumistack on workers; by default the package of the
+      worker's Python.
+    * `store`: object store through which workers exchange files if they share no folder, such as
+      "s3://bucket/shots".
+    * `send`: folders of this machine whose files go to the store too, such as those of the scene.
 
-    Raises FarmError when units were given up or no worker can be used; what is finished is kept.
+    Raises FarmError if units were abandoned or no worker can be used; finished units are kept.
     """
     if address is not None:
         check_address(address, tls is not None, insecure)
@@ -145,7 +154,8 @@ def execute(
 
 
 def check_address(address: str, has_tls: bool, insecure: bool) -> None:
-    """Refuses schedulers on other machines without TLS: whoever reaches one can run anything on its workers."""
+    """Refuses schedulers on other machines without TLS: every process that reaches one can run
+    programs on its workers."""
     parts = urlsplit(address if "://" in address else f"tcp://{address}")
     host = (parts.hostname or "").lower()
     is_here = host in ("localhost", "::1") or re.fullmatch(r"127(\.\d{1,3}){3}", host) is not None
@@ -154,22 +164,22 @@ def check_address(address: str, has_tls: bool, insecure: bool) -> None:
             raise FarmError(f"{address}: expected the files of --tls-ca, --tls-cert and --tls-key with tls://, found none")
     elif not (is_here or insecure):
         raise FarmError(
-            f"{address}: expected tls:// or an address of this machine, found {parts.scheme}:// to another: whoever reaches such a scheduler can run "
-            "anything on its workers; --insecure does it all the same"
+            f"{address}: expected tls:// or an address of this machine, found {parts.scheme}:// to another: every process that reaches "
+            "such a scheduler can run programs on its workers; --insecure allows it"
         )
 
 
 @contextmanager
 def connected(address: str | None, client: Any, workers: int, tls: tuple[str, str, str] | None) -> Iterator[Any]:
-    """A client of Dask, with a cluster of this machine where no scheduler is named."""
+    """A client of Dask, with a cluster of this machine if no scheduler is named."""
     if client is not None:
         yield client
         return
     distributed = _distributed()
-    # what comes back is read as text: a result that needs pickle is refused
+    # Results are read as text: one that needs pickle is refused, since pickles can run code.
     readers: dict[str, Any] = {"deserializers": ["msgpack", "error"]}
     settings = {
-        # deaths of workers are counted here
+        # The engine itself counts lost workers.
         "distributed.scheduler.allowed-failures": MOST_LOSSES,
         "distributed.worker.daemon": False,
         "distributed.logging.distributed": "error",
@@ -192,7 +202,7 @@ def connected(address: str | None, client: Any, workers: int, tls: tuple[str, st
             processes=True,
             host="127.0.0.1",
             dashboard_address="127.0.0.1:0",
-            # units are children of the workers, which hold nothing themselves
+            # Units are child processes of the workers, which hold no data themselves.
             memory_limit=0,
             resources={MEMORY: memory / workers},
             silence_logs=50,
@@ -205,7 +215,7 @@ def _distributed() -> Any:
     try:
         return import_module("distributed")
     except ImportError as error:
-        raise FarmError(f"expected the package distributed, found none ({error}); pip install 'lumistack[farm]' brings it along") from error
+        raise FarmError(f"expected the package distributed, found none ({error}); `pip install 'lumistack[farm]'` installs it") from error
 
 
 def _has(module: str) -> bool:
@@ -220,7 +230,7 @@ def _memory_bytes() -> float:
 
 
 class Engine:
-    """The state of a run: which units wait, run, are done or given up."""
+    """The state of a run: the units that wait, run, are done or abandoned."""
 
     def __init__(
         self, dask: Any, planned: dict[str, Any], maps: list[str], threads: int | None, program: list[str] | None, tell: Tell
@@ -234,13 +244,13 @@ class Engine:
         self.here = Path(planned["folder"])
         self.maps = maps
         self.folder = _mapped(str(self.here), maps)
-        # the last unit checks everything, so it is never taken for done
+        # The last unit checks all results, so it always runs.
         last = planned["units"][-1]["id"] if planned["units"] else ""
         self.done = {unit.id for unit in self.units.values() if unit.done and unit.id != last}
         self.outcome = Outcome(before=len(self.done))
         self.running: dict[Any, str] = {}
         self.ended: SimpleQueue[Any] = SimpleQueue()
-        # workers that a task may run on, where not on all
+        # Workers that a task may run on, if not all.
         self.bound: dict[Any, list[str]] = {}
         self.failures: dict[str, int] = {}
         self.losses: dict[str, int] = {}
@@ -286,7 +296,7 @@ class Engine:
                     self.take(future)
                 self.submit()
         except BaseException:
-            # a worker ends its unit when nobody wants it any more
+            # A worker stops a unit whose task is cancelled.
             self.dask.cancel(list(self.running), force=True)
             raise
         return self.end()
@@ -294,7 +304,7 @@ class Engine:
     # workers
 
     def check_workers(self, wait: bool) -> list[str]:
-        """Addresses of the workers that can be used; those that cannot are named once."""
+        """Addresses of the usable workers; each unusable one is reported once."""
         deadline = time.monotonic() + (WORKER_SECONDS if wait else 0.0)
         while True:
             known = list(self.dask.scheduler_info(n_workers=-1)["workers"])
@@ -321,7 +331,7 @@ class Engine:
         for address in addresses:
             text = found.get(address) if isinstance(found, dict) else None
             if _json(text) is None:
-                # it was lost meanwhile; if not, it is looked at again
+                # The worker was lost in between, or will be checked again.
                 continue
             reason = self.objection(text)
             self.checked[address] = reason
@@ -329,19 +339,19 @@ class Engine:
                 self.refuse(address, reason)
 
     def objection(self, text: object) -> str | None:
-        """Why a worker cannot be used."""
+        """The reason why a worker cannot be used."""
         about = _json(text) or {}
         if "code" not in about:
             return f"lumistack does not start there: {about.get('error')}"
         if about["code"] != self.code:
             theirs, ours = f"{about.get('version')} ({about['code']})", f"{self.version} ({self.code})"
-            return f"it has lumistack {theirs}, and the run was planned by {ours}; install the same build"
+            return f"it has lumistack {theirs}, but the run was planned by {ours}; install the same build"
         if "store" in about:
             return f"it cannot use the store: {about['store']}"
         if self.store is not None and not about.get("folder"):
-            return f"it does not see what this machine wrote to {self.store.store.url}: expected one store for all"
+            return f"it does not see the files that this machine wrote to {self.store.store.url}: expected one store for all"
         if not about.get("folder"):
-            return f"it does not see {self.folder}: share the folder with it, or say where it lies there (--map /here=/there)"
+            return f"it does not see {self.folder}: share the folder with it, or map its path (--map /here=/there)"
         return None
 
     def refuse(self, worker: str, reason: str) -> None:
@@ -356,7 +366,7 @@ class Engine:
         return sorted(found, key=lambda unit: -unit.to_end_seconds)
 
     def tend(self) -> None:
-        """Frees tasks that wait for workers which are gone: a worker that starts again has another address."""
+        """Releases tasks that wait for lost workers: a worker that restarts has another address."""
         usable = self.check_workers(wait=False)
         for future, workers in list(self.bound.items()):
             if not future.done() and usable and not set(workers) & set(usable):
@@ -367,17 +377,19 @@ class Engine:
     def submit(self) -> None:
         if self.unwritable is not None:
             return
+        # Find the usable workers, and the memory that they offer.
         ready = self.ready()
         if not ready:
             return
         usable = self.check_workers(wait=True)
         offered = self.memory_of(usable)
         everyone = not self.outcome.refused
+        # Submit every ready unit; units on the critical path come first.
         for unit in ready:
             self.attempts += 1
             options: dict[str, Any] = {}
             if offered:
-                # an estimate beyond all workers must not wait for ever
+                # An estimate above the memory of all workers would never be scheduled.
                 options["resources"] = {MEMORY: min(float(unit.memory_bytes), offered)}
             if not everyone:
                 options["workers"] = usable
@@ -401,7 +413,8 @@ class Engine:
             future.add_done_callback(self.ended.put)
 
     def of_store(self, unit: Unit) -> dict[str, Any] | None:
-        """What a worker must know to execute a unit through a store: all units that it depends on, at once or not."""
+        """Data with which a worker executes a unit through a store: all units on which it depends, directly
+        or through others."""
         if self.store is None:
             return None
         needs: dict[str, None] = {}
@@ -416,7 +429,7 @@ class Engine:
         return {"url": self.store.store.url, "plan": self.plan, "needs": ordered, "sent": self.sent}
 
     def memory_of(self, usable: list[str]) -> float:
-        """The most memory that one of the workers offers, bytes; 0 where one offers none."""
+        """The most memory that one worker offers, bytes; 0 if any worker offers none."""
         info = self.dask.scheduler_info(n_workers=-1)["workers"]
         offers = [float(info[address].get("resources", {}).get(MEMORY, 0.0)) for address in usable if address in info]
         return max(offers) if offers and min(offers) > 0 else 0.0
@@ -432,7 +445,7 @@ class Engine:
         else:
             lost = True
         if answer is None or answer.get("id") != unit:
-            answer = {"outcome": "lost" if lost else "failed", "message": "the worker gave no answer that makes sense"}
+            answer = {"outcome": "lost" if lost else "failed", "message": "the worker's answer is unreadable"}
         outcome, message = str(answer.get("outcome")), str(answer.get("message", ""))
         if outcome == "done":
             self.done.add(unit)
@@ -440,10 +453,10 @@ class Engine:
             count = {"done": len(self.done), "units": len(self.units)}
             self.tell({"event": "done_unit", "id": unit, "seconds": answer.get("seconds"), **count})
         elif outcome in ("lost", "cancelled"):
-            # the worker is gone, or the scheduler has given the task to another
+            # The worker is gone, or the scheduler has given the task to another.
             self.lose(unit)
         elif outcome == "refused":
-            # a worker that came or changed since workers were looked at
+            # The worker came or changed after the check of the workers.
             self.checked.pop(str(answer.get("worker")), None)
             self.lose(unit)
         else:
@@ -460,7 +473,7 @@ class Engine:
         self.tell({"event": "failed_unit", "id": unit, "attempt": self.failures[unit], "message": message})
         if self.failures[unit] >= MOST_FAILURES:
             if of_store:
-                # no other unit will fare better
+                # Every other unit would fail too.
                 self.unwritable = message
             self.give_up(unit, message)
 
@@ -472,7 +485,7 @@ class Engine:
         outcome.left = [unit for unit in self.units if unit not in self.done and unit not in outcome.failed]
         if not outcome.failed:
             return outcome
-        kept = f"{len(self.done)} of {len(self.units)} units are done and kept; the same command goes on from them"
+        kept = f"{len(self.done)} of {len(self.units)} units are done and kept; the same command continues after them"
         if self.unwritable is not None:
             place = "the run folder cannot be written" if self.store is None else "the store cannot be used"
             raise FarmError(f"{place}: {self.unwritable}; {kept}")
@@ -483,7 +496,7 @@ class Engine:
         for message, units in causes.items():
             others = f" and {len(units) - 1} more" if len(units) > 1 else ""
             told.append(f"unit {units[0]}{others} failed {MOST_FAILURES} times: {message}")
-        waits = f"; {len(outcome.left)} units that depend on it were left" if outcome.left else ""
+        waits = f"; {len(outcome.left)} units that depend on it were not started" if outcome.left else ""
         raise FarmError(f"{'; '.join(told)}{waits}; {kept}")
 
 

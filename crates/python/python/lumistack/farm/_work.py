@@ -1,4 +1,5 @@
-"""What runs on a worker: one unit as a child process, and questions about the machine. It returns texts of JSON alone."""
+"""Code that runs on a worker: executes a unit as a child process, and describes the machine.
+Results are texts of JSON."""
 
 from __future__ import annotations
 
@@ -11,21 +12,21 @@ from typing import Any
 
 from lumistack.farm import _store
 
-# How often a unit that runs looks whether it is still wanted, seconds.
+# Interval at which a running unit checks that its task still exists, seconds.
 LOOK_SECONDS = 0.2
-# How long a unit may take to stop, seconds.
+# Longest time for a unit to stop, seconds.
 STOP_SECONDS = 10.0
-# Letters of what a child said that are kept.
+# Characters that are kept of a child's output.
 MOST_SAID = 4000
 
 
 def _program(words: list[str] | None) -> list[str]:
-    """Words that start the program here."""
+    """The command that starts the program here."""
     return words or [sys.executable, "-m", "lumistack"]
 
 
 def _answer(text: str, event: str) -> dict[str, Any] | None:
-    """The last line of JSON that tells of an event."""
+    """The last line of JSON with this event."""
     for line in reversed(text.splitlines()):
         if line.startswith("{"):
             try:
@@ -38,7 +39,8 @@ def _answer(text: str, event: str) -> dict[str, Any] | None:
 
 
 def probe(words: list[str] | None, folder: str, store: dict[str, Any] | None = None) -> str:
-    """Version and code of the program on this worker, and whether it sees the run folder or the store."""
+    """Version and code of the program on this worker, and true or false for access to the run
+    folder or the store."""
     about: dict[str, Any] = {"host": os.uname().nodename if hasattr(os, "uname") else "", "process": os.getpid()}
     if store is None:
         about["folder"] = os.path.isdir(folder)
@@ -57,7 +59,8 @@ def probe(words: list[str] | None, folder: str, store: dict[str, Any] | None = N
 
 
 def _is_wanted() -> bool:
-    """Whether the task of this thread is still to be done: its client may be gone, or have thought better of it."""
+    """True while the client still waits for the task of this thread; it may be gone, or have
+    cancelled the task."""
     try:
         from distributed import get_worker
 
@@ -69,7 +72,7 @@ def _is_wanted() -> bool:
 
 
 def _address() -> str:
-    """This worker's address, by which the client names it."""
+    """This worker's address; the client names the worker by it."""
     try:
         from distributed import get_worker
 
@@ -94,9 +97,10 @@ def _threads(given: int | None) -> int:
 def execute(
     words: list[str] | None, folder: str, unit: str, maps: list[str], threads: int | None, store: dict[str, Any] | None = None
 ) -> str:
-    """Executes a unit. Never raises: how it ended is in the text.
+    """Executes a unit. Never raises: the text contains the result.
 
-    `store`: the object store that stands for a shared folder: its `url`, the id of the `plan`, the units that this one `needs`, and the folders that were `sent`.
+    `store`: the object store that replaces a shared folder: its `url`, the id of the `plan`, the
+    units that this one `needs`, and the folders that were `sent`.
     """
     if store is None:
         return _execute(words, folder, unit, maps, threads)
@@ -116,7 +120,7 @@ def _execute(words: list[str] | None, folder: str, unit: str, maps: list[str], t
     for pair in maps:
         line += ["--map", pair]
     try:
-        # the unit ends with its standard input, so it never outlives this process
+        # The unit ends when its standard input closes, so it never outlives this process.
         child = subprocess.Popen(
             [*line, folder, unit],
             stdin=subprocess.PIPE,
@@ -124,7 +128,7 @@ def _execute(words: list[str] | None, folder: str, unit: str, maps: list[str], t
             stderr=subprocess.PIPE,
             text=True,
             errors="replace",
-            # Ctrl-C is for the client, which then wants the unit no more
+            # Ctrl-C is for the client, which then cancels the task.
             process_group=0 if os.name == "posix" else None,
         )
     except OSError as error:
