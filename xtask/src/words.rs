@@ -33,6 +33,7 @@ const CLEAN: &[&str] = &[
     "crates/simd",
     "crates/testkit",
     "crates/usd",
+    "crates/web",
     "crates/web-solver",
     "docs/GLOSSARY.md",
     "docs/GLTF.md",

@@ -1,13 +1,13 @@
-//! Codes of pictures, by tables: `f32::powf` for every pixel would take most of a frame's time.
+//! Encodes pictures by tables: `f32::powf` per pixel would take most of a frame's time.
 
 use std::sync::LazyLock;
 
 use lumistack_core::colour::{srgb_code, srgb_decode};
 
-/// Bins of 0..1 from which the search for a code starts.
+/// Bins of 0..1 in which the search for a code starts.
 const BINS: usize = 4096;
 
-/// sRGB codes of linear light; the same codes as [`srgb_code`] gives.
+/// sRGB codes of linear light; the same codes as [`srgb_code`].
 pub(crate) struct Encoder {
     /// The code of each bin's lower end.
     start: Vec<u8>,
@@ -15,10 +15,9 @@ pub(crate) struct Encoder {
     least: [f32; 256],
 }
 
-/// The one encoder.
 pub(crate) static ENCODER: LazyLock<Encoder> = LazyLock::new(|| {
     let least = std::array::from_fn(|code| {
-        // the codes rise with the values, and so with the bits of the values
+        // Codes rise with values, and so with the bits of the values.
         let (mut low, mut high) = (0u32, 1f32.to_bits());
         while low < high {
             let middle = low + (high - low) / 2;
@@ -36,7 +35,7 @@ impl Encoder {
         if linear >= 1.0 {
             return 255;
         }
-        // a float to integer cast saturates, and NaN becomes 0
+        // a cast from float to integer saturates, and NaN becomes 0
         let mut code = self.start[((linear * BINS as f32) as usize).min(BINS - 1)];
         while code < 255 && linear >= self.least[usize::from(code) + 1] {
             code += 1;
@@ -55,10 +54,11 @@ pub(crate) fn to_rgba(linear: &[f32]) -> Vec<u8> {
     linear.chunks_exact(3).flat_map(|p| [encoder.code(p[0]), encoder.code(p[1]), encoder.code(p[2]), 255]).collect()
 }
 
-/// Error that the map shows as white.
+/// The error that is white in the map.
 pub(crate) const HEAT_TOP: f32 = 0.25;
 
-/// Colours of the error map from 0 to [`HEAT_TOP`], evenly spaced, as sRGB codes; their lightness rises all the way.
+/// Colours of the error map from 0 to [`HEAT_TOP`], evenly spaced, as sRGB codes. Their lightness
+/// rises monotonically.
 const HEAT: [[f32; 3]; 6] = [
     [0.0, 0.0, 8.0],
     [66.0, 10.0, 104.0],
@@ -74,7 +74,7 @@ pub(crate) fn heat_stops() -> [String; HEAT.len()] {
     HEAT.map(|[r, g, b]| format!("#{:02x}{:02x}{:02x}", r as u8, g as u8, b as u8))
 }
 
-/// The error map's colour.
+/// The colour of an error in the map.
 pub(crate) fn heat(error: f32) -> [u8; 3] {
     let place = (error / HEAT_TOP).clamp(0.0, 1.0) * (HEAT.len() - 1) as f32;
     let first = (place as usize).min(HEAT.len() - 2);

@@ -1,7 +1,8 @@
-//! Pictures from bytes: PNG of 8 bits for red, green and blue, as previews have them.
+//! Decodes PNG pictures of previews: 8 bits each for red, green and blue.
 //!
-//! The `png` crate reads every kind of PNG and would be a sixth of the module, which goes to every visitor; this reads one kind, and the tests compare the two. Chunks
-//! that may be left out are stepped over. The check sum of the compressed stream covers every pixel, so the chunks' own are not computed.
+//! The crate `png` reads every kind of PNG, but would be a sixth of the module that every visitor
+//! loads. This decoder reads one kind, and the tests compare the two. Optional chunks are skipped.
+//! The checksum of the compressed stream covers every pixel, so those of chunks are not computed.
 
 use miniz_oxide::inflate::decompress_to_vec_zlib_with_limit;
 
@@ -12,12 +13,13 @@ const SIGNATURE: [u8; 8] = [0x89, b'P', b'N', b'G', b'\r', b'\n', 0x1a, b'\n'];
 /// Bytes of a pixel.
 const PIXEL: usize = 3;
 
-/// The codes `[row][col][rgb]` of a picture of 8 bits per channel.
+/// Decodes the codes `[row][col][rgb]` of a picture with 8 bits per channel.
 pub(crate) fn decode(file: &File, bytes: &[u8]) -> Result<Vec<u8>, Error> {
     let error = |expected: &str, found: String| err(format!("{}: expected {expected}, found {found}", file.path));
     let damaged = |problem: &str| {
         error("a PNG picture", format!("{} bytes that are cut short, damaged or no PNG ({problem})", bytes.len()))
     };
+    // Collect the header and the compressed stream.
     let mut rest = bytes.strip_prefix(&SIGNATURE).ok_or_else(|| damaged("no signature"))?;
     let mut stream = Vec::new();
     let mut header = None;
@@ -37,10 +39,11 @@ pub(crate) fn decode(file: &File, bytes: &[u8]) -> Result<Vec<u8>, Error> {
     if (rows, cols) != (file.rows, file.cols) {
         return Err(error(&format!("{} × {} pixels", file.cols, file.rows), format!("{cols} × {rows}")));
     }
-    // 8 bits, red green blue, the one compression, the one set of filters, rows in order
+    // 8 bits, red green blue, the only compression, the only set of filters, rows in order
     if header[8..] != [8, 2, 0, 0, 0] {
         return Err(error("red, green and blue of 8 bits, not interlaced", format!("PNG of kind {:?}", &header[8..])));
     }
+    // Unpack the stream and undo the filter of each row.
     let line = PIXEL * cols;
     let filtered = decompress_to_vec_zlib_with_limit(&stream, rows * (1 + line));
     let filtered = filtered.map_err(|_| damaged("its pixels do not unpack"))?;
@@ -60,7 +63,7 @@ pub(crate) fn decode(file: &File, bytes: &[u8]) -> Result<Vec<u8>, Error> {
     Ok(codes)
 }
 
-/// Kind and data of the first chunk, and what comes after it.
+/// Kind and data of the first chunk, and the bytes after it.
 fn chunk(bytes: &[u8]) -> Option<(&[u8; 4], &[u8], &[u8])> {
     let (length, rest) = bytes.split_first_chunk::<4>()?;
     let (kind, rest) = rest.split_first_chunk::<4>()?;
@@ -69,7 +72,8 @@ fn chunk(bytes: &[u8]) -> Option<(&[u8; 4], &[u8], &[u8])> {
     Some((kind, data, rest))
 }
 
-/// Adds to every byte what its filter predicts from the bytes on the left, above, and above on the left (PNG, section 9).
+/// Adds to every byte the value that its filter predicts from the bytes on the left, above, and
+/// above on the left (PNG, section 9).
 fn unfilter(filter: u8, coded: &[u8], above: &[u8], line: &mut [u8]) -> bool {
     let predict: fn(u8, u8, u8) -> u8 = match filter {
         0 => |_, _, _| 0,
@@ -86,7 +90,7 @@ fn unfilter(filter: u8, coded: &[u8], above: &[u8], line: &mut [u8]) -> bool {
     true
 }
 
-/// The neighbour nearest to left + above − corner.
+/// The neighbour that is nearest to left + above − corner.
 fn paeth(left: u8, above: u8, corner: u8) -> u8 {
     let [l, a, c] = [left, above, corner].map(i16::from);
     let (to_left, to_above, to_corner) = ((a - c).abs(), (l - c).abs(), (l + a - 2 * c).abs());
@@ -106,7 +110,7 @@ mod tests {
     use super::*;
     use crate::preview::Part;
 
-    /// Every filter, on noise, on slopes and on constants, as the `png` crate writes them.
+    /// Every filter of the crate `png`, on noise, slopes and constants.
     #[test]
     fn every_filter_gives_the_pixels_back() {
         let mut random = Stream::new(6);
@@ -138,7 +142,7 @@ mod tests {
                     let part = Part::Emission { frame: 0 };
                     let file = File { path: "a.png".into(), part, rows, cols, bytes: 0 };
                     assert_eq!(decode(&file, &bytes).unwrap(), codes, "{rows} × {cols}, {filter:?}");
-                    // cut anywhere: an error, never a panic
+                    // a file that is cut anywhere is an error, never a panic
                     for end in 0..bytes.len() {
                         assert!(decode(&file, &bytes[..end]).is_err(), "{end} of {}", bytes.len());
                     }
@@ -147,7 +151,7 @@ mod tests {
         }
     }
 
-    /// Changed bytes give an error, or the same picture where the change was in a checksum or a comment.
+    /// A changed byte is an error, or has no effect if it is in a checksum or a comment.
     #[test]
     fn changed_bytes_never_give_another_picture() {
         let codes: Vec<u8> = (0..3 * 40).map(|i| (i * 37 % 256) as u8).collect();

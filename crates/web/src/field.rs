@@ -1,9 +1,9 @@
-//! A light field that is shown as such: the four views nearest to a place are mixed in linear light.
+//! A light field that is shown itself: blends the four views nearest to a position in linear light.
 
 use crate::colour::{DECODED, ENCODER};
 use crate::{Error, err};
 
-/// Most bytes of all views.
+/// Largest size of all views, in bytes.
 const LIMIT: usize = 1 << 30;
 
 /// Views of a light field, sRGB codes `[row][col][rgba]`.
@@ -17,7 +17,7 @@ pub struct Field {
 }
 
 impl Field {
-    /// A light field of which nothing has arrived.
+    /// A light field without any view yet.
     ///
     /// # Errors
     /// If there are no pixels or views, or too many.
@@ -32,10 +32,11 @@ impl Field {
         Ok(Self { size, views, codes: vec![None; views[0] * views[1]] })
     }
 
-    /// A quilt: views from left to right and from the bottom up, view 0 at the bottom left; shown as one row of views.
+    /// Reads a quilt as one row of views. Its views run from left to right and from the bottom up,
+    /// with view 0 at the bottom left.
     ///
     /// # Errors
-    /// If the picture cannot be cut so.
+    /// If a view would have no pixel, or the bytes do not match the size.
     pub fn from_quilt(rgba: &[u8], [width, height]: [usize; 2], [cols, rows]: [usize; 2]) -> Result<Self, Error> {
         if cols == 0 || rows == 0 || width / cols == 0 || height / rows == 0 {
             let found = format!("{width} × {height} pixels");
@@ -59,7 +60,7 @@ impl Field {
         Ok(field)
     }
 
-    /// Takes one view.
+    /// Adds a view.
     ///
     /// # Errors
     /// If there is no such view or it has another size.
@@ -82,12 +83,13 @@ impl Field {
         Ok(())
     }
 
-    /// The codes of a view that has arrived, by its number, row by row.
+    /// The codes of a view by its index, row by row; `None` until it has arrived.
     pub fn codes(&self, view: usize) -> Option<&[u8]> {
         self.codes.get(view)?.as_deref()
     }
 
-    /// The views around (u, v) in 0..1, from left to right and from top to bottom, and their shares; views that have not arrived give theirs to the others.
+    /// The views around (u, v), each in 0..1 from left to right and from top to bottom, with their
+    /// weights. Views that have not arrived are left out, and the other weights are normalized.
     pub fn blend(&self, u: f64, v: f64) -> Vec<(usize, f32)> {
         let around = |t: f64, count: usize| {
             let place = t.clamp(0.0, 1.0) * (count - 1) as f64;
@@ -104,7 +106,7 @@ impl Field {
         shares
     }
 
-    /// The picture at (u, v): sRGB bytes `[row][col][rgba]`; black while no view around has arrived.
+    /// The picture at (u, v): sRGB bytes `[row][col][rgba]`; black until a view nearby has arrived.
     pub fn render(&self, u: f64, v: f64) -> Vec<u8> {
         let mut sum = vec![0.0f32; 4 * self.size[0] * self.size[1]];
         for (view, share) in self.blend(u, v) {

@@ -1,14 +1,14 @@
-//! JSON, read by what is there: in the browser its own parser, since another would be a fifth of the module.
+//! Parses JSON. In the browser its own parser does it: another would be a fifth of the module.
 
 use serde::de::DeserializeOwned;
 
-/// What a text says; an error tells what is wrong with it.
+/// Parses a text; the error is the reason.
 #[cfg(not(target_arch = "wasm32"))]
 pub(crate) fn parse<T: DeserializeOwned>(text: &str) -> Result<T, String> {
     serde_json::from_str(text).map_err(|error| error.to_string())
 }
 
-/// What a text says; an error tells what is wrong with it. Keys that are not known are stepped over.
+/// Parses a text; the error is the reason. Unknown keys are ignored.
 #[cfg(target_arch = "wasm32")]
 pub(crate) fn parse<T: DeserializeOwned>(text: &str) -> Result<T, String> {
     use wasm_bindgen::JsCast as _;

@@ -1,12 +1,14 @@
-//! The browser simulator's module: what a stack shows, computed by the same forward model as everywhere else.
+//! The browser simulator's module: simulates layer stacks by the same forward model as all other
+//! crates.
 //!
 //! ```text
-//! preview.json + pictures ──▶ Model ──▶ Simulator of lumistack-display ──▶ bytes for a canvas      (CPU: tests, machines without WebGL2)
-//!                               └─────▶ AreaMap as textures ──▶ shaders that only look things up  (GPU)
+//! preview.json + pictures ─▶ Model ─▶ Simulator of lumistack-display ─▶ bytes for a canvas  (CPU)
+//!                              └────▶ AreaMap as textures ─▶ shaders with lookups only      (GPU)
 //! ```
 //!
-//! The shaders hold no geometry: where a ray meets a layer is read from tables that [`lumistack_display::AreaMap`] made. Everything but the thin shell
-//! around the browser's objects compiles for any machine and is tested there.
+//! The CPU draws in tests and on machines without WebGL2. The shaders contain no geometry: they
+//! read from tables of [`lumistack_display::AreaMap`] where a ray hits a layer. All code except the
+//! thin layer around the browser's objects compiles for any machine and is tested there.
 
 mod colour;
 mod decode;
@@ -28,7 +30,7 @@ pub use model::{Model, Slots};
 pub use options::{Options, Pupil};
 pub use tables::Tables;
 
-/// What went wrong, for people: the file, the place in it, what was expected and what was found.
+/// An error for the user: the file, the place in it, the expected and the found value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Error(String);
 

@@ -1,4 +1,4 @@
-//! A preview whose pictures come in one by one, and what it shows.
+//! A preview whose pictures arrive one by one, and its simulation.
 
 use std::sync::OnceLock;
 
@@ -15,7 +15,7 @@ use crate::preview::{File, Part, Preview};
 use crate::tables::Tables;
 use crate::{Error, Options, err};
 
-/// A preview and the options under which it is looked at.
+/// A preview and the current options.
 #[derive(Debug)]
 pub struct Model {
     preview: Preview,
@@ -23,30 +23,30 @@ pub struct Model {
     options: Options,
     /// Codes `[row][col][rgb]` of every file that has arrived.
     codes: Vec<Option<Vec<u8>>>,
-    /// Frames of which every part has arrived, in the order of their completion.
+    /// Complete frames, in the order of their completion.
     complete: Vec<usize>,
-    /// What the CPU path reads, made when it is first asked for.
+    /// Input of the CPU path, made on its first use.
     built: OnceLock<Built>,
 }
 
-/// The display as it was built and what its rays meet.
+/// The display with build errors, and the values that rays hit.
 #[derive(Debug)]
 struct Built {
     display: Display,
     stack: LayerStack,
 }
 
-/// Complete frames in the order of their completion, which is that of the GPU's slices.
+/// Complete frames in the order of their completion; the GPU's slices have the same order.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Slots {
-    /// The first that is drawn.
+    /// The first drawn slice.
     pub first: usize,
-    /// How many are drawn.
+    /// The number of drawn slices.
     pub count: usize,
 }
 
 impl Model {
-    /// A preview of which nothing has arrived.
+    /// A preview without any pictures yet.
     ///
     /// # Errors
     /// If the text is no preview; see [`Preview::from_json`].
@@ -63,7 +63,7 @@ impl Model {
         &self.preview
     }
 
-    /// The light field that the patterns were made for.
+    /// The light field for which the patterns were made.
     pub fn geometry(&self) -> &FieldGeometry {
         &self.geometry
     }
@@ -73,10 +73,11 @@ impl Model {
         &self.options
     }
 
-    /// Takes the bytes of file `index`. Returns the part that it holds and, where its frame is complete with it, the place of that among the complete frames.
+    /// Adds the bytes of file `index`. Returns its part, and its frame's slice if that is complete
+    /// now.
     ///
     /// # Errors
-    /// If there is no such file or it is damaged; everything stays as it was.
+    /// If there is no such file or it is damaged; the model stays unchanged.
     pub fn put(&mut self, index: usize, bytes: &[u8]) -> Result<(Part, Option<usize>), Error> {
         let file = self.preview.files.get(index).ok_or_else(|| {
             err(format!("files: expected a number from 0 to {}, found {index}", self.preview.files.len() as i64 - 1))
@@ -88,7 +89,7 @@ impl Model {
             Part::Target { .. } => return Ok((part, None)),
         };
         self.built.take();
-        // other patterns for a frame that was whole already
+        // new patterns for a frame that was already complete
         if let Some(slot) = self.complete.iter().position(|complete| *complete == frame) {
             return Ok((part, Some(slot)));
         }
@@ -103,10 +104,10 @@ impl Model {
         Ok((part, whole.then_some(slot)))
     }
 
-    /// Takes the codes of all files at once, `[row][col][rgb]` each in the preview's order, in place of those that were there.
+    /// Replaces the codes of all files, `[row][col][rgb]` each in the preview's order.
     ///
     /// # Errors
-    /// If there are more or fewer of them; everything stays as it was.
+    /// If their total length is wrong; the model stays unchanged.
     pub fn exchange(&mut self, codes: &[u8]) -> Result<(), Error> {
         let length = |file: &File| 3 * file.rows * file.cols;
         let expected: usize = self.preview.files.iter().map(length).sum();
@@ -124,26 +125,25 @@ impl Model {
         Ok(())
     }
 
-    /// Frames of which every part has arrived.
+    /// Number of complete frames.
     pub fn frames_ready(&self) -> usize {
         self.complete.len()
     }
 
-    /// The complete frames in the order of their completion.
     pub fn complete(&self) -> &[usize] {
         &self.complete
     }
 
-    /// Views of the target that have arrived.
+    /// Number of the target's views that have arrived.
     pub fn targets_ready(&self) -> usize {
         let targets = self.preview.files.iter().zip(&self.codes);
         targets.filter(|(file, codes)| matches!(file.part, Part::Target { .. }) && codes.is_some()).count()
     }
 
-    /// Changes the options; keys that are left out go back to their defaults.
+    /// Changes the options; omitted keys return to their defaults.
     ///
     /// # Errors
-    /// On malformed text, unknown keys and values out of range; the options then stay as they were.
+    /// On malformed text, unknown keys and values out of range; the options stay unchanged.
     pub fn set_options(&mut self, text: &str) -> Result<(), Error> {
         let options = Options::from_json(text, self.preview.frames)?;
         if options != self.options {
@@ -153,12 +153,12 @@ impl Model {
         Ok(())
     }
 
-    /// What the emitted light is multiplied by.
+    /// The factor on the emitted light.
     pub fn gain(&self) -> f32 {
         self.options.gain.unwrap_or(1.0 / self.preview.brightness) as f32
     }
 
-    /// The slices that the picture is the mean of: the chosen frame, or all that are complete.
+    /// The slices whose mean is the picture: the selected frame, or all complete ones.
     pub fn slots(&self) -> Slots {
         let chosen = self.options.frame.and_then(|frame| self.complete.iter().position(|&of| of == frame));
         match chosen {
@@ -167,24 +167,25 @@ impl Model {
         }
     }
 
-    /// The codes of a part that has arrived.
+    /// The codes of a part; `None` until it has arrived.
     pub fn codes(&self, part: Part) -> Option<&[u8]> {
         let at = self.preview.files.iter().position(|file| file.part == part)?;
         self.codes[at].as_deref()
     }
 
-    /// What the hardware of layer `n` does to its values, where it does anything.
+    /// The response of layer `n`'s hardware; `None` for an identity.
     fn response(&self, n: usize) -> Option<Response> {
         self.preview.display.layers[n].response().filter(|response| !response.is_identity())
     }
 
-    /// Whether rays meet just the stored values of layer `n`.
+    /// True if rays hit the stored values of layer `n`.
     pub fn is_plain(&self, n: usize) -> bool {
         self.response(n).is_none()
     }
 
-    /// What rays meet of layer `n` in the given frames, without the black level of the options: `[frame][row][col][rgb]`.
-    pub fn met(&self, n: usize, frames: &[usize]) -> Tensor<4> {
+    /// The values of layer `n` that rays hit in the given frames, without the options' black level:
+    /// `[frame][row][col][rgb]`.
+    pub fn hit_values(&self, n: usize, frames: &[usize]) -> Tensor<4> {
         let [cols, rows] = self.preview.display.layers[n].resolution;
         let mut values = Tensor::zeros(LayerStack::LAYER_AXES, [frames.len(), rows, cols, 3]);
         for (i, &frame) in frames.iter().enumerate() {
@@ -204,7 +205,7 @@ impl Model {
             let mut display = self.options.built(&self.preview.display);
             let black = self.options.black_level as f32;
             let layers = (0..display.layers.len()).map(|n| {
-                let mut values = self.met(n, frames);
+                let mut values = self.hit_values(n, frames);
                 values.data_mut().iter_mut().for_each(|value| *value = black + (1.0 - black) * *value);
                 values
             });
@@ -213,7 +214,7 @@ impl Model {
                 emission: self.emission(frames),
                 brightness: self.preview.brightness,
             };
-            // what the hardware does is in the values already
+            // the values already include the hardware's response
             display.layers = display
                 .layers
                 .iter()
@@ -249,7 +250,8 @@ impl Model {
         Some(values)
     }
 
-    /// The seen picture from a slope, under the options; through a pupil the mean over its places, of one ray per pixel each.
+    /// The seen picture from a slope under the options. Through a pupil it is the mean over the
+    /// pupil's points, with one ray per pixel each.
     fn emitted(&self, slope: [f64; 2], projection: Projection) -> EmittedView {
         let built = self.built();
         if built.stack.frames() == 0 {
@@ -280,13 +282,13 @@ impl Model {
         mean
     }
 
-    /// The same places as textures for the shader.
+    /// The same lookups as textures for the shader.
     pub fn tables(&self, slope: [f64; 2], projection: Projection) -> Tables {
         let display = self.options.built(&self.preview.display);
         Tables::new(&display, &self.geometry, &self.options.pupil(&display, projection), slope, projection)
     }
 
-    /// How rays relate in the views that are drawn.
+    /// Projection of the drawn views.
     pub fn projection(&self) -> Projection {
         self.options.projection(self.geometry.grid.projection)
     }
@@ -299,7 +301,7 @@ impl Model {
         values
     }
 
-    /// The same as sRGB bytes `[row][col][rgba]`.
+    /// As `view_linear`, in sRGB bytes `[row][col][rgba]`.
     pub fn render(&self, slope: [f64; 2]) -> Vec<u8> {
         to_rgba(&self.view_linear(slope))
     }
@@ -312,7 +314,7 @@ impl Model {
         Ok(opaque(self.target(view)?))
     }
 
-    /// A layer's pattern in a frame as a light table shows it: linear values, sRGB-encoded.
+    /// The mask of a layer in a frame as on a light table: linear values, sRGB-encoded.
     ///
     /// # Errors
     /// If there is no such layer or frame or it has not arrived.
@@ -321,7 +323,8 @@ impl Model {
         Ok(on_light_table(codes.ok_or_else(|| err(format!("layer {layer}, frame {frame}: it has not arrived")))?))
     }
 
-    /// The backlight's emission in a frame, bins side by side as in its file: linear values, sRGB-encoded.
+    /// The backlight's emission in a frame, with bins side by side as in its file: linear values,
+    /// sRGB-encoded.
     ///
     /// # Errors
     /// If the backlight is uniform, there is no such frame, or it has not arrived.
@@ -330,7 +333,8 @@ impl Model {
         Ok(on_light_table(codes.ok_or_else(|| err(format!("backlight, frame {frame}: it has not arrived")))?))
     }
 
-    /// The error map |gain · L̃ − L| of the target's view nearest to a slope, seen from that view's own slope; black where less than half of a pixel counts.
+    /// The error map |gain · L̃ − L| at the slope of the target's nearest view; black where less
+    /// than half of a pixel has weight.
     ///
     /// # Errors
     /// If the view has not arrived.
@@ -348,7 +352,8 @@ impl Model {
             .collect())
     }
 
-    /// PSNR of L̃/β against the target's view nearest to a slope, dB; `None` while that view or every frame is missing, or where no ray counts.
+    /// PSNR of L̃/β against the target's view nearest to a slope, dB. `None` if that view or every
+    /// frame is missing, or no ray has weight.
     pub fn psnr(&self, slope: [f64; 2]) -> Option<f64> {
         let view = self.nearest_view(slope);
         let target: Vec<f32> = self.target(view).ok()?.iter().map(|code| DECODED[usize::from(*code)]).collect();
@@ -356,7 +361,7 @@ impl Model {
         (error.count > 0).then(|| error.psnr())
     }
 
-    /// What the display emits towards a view of the target.
+    /// The display's emission towards a view of the target.
     fn emitted_at(&self, view: [usize; 2]) -> EmittedView {
         self.emitted(self.slope_of(view), self.geometry.grid.projection)
     }
@@ -385,12 +390,12 @@ impl Model {
     }
 }
 
-/// RGB codes with an opaque fourth channel.
+/// Adds an opaque fourth channel to RGB codes.
 fn opaque(codes: &[u8]) -> Vec<u8> {
     codes.chunks_exact(3).flat_map(|p| [p[0], p[1], p[2], 255]).collect()
 }
 
-/// Linear codes as opaque sRGB bytes.
+/// Converts linear codes to opaque sRGB bytes.
 fn on_light_table(codes: &[u8]) -> Vec<u8> {
     let linear: Vec<f32> = codes.iter().map(|code| f32::from(*code) / 255.0).collect();
     to_rgba(&linear)

@@ -1,32 +1,36 @@
-//! What the viewer's controls change: the adaptation of the eye, and how badly the display was built.
+//! Options of the viewer's controls: the adaptation of the eye, and errors of the display's
+//! construction.
 
 use lumistack_display::{Backlight, Display, Projection};
 use serde::Deserialize;
 
 use crate::{Error, err, json};
 
-/// Distance from which a pupil looks where nothing says how far the viewer is, millimetres.
+/// Distance of a pupil if the viewer's distance is unknown, millimetres.
 const ARM_LENGTH_MM: f64 = 600.0;
-/// Most places on a pupil along each axis.
+/// Most points of a pupil along each axis.
 const PUPIL_LIMIT: usize = 9;
 
-/// Settings; every key may be left out.
+/// Settings; every key is optional.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Options {
-    /// What the emitted light is multiplied by: 1 is the light itself, 1/β (the default) what an adapted eye sees.
+    /// Factor on the emitted light: 1 shows the light itself, 1/β (the default) that of an adapted
+    /// eye.
     pub gain: Option<f64>,
-    /// Added to every distance between neighbouring layers and to the backlight's, about the middle of the stack, millimetres.
+    /// Error of every gap between neighbouring layers and to the backlight, millimetres; the middle
+    /// of the stack stays.
     pub gap_mm: f64,
-    /// [x, y] by which the front layer stands beside its place, millimetres.
+    /// [x, y] offset of the front layer, millimetres.
     pub shift_mm: [f64; 2],
-    /// c: every value f that a ray meets becomes c + (1 − c) f.
+    /// c: every value f that a ray hits becomes c + (1 − c) f.
     pub black_level: f64,
-    /// Diameter of the pupil that stays focused on z = 0, millimetres; 0 for a pinhole.
+    /// Diameter of a pupil that is focused on z = 0, millimetres; 0 for a pinhole.
     pub pupil_mm: f64,
-    /// Distance of the eye from z = 0, millimetres: views become perspective ones. None: those of the target, whatever they are.
+    /// Distance of the eye from z = 0, millimetres; views become perspective. `None`: the target's
+    /// projection.
     pub eye_distance_mm: Option<f64>,
-    /// One frame instead of the mean of all.
+    /// A single frame instead of the mean of all.
     pub frame: Option<usize>,
 }
 
@@ -71,7 +75,7 @@ impl Options {
         Ok(options)
     }
 
-    /// The display as it was really built.
+    /// The display with its construction errors.
     pub fn built(&self, display: &Display) -> Display {
         let mut built = display.clone();
         let middle = (built.layers.len() as f64 - 1.0) / 2.0;
@@ -88,13 +92,13 @@ impl Options {
         built
     }
 
-    /// How the rays of a view relate, for a target whose rays do as `target` says.
+    /// Projection of a view, for a target with the projection `target`.
     pub fn projection(&self, target: Projection) -> Projection {
         self.eye_distance_mm.map_or(target, |distance_mm| Projection::Perspective { distance_mm })
     }
 
-    /// The places on the pupil from which one picture is put together: slopes relative to its centre along either axis, and which pairs `[y][x]` of
-    /// them lie on the disc. One place for a pinhole.
+    /// The points of the pupil whose views are averaged: slopes relative to its centre along each
+    /// axis, and the pairs `[y][x]` of them that lie on the disc. One point for a pinhole.
     pub fn pupil(&self, display: &Display, target: Projection) -> Pupil {
         let distance_mm = match self.projection(target) {
             Projection::Perspective { distance_mm } => distance_mm,
@@ -104,7 +108,7 @@ impl Options {
             return Pupil { offsets: vec![0.0], on_disc: vec![true] };
         }
         let radius = 0.5 * self.pupil_mm / distance_mm;
-        // places closer together than a pixel of any layer differ by less than a pixel
+        // points that are closer than a pixel of any layer differ by less than a pixel
         let blur_px = display.layers.iter().map(|layer| layer.d_mm.abs() * 2.0 * radius / layer.pitch_mm);
         let count = (blur_px.fold(0.0, f64::max).ceil() as usize * 2 + 1).clamp(3, PUPIL_LIMIT);
         let offsets: Vec<f64> =
@@ -115,17 +119,17 @@ impl Options {
     }
 }
 
-/// Places on a pupil; see [`Options::pupil`].
+/// Points of a pupil; see [`Options::pupil`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pupil {
-    /// Slopes relative to the centre, along either axis.
+    /// Slopes relative to the centre, along each axis.
     pub offsets: Vec<f64>,
-    /// Of the place `[y][x]`, row by row: whether it lies on the disc.
+    /// For the point `[y][x]`, row by row: true if it lies on the disc.
     pub on_disc: Vec<bool>,
 }
 
 impl Pupil {
-    /// The places [y, x] on the disc.
+    /// The points [y, x] on the disc.
     pub fn places(&self) -> impl Iterator<Item = [usize; 2]> + '_ {
         let count = self.offsets.len();
         self.on_disc.iter().enumerate().filter(|(_, on)| **on).map(move |(i, _)| [i / count, i % count])

@@ -1,4 +1,4 @@
-//! `preview.json`: what a preview shows and which files it consists of.
+//! `preview.json`: the description of a preview, and the list of its files.
 
 use lumistack_display::{Backlight, Display, FieldGeometry, LayerStack, Projection, ViewGrid};
 use serde::{Deserialize, Serialize};
@@ -12,7 +12,7 @@ pub struct Preview {
     pub schema: String,
     /// [`Preview::VERSION`].
     pub version: u32,
-    /// Name for people.
+    /// Name for users.
     #[serde(default)]
     pub title: String,
     /// The display.
@@ -21,16 +21,17 @@ pub struct Preview {
     pub brightness: f64,
     /// Frames M.
     pub frames: usize,
-    /// The light field that the patterns were made for.
+    /// The light field for which the patterns were made.
     pub target: Target,
-    /// In the order to fetch.
+    /// In the order of their loading.
     pub files: Vec<File>,
-    /// PSNR of views from the files, whose values are rounded to 8 bits, against views from the patterns themselves, dB.
+    /// PSNR of views from the files, whose values have 8 bits, against views from the patterns
+    /// themselves, dB.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rounding_db: Option<f64>,
 }
 
-/// What every version of preview.json has.
+/// The keys that every version of preview.json has.
 #[derive(Deserialize)]
 struct Head {
     #[serde(default)]
@@ -65,7 +66,7 @@ pub struct Target {
 pub struct File {
     /// Path below the preview's folder.
     pub path: String,
-    /// What it holds.
+    /// Its content.
     pub part: Part,
     /// Pixel rows.
     pub rows: usize,
@@ -75,8 +76,8 @@ pub struct File {
     pub bytes: u64,
 }
 
-/// [`File`] as it stands in preview.json. Flat and with a kind: what serde makes of a flattened enum is ten times the code, and this goes to every
-/// visitor.
+/// [`File`] in preview.json: flat, with a kind. The code that serde makes for a flattened enum is
+/// ten times larger, and every visitor loads it.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(default)]
 struct Entry {
@@ -125,17 +126,18 @@ impl TryFrom<Entry> for File {
     }
 }
 
-/// What a picture holds: 8 bits per channel.
+/// Content of a picture with 8 bits per channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
-    /// A layer's pattern in one frame: value = code / 255.
+    /// A layer's mask in one frame: value = code / 255.
     Layer {
         /// Rearmost first.
         layer: usize,
         /// Frame.
         frame: usize,
     },
-    /// The backlight's emission in one frame, value = code / 255: bins side by side, `[bin_y][lenslet_row][bin_x][lenslet_col]`.
+    /// The backlight's emission in one frame, value = code / 255, with bins side by side:
+    /// `[bin_y][lenslet_row][bin_x][lenslet_col]`.
     Emission {
         /// Frame.
         frame: usize,
@@ -152,16 +154,17 @@ impl Preview {
     pub const SCHEMA: &'static str = "lumistack-preview";
     /// The version that this program reads.
     pub const VERSION: u32 = 1;
-    /// Most pixels of one picture: more means that the file is damaged.
+    /// Most pixels of a picture; a file with more is damaged.
     const PIXEL_LIMIT: usize = 1 << 26;
 
     /// Reads and checks a preview.
     ///
     /// # Errors
-    /// On malformed text, another schema or version, values out of range, and files that do not fit the display.
+    /// On malformed text, another schema or version, values out of range, and files that do not fit
+    /// the display.
     pub fn from_json(text: &str) -> Result<Self, Error> {
         let malformed = |error: String| err(format!("preview.json: expected a preview, found {error}"));
-        // another version may have another form, so it is looked at first
+        // Another version may have other keys, so it is checked first.
         let Head { schema, version } = json::parse(text).map_err(malformed)?;
         if schema != Self::SCHEMA {
             return Err(err(format!("preview.json: schema: expected {:?}, found {schema:?}", Self::SCHEMA)));
@@ -191,6 +194,7 @@ impl Preview {
         let frames = self.display.frames;
         expect(self.frames == frames, "frames", format!("the display's {frames}"), self.frames.to_string())?;
         let [views_y, views_x] = self.geometry()?.grid.views();
+        // Check every file: its part exists, and has the display's size.
         for (i, file) in self.files.iter().enumerate() {
             let place = format!("files[{i}]");
             let limit = file.rows.checked_mul(file.cols).is_some_and(|n| (1..=Self::PIXEL_LIMIT).contains(&n));
@@ -210,6 +214,7 @@ impl Preview {
             let [rows, cols] = self.size_of(file.part);
             expect([rows, cols] == [file.rows, file.cols], &place, format!("{cols} × {rows} pixels"), size)?;
         }
+        // Check that no part is missing.
         for frame in 0..frames {
             for layer in 0..self.display.layers.len() {
                 let part = Part::Layer { layer, frame };
@@ -240,7 +245,7 @@ impl Preview {
     /// The light field's pixels and views.
     ///
     /// # Errors
-    /// If they make no sense.
+    /// If they are invalid.
     pub fn geometry(&self) -> Result<FieldGeometry, Error> {
         let target = &self.target;
         let projection = match (target.projection.as_str(), target.distance_mm) {

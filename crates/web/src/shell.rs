@@ -1,4 +1,4 @@
-//! What JavaScript sees. Every class passes on to the tested code beside it.
+//! The interface for JavaScript. Every class calls the tested code of this crate.
 
 use js_sys::Uint8ClampedArray;
 use wasm_bindgen::prelude::*;
@@ -16,7 +16,7 @@ impl From<Error> for JsValue {
 
 type Thrown<T> = Result<T, JsValue>;
 
-/// What is thrown by drawing without a context.
+/// The error of drawing without a context.
 fn detached() -> Error {
     err("the viewer has no context: attach one before drawing")
 }
@@ -25,25 +25,25 @@ fn clamped(bytes: &[u8]) -> Uint8ClampedArray {
     Uint8ClampedArray::from(bytes)
 }
 
-/// Version of the program that the module belongs to.
+/// Version of the program.
 #[wasm_bindgen]
 pub fn version() -> String {
     env!("CARGO_PKG_VERSION").into()
 }
 
-/// The error map's colours, evenly spaced, as a list of a style sheet.
+/// The error map's colours, evenly spaced, as a list for a style sheet.
 #[wasm_bindgen]
 pub fn heat() -> String {
     heat_stops().join(",")
 }
 
-/// The error of the last of them.
+/// The error of the last colour.
 #[wasm_bindgen]
 pub fn heat_top() -> f32 {
     HEAT_TOP
 }
 
-/// A preview and what it shows.
+/// A preview and its simulation.
 #[wasm_bindgen]
 pub struct Viewer {
     model: Model,
@@ -52,13 +52,13 @@ pub struct Viewer {
 
 #[wasm_bindgen]
 impl Viewer {
-    /// From the text of preview.json.
+    /// Parses the text of preview.json.
     #[wasm_bindgen(constructor)]
     pub fn new(preview_json: &str) -> Thrown<Viewer> {
         Ok(Self { model: Model::new(preview_json)?, gpu: None })
     }
 
-    /// Takes the bytes of a file, in any order.
+    /// Adds the bytes of a file, in any order.
     pub fn put(&mut self, file: usize, bytes: &[u8]) -> Thrown<()> {
         let (_, completed) = self.model.put(file, bytes)?;
         if let (Some(slot), Some(gpu)) = (completed, &self.gpu) {
@@ -67,7 +67,7 @@ impl Viewer {
         Ok(())
     }
 
-    /// Takes the codes of all files at once, in the preview's order, in place of those that were there.
+    /// Replaces the codes of all files, in the preview's order.
     pub fn exchange(&mut self, codes: &[u8]) -> Thrown<()> {
         self.model.exchange(codes)?;
         if let Some(gpu) = &self.gpu {
@@ -78,12 +78,12 @@ impl Viewer {
         Ok(())
     }
 
-    /// Changes the options, as JSON; keys that are left out go back to their defaults.
+    /// Changes the options, as JSON; omitted keys return to their defaults.
     pub fn set_options(&mut self, json: &str) -> Thrown<()> {
         Ok(self.model.set_options(json)?)
     }
 
-    /// What the display shows from a slope, sRGB bytes [row][col][rgba].
+    /// Simulates the view from a slope, sRGB bytes [row][col][rgba].
     pub fn render(&self, sx: f64, sy: f64) -> Uint8ClampedArray {
         clamped(&self.model.render([sx, sy]))
     }
@@ -93,7 +93,7 @@ impl Viewer {
         Ok(clamped(&self.model.render_target([view_row, view_col])?))
     }
 
-    /// A layer's pattern in a frame as sRGB bytes, at its own size.
+    /// A layer's mask in a frame as sRGB bytes, in its own size.
     pub fn render_layer(&self, layer: usize, frame: usize) -> Thrown<Uint8ClampedArray> {
         Ok(clamped(&self.model.render_layer(layer, frame)?))
     }
@@ -108,47 +108,47 @@ impl Viewer {
         Ok(clamped(&self.model.render_error([sx, sy])?))
     }
 
-    /// PSNR of that view in dB; undefined while it has not arrived.
+    /// PSNR of that view in dB; undefined until it has arrived.
     pub fn psnr(&self, sx: f64, sy: f64) -> Option<f64> {
         self.model.psnr([sx, sy])
     }
 
-    /// Draws through a context from now on; throws where it is lost or too small for the preview.
+    /// Uses a context for drawing from now on; throws if it is lost or too small for the preview.
     pub fn attach(&mut self, context: WebGl2RenderingContext) -> Thrown<()> {
         self.gpu = None;
         self.gpu = Some(Gpu::new(context, &self.model)?);
         Ok(())
     }
 
-    /// Gives the context back, also after it was lost.
+    /// Releases the context, also after it was lost.
     pub fn detach(&mut self) {
         self.gpu = None;
     }
 
-    /// Draws what the display shows from a slope to the context, whose canvas has the field's size.
+    /// Draws the view from a slope to the context, whose canvas has the field's size.
     pub fn draw(&self, sx: f64, sy: f64) -> Thrown<()> {
         Ok(self.gpu.as_ref().ok_or_else(detached)?.draw(&self.model, [sx, sy])?)
     }
 }
 
-/// A light field that is shown as such.
+/// A light field that is shown itself.
 #[wasm_bindgen]
 pub struct LightField(Field);
 
 #[wasm_bindgen]
 impl LightField {
-    /// Views of rows × cols pixels, of which none has arrived.
+    /// A light field of views with rows × cols pixels; none has arrived.
     #[wasm_bindgen(constructor)]
     pub fn new(rows: usize, cols: usize, view_rows: usize, view_cols: usize) -> Thrown<LightField> {
         Ok(Self(Field::new([rows, cols], [view_rows, view_cols])?))
     }
 
-    /// A quilt of cols × rows tiles, view 0 at the bottom left; becomes one row of views.
+    /// Reads a quilt of cols × rows tiles, view 0 at the bottom left, as one row of views.
     pub fn from_quilt(rgba: &[u8], width: usize, height: usize, cols: usize, rows: usize) -> Thrown<LightField> {
         Ok(Self(Field::from_quilt(rgba, [width, height], [cols, rows])?))
     }
 
-    /// Takes a view, sRGB bytes [row][col][rgba].
+    /// Adds a view, sRGB bytes [row][col][rgba].
     pub fn put(&mut self, view_row: usize, view_col: usize, rgba: &[u8]) -> Thrown<()> {
         Ok(self.0.put([view_row, view_col], rgba.to_vec())?)
     }
@@ -163,7 +163,8 @@ impl LightField {
         self.0.size[1]
     }
 
-    /// The picture at (u, v) in 0..1 across the views, from left to right and from top to bottom, as sRGB bytes.
+    /// The picture at (u, v) in 0..1 across the views, from left to right and from top to bottom,
+    /// as sRGB bytes.
     pub fn render(&self, u: f64, v: f64) -> Uint8ClampedArray {
         clamped(&self.0.render(u, v))
     }

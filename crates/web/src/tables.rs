@@ -1,40 +1,42 @@
-//! [`AreaMap`] as numbers for textures: the shader looks up where a ray goes and computes nothing.
+//! [`AreaMap`] as numbers for textures: the shader looks up the rays' hits and computes none.
 //!
-//! The picture from one place is a seen one, the mean over every pixel's area: pixels are cut into parts whose rays read the same ([`AreaMap`]). Through a
-//! pupil, which averages over places, it is put together from one ray per pixel and place. One row of `x` for every place along x, every part and everything that a ray meets,
-//! one texel for every field column:
+//! A picture from one point is a seen picture, the mean over every pixel's area: pixels are split
+//! into parts whose rays read the same pixels ([`AreaMap`]). A pupil averages over points, so its
+//! picture has one ray per pixel and point. `x` has one row per point along x, part, and layer or
+//! backlight, with one texel per column of the field:
 //!
 //! ```text
 //! row = (place · parts + part) · rows_per_part
-//! x[row + n][col] = first, second, t, share      layer n; first = −1 where it is missed
-//! x[row + N][col] = lenslet, bin, 0, share       backlight; lenslet = −1 where it is dark, −2 where it is missed
+//! x[row + n][col] = first, second, t, share   layer n; first = −1: the ray misses it
+//! x[row + N][col] = lenslet, bin, 0, share    backlight; lenslet = −1: dark, −2: the ray misses it
 //! ```
 //!
-//! and `y` alike. `share` of the pixel's width is 0 of parts that a pixel does not have. Indices below 2²⁴ are exact in single precision.
+//! `y` is alike. `share`, the fraction of the pixel's width, is 0 for parts that a pixel lacks.
+//! Indices below 2²⁴ are exact in single precision.
 
 use lumistack_display::{AreaMap, BacklightTap, Display, FieldGeometry, Part, Projection, RayMap, Tap, ViewGrid};
 
 use crate::Pupil;
 
-/// See the module.
+/// Tables of one view; see the module.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tables {
-    /// Places on the pupil along either axis.
+    /// Points of the pupil along each axis.
     pub places: usize,
-    /// Which places `[y][x]` count, row by row.
+    /// For the point `[y][x]`, row by row: true if it lies on the disc.
     pub on_disc: Vec<bool>,
-    /// Parts of a pixel along x and along y, of the one that has most.
+    /// Largest number of a pixel's parts along x and along y.
     pub parts: [usize; 2],
-    /// Layers, and one more where the backlight is directional.
+    /// Number of layers, and one more for a directional backlight.
     pub rows_per_part: usize,
-    /// Four numbers for every place, part, layer and field column.
+    /// Four numbers for every point, part, layer and column of the field.
     pub x: Vec<f32>,
-    /// Four numbers for every place, part, layer and field row.
+    /// Four numbers for every point, part, layer and row of the field.
     pub y: Vec<f32>,
 }
 
 impl Tables {
-    /// Tables of a view.
+    /// Computes the tables of a view.
     pub(crate) fn new(
         display: &Display,
         geometry: &FieldGeometry,
@@ -42,6 +44,7 @@ impl Tables {
         slope: [f64; 2],
         projection: Projection,
     ) -> Self {
+        // Trace one view per point of the pupil.
         let places = pupil.offsets.len();
         let slopes = |centre: f64| pupil.offsets.iter().map(|offset| centre + offset).collect();
         let grid = ViewGrid { projection, slope_x: slopes(slope[0]), slope_y: slopes(slope[1]) };
@@ -52,6 +55,7 @@ impl Tables {
             let whole = |count: usize| (0..count as u32).map(|pixel| Part { pixel, share: 1.0 }).collect();
             AreaMap { map: RayMap::new(display, &geometry), x: whole(geometry.cols), y: whole(geometry.rows) }
         };
+        // Write the lookups of every layer and of the backlight.
         let rows_per_part = map.map.layers.len() + usize::from(map.map.backlight.is_some());
         let axes = [(&map.x, geometry.cols), (&map.y, geometry.rows)].map(|(list, width)| Cut::new(list, width));
         let (mut x, mut y) = (Vec::new(), Vec::new());
@@ -75,13 +79,13 @@ impl Tables {
     }
 }
 
-/// The parts of an axis, each with its number within its pixel.
+/// The parts of an axis, each with its index within its pixel.
 struct Cut<'a> {
     list: &'a [Part],
     numbers: Vec<usize>,
-    /// Pixels.
+    /// Number of pixels.
     width: usize,
-    /// Most of a pixel.
+    /// Largest number of parts of a pixel.
     parts: usize,
 }
 
@@ -97,7 +101,8 @@ impl<'a> Cut<'a> {
         Self { list, numbers, width, parts: counts.into_iter().max().unwrap_or(0) }
     }
 
-    /// Writes texels of row `row` of every part; `rays` gives the first three numbers of the ray of a part.
+    /// Writes texels of row `row` of every part; `rays` returns the first three numbers of a part's
+    /// ray.
     fn fill(&self, table: &mut [f32], [rows, row]: [usize; 2], rays: impl Fn(usize) -> [f32; 3]) {
         for (i, (part, number)) in self.list.iter().zip(&self.numbers).enumerate() {
             let at = 4 * ((number * rows + row) * self.width + part.pixel as usize);

@@ -1,4 +1,5 @@
-//! The CPU path against the forward model on unrounded patterns, and input that is missing or damaged.
+//! Tests the CPU path against the forward model on unrounded patterns, and missing or damaged
+//! input.
 
 use lumistack_core::Tensor;
 use lumistack_core::colour::{srgb_code, srgb_decode};
@@ -13,7 +14,7 @@ use serde_json::{Value, json};
 use crate::preview::{File, Part, Preview, Target};
 use crate::{Field, Model};
 
-/// Values that went through different sums in f32.
+/// Tolerance for f32 sums in different orders.
 const SUMMATION: f32 = 1e-5;
 
 pub(crate) fn png(rows: usize, cols: usize, codes: &[u8]) -> Vec<u8> {
@@ -26,7 +27,8 @@ pub(crate) fn png(rows: usize, cols: usize, codes: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// A preview of random patterns and a random target, the bytes of its files, and the patterns that they hold after rounding.
+/// A preview of random patterns and a random target, the bytes of its files, and the rounded
+/// patterns in them.
 pub(crate) struct Sample {
     pub(crate) json: Value,
     pub(crate) files: Vec<Vec<u8>>,
@@ -56,7 +58,7 @@ impl Sample {
             if let Some(emission) = &mut stack.emission {
                 let [_, bins_y, bins_x, rows, cols, _] = emission.shape();
                 let codes = codes(3 * bins_y * bins_x * rows * cols);
-                // pixel by pixel, as the format says
+                // pixel by pixel, as defined by the format
                 for y in 0..bins_y * rows {
                     for x in 0..bins_x * cols {
                         for c in 0..3 {
@@ -120,7 +122,7 @@ fn plain() -> Display {
     Display { brightness: 0.25, ..plain }
 }
 
-/// Every kind of display that the shader tells apart.
+/// Every kind of display with its own shader.
 pub(crate) fn displays() -> Vec<Display> {
     let mut directional = plain();
     directional.backlight = Backlight::Lenslets(LensletBacklight::new(-20.0, [4, 3], 4.0, [3, 2], [20.0, 20.0]));
@@ -198,7 +200,8 @@ fn options_change_the_display() {
     check(json!({}), display, stack, oblique, 4.0);
 }
 
-/// A point behind the plane of focus is spread over as many pixels as the cone of rays through it is wide there; on the plane it stays.
+/// A point behind the plane of focus is spread over the width of its cone of rays there; a point on
+/// the plane is not.
 #[test]
 fn a_pupil_blurs_what_is_off_the_plane() {
     let display = Display::uniform([61, 41], 1.0, [1, 1], [20.0, 20.0], &[-40.0, 0.0], 1);
@@ -215,7 +218,8 @@ fn a_pupil_blurs_what_is_off_the_plane() {
         model.set_options(&json!({"pupil_mm": 6.0, "eye_distance_mm": 60.0}).to_string()).unwrap();
         let linear = model.view_linear([0.0, 0.0]);
         let dark: Vec<usize> = (20..41).filter(|col| linear[3 * (20 * 61 + col)] < 0.999).collect();
-        // a pupil of 6 mm at 60 mm sees the point at −40 mm through a cone that is 2.4 mm wide on z = 0
+        // A pupil of 6 mm at 60 mm sees the point at −40 mm through a cone that is 2.4 mm wide on z
+        // = 0.
         assert!(if spread { dark.len() >= 2 && dark.len() <= 4 } else { dark == [30] }, "{n}: {dark:?}");
     }
 }
@@ -268,7 +272,7 @@ fn targets_errors_and_scores_belong_to_the_nearest_view() {
     assert_eq!(map[4 * missed..][..4], [0, 0, 0, 255]);
     let worst = (0..linear.len() / 3).find(|i| emitted.valid[*i] && at(*i) > 0.25).unwrap();
     assert_eq!(map[4 * worst..][..4], [252, 255, 214, 255]);
-    // from the same view with a frame left out the score is another
+    // the same view has another score without one of the frames
     model.set_options(r#"{"frame": 0}"#).unwrap();
     assert!((model.psnr(slope).unwrap() - error.psnr()).abs() > 1e-3);
     assert_eq!(model.render_target([0, 2]).unwrap()[..3], target[..3]);
@@ -345,7 +349,8 @@ fn a_backlight_is_shown_bin_by_bin() {
     assert_eq!((backlight.len(), backlight[0]), (4 * 72, srgb_code(directional.stack.emission.unwrap().data()[0])));
 }
 
-/// The tables say for every ray what the shader does with them: an oracle that reads them as the shader does gives the same picture.
+/// The tables contain all data of the shader: an oracle that reads them like the shader computes
+/// the same picture.
 #[test]
 fn tables_hold_the_whole_geometry() {
     for (i, display) in displays().into_iter().enumerate() {
@@ -369,14 +374,14 @@ fn tables_hold_the_whole_geometry() {
     }
 }
 
-/// What display.glsl computes, pixel by pixel in f64.
+/// Computes display.frag.glsl pixel by pixel in f64.
 fn as_the_shader_does(model: &Model, slope: [f64; 2]) -> Vec<f32> {
     let display = &model.preview().display;
     let tables = model.tables(slope, model.projection());
     let (rows, cols, layers) = (model.geometry().rows, model.geometry().cols, display.layers.len());
     let slots = model.slots();
     let frames = &model.complete()[slots.first..slots.first + slots.count];
-    let met: Vec<_> = (0..layers).map(|n| model.met(n, frames)).collect();
+    let hits: Vec<_> = (0..layers).map(|n| model.hit_values(n, frames)).collect();
     let texel = |table: &[f32], row: usize, width: usize, i: usize| {
         let at = 4 * (row * width + i);
         [table[at], table[at + 1], table[at + 2], table[at + 3]]
@@ -397,7 +402,7 @@ fn as_the_shader_does(model: &Model, slope: [f64; 2]) -> Vec<f32> {
                 let (mut view, mut counts) = (0.0, true);
                 for (m, &frame) in frames.iter().enumerate() {
                     let mut value = f64::from(display.formation.neutral());
-                    let meet = |value: &mut f64, v: f64| match display.formation {
+                    let combine = |value: &mut f64, v: f64| match display.formation {
                         Formation::Attenuating => *value *= v,
                         _ => *value += v,
                     };
@@ -407,11 +412,11 @@ fn as_the_shader_does(model: &Model, slope: [f64; 2]) -> Vec<f32> {
                             counts &= display.missing == Missing::Clear;
                             continue;
                         }
-                        let at = |r: f32, col: f32| f64::from(met[n].get([m, r as usize, col as usize, c]));
+                        let at = |r: f32, col: f32| f64::from(hits[n].get([m, r as usize, col as usize, c]));
                         let [tx, ty] = [f64::from(x[2]), f64::from(y[2])];
                         let top = at(y[0], x[0]) * (1.0 - tx) + at(y[0], x[1]) * tx;
                         let bottom = at(y[1], x[0]) * (1.0 - tx) + at(y[1], x[1]) * tx;
-                        meet(&mut value, black + (1.0 - black) * (top * (1.0 - ty) + bottom * ty));
+                        combine(&mut value, black + (1.0 - black) * (top * (1.0 - ty) + bottom * ty));
                     }
                     if display.formation == Formation::Polarization {
                         value = (std::f64::consts::FRAC_PI_2 * value).sin().powi(2);
@@ -436,7 +441,7 @@ fn as_the_shader_does(model: &Model, slope: [f64; 2]) -> Vec<f32> {
                     (light, area) = (light + share * view, area + share);
                 }
             }
-            // only this place's rays are dropped
+            // rays are dropped per point of the pupil
             sum += if area > 0.0 { light / area } else { 0.0 };
         }
         *value = (f64::from(model.gain()) * sum / count) as f32;
@@ -454,7 +459,7 @@ fn light_fields_are_mixed_in_linear_light() {
     assert_eq!(field.render(0.25, 0.0)[0], srgb_code(0.5));
     assert_eq!((field.render(1.0, 0.7)[0], field.render(-3.0, 9.0)[0], field.render(0.5, 0.0)[0]), (100, 0, 255));
     assert!(field.put([1, 0], vec![0; 8]).is_err() && field.put([0, 0], vec![0; 7]).is_err());
-    // a quilt of 2 × 2 tiles of one pixel: views count from the bottom left
+    // a quilt of 2 × 2 tiles with one pixel each; view 0 is at the bottom left
     let tiles: Vec<u8> = [30u8, 40, 10, 20].iter().flat_map(|code| [*code, 0, 0, 255]).collect();
     let quilt = Field::from_quilt(&tiles, [2, 2], [2, 2]).unwrap();
     assert_eq!([0, 1, 2, 3].map(|view| quilt.codes(view).unwrap()[0]), [10, 20, 30, 40]);

@@ -1,4 +1,5 @@
-//! A preview on the GPU: layers as texture arrays with one slice per frame, and the tables of where rays meet them.
+//! A preview on the GPU: layers as texture arrays with one slice per frame, and the tables of the
+//! rays' hits.
 
 use js_sys::Float32Array;
 use lumistack_display::{Backlight, Formation, Missing};
@@ -9,21 +10,26 @@ use super::parts::{check, location, message, program, texture};
 use crate::preview::Part;
 use crate::{Error, Model, err};
 
-/// One triangle that covers everything.
+/// One triangle that covers the canvas.
 const FULL: &str = include_str!("../shaders/full.vert.glsl");
-/// The seen picture at every pixel of the field: the mean over the parts of the pixel of what their rays meet, and over the places on the pupil. Where a ray meets a layer is looked up: the
-/// tables are those of `tables.rs`, made by `AreaMap`.
+/// Computes the seen picture at every pixel of the field: the mean over the pixel's parts and the
+/// pupil's points of the values that their rays hit. The hits are looked up in the tables of
+/// `tables.rs`, made by `AreaMap`.
 ///
 /// ```text
-/// attenuating    (1/M) Σ_m b ∏_n v        additive    (1/M) Σ_m (b + Σ_n v)        polarization    (1/M) Σ_m b sin²(π/2 Σ_n v)
+/// attenuating    (1/M) Σ_m b ∏_n v
+/// additive       (1/M) Σ_m (b + Σ_n v)
+/// polarization   (1/M) Σ_m b sin²(π/2 Σ_n v)
 /// ```
 ///
-/// Defined in front of this text: `DECLARE_LAYERS`, `MEET_LAYERS` (`MEET(n, layer_n)` for every layer), `FORMATION` (0, 1, 2), `DIRECTIONAL`, `LAYERS`. Visitors load the text, so it says little.
+/// These are defined before the text: `DECLARE_LAYERS`, `MEET_LAYERS` (`MEET(n, layer_n)` for every
+/// layer), `FORMATION` (0, 1, 2), `DIRECTIONAL`, `LAYERS`. Visitors load the text, so its comments
+/// are short.
 const DISPLAY: &str = include_str!("../shaders/display.frag.glsl");
-/// Texture units that are not layers': tables, the emission.
+/// Texture units besides the layers': tables, the emission.
 const OTHER_UNITS: usize = 3;
 
-/// What a context needs to show a preview.
+/// Objects of a context that shows a preview.
 pub(crate) struct Gpu {
     gl: Gl,
     display: WebGlProgram,
@@ -33,17 +39,19 @@ pub(crate) struct Gpu {
 }
 
 impl Gpu {
-    /// Makes everything and uploads what has arrived.
+    /// Creates all objects and uploads the parts that have arrived.
     ///
     /// # Errors
     /// If the context is lost or too small for the preview.
     pub(crate) fn new(gl: Gl, model: &Model) -> Result<Self, Error> {
+        // Prepare the context.
         check(&gl)?;
         gl.pixel_storei(Gl::UNPACK_ALIGNMENT, 1);
         gl.disable(Gl::DEPTH_TEST);
         gl.disable(Gl::DITHER);
         check_limits(&gl, model)?;
         let display = program(&gl, FULL, DISPLAY, &defines(model))?;
+        // Create a texture array per layer and for the backlight.
         let frames = model.preview().frames as i32;
         let array = |[rows, cols]: [usize; 2], plain: bool| {
             let texture = texture(&gl, Gl::TEXTURE_2D_ARRAY)?;
@@ -66,13 +74,14 @@ impl Gpu {
             ));
         }
         let gpu = Self { gl, display, layers, emission, taps };
+        // Upload the complete frames.
         for (slot, &frame) in model.complete().iter().enumerate() {
             gpu.upload(model, frame, slot)?;
         }
         Ok(gpu)
     }
 
-    /// Uploads a complete frame into a slice.
+    /// Uploads a complete frame to a slice.
     pub(crate) fn upload(&self, model: &Model, frame: usize, slot: usize) -> Result<(), Error> {
         let gl = &self.gl;
         check(gl)?;
@@ -102,7 +111,7 @@ impl Gpu {
                 bytes(texture, part)?;
                 continue;
             }
-            let met = model.met(n, &[frame]);
+            let values = model.hit_values(n, &[frame]);
             let [rows, cols] = preview.size_of(part);
             gl.bind_texture(Gl::TEXTURE_2D_ARRAY, Some(texture));
             gl.tex_sub_image_3d_with_opt_array_buffer_view(
@@ -116,7 +125,7 @@ impl Gpu {
                 1,
                 Gl::RGB,
                 Gl::FLOAT,
-                Some(&Float32Array::from(met.data())),
+                Some(&Float32Array::from(values.data())),
             )
             .map_err(|error| message(&error))?;
         }
@@ -126,7 +135,7 @@ impl Gpu {
         Ok(())
     }
 
-    /// Draws what the display shows from a slope to the canvas, one of its pixels for each of the field's.
+    /// Draws the view from a slope to the canvas, one of its pixels per pixel of the field.
     pub(crate) fn draw(&self, model: &Model, slope: [f64; 2]) -> Result<(), Error> {
         let gl = &self.gl;
         check(gl)?;
@@ -134,6 +143,7 @@ impl Gpu {
         let (rows, cols) = (model.geometry().rows, model.geometry().cols);
         gl.use_program(Some(&self.display));
         let at = |name: &str| location(gl, &self.display, name);
+        // Bind the layers, the emission and the tables.
         for (n, layer) in self.layers.iter().enumerate() {
             gl.active_texture(Gl::TEXTURE0 + n as u32);
             gl.bind_texture(Gl::TEXTURE_2D_ARRAY, Some(layer));
@@ -152,6 +162,7 @@ impl Gpu {
             self.upload_table(width, values)?;
             gl.uniform1i(at(name).as_ref(), unit as i32);
         }
+        // Set the options.
         let slots = model.slots();
         gl.uniform2i(at("slots").as_ref(), slots.first as i32, slots.count as i32);
         let [parts_x, parts_y] = tables.parts.map(|parts| parts as i32);
@@ -171,7 +182,7 @@ impl Gpu {
         Ok(())
     }
 
-    /// One table into the texture that is bound.
+    /// Uploads a table to the bound texture.
     fn upload_table(&self, width: usize, values: &[f32]) -> Result<(), Error> {
         let rows = values.len() / (4 * width);
         let upload = self.gl.tex_image_2d_with_i32_and_i32_and_i32_and_format_and_type_and_opt_array_buffer_view(
@@ -198,12 +209,12 @@ impl Drop for Gpu {
     }
 }
 
-/// What the shader is told about the display before it is compiled.
+/// The display's properties as definitions for the shader.
 fn defines(model: &Model) -> String {
     let display = &model.preview().display;
     let count = display.layers.len();
     let declared: String = (0..count).map(|n| format!("uniform sampler2DArray layer_{n}; ")).collect();
-    let met: String = (0..count).map(|n| format!("MEET({n}, layer_{n}) ")).collect();
+    let lookups: String = (0..count).map(|n| format!("MEET({n}, layer_{n}) ")).collect();
     let formation = match display.formation {
         Formation::Attenuating => 0,
         Formation::Additive => 1,
@@ -212,11 +223,11 @@ fn defines(model: &Model) -> String {
     let directional = i32::from(matches!(display.backlight, Backlight::Lenslets(_)));
     format!(
         "#define LAYERS {count}\n#define FORMATION {formation}\n#define DIRECTIONAL {directional}\n\
-         #define DECLARE_LAYERS {declared}\n#define MEET_LAYERS {met}\n"
+         #define DECLARE_LAYERS {declared}\n#define MEET_LAYERS {lookups}\n"
     )
 }
 
-/// Whether this graphics driver can hold the preview.
+/// Checks the limits of the graphics driver for the preview.
 fn check_limits(gl: &Gl, model: &Model) -> Result<(), Error> {
     let limit = |name: u32| gl.get_parameter(name).ok().and_then(|value| value.as_f64()).unwrap_or(0.0) as usize;
     let preview = model.preview();

@@ -1,4 +1,4 @@
-//! Drawing through WebGL2: its programs and its textures.
+//! Draws by WebGL2: programs and textures.
 
 mod display;
 mod parts;

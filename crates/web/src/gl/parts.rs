@@ -1,4 +1,4 @@
-//! What a picture through WebGL2 is made of: programs and textures.
+//! Helpers for WebGL2: programs and textures.
 
 use wasm_bindgen::JsValue;
 use web_sys::WebGl2RenderingContext as Gl;
@@ -6,10 +6,10 @@ use web_sys::{WebGlProgram, WebGlShader, WebGlTexture, WebGlUniformLocation};
 
 use crate::{Error, err};
 
-/// sRGB encoding (IEC 61966-2-1): the twin of `colour.rs`.
+/// sRGB encoding (IEC 61966-2-1), as in `colour.rs`.
 const COLOUR: &str = include_str!("../shaders/colour.glsl");
 
-/// The error of a context that the browser took away.
+/// The error of a lost context.
 pub(crate) const LOST: &str = "WebGL2: the browser took the graphics context away";
 
 pub(crate) fn message(value: &JsValue) -> Error {
@@ -17,12 +17,12 @@ pub(crate) fn message(value: &JsValue) -> Error {
 }
 
 /// # Errors
-/// When the browser has taken the context away; a new one has everything uploaded anew.
+/// If the context is lost; all data must be uploaded to a new one.
 pub(crate) fn check(gl: &Gl) -> Result<(), Error> {
     if gl.is_context_lost() { Err(err(LOST)) } else { Ok(()) }
 }
 
-/// A texture that is only read texel by texel.
+/// A texture that is read texel by texel.
 pub(crate) fn texture(gl: &Gl, kind: u32) -> Result<WebGlTexture, Error> {
     let texture = gl.create_texture().ok_or_else(|| err(LOST))?;
     gl.bind_texture(kind, Some(&texture));
@@ -41,7 +41,8 @@ pub(crate) fn location(gl: &Gl, program: &WebGlProgram, name: &str) -> Option<We
     gl.get_uniform_location(program, name)
 }
 
-/// Compiles and links; `defines` stands in front of the fragment shader, which also gets the colour functions.
+/// Compiles and links. `defines` precedes the fragment shader, which also gets the colour
+/// functions.
 pub(crate) fn program(gl: &Gl, vertex: &str, fragment: &str, defines: &str) -> Result<WebGlProgram, Error> {
     let precision =
         "precision highp float;\nprecision highp int;\nprecision highp sampler2D;\nprecision highp sampler2DArray;\n";
