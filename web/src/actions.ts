@@ -1,4 +1,4 @@
-// What the buttons of the top bar do: a picture, a video of a turn, a link.
+// Actions of the top bar's buttons: save a picture, record a turn, copy a link.
 import { download, fileName, record, toPng, videoFormat, type Recording } from "./capture.js";
 import type { Face } from "./face.js";
 import type { Motion } from "./motion.js";
@@ -27,12 +27,12 @@ export class TurnRecorder {
     private readonly motion: Motion,
   ) {}
 
-  /** Adds the picture on show, if a turn is being recorded. */
+  /** Adds the current picture to a recording. */
   frame(): void {
     this.recording?.frame(this.stage.main);
   }
 
-  /** Goes once around the zone; `wake` starts the drawing. */
+  /** Records one turn around the zone; `wake` starts the drawing. */
   async save(shown: Shown, wake: () => void): Promise<void> {
     const format = videoFormat();
     if (this.recording || format === undefined) return;

@@ -1,4 +1,4 @@
-// The state in the address bar, so that a link shows what one saw.
+// The state in the page's address, so that a link shows the same view.
 import { toHash, type Slope, type State } from "./state.js";
 
 /** Milliseconds between two writes; browsers limit how often the address may change. */
@@ -7,7 +7,7 @@ const REST_MS = 400;
 export class Address {
   private timer: ReturnType<typeof setTimeout> | undefined;
 
-  /** `#…` of a state; with the place where one stands, unless the view moves by itself. */
+  /** `#…` of a state. It includes the viewing position, unless the view moves by itself. */
   static hash(state: State, slope: Slope, always: boolean): string {
     const still = always || (!state.swing && slope.some((value) => value !== 0));
     const text = toHash(state, still ? slope : undefined);

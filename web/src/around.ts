@@ -1,4 +1,4 @@
-// What is shown while the patterns load: a picture from straight ahead, and mixtures of small views from around it.
+// Pictures while the patterns load: one from the middle, and blends of small views around it.
 import type { Around } from "./info.js";
 import type { Slope } from "./state.js";
 
@@ -9,12 +9,12 @@ export class Surroundings {
     private readonly around: Around,
   ) {}
 
-  /** Unpacks the picture; its bytes are those of `around.path`. */
+  /** Decodes the picture; its bytes are those of `around.path`. */
   static async of(around: Around, bytes: Uint8Array<ArrayBuffer>): Promise<Surroundings> {
     return new Surroundings(await createImageBitmap(new Blob([bytes], { type: "image/jpeg" })), around);
   }
 
-  /** Draws the four views that are nearest, each by its share. */
+  /** Draws the four nearest views with their weights. */
   draw(on: HTMLCanvasElement, [x, y]: Slope): void {
     const { cols, rows, slope_x, slope_y } = this.around;
     if (on.width !== cols) on.width = cols;
@@ -27,7 +27,7 @@ export class Surroundings {
       for (const [col, wide] of [left, right]) {
         const share = high * wide;
         if (share === 0) continue;
-        // Each picture over those before it: the last one counts by its share of all.
+        // Each picture covers those before it, so its alpha is its weight among all so far.
         sum += share;
         context.globalAlpha = share / sum;
         context.drawImage(this.quilt, col * cols, row * rows, cols, rows, 0, 0, cols, rows);
@@ -40,7 +40,10 @@ export class Surroundings {
   }
 }
 
-/** The places on either side of a slope and their shares; slopes rise or fall, and beyond the last one there is nothing else. */
+/**
+ * The indices on either side of a slope and their weights. Slopes rise or fall; past the last one
+ * the last view is used.
+ */
 export function between(slopes: readonly number[], slope: number): [[number, number], [number, number]] {
   const last = slopes.length - 1;
   if (last === 0) return [[0, 1], [0, 0]];

@@ -1,9 +1,9 @@
-// Pictures and videos that leave the page as downloads.
+// Saves pictures and videos as downloads.
 
-/** What MediaRecorder may be asked for, best first. */
+/** Formats to try with MediaRecorder, best first. */
 const FORMATS = ["video/mp4;codecs=avc1.640028", "video/webm;codecs=vp9", "video/webm;codecs=vp8", "video/webm"];
 const BITS_PER_S = 12e6;
-/** Least width of a video: pictures are enlarged by a whole number. */
+/** Least width of a video; pictures are enlarged by a whole number. */
 const VIDEO_PX = 960;
 
 export function download(blob: Blob, name: string): void {
@@ -19,23 +19,23 @@ export function toPng(canvas: HTMLCanvasElement): Promise<Blob> {
   return new Promise((resolve, reject) => canvas.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("the browser made no picture"))), "image/png"));
 }
 
-/** The format in which this browser records a canvas, if it does. */
+/** The format in which this browser records a canvas; undefined without one. */
 export function videoFormat(): string | undefined {
   if (typeof MediaRecorder === "undefined" || !("captureStream" in HTMLCanvasElement.prototype)) return undefined;
   return FORMATS.find((format) => MediaRecorder.isTypeSupported(format));
 }
 
 export interface Recording {
-  /** Adds what is on the canvas now. */
+  /** Adds the canvas's current content. */
   frame(canvas: HTMLCanvasElement): void;
   stop(): Promise<{ blob: Blob; extension: string }>;
 }
 
-/** Records onto a canvas of its own, so that it does not matter which one is on show. */
+/** Records a separate canvas, since the visible canvas may change. */
 export function record(width: number, height: number, format: string): Recording {
   const copy = document.createElement("canvas");
   const scale = Math.ceil(VIDEO_PX / width);
-  // Encoders want even sizes.
+  // Encoders require even sizes.
   copy.width = width * scale - ((width * scale) % 2);
   copy.height = height * scale - ((height * scale) % 2);
   const context = copy.getContext("2d")!;
@@ -55,7 +55,7 @@ export function record(width: number, height: number, format: string): Recording
   };
 }
 
-/** A file name of a title: "Still life" → "still-life". */
+/** The file name for a title: "Still life" → "still-life". */
 export function fileName(title: string): string {
   return (
     title

@@ -1,4 +1,5 @@
-// What is on show: a stack of layers with its simulator, or a light field of somebody else's.
+// The content of the viewer: a layer stack with its simulator, or a light field from other
+// programs.
 import type { Engine } from "./engine.js";
 import { infoOf, nearestView, viewSlope, type FileInfo, type Info } from "./info.js";
 import type { Wish } from "./painter.js";
@@ -10,11 +11,11 @@ export interface Content {
   readonly info: Info;
   /** Frames that can be drawn, rising. */
   readonly frames: readonly number[];
-  /** Whether the picture is what it will be: every frame is there, or will never be. */
+  /** True if the picture is final: every frame is complete, or will never be. */
   readonly whole: boolean;
-  /** Takes a graphics context, or gives it back. */
+  /** Takes a graphics context, or releases it. */
   attach(wish: Wish): void;
-  /** Takes over what the user has chosen. */
+  /** Applies the user's options. */
   apply(state: State): void;
   /** The picture to show. */
   shot(state: State, slope: Slope): Shot;
@@ -25,23 +26,23 @@ export class StackContent implements Content {
   readonly info: Info;
   readonly frames: number[] = [];
   whole = false;
-  /** Version of the module, and colours of the error map, from its start on. */
+  /** Version of the module, and colours of the error map; known once it has started. */
   about: { version: string; heat: string; heatTop: number } | undefined;
   private engine: Engine | undefined;
   /** Views of the target that have arrived, as row/column. */
   private readonly targets = new Set<string>();
-  /** Parts of each frame that have yet to arrive. */
+  /** Number of each frame's parts that have not arrived. */
   private readonly missing: number[];
   private options = "";
   private wanted = "";
 
-  /** Throws where the text is no preview. */
+  /** Throws if the text is no preview. */
   constructor(readonly json: string) {
     this.info = infoOf(json);
     this.missing = Array.from({ length: this.info.frames }, (_, frame) => this.info.files.filter((file) => file.frame === frame).length);
   }
 
-  /** Hands the preview to the simulator, which checks it. */
+  /** Opens the preview in the simulator, which checks it. */
   async open(engine: Engine, stage: Stage): Promise<void> {
     this.about = await openPreview(engine, this.json);
     this.engine = engine;
@@ -49,7 +50,7 @@ export class StackContent implements Content {
     this.sendOptions();
   }
 
-  /** A file has become part of the picture; whether that made a frame whole. */
+  /** Records a file that has arrived; returns true if its frame is complete now. */
   arrived({ frame, view }: FileInfo): boolean {
     if (view) this.targets.add(view.join("/"));
     if (frame === undefined || --this.missing[frame]! > 0) return false;
@@ -59,14 +60,14 @@ export class StackContent implements Content {
     return true;
   }
 
-  /** Takes all pictures at once, in place of those that were there: what is drawn is always of one state. */
+  /** Replaces all pictures at once, so that every drawn picture shows one state. */
   async exchange(codes: Uint8Array<ArrayBuffer>): Promise<void> {
     await this.engine?.call("exchange", [codes], [codes.buffer]);
     if (this.whole) return;
     for (const file of this.info.files) this.arrived(file);
   }
 
-  /** Other patterns in place of all files. */
+  /** Replaces all files by other patterns. */
   async renew(files: readonly ArrayBuffer[]): Promise<void> {
     await this.engine?.call("renew", [files]);
   }
@@ -94,14 +95,14 @@ export class StackContent implements Content {
     this.sendOptions();
   }
 
-  /** The mask of a layer, or of the backlight behind the last one. */
+  /** The mask of a layer, or of the backlight, whose index follows the last layer's. */
   mask(layer: number, frame: number): Shot {
     const { layers, backlight, field } = this.info;
     const { cols, rows } = layers[layer] ?? backlight ?? field;
     return { kind: "mask", field: [field.cols, field.rows], layer, frame, size: [cols, rows], backlight: layer >= layers.length };
   }
 
-  /** PSNR of the view that the comparison shows, in words. */
+  /** PSNR of the compared view, in words. */
   async psnr(slope: Slope): Promise<string> {
     const [row, col] = nearestView(this.info, slope);
     const { cols, rows } = this.info.views;
@@ -127,7 +128,7 @@ export class StackContent implements Content {
     }
     const view = nearestView(info, slope);
     if (state.mode !== "compare" || !this.targets.has(view.join("/"))) return { kind: "view", field, slope };
-    // Display and target are compared from exactly where the target was rendered.
+    // Display and target are compared at the slope for which the target was rendered.
     const snapped = viewSlope(info, ...view);
     if (state.comparison === "slider") return { kind: "split", field, slope: snapped, view, at: state.split };
     if (state.comparison === "side") return { kind: "side", field, slope: snapped, view };
@@ -141,7 +142,7 @@ export class StackContent implements Content {
   }
 }
 
-/** Checks a preview and opens it; the error says what is wrong with it. */
+/** Checks a preview and opens it; the error is the reason. */
 export async function openPreview(engine: Engine, json: string): Promise<{ version: string; heat: string; heatTop: number }> {
   try {
     return await engine.call("open", [json]);
@@ -163,11 +164,11 @@ export class FieldContent implements Content {
   }
 
   attach(): void {
-    // The processor mixes views.
+    // The processor blends views.
   }
 
   apply(): void {
-    // Nothing to choose: the views are shown as they are.
+    // There are no options: the views are shown unchanged.
   }
 
   shot(_state: State, [x, y]: Slope): Shot {
@@ -181,7 +182,7 @@ export class FieldContent implements Content {
   }
 }
 
-/** A frame itself, or the last before it that can be drawn, or the first after it. */
+/** A frame itself, or the last earlier one that can be drawn, or the first later one. */
 export function readyFrame(frames: readonly number[], frame: number): number {
   return frames.findLast((each) => each <= frame) ?? frames[0] ?? 0;
 }

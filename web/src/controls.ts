@@ -1,4 +1,4 @@
-// What the buttons, sliders and keys around the picture do to the state.
+// The effect of the buttons, sliders and keys around the picture on the state.
 import { copyLink, savePicture, TurnRecorder, type Shown } from "./actions.js";
 import { Address } from "./address.js";
 import { listenToChooser, listenToDrops } from "./chooser.js";
@@ -16,7 +16,7 @@ import { toggleTheme } from "./theme.js";
 
 const FURTHEST_PITCH = 1.45;
 
-/** What the controls act on. */
+/** The objects that the controls change. */
 export interface Controlled {
   readonly element: HTMLElement;
   readonly root: ShadowRoot;
@@ -28,7 +28,7 @@ export interface Controlled {
   content(): Content | undefined;
   set(change: Partial<State>): void;
   look(slope: Slope): void;
-  /** The picture on show. */
+  /** The current picture. */
   shot(): Shot | undefined;
   stepFrame(by: number): void;
   open(files: ReadonlyMap<string, File>): Promise<void>;
@@ -48,7 +48,7 @@ export class Controls {
     this.listenToButtons();
   }
 
-  /** A picture has been drawn. */
+  /** Called after a picture has been drawn. */
   drawn(): void {
     this.turn.frame();
   }
@@ -57,7 +57,7 @@ export class Controls {
     const { on } = this;
     const from = event.composedPath()[0];
     if (!(from instanceof HTMLElement) || event.defaultPrevented || !on.content() || (on.face.at("chooser") as HTMLDialogElement).open) return;
-    // Sliders, fields and buttons keep the keys that they understand.
+    // Sliders, fields and buttons handle their own keys.
     const own = { INPUT: /^(Arrow|Home|End|Page| )/, BUTTON: /^( |Enter)/, TEXTAREA: /./, SELECT: /./ }[from.tagName];
     if (own?.test(event.key) || from.isContentEditable) return;
     if (handleKey(event, on.motion, this.target)) event.preventDefault();

@@ -1,4 +1,4 @@
-// A promise that is settled from outside.
+// A promise that is resolved or rejected from outside.
 
 export interface Deferred {
   promise: Promise<void>;
@@ -11,7 +11,7 @@ export function deferred(): Deferred {
   let resolve!: () => void;
   let reject!: (error: Error) => void;
   const promise = new Promise<void>((yes, no) => ([resolve, reject] = [yes, no]));
-  // Whoever does not ask is told by the page itself.
+  // An unused promise must not cause an error in the console: the page shows the error itself.
   promise.catch(() => undefined);
   const made: Deferred = {
     promise,

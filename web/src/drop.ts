@@ -1,4 +1,5 @@
-// What was dropped or chosen: a preview, a run folder with one, a quilt, or the views of a light field.
+// Recognizes dropped or chosen files: a preview, a run folder with one, a quilt, or the views of a
+// light field.
 import { Problem } from "./problem.js";
 
 export type Dropped =
@@ -14,7 +15,7 @@ const ROW_COL = [/^view[_-](\d+)[_-](\d+)\b/i, /^out[_-](\d+)[_-](\d+)[_-]/i, /(
 const RUNNING = /(\d+)\.[a-z]+$/i;
 const MOST_FILES = 20000;
 
-/** The files of a drop with their paths; folders are walked through. */
+/** The files of a drop with their paths, including those in folders. */
 export async function filesOf(transfer: DataTransfer): Promise<Map<string, File>> {
   const entries = [...transfer.items].map((item) => item.webkitGetAsEntry?.() ?? null);
   const files = new Map<string, File>();
@@ -38,7 +39,10 @@ export function filesByName(list: Iterable<File>): Map<string, File> {
   return new Map([...list].map((file) => [file.webkitRelativePath || file.name, file]));
 }
 
-/** Recognizes what the files are, or says what was found and what would do. */
+/**
+ * Recognizes the kind of the files; otherwise throws a Problem with the files found and those
+ * expected.
+ */
 export function recognize(files: ReadonlyMap<string, File>): Dropped {
   if (files.size === 0) throw new Problem("Nothing arrived: no files in what was dropped.", WANTED, false);
   const json = [...files.keys()].filter((path) => /(^|\/)preview\.json$/.test(path)).sort((a, b) => a.length - b.length)[0];
@@ -71,7 +75,7 @@ function quiltOf(file: File): Dropped {
   return { kind: "quilt", file, cols, rows, aspect: aspect > 0 ? aspect : undefined, title: file.name.replace(QUILT, "") };
 }
 
-/** Views in rows from the top, columns from the left, as their names say. */
+/** Views in rows from the top and columns from the left, by their names. */
 export function gridOf(pictures: readonly (readonly [string, File])[]): File[][] {
   const named = pictures.map(([path, file]) => ({ file, name: path.replace(/^.*\//, "") })).sort((a, b) => a.name.localeCompare(b.name, "en", { numeric: true }));
   for (const pattern of ROW_COL) {

@@ -1,8 +1,14 @@
 // <lumistack-viewer src="stack/preview.json">: loads a preview and shows it.
 //
-// Attributes: src; renderer="cpu" leaves WebGL2 alone and "webgl2" takes it in any case; wasm names the module's file where it does not lie beside the script;
-// theme="dark" or "light" instead of what the system says; url-state keeps the state in the page's address; keyboard="page"
-// listens to keys anywhere on the page, not only on the focused picture; hold keeps the view from swinging.
+// Attributes:
+//
+// * src: address of the preview
+// * renderer: "cpu" never uses WebGL2, and "webgl2" always does
+// * wasm: URL of the module, if it is not beside the script
+// * theme: "dark" or "light" replaces the system's
+// * url-state: keeps the state in the page's address
+// * keyboard: "page" receives keys of the whole page, not only of the focused picture
+// * hold: keeps the view from swinging
 import { Address } from "./address.js";
 import type { Surroundings } from "./around.js";
 import { toPng, videoFormat } from "./capture.js";
@@ -30,18 +36,23 @@ import sheetCss from "./sheet/viewer.css";
 
 export interface LumistackErrorDetail {
   message: string;
-  /** What one can do about it. */
+  /** A possible remedy. */
   advice: string;
-  /** Nothing can be shown. */
+  /** True if nothing can be shown. */
   fatal: boolean;
 }
 
-/** Width below which the sheet stacks everything, CSS pixels. */
+/** Width below which all parts are stacked, CSS pixels. */
 const NARROW_PX = 860;
-/** Milliseconds between two descriptions of where one stands, and of rest before PSNR is computed. */
+/**
+ * Milliseconds between two descriptions of the viewing position, and of rest before PSNR is
+ * computed.
+ */
 const WORDS_MS = 90;
 const PSNR_MS = 60;
-/** Milliseconds out of sight after which a viewer gives its graphics context back: browsers have few. */
+/**
+ * Milliseconds out of sight after which a viewer releases its graphics context: browsers allow few.
+ */
 const REST_MS = 1500;
 
 export class LumistackViewer extends HTMLElement {
@@ -63,7 +74,7 @@ export class LumistackViewer extends HTMLElement {
 
   private state: State = { ...DEFAULTS };
   private content: Content | undefined;
-  /** What one may look around in before the patterns are there. */
+  /** Views to look around in before the patterns have arrived. */
   private around: Surroundings | undefined;
   private resting: ReturnType<typeof setTimeout> | undefined;
 
@@ -129,9 +140,9 @@ export class LumistackViewer extends HTMLElement {
     });
   }
 
-  // --- the public side
+  // --- public interface
 
-  /** Resolves with the first picture, rejects when there will be none. */
+  /** Resolves with the first picture; rejects if there will be none. */
   get ready(): Promise<void> {
     return this.loader.firstPicture.promise;
   }
@@ -155,7 +166,7 @@ export class LumistackViewer extends HTMLElement {
     this.set({ mode });
   }
 
-  /** How the mode "compare" compares. */
+  /** The kind of comparison in the mode "compare". */
   get comparison(): Comparison {
     return this.state.comparison;
   }
@@ -163,7 +174,7 @@ export class LumistackViewer extends HTMLElement {
     this.set({ comparison });
   }
 
-  /** Where one looks from. Setting it ends swing and inertia. */
+  /** The slope of the view. Setting it ends swing and inertia. */
   get slope(): Slope {
     return this.motion.slope;
   }
@@ -173,25 +184,28 @@ export class LumistackViewer extends HTMLElement {
     this.ticker.now();
   }
 
-  /** Who draws: "webgl2" or "cpu". */
+  /** The renderer: "webgl2" or "cpu". */
   get path(): Path {
     return this.stage.path;
   }
 
-  /** RGBA bytes of the picture on show, at the light field's own size; of a comparison side by side those of the display. */
+  /**
+   * RGBA bytes of the current picture, in the light field's size; of a side-by-side comparison
+   * those of the display.
+   */
   async pixels(): Promise<ImageData> {
     const shot = this.shot();
     return shot ? this.stage.pixels(shot) : new ImageData(1, 1);
   }
 
-  /** The picture on show as PNG. */
+  /** The current picture as PNG. */
   async screenshot(): Promise<Blob> {
     const shot = this.shot();
     if (!shot) throw new Error("there is no picture yet");
     return toPng(await this.stage.still(shot));
   }
 
-  /** Shows what is among the files (path → file): a preview, a quilt, the views of a light field. */
+  /** Shows the files (path → file): a preview, a quilt, or the views of a light field. */
   async open(files: ReadonlyMap<string, File>): Promise<void> {
     try {
       const dropped = recognize(files);
@@ -203,8 +217,9 @@ export class LumistackViewer extends HTMLElement {
   }
 
   /**
-   * Shows patterns that are being computed: `json` is their preview, `codes` holds all its pictures in the preview's order, [row][col][rgb] each. Those of the
-   * preview on show take the place of the former at once.
+   * Shows patterns that are being computed. `json` is their preview, and `codes` contains all its
+   * pictures in the preview's order, [row][col][rgb] each. Patterns of the current preview are
+   * replaced at once.
    */
   async showStack(json: string, codes: Uint8Array<ArrayBuffer>): Promise<void> {
     const { content } = this;
@@ -214,14 +229,17 @@ export class LumistackViewer extends HTMLElement {
     this.stateChanged();
   }
 
-  /** Other patterns for the preview on show, a PNG for every file that it names: all of them take effect at once. */
+  /**
+   * Replaces the patterns of the current preview at once; `files` has a PNG for every file that it
+   * names.
+   */
   async renew(files: readonly ArrayBuffer[]): Promise<void> {
     if (!(this.content instanceof StackContent)) return;
     await this.content.renew(files);
     this.stateChanged();
   }
 
-  // --- life
+  // --- life cycle
 
   connectedCallback(): void {
     this.life = new AbortController();
@@ -312,7 +330,7 @@ export class LumistackViewer extends HTMLElement {
     this.stateChanged();
   }
 
-  /** The simulator of what is on show has started. */
+  /** Called when the simulator of the current content has started. */
   private opened(content: Content, engine: Engine): void {
     engine.onPath = ({ path, why }) => this.pathChanged(path, why);
     if (content instanceof StackContent) {
@@ -324,7 +342,7 @@ export class LumistackViewer extends HTMLElement {
     this.stateChanged();
   }
 
-  /** The picture that a page brings along, or else the one that the preview names. */
+  /** The poster in the page, otherwise the one that the preview names. */
   private get poster(): HTMLImageElement {
     return this.querySelector<HTMLImageElement>('img[slot="poster"]') ?? (this.face.at("poster") as HTMLImageElement);
   }
@@ -332,7 +350,7 @@ export class LumistackViewer extends HTMLElement {
   private showPoster(address: string): void {
     const { poster } = this;
     if (poster.src === address) return;
-    // Another preview than the one that the page was made for.
+    // This is another preview than the page's own.
     if (poster.slot) poster.remove();
     const ours = this.face.at("poster") as HTMLImageElement;
     ours.src = address;
@@ -361,7 +379,7 @@ export class LumistackViewer extends HTMLElement {
     this.ticker.redraw();
   }
 
-  /** Keeps the state within what a display has. */
+  /** Limits the state to the display's layers and frames. */
   private fit(info: Info): void {
     const { state } = this;
     state.frame = Math.min(state.frame, info.frames - 1);
@@ -377,7 +395,7 @@ export class LumistackViewer extends HTMLElement {
   }
 
   private arrived(content: StackContent, file: FileInfo): void {
-    // A new frame may be the one to show.
+    // A new frame may be the selected one.
     if (content.arrived(file)) this.stateChanged();
     this.ticker.redraw();
   }
@@ -400,7 +418,7 @@ export class LumistackViewer extends HTMLElement {
 
   private progress(share: number): void {
     const { content } = this;
-    // Under a picture the bar is enough.
+    // With a poster, the bar is enough.
     let text = content?.whole || this.hasPoster ? "" : "Loading…";
     if (text && content instanceof StackContent) {
       const { frames } = content.info;
@@ -469,7 +487,7 @@ export class LumistackViewer extends HTMLElement {
     this.stateChanged();
   }
 
-  /** Brings everything into line with the state and asks for a picture. */
+  /** Updates all parts for the state and requests a picture. */
   private stateChanged(): void {
     const { state, content } = this;
     const info = content?.info;
@@ -501,7 +519,7 @@ export class LumistackViewer extends HTMLElement {
     const room: [number, number] = [this.stageBox.clientWidth, this.stageBox.clientHeight];
     const shape = content?.info ?? { field: { cols: poster.naturalWidth, rows: poster.naturalHeight } };
     const { box, one, tall, aspect } = layOut(shape, state, room, this.clientWidth <= NARROW_PX);
-    // A narrow page gives the picture no more height than it fills.
+    // On a narrow page the stage is only as high as the picture.
     this.stageBox.style.setProperty("--aspect", String(aspect));
     this.picture.classList.toggle("tall", tall);
     [this.picture.style.width, this.picture.style.height] = [`${box[0]}px`, `${box[1]}px`];
@@ -509,13 +527,13 @@ export class LumistackViewer extends HTMLElement {
     this.ticker.redraw();
   }
 
-  /** What is to be seen now, where there are patterns. */
+  /** The picture to show; undefined without patterns. */
   private shot(): Shot | undefined {
     const { content } = this;
     return content && content.frames.length > 0 ? content.shot(this.state, this.motion.slope) : undefined;
   }
 
-  /** Whether something stands in for the picture until every frame is there: the mean of a few is confetti. */
+  /** True while a substitute is shown: the mean of a few frames is only noise. */
   private get isEarly(): boolean {
     const { content, state } = this;
     return state.mode === "perceived" && !content?.whole && (this.hasPoster || this.around !== undefined);
@@ -525,7 +543,7 @@ export class LumistackViewer extends HTMLElement {
     const { isEarly } = this;
     if (isEarly) {
       this.face.early(true);
-      // The poster is sharper: small views serve whoever moves before the patterns are there.
+      // The poster is sharper; small views are for users who move before the patterns have arrived.
       if (this.around && !this.motion.fresh) this.around.draw(this.face.at("early") as HTMLCanvasElement, this.motion.slope);
     } else {
       const shot = this.shot();
@@ -540,7 +558,7 @@ export class LumistackViewer extends HTMLElement {
     }, WORDS_MS);
   }
 
-  /** A picture is on the canvas. */
+  /** Called when a picture is on the canvas. */
   private drawn(): void {
     this.controls.drawn();
     this.face.early(this.isEarly);

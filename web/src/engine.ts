@@ -1,5 +1,5 @@
-// The simulator in a thread of its own: nothing that it does holds up the page.
-import type { Told } from "./painter.js";
+// The simulator in its own thread, so that it never blocks the page.
+import type { PathChange } from "./painter.js";
 import { Problem, problemOf } from "./problem.js";
 import { fromBase64 } from "./source.js";
 import type { Methods } from "./worker.js";
@@ -7,7 +7,10 @@ import WORKER from "worker:./worker.ts";
 
 let compiling: Promise<WebAssembly.Module> | undefined;
 
-/** Compiles the module once; a failed attempt may be repeated. It lies beside the script, elsewhere, or in the page. */
+/**
+ * Compiles the module once; a failed attempt may be repeated. The module is beside the script, at a
+ * given URL, or in the page.
+ */
 function compile(url: string | null): Promise<WebAssembly.Module> {
   const get = async (): Promise<WebAssembly.Module> => {
     const inline = window.LUMISTACK_INLINE?.["wasm"];
@@ -24,12 +27,12 @@ function compile(url: string | null): Promise<WebAssembly.Module> {
 export class Engine {
   private readonly waiting = new Map<number, { resolve: (value: never) => void; reject: (error: Error) => void }>();
   private last = 0;
-  /** Told when the way pictures are made changes. */
-  onPath: ((told: Told) => void) | undefined;
+  /** Called when another renderer draws. */
+  onPath: ((change: PathChange) => void) | undefined;
 
   private constructor(private readonly worker: Worker) {
     worker.onmessage = ({ data: [id, value, error] }: MessageEvent<[number, unknown, string | undefined]>) => {
-      if (id === 0) return this.onPath?.(value as Told);
+      if (id === 0) return this.onPath?.(value as PathChange);
       const { resolve, reject } = this.waiting.get(id)!;
       this.waiting.delete(id);
       if (error === undefined) resolve(value as never);
@@ -41,7 +44,7 @@ export class Engine {
     };
   }
 
-  /** `url` names the module where it does not lie beside the script. */
+  /** `url` is the module's, if it is not beside the script. */
   static async start(url: string | null): Promise<Engine> {
     try {
       const module = await compile(url);
@@ -58,7 +61,7 @@ export class Engine {
     }
   }
 
-  /** Calls are answered in their order. `handed` is no longer ours afterwards. */
+  /** Calls are answered in order. The objects in `handed` are transferred. */
   call<K extends keyof Methods>(name: K, args: Parameters<Methods[K]>, handed: Transferable[] = []): Promise<ReturnType<Methods[K]>> {
     return new Promise((resolve, reject) => {
       const id = ++this.last;
@@ -67,7 +70,7 @@ export class Engine {
     });
   }
 
-  /** Ends the thread and gives its memory and its graphics context back. */
+  /** Ends the thread, which releases its memory and its graphics context. */
   stop(): void {
     this.worker.terminate();
   }

@@ -1,8 +1,9 @@
-// The layers pulled apart, without WebGL: in a parallel projection every layer is an affine picture.
+// Draws the separated layers without WebGL: in a parallel projection every layer is an affine
+// picture.
 import type { Info } from "./info.js";
 import type { Slope } from "./state.js";
 
-/** The layers and the size of what stands in front of one. */
+/** The layers, and the size of the field. */
 export type Stack = Pick<Info, "field" | "layers">;
 
 export interface Exploded {
@@ -13,19 +14,20 @@ export interface Exploded {
   stack: Stack;
 }
 
-/** Share of the canvas that the turned stack fills. */
+/** Fraction of the canvas that the rotated stack fills. */
 const FILL = 0.86;
-/** Rays across the field. */
+/** Number of rays across the field. */
 const RAYS = 5;
 
-/** `mask` gives the picture of a layer. */
+/** Draws the stack; `mask` returns the picture of a layer. */
 export function explode(context: OffscreenCanvasRenderingContext2D, { slope, yaw, pitch, spread, stack }: Exploded, mask: (layer: number) => OffscreenCanvas): void {
   const on = context.canvas;
   const { layers } = stack;
   const { width_mm, height_mm } = stack.field;
   const count = layers.length;
   const apart = (spread * width_mm * 1.1) / Math.max(count, 2);
-  // Backlight at 0, layers at 1, 2, …: places along the normal, the middle one at the origin.
+  // Backlight at 0, layers at 1, 2, …: positions along the normal, with the middle one at the
+  // origin.
   const place = (i: number): number => (i - count / 2) * apart;
   const [cosY, sinY, cosP, sinP] = [Math.cos(yaw), Math.sin(yaw), Math.cos(pitch), Math.sin(pitch)];
   const project = (x: number, y: number, z: number): [number, number] => {
@@ -33,6 +35,7 @@ export function explode(context: OffscreenCanvasRenderingContext2D, { slope, yaw
     const back = z * cosY - x * sinY;
     return [right, y * cosP - back * sinP];
   };
+  // Scale the stack to the canvas.
   const halfX = (width_mm / 2) * Math.abs(cosY) + Math.abs(place(count) * sinY);
   const halfY = (height_mm / 2) * cosP + (Math.abs(place(count) * cosY) + (width_mm / 2) * Math.abs(sinY)) * Math.abs(sinP);
   const scale = FILL * Math.min(on.width / 2 / halfX, on.height / 2 / halfY);
@@ -42,6 +45,7 @@ export function explode(context: OffscreenCanvasRenderingContext2D, { slope, yaw
   };
   context.setTransform(1, 0, 0, 1, 0, 0);
   context.clearRect(0, 0, on.width, on.height);
+  // Draw from back to front.
   const far = Math.cos(yaw) >= 0 ? 0 : count;
   for (let n = 0; n <= count; n++) {
     const i = far === 0 ? n : count - n;
@@ -64,6 +68,7 @@ export function explode(context: OffscreenCanvasRenderingContext2D, { slope, yaw
     context.setTransform(1, 0, 0, 1, 0, 0);
     outline(context, [corner, right, [right[0] + down[0] - corner[0], right[1] + down[1] - corner[1]], down]);
   }
+  // Draw some rays of the view on top.
   context.setTransform(1, 0, 0, 1, 0, 0);
   const thin = Math.max(on.width / 600, 1.2);
   const gap = count > 1 ? (layers[count - 1]!.d_mm - layers[0]!.d_mm) / (count - 1) : 1;
@@ -75,7 +80,7 @@ export function explode(context: OffscreenCanvasRenderingContext2D, { slope, yaw
       const point = toCanvas(x + slope[0] * drift, slope[1] * drift, place(i));
       context.lineTo(point[0], point[1]);
     }
-    // Dark below bright, so that a ray shows on any pattern and in either theme.
+    // A dark line below a bright one is visible on any pattern and in both themes.
     for (const [colour, width] of [
       ["rgb(0 0 0 / 0.6)", 2.6 * thin],
       ["#f2ad3f", thin],

@@ -1,4 +1,4 @@
-// What stands around the picture: controls in line with the state, progress, messages, and in words where one stands.
+// The parts around the picture: controls, progress, messages, and the viewing position in words.
 import type { Problem } from "./problem.js";
 import { layerName } from "./sheet.js";
 import { zoneSlope, type Info } from "./info.js";
@@ -7,7 +7,7 @@ import type { Mode, Path, Slope, State } from "./state.js";
 import { ICONS } from "./template.js";
 import { inWords, isInside } from "./zone.js";
 
-/** Milliseconds after which a message that asks for nothing goes away. */
+/** Milliseconds after which a message that needs no answer disappears. */
 const PASSING_MS = 8000;
 
 export class Face {
@@ -24,25 +24,25 @@ export class Face {
     return this.root.getElementById(id)!;
   }
 
-  /** Names and limits of a display that has just been loaded. */
+  /** Sets names and limits for a display that has just been loaded. */
   setUp(info: Info): void {
     this.at("title").textContent = info.title || "Untitled";
     this.at("facts").textContent = facts(info);
     this.at("caption").textContent = info.caption;
-    // A light field of somebody else's has no layers, and so no modes and nothing that could be built badly.
+    // A light field from other programs has no layers, so no modes and no construction errors.
     this.frame.classList.toggle("foreign", info.layers.length === 0);
     (this.at("exploded-frame") as HTMLInputElement).max = String(info.frames - 1);
     this.at("exploded-frame-label").hidden = info.frames < 2;
   }
 
-  /** The error map's colours, and who draws with what version. */
+  /** Shows the error map's colours, and the version and the renderer. */
   about(version: string, heat: string, heatTop: number): void {
     (this.root.querySelector("#legend i") as HTMLElement).style.background = `linear-gradient(90deg, ${heat})`;
     this.at("legend-most").textContent = `${Math.round(heatTop * 100)} % of white`;
     this.version = version;
   }
 
-  /** Makes a mode available or not. */
+  /** Enables or disables a mode. */
   allow(mode: string, possible: boolean): void {
     this.radio("mode", mode).disabled = !possible;
   }
@@ -51,7 +51,7 @@ export class Face {
     return this.root.querySelector(`input[name="${name}"][value="${value}"]`)!;
   }
 
-  /** Brings the controls into line with the state. */
+  /** Updates the controls for the state. */
   showState(state: State, info: Info | undefined): void {
     this.frame.dataset["mode"] = state.mode;
     this.frame.dataset["comparison"] = state.comparison;
@@ -86,7 +86,7 @@ export class Face {
     if (info) this.at("frame-count").textContent = `Frame ${state.frame + 1} of ${info.frames}`;
   }
 
-  /** Says where one stands; `resting` also to screen readers. */
+  /** Describes the viewing position; while `resting` also to screen readers. */
   describe(info: Info, state: State, slope: Slope, resting: boolean): void {
     const inside = isInside(slope, zoneSlope(info));
     const place = this.at("place");
@@ -102,15 +102,15 @@ export class Face {
     if (resting && live.textContent !== said) live.textContent = said;
   }
 
-  /** How to look around, while nobody has. */
+  /** Shows or hides the hint on how to look around, until the user has. */
   nudge(visible: boolean): void {
     this.at("nudge").hidden = !visible;
   }
 
-  /** Whether what is shown is not yet what the patterns give. */
+  /** Marks a picture that substitutes for the patterns. */
   early(on: boolean): void {
     this.at("picture").classList.toggle("early", on);
-    // From the first decision on: until then a poster shows.
+    // Until this first call a poster shows.
     this.at("picture").classList.add("started");
   }
 
@@ -122,7 +122,7 @@ export class Face {
     bar.lastElementChild!.textContent = text;
   }
 
-  /** A card in place of the picture. */
+  /** Shows a card in place of the picture. */
   card(title: string, what: string, advice: string): void {
     const card = this.at("card");
     card.querySelector("h2")!.textContent = title;
@@ -136,7 +136,7 @@ export class Face {
     this.card("This preview cannot be shown", message, advice);
   }
 
-  /** A line over the picture; one that passes goes away by itself. */
+  /** Shows a line over the picture; a passing one disappears by itself. */
   notice(text: string, kind: "warn" | "passing" | "plain"): void {
     clearTimeout(this.passing);
     const notice = this.at("notice");
@@ -151,7 +151,7 @@ export class Face {
     this.at("notice").hidden = true;
   }
 
-  /** A load begins: nothing is wrong yet. */
+  /** Resets messages when a load begins. */
   fresh(): void {
     this.silence();
     this.at("card").hidden = true;
@@ -174,7 +174,7 @@ export class Face {
   }
 }
 
-/** What one may expect of the picture from here. */
+/** The expected quality of the picture at this position. */
 function whereabouts(info: Info, mode: Mode, inside: boolean): string {
   if (info.layers.length === 0) return inside ? "Among the views." : "Beyond the outermost view.";
   if (mode === "compare") return "Compared at the nearest view.";

@@ -1,4 +1,5 @@
-// What preview.json says of a display, as far as the page needs it. The module checks the file; this only reads it.
+// The parts of preview.json that the page needs. The module checks the file; this code only reads
+// it.
 import type { Slope } from "./state.js";
 
 export interface LayerInfo {
@@ -17,7 +18,7 @@ export interface FileInfo {
   bytes?: number;
 }
 
-/** Small views side by side in one picture, the first at the left and from above. */
+/** Small views side by side in one picture, from left to right and from the top. */
 export interface Around {
   path: string;
   /** Pixels of a view. */
@@ -41,17 +42,17 @@ export interface Info {
   /** Half angles of the zone. */
   zone: { x_rad: number; y_rad: number };
   files: FileInfo[];
-  /** Path of a picture from straight ahead. */
+  /** Path of a picture from the middle. */
   poster?: string;
   around?: Around;
 }
 
-/** Throws where the text is no preview. */
+/** Throws if the text is no preview. */
 export function infoOf(json: string): Info {
   const { title = "", caption = "", display, target, frames, brightness, files, poster, around } = JSON.parse(json);
   const emission = files.find(({ kind }: FileInfo) => kind === "emission");
   const [rows, cols] = [target.slope_y.length, target.slope_x.length];
-  // One view promises nothing beside it.
+  // A single view makes no zone.
   const half = (axis: number, views: number): number => (views > 1 ? (display.field.fov_deg[axis] * Math.PI) / 360 : 0);
   return {
     title,
@@ -75,7 +76,7 @@ export function infoOf(json: string): Info {
   };
 }
 
-/** Tangents of the zone's half angles; never 0, so that they may divide. */
+/** Slopes of the zone's half angles; never 0, since they are divisors. */
 export function zoneSlope(info: Info): Slope {
   return [Math.max(Math.tan(info.zone.x_rad), 1e-6), Math.max(Math.tan(info.zone.y_rad), 1e-6)];
 }
@@ -85,7 +86,7 @@ export function viewSlope(info: Info, row: number, col: number): Slope {
   return info.views.slopes[row * info.views.cols + col] ?? [0, 0];
 }
 
-/** Row and column of the view of the target that is nearest to a slope. */
+/** Row and column of the target's view that is nearest to a slope. */
 export function nearestView({ views }: Info, [x, y]: Slope): [number, number] {
   const nearest = (slopes: number[], slope: number): number =>
     slopes.reduce((best, each, i) => (Math.abs(each - slope) < Math.abs(slopes[best]! - slope) ? i : best), 0);

@@ -14,18 +14,19 @@ export interface InputTarget {
   moved(): void;
 }
 
-/** Radians that the exploded stack turns per pixel, and per key. */
+/** Radians by which the exploded stack turns per pixel, and per key. */
 const TURN_PER_PX = 0.006;
 const TURN_PER_KEY = 0.09;
-/** Share of the zone's half width that an arrow key goes. */
+/** Step of an arrow key, as a fraction of the zone's half width. */
 const STEP = 0.08;
-/** Pixels of a finger's travel that cross half the zone, as a share of the stage. */
+/** Travel of a finger across half the zone, as a fraction of the stage's width. */
 const TRAVEL = 0.32;
 
 export function listenToPointer(stage: HTMLElement, motion: Motion, target: InputTarget): void {
   let last: { x: number; y: number } | undefined;
   const ours = (event: PointerEvent): boolean => !(event.target as Element).closest("button, .card, .notice");
 
+  // Press: a drag begins, by touch or on the exploded stack.
   stage.addEventListener("pointerdown", (event) => {
     if (!ours(event) || event.button !== 0) return;
     if (event.pointerType !== "mouse" || target.mode() === "exploded") {
@@ -36,6 +37,7 @@ export function listenToPointer(stage: HTMLElement, motion: Motion, target: Inpu
       target.moved();
     }
   });
+  // Move: a drag turns the stack or the view; a mouse without a button sets the view.
   stage.addEventListener("pointermove", (event) => {
     const [zoneX, zoneY] = target.zone();
     const box = stage.getBoundingClientRect();
@@ -43,7 +45,7 @@ export function listenToPointer(stage: HTMLElement, motion: Motion, target: Inpu
       const [dx, dy] = [event.clientX - last.x, event.clientY - last.y];
       last = { x: event.clientX, y: event.clientY };
       if (target.mode() === "exploded") target.turn(dx * TURN_PER_PX, dy * TURN_PER_PX);
-      // The finger holds the display: dragged to the left, one sees more of it from the right.
+      // The finger holds the display: dragged to the left, it shows more from the right.
       else motion.lookBy([(-dx / (box.width * TRAVEL)) * zoneX, (dy / (box.width * TRAVEL)) * zoneY]);
       target.moved();
     } else if (event.pointerType === "mouse" && ours(event) && target.mode() !== "exploded" && target.mode() !== "layers") {
@@ -53,6 +55,7 @@ export function listenToPointer(stage: HTMLElement, motion: Motion, target: Inpu
       target.moved();
     }
   });
+  // Release: the drag ends, with inertia.
   const end = (event: PointerEvent): void => {
     if (!last) return;
     last = undefined;
@@ -64,7 +67,7 @@ export function listenToPointer(stage: HTMLElement, motion: Motion, target: Inpu
   stage.addEventListener("pointercancel", end);
 }
 
-/** Handles a key; whether it meant something. */
+/** Handles a key; returns true if it has a function. */
 export function handleKey(event: KeyboardEvent, motion: Motion, target: InputTarget): boolean {
   if (event.ctrlKey || event.metaKey || event.altKey) return false;
   const arrow = ({ ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] } as Record<string, [number, number]>)[event.key];
@@ -87,7 +90,7 @@ export function handleKey(event: KeyboardEvent, motion: Motion, target: InputTar
   return true;
 }
 
-/** The boundary of the comparison's slider; `share` 0..1 from the left. */
+/** Handles the boundary of the comparison's slider; `share` is 0..1 from the left. */
 export function listenToDivider(divider: HTMLElement, picture: HTMLElement, move: (share: number) => void, current: () => number): void {
   divider.addEventListener("pointerdown", (event) => {
     divider.setPointerCapture(event.pointerId);
@@ -109,7 +112,7 @@ export function listenToDivider(divider: HTMLElement, picture: HTMLElement, move
   });
 }
 
-/** On its own pad the arrow keys move the eye, whatever they do elsewhere. */
+/** On the zone map the arrow keys always move the eye. */
 export function listenToPad(pad: HTMLElement, motion: Motion, target: InputTarget): void {
   const eye: InputTarget = { ...target, mode: () => "perceived" };
   pad.addEventListener("keydown", (event) => {

@@ -1,4 +1,4 @@
-// How large the picture is: the field's shape, or the mask's, as large as there is room.
+// Size of the picture: the shape of the field or of a mask, as large as the room allows.
 import type { Info } from "./info.js";
 import { sizeOf } from "./sheet.js";
 import type { State } from "./state.js";
@@ -9,15 +9,15 @@ export interface Layout {
   one: [number, number];
   /** Two pictures, one above the other. */
   tall: boolean;
-  /** Width over height of what fills the stage. */
+  /** Width over height of the stage's content. */
   aspect: number;
 }
 
-/** Space around the picture on wide pages and on narrow ones, and between two pictures. */
+/** Space around the picture on wide and on narrow pages, and between two pictures. */
 const MARGIN = { wide: 28, narrow: 10 };
 const BETWEEN = 12;
 
-/** A poster has pixels and nothing else. */
+/** Computes the layout; a poster has pixels only. */
 export function layOut(info: Info | { field: { cols: number; rows: number } }, state: State, room: [number, number], narrow: boolean): Layout {
   const margin = narrow ? MARGIN.narrow : MARGIN.wide;
   const [roomX, roomY] = [Math.max(room[0] - 2 * margin, 1), Math.max(room[1] - 2 * margin, 1)];

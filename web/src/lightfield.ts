@@ -1,13 +1,13 @@
-// Quilts and light fields: views as somebody else made them, shown as such.
+// Quilts and light fields from other programs, whose views are shown unchanged.
 import type { Dropped } from "./drop.js";
 import { Problem, problemOf } from "./problem.js";
 import type { Engine } from "./engine.js";
 import type { Info } from "./info.js";
 
-/** Half the angle over which views that say nothing of it are spread, degrees. */
+/** Half the angle of the zone for views without known angles, degrees. */
 const HALF_ANGLE: readonly [number, number] = [17.5, 10];
 
-/** Decodes the pictures and hands them to the simulator. */
+/** Decodes the pictures and passes them to the simulator. */
 export async function loadForeign(dropped: Extract<Dropped, { kind: "quilt" | "views" }>, engine: Engine, report: (share: number) => void, signal: AbortSignal): Promise<Info> {
   if (dropped.kind === "quilt") {
     const picture = await pixelsOf(dropped.file);
@@ -17,9 +17,10 @@ export async function loadForeign(dropped: Extract<Dropped, { kind: "quilt" | "v
     const height = Math.floor(picture.height / rows);
     await checked(engine.call("openQuilt", [picture, cols, rows], [picture.data.buffer]));
     report(1);
-    // A quilt's views all lie on a line, left to right.
+    // The views of a quilt are in a line, from left to right.
     return foreign(dropped.title, height, width, 1, cols * rows, dropped.aspect);
   }
+  // The first view determines the size of all views.
   const { views } = dropped;
   const [rows, cols] = [views.length, views[0]!.length];
   let size: [number, number] | undefined;

@@ -1,20 +1,21 @@
-// Makes the page's viewer follow `lumistack live`: asks for the newest state and shows it, without loading the page again.
+// Makes the page's viewer follow `lumistack live`: requests the newest state and shows it without a
+// reload of the page.
 //
-// A state comes whole, in one answer: u32 length of JSON | JSON | files, one after another, in the order of preview.json. The viewer's attribute
-// `data-state` has the number of the state on show.
+// A state is one answer: u32 length of JSON | JSON | files in the order of preview.json. The
+// viewer's attribute `data-state` is the number of the current state.
 import type { LumistackViewer } from "./element.js";
 
 interface Head {
   number: number;
-  /** Lasts as long as preview.json stays the same. */
+  /** Stays the same as long as preview.json does. */
   edition: string;
   /** Length of every file. */
   files: number[];
-  /** The text of preview.json, where this page has another edition. */
+  /** The text of preview.json, if this page has another edition. */
   preview: string | null;
 }
 
-/** Milliseconds before somebody who does not answer is asked again. */
+/** Milliseconds before a failed request is repeated. */
 const AGAIN_MS = 500;
 
 async function follow(viewer: LumistackViewer): Promise<never> {
@@ -31,7 +32,7 @@ async function follow(viewer: LumistackViewer): Promise<never> {
       viewer.dataset.state = String(number);
       delete viewer.dataset.waits;
     } catch {
-      // The program has ended, or is about to start again: what is on show stays.
+      // The program has ended, or will restart: the current content stays.
       viewer.dataset.waits = "";
       await new Promise((resolve) => setTimeout(resolve, AGAIN_MS));
     }
@@ -45,10 +46,10 @@ function taken(frame: ArrayBuffer): [Head, ArrayBuffer[]] {
   return [head, head.files.map((bytes) => frame.slice(at, (at += bytes)))];
 }
 
-/** The files of a preview, as if they had been dropped on the page. */
+/** The files of a preview, in the form of dropped files. */
 function previewOf(json: string, files: readonly ArrayBuffer[]): Map<string, File> {
   const preview = JSON.parse(json) as { files: { path: string }[]; poster?: string; around?: unknown };
-  // Pictures that stand in for patterns that load are of no use where all are there.
+  // Pictures for the time of loading are not needed, since all patterns are present.
   delete preview.poster;
   delete preview.around;
   const named = preview.files.map(({ path }, i) => [path, new File([files[i]!], path)] as const);

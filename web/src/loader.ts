@@ -1,4 +1,4 @@
-// From a source to what is on show: one load at a time, and the newest wins.
+// Loads the content from a source: one load at a time, and the newest replaces the others.
 import { Surroundings } from "./around.js";
 import { FieldContent, openPreview, StackContent, type Content } from "./content.js";
 import { deferred } from "./deferred.js";
@@ -12,16 +12,19 @@ import type { Stage } from "./stage.js";
 import { stream } from "./stream.js";
 
 export interface LoaderEvents {
-  /** What is on show goes, another is about to come. */
+  /** The current content is removed before another one is loaded. */
   clear(): void;
-  /** The content is known; a stack has no simulator yet, and none of its files. */
+  /** The content is known; a stack has neither its simulator nor its files yet. */
   shown(content: Content): void;
-  /** Pictures to look at until the patterns are there: one from straight ahead as an address, or small ones from all around. */
+  /**
+   * Pictures until the patterns have arrived: one from the middle, as an address, or small ones
+   * around it.
+   */
   poster(address: string): void;
   around(views: Surroundings): void;
   /** The simulator has started. */
   opened(content: Content, engine: Engine): void;
-  /** Share of all bytes that has arrived, 0..1. */
+  /** Fraction of all bytes that has arrived, 0..1. */
   progress(share: number): void;
   part(content: StackContent, file: FileInfo): void;
   /** Everything has arrived or failed. */
@@ -32,7 +35,7 @@ export interface LoaderEvents {
 export class Loader {
   private loading: AbortController | undefined;
   private decoding: AbortController | undefined;
-  /** Settled with the first picture, and with the last file. */
+  /** Resolved with the first picture, and with the last file. */
   firstPicture = deferred();
   everything = deferred();
 
@@ -41,13 +44,13 @@ export class Loader {
     private readonly events: LoaderEvents,
   ) {}
 
-  /** `module` names the WebAssembly file where it does not lie beside the script. */
+  /** `module` is the URL of the WebAssembly file, if it is not beside the script. */
   async preview(source: Source, module: string | null): Promise<void> {
     const { events } = this;
     const { signal } = this.begin();
     events.clear();
     events.progress(0);
-    // The module is on its way while preview.json is.
+    // The module is loaded at the same time as preview.json.
     const starting = Engine.start(module);
     const stop = (): void => void starting.then((engine) => engine.stop()).catch(() => undefined);
     starting.catch(() => undefined);
@@ -56,7 +59,7 @@ export class Loader {
       if (signal.aborted) return stop();
       const content = read(json);
       if (!content) {
-        // The simulator says what is wrong.
+        // The simulator finds the reason.
         const engine = await starting;
         await openPreview(engine, json).finally(() => engine.stop());
         throw new Error("preview.json: expected a preview, found something else");
@@ -66,7 +69,7 @@ export class Loader {
       const engine = await starting;
       if (signal.aborted) return stop();
       await content.open(engine, this.stage);
-      // Small and soon on show: before what is large.
+      // Small pictures are loaded before the large ones.
       await early;
       if (signal.aborted) return;
       events.opened(content, engine);
@@ -85,7 +88,10 @@ export class Loader {
     }
   }
 
-  /** A stack that somebody computes, whole from the start. What is on show stays until the simulator has it. */
+  /**
+   * Shows a stack that is computed elsewhere and complete from the start. The current content stays
+   * until the simulator has it.
+   */
   async stack(json: string, codes: Uint8Array<ArrayBuffer>, module: string | null): Promise<void> {
     const { events } = this;
     const { signal } = this.begin();
@@ -101,7 +107,7 @@ export class Loader {
     events.finished(content, []);
   }
 
-  /** What is on show stays until the pictures of the other are decoded. */
+  /** Shows a light field. The current content stays until the new pictures are decoded. */
   async field(dropped: Extract<Dropped, { kind: "quilt" | "views" }>, module: string | null): Promise<void> {
     const { events } = this;
     this.decoding?.abort();
@@ -135,7 +141,10 @@ export class Loader {
     return this.loading;
   }
 
-  /** What is on show before the patterns; where it cannot be had, they are waited for. */
+  /**
+   * Loads the pictures that are shown before the patterns; without them the viewer waits for the
+   * patterns.
+   */
   private async early(source: Source, { info }: StackContent, signal: AbortSignal): Promise<void> {
     const { events } = this;
     const bytes = (path: string): Promise<Uint8Array<ArrayBuffer>> => source.bytes(path, signal);
@@ -152,7 +161,7 @@ export class Loader {
   }
 }
 
-/** Undefined where the text is no preview. */
+/** Undefined if the text is no preview. */
 function read(json: string): StackContent | undefined {
   try {
     return new StackContent(json);

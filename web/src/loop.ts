@@ -1,10 +1,10 @@
-// When to draw: while something moves, when something has changed, and neither out of sight nor otherwise.
+// Draws while the picture moves and after changes, but not out of sight.
 import type { Motion } from "./motion.js";
 
 export interface Loop {
-  /** Whether there is anything to draw. */
+  /** True if there is a picture to draw. */
   can(): boolean;
-  /** Advances what plays by itself; whether it will go on, and whether the picture has changed. */
+  /** Advances playback. `on`: it continues; `changed`: the picture has changed. */
   play(dtS: number): { on: boolean; changed: boolean };
   draw(): void;
 }
@@ -21,25 +21,25 @@ export class Ticker {
     private readonly loop: Loop,
   ) {}
 
-  /** Asks for a new picture. */
+  /** Requests a new picture. */
   redraw(): void {
     this.dirty = true;
     this.wake();
   }
 
-  /** Something may have begun to move. */
+  /** Starts the loop, since motion may have begun. */
   wake(): void {
     if (this.request !== 0 || !this.visible) return;
     this.last = performance.now();
     this.ask();
   }
 
-  /** Draws at once what the next turn would. */
+  /** Draws the next picture at once. */
   now(): void {
     this.tick(performance.now());
   }
 
-  /** Whether the element is within the window: beyond it nothing moves and nothing is drawn. */
+  /** Sets whether the element is within the window; out of sight nothing is drawn. */
   show(visible: boolean): void {
     if (visible === this.visible) return;
     this.visible = visible;

@@ -1,41 +1,41 @@
-// From where one looks: pointer, touch, keys, tilt and an idle swing, joined by one spring.
+// The viewing position: a spring follows pointer, touch, keys, tilt and an idle swing.
 import type { Slope } from "./state.js";
 
 /** Stiffness of the spring, s⁻², and its damping relative to critical. */
 const STIFFNESS = 130;
 const DAMPING = 0.92;
-/** How far beyond the zone one can go, in half widths of it. */
+/** Limit of the viewing position, in half widths of the zone. */
 export const REACH = 1.4;
-/** Seconds without input after which the view swings, and of one swing. */
+/** Seconds without input before the view swings, and seconds per swing. */
 const IDLE_S = 4;
 const PERIOD_S = 8;
 /** Amplitude of the swing, in half widths of the zone. */
 const SWING: Slope = [0.78, 0.3];
-/** Seconds that a flick of the finger carries on. */
+/** Seconds of inertia after a flick. */
 const FLING_S = 0.22;
 
 export class Motion {
-  /** Where the eye is, and where it is drawn to. */
+  /** The eye's position, and its goal. */
   private at: [number, number] = [0, 0];
   private speed: [number, number] = [0, 0];
-  private told: Slope = [0, 0];
+  private last: Slope = [0, 0];
   private goal: [number, number] = [0, 0];
   private zone: Slope = [1, 1];
-  /** At first nobody has done anything for long. */
+  /** Starts as if idle for long. */
   private quietS = IDLE_S;
   private phaseS = 0;
   private held = false;
   private swinging = false;
-  /** Whether the view may swing when idle. */
+  /** True if the view may swing when idle. */
   swing = true;
-  /** Whether the user asked for less motion: no spring, no swing unless asked for. */
+  /** True if the user prefers less motion: no spring, and no swing without a request. */
   calm = false;
-  /** Whether nobody has moved anything yet. */
+  /** True until the user has moved the view. */
   fresh = true;
-  /** A turn that is being recorded: seconds since its start. */
+  /** Seconds since the start of a recorded turn. */
   private turnS: number | undefined;
   private turnLengthS = 0;
-  /** Where the eye was before the turn, and goes afterwards. */
+  /** Position of the eye before the turn; it returns there. */
   private home: [number, number] = [0, 0];
 
   setZone(zone: Slope): void {
@@ -46,18 +46,18 @@ export class Motion {
     return [this.at[0], this.at[1]];
   }
 
-  /** Whether the next step may change something. */
+  /** True if the next step may change the view. */
   get active(): boolean {
     const restless = [0, 1].some((i) => Math.abs(this.goal[i]! - this.at[i]!) > 2e-5 || Math.abs(this.speed[i]!) > 2e-5);
     return restless || this.swinging || this.turnS !== undefined;
   }
 
-  /** Seconds until the swing begins; undefined where none will. */
+  /** Seconds until the swing begins; undefined without a swing. */
   get untilSwingS(): number | undefined {
     return this.swing && !this.held && !this.swinging ? Math.max(IDLE_S - this.quietS, 0) : undefined;
   }
 
-  /** Goes to a slope, as far as one can go. */
+  /** Moves to a slope, within the limit. */
   lookTo(slope: Slope): void {
     this.input();
     for (const i of [0, 1] as const) {
@@ -71,7 +71,7 @@ export class Motion {
     this.lookTo([this.goal[0] + step[0], this.goal[1] + step[1]]);
   }
 
-  /** Stands at a slope at once, and stays there. */
+  /** Jumps to a slope and stays there. */
   standAt(slope: Slope): void {
     this.swing = false;
     this.input();
@@ -79,7 +79,7 @@ export class Motion {
     this.settle();
   }
 
-  /** A finger or button is down: no swing until it is let go. */
+  /** A finger or button is down: no swing until its release. */
   hold(): void {
     this.held = true;
     this.input();
@@ -90,7 +90,7 @@ export class Motion {
     if (fling && !this.calm) this.lookTo([this.at[0] + this.speed[0] * FLING_S, this.at[1] + this.speed[1] * FLING_S]);
   }
 
-  /** The user did something. */
+  /** Records input of the user. */
   input(): void {
     this.fresh = false;
     this.quietS = 0;
@@ -98,19 +98,19 @@ export class Motion {
     this.turnS = undefined;
   }
 
-  /** The user touched something that does not say where to look. */
+  /** Records input that does not move the view. */
   touched(): void {
     this.fresh = false;
     this.quietS = 0;
     this.swinging = false;
   }
 
-  /** Begins to swing now. */
+  /** Starts to swing now. */
   swingNow(): void {
     this.quietS = IDLE_S;
   }
 
-  /** One turn around the zone, from its left to its left, and back to where the eye was. */
+  /** One turn around the zone that starts and ends at its left; then the eye returns. */
   startTurn(lengthS: number): void {
     this.input();
     this.home = [this.goal[0], this.goal[1]];
@@ -120,7 +120,7 @@ export class Motion {
     this.settle();
   }
 
-  /** Advances by `dtS` seconds; whether the slope is another than after the last step. */
+  /** Advances by `dtS` seconds; returns true if the slope has changed. */
   step(dtS: number): boolean {
     const dt = Math.min(dtS, 0.1);
     if (this.turnS !== undefined) {
@@ -135,8 +135,8 @@ export class Motion {
       this.idle(dtS);
       this.spring(dt);
     }
-    const changed = this.told[0] !== this.at[0] || this.told[1] !== this.at[1];
-    this.told = this.slope;
+    const changed = this.last[0] !== this.at[0] || this.last[1] !== this.at[1];
+    this.last = this.slope;
     return changed;
   }
 
@@ -152,7 +152,7 @@ export class Motion {
     this.goal = this.turnAt(this.phaseS / PERIOD_S - 0.25);
   }
 
-  /** A flat ellipse; `turn` counts rounds and begins at the left. */
+  /** A point of a flat ellipse; `turn` counts rounds and starts at the left. */
   private turnAt(turn: number): [number, number] {
     const angle = 2 * Math.PI * turn;
     return [-Math.cos(angle) * SWING[0] * this.zone[0], Math.sin(angle) * SWING[1] * this.zone[1]];
@@ -181,12 +181,12 @@ export class Motion {
   }
 }
 
-/** The tilt of a phone as a slope; the pose at the start is straight ahead. */
+/** The tilt of a phone as a slope; the pose at the start is the middle. */
 export class Tilt {
   private rest: { beta: number; gamma: number } | undefined;
   private listener: ((event: DeviceOrientationEvent) => void) | undefined;
 
-  /** Whether this device may have an orientation. */
+  /** True if this device may report its orientation. */
   static get possible(): boolean {
     return typeof DeviceOrientationEvent !== "undefined" && matchMedia("(pointer: coarse)").matches && isSecureContext;
   }
@@ -195,7 +195,7 @@ export class Tilt {
     return this.listener !== undefined;
   }
 
-  /** To be called from a click: some browsers ask the user. False where the user or the device declines. */
+  /** Call it from a click: some browsers ask the user. False if the user or the device refuses. */
   async start(report: (slope: Slope) => void): Promise<boolean> {
     const asks = DeviceOrientationEvent as unknown as { requestPermission?: () => Promise<string> };
     if (asks.requestPermission && (await asks.requestPermission()) !== "granted") return false;
@@ -222,14 +222,14 @@ export class Tilt {
 
   private slopeOf(beta: number, gamma: number): Slope {
     this.rest ??= { beta, gamma };
-    // Slowly takes the present pose for straight ahead, so that one may lie down.
+    // The middle slowly follows the present pose, so that the user may lie down.
     this.rest.beta += (beta - this.rest.beta) * 0.004;
     this.rest.gamma += (gamma - this.rest.gamma) * 0.004;
     const tan = (degrees: number): number => Math.tan((Math.min(Math.max(degrees, -60), 60) * Math.PI) / 180);
     const side = -tan(gamma - this.rest.gamma);
     const tip = tan(beta - this.rest.beta);
     const turned = ((screen.orientation?.angle ?? 0) * Math.PI) / 180;
-    // Turned anticlockwise by 90°, the device's right points up and its top to the left.
+    // After a rotation by 90° anticlockwise, the device's right points up and its top to the left.
     return [side * Math.cos(turned) - tip * Math.sin(turned), tip * Math.cos(turned) + side * Math.sin(turned)];
   }
 }

@@ -1,11 +1,13 @@
-// Draws one picture after another: what the display shows through WebGL2 where that is fast, everything else and everywhere else by the processor.
+// Draws pictures: the display's view through WebGL2 where that is fast, all others by the
+// processor.
 //
-// Every picture has one pixel for each of the light field's: the page scales it, so that it looks the same whoever has drawn it.
+// Every picture has one pixel per pixel of the light field, and the page scales it. So both
+// renderers give the same picture.
 import type { Viewer } from "../pkg/lumistack_web.js";
 import { explode, type Stack } from "./explode.js";
 import type { Path, Slope } from "./state.js";
 
-/** One picture to show. */
+/** A picture to draw. */
 export type Scene = { field: Size } & (
   | { kind: "view"; slope: Slope }
   | { kind: "split"; slope: Slope; view: readonly [number, number]; at: number }
@@ -15,24 +17,27 @@ export type Scene = { field: Size } & (
   | { kind: "mask"; layer: number; frame: number; size: Size; backlight: boolean }
 );
 
-/** "auto": WebGL2 unless it runs in software or is slower than the processor; "rest": none, until it is asked for again. */
+/**
+ * "auto": WebGL2, unless it runs in software or is slower than the processor; "rest": no context
+ * until the next request.
+ */
 export type Wish = Path | "auto" | "rest";
 /** Columns and rows. */
 export type Size = readonly [number, number];
 
-/** What is told unasked: who draws from now on, and why where it is not what was wished for. */
-export interface Told {
+/** Message to the page: the current renderer, and the reason if it is not the requested one. */
+export interface PathChange {
   path: Path;
   why?: string;
 }
 
-/** Milliseconds of a picture through WebGL2 above which the processor may show that it is faster. */
+/** Milliseconds of a picture through WebGL2 above which the processor is measured too. */
 const SLOW_MS = 60;
-/** Pictures through WebGL2 that are measured. */
+/** Number of pictures through WebGL2 that are measured. */
 const TESTS = 2;
-/** Names of drivers that draw with the processor. */
+/** Names of drivers that draw by the processor. */
 const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
-/** Milliseconds after which a lost context is given up and a new canvas tried. */
+/** Milliseconds after which a lost context is abandoned and a new canvas tried. */
 const RESTORE_MS = 2500;
 
 export class Painter {
@@ -47,18 +52,18 @@ export class Painter {
 
   constructor(
     private readonly viewer: Viewer,
-    private readonly tell: (told: Told) => void,
+    private readonly post: (change: PathChange) => void,
   ) {}
 
   attach(wish: Wish): void {
     this.leave();
     this.wish = wish;
     if (wish === "rest") return;
-    if (wish !== "cpu" && this.enter()) this.tell({ path: "webgl2" });
-    else this.tell({ path: "cpu" });
+    if (wish !== "cpu" && this.enter()) this.post({ path: "webgl2" });
+    else this.post({ path: "cpu" });
   }
 
-  /** Masks are other ones from now on. */
+  /** Drops the masks, since the patterns have changed. */
   forget(): void {
     this.masks.clear();
   }
@@ -101,12 +106,12 @@ export class Painter {
       this.viewer.draw(x, y);
       if (this.untested === 0 || this.isFast(start, x, y)) return canvas;
       this.leave();
-      this.tell({ path: "cpu" });
+      this.post({ path: "cpu" });
     }
     return this.put(this.viewer.render(x, y), field);
   }
 
-  /** Whether WebGL2 is worth its while on this machine: it is not where a browser draws it in software and does not say so. */
+  /** True if WebGL2 is fast on this machine. Some browsers draw it in software without a notice. */
   private isFast(start: number, x: number, y: number): boolean {
     this.gl!.context.readPixels(0, 0, 1, 1, WebGL2RenderingContext.RGBA, WebGL2RenderingContext.UNSIGNED_BYTE, new Uint8Array(4));
     const took = performance.now() - start;
@@ -118,7 +123,7 @@ export class Painter {
     return took < performance.now() - again;
   }
 
-  /** Takes a context; false where there is none that one would want. */
+  /** Takes a context; false if there is no suitable one. */
   private enter(): boolean {
     const canvas = new OffscreenCanvas(1, 1);
     const auto = this.wish === "auto";
@@ -131,8 +136,8 @@ export class Painter {
         if (this.gl?.canvas !== canvas) return;
         this.viewer.detach();
         this.gl = undefined;
-        this.tell({ path: "cpu", why: "The browser took the graphics context away: the processor draws until it is back." });
-        // A context that does not come back is exchanged.
+        this.post({ path: "cpu", why: "The browser took the graphics context away: the processor draws until it is back." });
+        // A context that is not restored is replaced.
         setTimeout(again, RESTORE_MS);
       });
       const again = (): void => {
@@ -142,7 +147,7 @@ export class Painter {
       this.gl = { canvas, context };
       this.latest = canvas;
       this.untested = auto ? TESTS : 0;
-      // For whoever wants to take the context away and see what happens.
+      // Lets tests take the context away.
       Object.assign(self, { context });
       return true;
     } catch (error) {
@@ -163,7 +168,7 @@ export class Painter {
     const key = `${layer}/${frame}`;
     let mask = this.masks.get(key);
     if (!mask) {
-      // Only a frame's masks are on show at a time.
+      // Only one frame's masks are shown at a time.
       if (this.masks.size >= layers.length) this.masks.clear();
       const { cols, rows } = layers[layer]!;
       mask = new OffscreenCanvas(cols, rows);
@@ -185,10 +190,13 @@ export class Painter {
   }
 }
 
-/** Whether a driver says that it is none of a graphics processor's: not every browser counts that as a caveat. */
+/**
+ * True if a driver's name shows that it draws in software: not every browser counts that as a
+ * caveat.
+ */
 function isSoftware(context: WebGL2RenderingContext): boolean {
   let name = String(context.getParameter(context.RENDERER));
-  // Some browsers name themselves, and the driver only if asked so.
+  // Some browsers hide the driver's name behind an extension.
   const named = name === "WebKit WebGL" ? context.getExtension("WEBGL_debug_renderer_info") : null;
   if (named) name = String(context.getParameter(named.UNMASKED_RENDERER_WEBGL));
   return SOFTWARE.test(name);

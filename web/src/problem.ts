@@ -1,10 +1,10 @@
-// Something went wrong: what, and what the reader can do about it.
+// An error for the user: the message, and a possible remedy.
 
 export class Problem extends Error {
   constructor(
     message: string,
     readonly advice: string,
-    /** Nothing can be shown. */
+    /** True if nothing can be shown. */
     readonly fatal = true,
   ) {
     super(message);
@@ -12,7 +12,7 @@ export class Problem extends Error {
   }
 }
 
-/** An error of any origin as one with advice. */
+/** Converts any error to one with advice. */
 export function problemOf(error: unknown, advice: string): Problem {
   if (error instanceof Problem) return error;
   return new Problem(error instanceof Error ? error.message : String(error), advice);

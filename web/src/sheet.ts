@@ -51,12 +51,12 @@ export class Sheet {
     this.box.replaceChildren();
   }
 
-  /** Masks are other ones from now on. */
+  /** Drops the thumbnails, since the patterns have changed. */
   forget(): void {
     this.drawn.clear();
   }
 
-  /** Marks the mask on show and draws the thumbnails that can be. */
+  /** Marks the current mask and draws the thumbnails that are ready. */
   show(layer: number, frame: number, ready: readonly number[]): void {
     for (const [key, cell] of this.cells) {
       const chosen = key === `${layer}/${frame}`;
@@ -140,7 +140,7 @@ export function sizeOf(info: Info, layer: number): [number, number] {
   return [found.cols, found.rows];
 }
 
-/** Number of the last mask: the backlight's, where it has one. */
+/** Index of the last mask: the backlight's, if it has one. */
 export function lastMask(info: Info): number {
   return Math.max(info.layers.length - (info.directional && info.backlight ? 0 : 1), 0);
 }

@@ -1,4 +1,4 @@
-// The sliders of "how it is built and seen": their ranges follow from the display.
+// The sliders for the display's construction and the eye; their ranges depend on the display.
 import type { Info } from "./info.js";
 import { DEFAULTS, type State } from "./state.js";
 
@@ -9,7 +9,7 @@ interface Slider {
   words(value: number, info: Info): string;
 }
 
-/** Furthest eye of the slider; the step beyond it is the eye that the patterns are made for. */
+/** Farthest eye of the slider; the step after it is the eye of the patterns. */
 const EYE_MOST_MM = 3000;
 
 const SLIDERS: readonly Slider[] = [
@@ -44,7 +44,7 @@ export class Sliders {
       this.input(slider).addEventListener("input", (event) => {
         const value = Number((event.target as HTMLInputElement).value);
         const state = this.state();
-        // At its end the gain is the eye's own, whatever 1/β is.
+        // At the end of its range the gain is 1/β, and follows it.
         if (slider.key === "gain") state.gain = this.info && value > 0.9995 / this.info.brightness ? null : value;
         else if (slider.key === "eyeMm") state.eyeMm = value > EYE_MOST_MM ? null : value;
         else state[slider.key] = value;
@@ -89,7 +89,7 @@ export class Sliders {
     }
     const changed = SLIDERS.some(({ key }) => state[key] !== DEFAULTS[key]);
     (this.button() as HTMLButtonElement).disabled = !changed;
-    // A link to a badly built display shows what is bad about it.
+    // A link to a display with errors opens the sliders that show them.
     if (changed) (this.root.querySelector("#build") as HTMLDetailsElement).open = true;
   }
 
@@ -102,7 +102,7 @@ export class Sliders {
   }
 }
 
-/** The part of a slider's track from its zero (or its least) to its thumb, in the accent. */
+/** Paints a slider's track from its zero (or its least value) to its thumb. */
 export function paintTrack(input: HTMLInputElement): void {
   const [min, max, value] = [Number(input.min), Number(input.max), Number(input.value)];
   const share = (at: number): number => (max > min ? ((at - min) / (max - min)) * 100 : 0);
@@ -124,7 +124,7 @@ function shiftRange(info: Info): { min: number; max: number; step: number } {
   return { min: -most, max: most, step: most / 50 };
 }
 
-/** The next 1, 2 or 5 times a power of ten below. */
+/** The next lower 1, 2 or 5 times a power of ten. */
 function nice(value: number): number {
   if (!(value > 0)) return 1;
   const power = 10 ** Math.floor(Math.log10(value));

@@ -1,10 +1,10 @@
-// Where a preview comes from: a server, the page itself, or files that were dropped on it.
+// Sources of a preview: a server, the page itself, or dropped files.
 import { Problem, REWRITE } from "./problem.js";
 
 export interface Source {
   /** The text of preview.json. */
   json(): Promise<string>;
-  /** A file that preview.json names. */
+  /** Reads a file that preview.json names. */
   bytes(path: string, signal: AbortSignal): Promise<Uint8Array<ArrayBuffer>>;
   /** An address for a picture that preview.json names. */
   address(path: string): Promise<string>;
@@ -12,7 +12,7 @@ export interface Source {
 
 declare global {
   interface Window {
-    /** Path → base64, of a preview in a single file; "wasm" is the module. */
+    /** Path → base64, for a preview in a single file; "wasm" is the module. */
     LUMISTACK_INLINE?: Record<string, string>;
   }
 }
@@ -24,7 +24,10 @@ export function fromBase64(text: string): Uint8Array<ArrayBuffer> {
   return bytes;
 }
 
-/** A preview beside its preview.json on a server; paths count from the folder above that file's. */
+/**
+ * A preview beside its preview.json on a server; paths are relative to the parent of that file's
+ * folder.
+ */
 export class ServerSource implements Source {
   private readonly url: URL;
 
@@ -87,13 +90,13 @@ export class InlineSource implements Source {
   }
 }
 
-/** The preview of the attribute `src`. */
+/** The source for the attribute `src`. */
 export function sourceOf(src: string): Source {
   const inline = window.LUMISTACK_INLINE;
   return inline && src in inline ? new InlineSource(inline, src) : new ServerSource(src);
 }
 
-/** A preview among dropped files: path → file, preview.json at `json_path`. */
+/** A preview among dropped files: path → file, with preview.json at `json_path`. */
 export class FilesSource implements Source {
   private readonly base: string;
 
@@ -125,7 +128,7 @@ export class FilesSource implements Source {
     return file;
   }
 
-  /** The folder stack/ may have been dropped by itself, or its files without a folder. */
+  /** The folder stack/ may have been dropped alone, or its files without a folder. */
   private beside(path: string): File | undefined {
     const folder = this.jsonPath.replace(/[^/]*$/, "");
     return this.files.get(folder + path.replace(/^.*\//, ""));

@@ -1,9 +1,12 @@
-// The canvases, which show the pictures that the simulator's thread draws.
+// The canvases, which show the pictures of the simulator's thread.
 import type { Engine } from "./engine.js";
 import type { Scene, Size } from "./painter.js";
 import type { Path } from "./state.js";
 
-/** A picture of a stack, or one between the views of a light field, 0..1 from the left and from the top. */
+/**
+ * A picture of a stack, or one between the views of a light field, 0..1 from the left and from the
+ * top.
+ */
 export type Shot = Scene | { kind: "between"; u: number; v: number };
 
 export interface StageEvents {
@@ -12,7 +15,7 @@ export interface StageEvents {
   failed(error: unknown): void;
 }
 
-/** Drawing buffers beyond this give no visible detail and cost time. */
+/** Larger drawing buffers give no visible detail and cost time. */
 const MOST_PX = 2400;
 
 export class Stage {
@@ -23,7 +26,7 @@ export class Stage {
   private engine: Engine | undefined;
   private size: Size = [1, 1];
   private busy = false;
-  /** What to draw when the picture that is being drawn is there: only the newest counts. */
+  /** The next picture to draw; newer requests replace it. */
   private next: Shot | undefined;
 
   constructor(
@@ -37,20 +40,20 @@ export class Stage {
     this.engine = engine;
   }
 
-  /** Forgets the engine; what is on the canvas stays. */
+  /** Drops the engine; the canvas keeps its content. */
   release(): void {
     this.engine = undefined;
     this.next = undefined;
     this.busy = false;
   }
 
-  /** Size of the box in CSS pixels. */
+  /** Sets the size of the box in CSS pixels. */
   resize(width: number, height: number): void {
     const scale = Math.min(devicePixelRatio || 1, 2, MOST_PX / Math.max(width, height, 1));
     this.size = [Math.max(Math.round(width * scale), 1), Math.max(Math.round(height * scale), 1)];
   }
 
-  /** Shows a picture as soon as it is drawn, unless a newer one is asked for before it is begun. */
+  /** Draws a picture and shows it, unless a newer request replaces it before it is begun. */
   draw(shot: Shot): void {
     if (this.busy) this.next = shot;
     else void this.drawNow(shot);
@@ -87,7 +90,7 @@ export class Stage {
     return this.engine ? paint(this.engine, shot, this.size) : [];
   }
 
-  /** A picture as a canvas of its own; both halves of a side-by-side comparison. */
+  /** A picture as a new canvas; both halves of a side-by-side comparison. */
   async still(shot: Shot): Promise<HTMLCanvasElement> {
     const out = document.createElement("canvas");
     const pictures = await this.pictures(shot);

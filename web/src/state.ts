@@ -1,12 +1,12 @@
-// What the user has chosen, and its form in the address bar.
+// The user's options, and their form in the page's address.
 
-/** What the viewer shows. */
+/** The mode of the viewer. */
 export type Mode = "perceived" | "slow" | "exploded" | "compare" | "layers";
-/** How target and display are compared. */
+/** The kind of comparison of target and display. */
 export type Comparison = "slider" | "side" | "error";
-/** Who draws what the display shows. */
+/** The renderer of the display's views. */
 export type Path = "webgl2" | "cpu";
-/** Tangents of the angles at which one looks: right of the normal, above it. */
+/** Slope of the view: right of the normal, above it. */
 export type Slope = readonly [x: number, y: number];
 
 export const MODES: readonly Mode[] = ["perceived", "slow", "exploded", "compare", "layers"];
@@ -15,32 +15,32 @@ export const COMPARISONS: readonly Comparison[] = ["slider", "side", "error"];
 export interface State {
   mode: Mode;
   comparison: Comparison;
-  /** Where the slider of the comparison stands, 0..1 from the left. */
+  /** Position of the comparison's slider, 0..1 from the left. */
   split: number;
-  /** Factor on what the display shows; null: 1/β, the eye is adapted. */
+  /** Factor on the emitted light; null: 1/β, for an adapted eye. */
   gain: number | null;
-  /** Added to every distance between layers. */
+  /** Error of every gap between layers. */
   gapMm: number;
   /** Offset of the front layer. */
   shiftXMm: number;
   shiftYMm: number;
-  /** Least transmittance of every layer. */
+  /** Black level of every layer. */
   blackLevel: number;
-  /** Diameter of the pupil; 0: pinhole. */
+  /** Diameter of the pupil; 0 for a pinhole. */
   pupilMm: number;
   /** Distance of the eye; null: that of the target's views, which may be parallel projections. */
   eyeMm: number | null;
-  /** Frame and layer that slow motion and layers show. */
+  /** Frame and layer of slow motion and of the layers mode. */
   frame: number;
   layer: number;
   /** Frames per second of slow motion. */
   rate: number;
   playing: boolean;
-  /** How far the layers are pulled apart, 0..1. */
+  /** Separation of the exploded layers, 0..1. */
   spread: number;
   yaw: number;
   pitch: number;
-  /** Whether the view swings when nobody moves it. */
+  /** True if the view swings when idle. */
   swing: boolean;
 }
 
@@ -82,7 +82,7 @@ const NUMBERS: readonly { name: string; key: Numeric; least: number; most: numbe
   { name: "pitch", key: "pitch", least: -1.5, most: 1.5, digits: 3 },
 ];
 
-/** `mode=compare&x=0.03&…`; what stands at its default is left out. */
+/** `mode=compare&x=0.03&…`; defaults are left out. */
 export function toHash(state: State, slope: Slope | undefined): string {
   const out = new URLSearchParams();
   if (state.mode !== DEFAULTS.mode) out.set("mode", state.mode);
@@ -101,7 +101,7 @@ export function toHash(state: State, slope: Slope | undefined): string {
   return out.toString();
 }
 
-/** Reads what `toHash` writes; what is not understood keeps its default. */
+/** Reads the text of `toHash`; unknown or wrong values keep their defaults. */
 export function fromHash(hash: string): { state: State; slope: Slope | undefined } {
   const params = new URLSearchParams(hash.replace(/^#/, ""));
   const state: State = { ...DEFAULTS };

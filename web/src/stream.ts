@@ -1,4 +1,5 @@
-// Fetches the files of a preview in their order, several at a time, and hands them to the simulator.
+// Fetches the files of a preview in their order, several at a time, and passes them to the
+// simulator.
 import type { Engine } from "./engine.js";
 import type { FileInfo } from "./info.js";
 import { problemOf, REWRITE, type Problem } from "./problem.js";
@@ -8,7 +9,7 @@ import type { Source } from "./source.js";
 const PARALLEL = 6;
 
 export interface Sink {
-  /** Share of all bytes that has arrived, 0..1. */
+  /** Fraction of all bytes that has arrived, 0..1. */
   progress(share: number): void;
   /** A file has become part of the picture. */
   part(file: FileInfo): void;

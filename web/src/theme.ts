@@ -1,4 +1,4 @@
-// Dark or light: what the system says, until the user says otherwise.
+// Dark or light theme: the system's, until the user selects one.
 
 const KEY = "lumistack-theme";
 
@@ -8,7 +8,7 @@ export function restoreTheme(element: HTMLElement): void {
     const kept = localStorage.getItem(KEY);
     if (kept === "dark" || kept === "light") element.setAttribute("theme", kept);
   } catch {
-    // No storage: the system's choice stands.
+    // Without storage the system's theme stays.
   }
 }
 
@@ -19,6 +19,6 @@ export function toggleTheme(element: HTMLElement): void {
   try {
     localStorage.setItem(KEY, next);
   } catch {
-    // It holds for this visit alone.
+    // Without storage the theme holds for this visit only.
   }
 }

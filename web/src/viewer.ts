@@ -1,4 +1,4 @@
-// The entry of the package: defines <lumistack-viewer>.
+// The package's entry point: defines <lumistack-viewer>.
 import { LumistackViewer } from "./element.js";
 
 export { LumistackViewer };

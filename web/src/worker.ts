@@ -1,4 +1,4 @@
-// The thread that unpacks patterns and draws pictures. It answers calls in their order.
+// The thread that decodes patterns and draws pictures. It answers calls in order.
 import { heat, heat_top, initSync, LightField, Viewer, version } from "../pkg/lumistack_web.js";
 import { Painter, pixelsOf, type Scene, type Size, type Wish } from "./painter.js";
 
@@ -10,28 +10,28 @@ const methods = {
   start(module: WebAssembly.Module): void {
     initSync({ module });
   },
-  /** Takes the text of preview.json. */
+  /** Opens a preview from the text of preview.json. */
   open(json: string): { version: string; heat: string; heatTop: number } {
     viewer = new Viewer(json);
-    painter = new Painter(viewer, (told) => postMessage([0, told]));
+    painter = new Painter(viewer, (change) => postMessage([0, change]));
     return { version: version(), heat: heat(), heatTop: heat_top() };
   },
   put(index: number, bytes: ArrayBuffer): void {
     viewer!.put(index, new Uint8Array(bytes));
   },
-  /** Takes all pictures at once, in place of those that were there. */
+  /** Replaces all pictures at once. */
   exchange(codes: Uint8Array): void {
     viewer!.exchange(codes);
     painter!.forget();
   },
-  /** Replaces every file, in one call: no picture is drawn of some new and some old ones. */
+  /** Replaces every file in one call, so that no picture mixes new and old ones. */
   renew(files: readonly ArrayBuffer[]): void {
     files.forEach((bytes, index) => viewer!.put(index, new Uint8Array(bytes)));
   },
   options(json: string): void {
     viewer!.set_options(json);
   },
-  /** Takes a graphics context, or gives it back. */
+  /** Takes a graphics context, or releases it. */
   attach(wish: Wish): void {
     painter!.attach(wish);
   },
@@ -53,7 +53,7 @@ const methods = {
   openQuilt(picture: ImageData, cols: number, rows: number): void {
     field = LightField.from_quilt(new Uint8Array(picture.data.buffer), picture.width, picture.height, cols, rows);
   },
-  /** Between the views, 0..1 from the left and from the top. */
+  /** The picture between the views, 0..1 from the left and from the top. */
   between(u: number, v: number): ImageData {
     return new ImageData(new Uint8ClampedArray(field!.render(u, v)), field!.cols(), field!.rows());
   },

@@ -1,10 +1,13 @@
-// The map of the viewing zone: where the target's views are, where the eye is, and a pad to move it with.
+// The map of the viewing zone: the target's views, the eye's position, and a pad that moves it.
 import { zoneSlope, type Info } from "./info.js";
 import type { Slope } from "./state.js";
 import { REACH } from "./motion.js";
 
 const SVG = "http://www.w3.org/2000/svg";
-/** Size of the drawing in its own units, as high as a flat zone needs; its reach is a little more than the eye's. */
+/**
+ * Width of the drawing in its own units, and its least height; it reaches a little farther than the
+ * eye.
+ */
 const WIDTH = 240;
 const LEAST_HEIGHT = 64;
 const MOST_HEIGHT = 150;
@@ -16,7 +19,7 @@ export class ZoneMap {
   private readonly inner: SVGElement;
   private zone: Slope = [1, 1];
   private height = MOST_HEIGHT;
-  /** Units per tangent, the same across and up. */
+  /** Units per slope, the same for x and y. */
   private scale = 1;
   private inside = true;
 
@@ -34,7 +37,7 @@ export class ZoneMap {
     this.listen();
   }
 
-  /** Draws the zone of a display; a light field without geometry gives its rows and columns alone. */
+  /** Draws the zone of a display; a light field without geometry has only rows and columns. */
   show(info: Pick<Info, "views" | "zone">): void {
     this.zone = zoneSlope(info as Info);
     const [zoneX, zoneY] = this.zone;
@@ -57,7 +60,7 @@ export class ZoneMap {
     }
   }
 
-  /** Marks where the eye is. */
+  /** Marks the eye's position. */
   mark(slope: Slope): void {
     const [x, y] = this.toMap(slope);
     this.dot.setAttribute("transform", `translate(${x.toFixed(2)} ${y.toFixed(2)})`);

@@ -1,4 +1,4 @@
-// The display that is chosen, in the panel and in the page's address.
+// The selected display, in the panel and in the page's address.
 
 interface About {
   layers: number;
@@ -17,22 +17,22 @@ export interface Preset {
 const SLIDERS = ["layers", "gap_mm", "frames", "brightness"] as const;
 type Key = (typeof SLIDERS)[number];
 
-/** Columns of a light field, and what they are called. */
+/** Columns of a light field, with their names. */
 const DETAILS: readonly [number, string][] = [
   [96, "Quick, 96 columns"],
   [160, "Normal, 160 columns"],
   [240, "Fine, 240 columns"],
   [420, "Finest, 420 columns"],
 ];
-/** What an address may ask for beside: effort, as the command's job says it. */
+/** Further keys of an address: the effort, named as in a job. */
 const EFFORT = ["zone_samples", "iterations"] as const;
-/** Most frames at first: a page has one thread. */
+/** Largest number of frames at first: a page has one thread. */
 const FRAMES = 6;
 const DEFAULT = "paper-three-layer";
 
 export class Choice {
   private presets: Preset[] = [];
-  /** What the address asked for before the presets were known. */
+  /** The address's choice, until the presets are known. */
   private readonly asked = new URLSearchParams(location.hash.slice(1));
 
   constructor(changed: () => void) {
@@ -53,7 +53,7 @@ export class Choice {
     }
   }
 
-  /** Takes the presets that the solver knows. */
+  /** Sets the presets that the solver knows. */
   know(presets: Preset[]): void {
     if (this.presets.length > 0) return;
     this.presets = presets;
@@ -84,7 +84,7 @@ export class Choice {
     });
   }
 
-  /** For a link. */
+  /** The choice as part of a link. */
   get address(): URLSearchParams {
     const out = new URLSearchParams({ preset: this.preset.name, cols: this.select("cols").value });
     for (const key of SLIDERS) out.set(key, this.slider(key).value);
@@ -95,7 +95,7 @@ export class Choice {
     return this.presets.find(({ name }) => name === this.select("preset").value) ?? this.presets[0]!;
   }
 
-  /** Brings the sliders to where the preset has them. */
+  /** Sets the sliders to the preset's values. */
   private stand(): void {
     const { about } = this.preset;
     this.slider("layers").value = String(about.layers);

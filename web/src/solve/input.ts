@@ -1,20 +1,20 @@
-// What is to be solved: a scene among files that were dropped, or one that comes with the page.
+// The input of the solver: a scene among dropped files, or one of the page's own.
 import { Problem } from "../problem.js";
 import scenes from "./scenes.json";
 
 export interface Input {
   files: [path: string, bytes: ArrayBuffer][];
-  /** The scene among them. */
+  /** Path of the scene. */
   path: string;
   title: string;
-  /** Name of a scene that comes with the page. */
+  /** Name of a scene of the page. */
   builtIn?: string;
 }
 
-/** Scenes that come with the page: files below `scenes/NAME/`, the scene first. */
+/** Scenes of the page: files below `scenes/NAME/`, the scene first. */
 export const SCENES: Readonly<Record<string, { title: string; files: readonly string[] }>> = scenes;
 
-/** The most that a page takes: the module has 4 GiB for everything. */
+/** Limit for the input: the module has 4 GiB for everything. */
 const MOST_BYTES = 600e6;
 const MODEL = /\.(glb|gltf|ply|spz|sog)$/i;
 const WANTED = "Drop a .glb, a .gltf with its files, or a capture (.ply, .spz, .sog).";
@@ -30,7 +30,7 @@ export async function builtIn(name: string): Promise<Input> {
   return { files: await Promise.all(files), path: scene.files[0]!, title: scene.title, builtIn: name };
 }
 
-/** The scene among dropped files; undefined where it is something to show as it is. */
+/** The scene among dropped files; undefined for content that is shown unchanged. */
 export async function dropped(files: ReadonlyMap<string, File>): Promise<Input | undefined> {
   const paths = [...files.keys()];
   const models = paths.filter((path) => MODEL.test(path) || /(^|\/)meta\.json$/.test(path)).sort((a, b) => depth(a) - depth(b) || a.localeCompare(b));
@@ -38,7 +38,7 @@ export async function dropped(files: ReadonlyMap<string, File>): Promise<Input |
   if (path === undefined) return undefined;
   const base = path.replace(/[^/]*$/, "");
   const beside = paths.filter((other) => other.startsWith(base));
-  // A model in one file needs no other.
+  // A model in one file needs no other file.
   const needed = /\.(gltf|json)$/i.test(path) ? beside : [path];
   const bytes = needed.reduce((sum, name) => sum + files.get(name)!.size, 0);
   if (bytes > MOST_BYTES) {

@@ -1,27 +1,28 @@
-// The page that solves: a model becomes patterns in a thread of its own, and the viewer shows them as they form.
+// The page that solves: a model becomes patterns in another thread, and the viewer shows them as
+// they form.
 import type { LumistackViewer } from "../element.js";
 import { filesByName, filesOf, recognize } from "../drop.js";
 import { Problem, problemOf } from "../problem.js";
 import { Choice } from "./choice.js";
 import { builtIn, dropped, nothing, SCENES, type Input } from "./input.js";
 import { Solver } from "./solver.js";
-import type { State, Tell } from "./worker.js";
+import type { State, SolverMessage } from "./worker.js";
 
-/** Milliseconds of rest before a changed display is solved. */
+/** Milliseconds without a change before a changed display is solved. */
 const SETTLE_MS = 300;
 
 const at = <T extends HTMLElement>(id: string): T => document.getElementById(id) as T;
 const viewer = document.querySelector<LumistackViewer>("lumistack-viewer")!;
-const solver = new Solver(hear);
+const solver = new Solver(receive);
 const choice = new Choice(displayChanged);
 
 let input: Input | undefined;
 let paused = false;
 let settling: ReturnType<typeof setTimeout> | undefined;
-/** The newest patterns that wait until those before them are on show. */
-let next: Extract<Tell, { kind: "stack" }> | undefined;
+/** The newest patterns, which wait until the previous ones are shown. */
+let next: Extract<SolverMessage, { kind: "stack" }> | undefined;
 let showing = false;
-/** Which of several loads is the newest. */
+/** Number of the newest load. */
 let load = 0;
 
 async function solve(get: () => Promise<Input | undefined>): Promise<void> {
@@ -34,7 +35,7 @@ async function solve(get: () => Promise<Input | undefined>): Promise<void> {
     paused = false;
     document.title = `${found.title} – Lumistack`;
     performance.mark("lumistack-solve");
-    // The files go to the thread; they are kept here in case it ends.
+    // The files are copied to the thread; the page keeps them in case the thread ends.
     solver.ask({ kind: "solve", files: found.files, path: found.path, title: found.title, settings: choice.settings });
     buttons(true);
   } catch (error) {
@@ -56,7 +57,7 @@ function displayChanged(): void {
   }, SETTLE_MS);
 }
 
-function hear(what: Tell): void {
+function receive(what: SolverMessage): void {
   switch (what.kind) {
     case "presets":
       return choice.know(JSON.parse(what.json));
@@ -72,7 +73,7 @@ function hear(what: Tell): void {
   }
 }
 
-/** One after another, and of those that came meanwhile the newest. */
+/** Shows patterns one after another, and skips all but the newest. */
 async function show(): Promise<void> {
   if (showing) return;
   showing = true;
@@ -83,7 +84,7 @@ async function show(): Promise<void> {
       at("drop").classList.remove("idle");
       at("empty").hidden = true;
       await viewer.showStack(stack.json, stack.codes);
-      // Until a picture is drawn nothing is on show.
+      // The picture is visible only after it has been drawn.
       await viewer.ready;
       if (performance.getEntriesByName("lumistack-first-patterns").length === 0) performance.mark("lumistack-first-patterns");
     }
@@ -123,7 +124,7 @@ function refuse({ message, advice }: Problem): void {
   buttons(false);
 }
 
-/** What can be done while work is under way, and after. */
+/** Enables the buttons for work in progress, or after it. */
 function buttons(working: boolean): void {
   const pause = at<HTMLButtonElement>("pause");
   pause.disabled = !working;
@@ -151,7 +152,7 @@ async function open(files: ReadonlyMap<string, File>): Promise<void> {
     } catch {
       throw nothing(files);
     }
-    // Somebody's views or preview: there is nothing to solve.
+    // Views or a finished preview need no solver.
     at("empty").hidden = true;
     at("drop").classList.remove("idle");
     say("Shown as it is.");
@@ -201,7 +202,7 @@ at("link").addEventListener("click", async () => {
   );
 });
 const drop = at("drop");
-// The whole page takes what is dropped, before the viewer does.
+// The whole page receives drops, before the viewer does.
 for (const kind of ["dragenter", "dragover", "dragleave", "drop"] as const) {
   addEventListener(
     kind,
@@ -215,7 +216,7 @@ for (const kind of ["dragenter", "dragover", "dragleave", "drop"] as const) {
   );
 }
 
-// The display can be chosen before there is anything to solve.
+// The display can be chosen before there is a scene.
 const wanted = new URLSearchParams(location.hash.slice(1)).get("scene");
 if (wanted) void solve(() => builtIn(wanted));
 else solver.start().catch((error: unknown) => refuse(problemOf(error, "Load this page again.")));

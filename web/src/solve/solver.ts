@@ -1,5 +1,6 @@
-// The solver's thread as the page sees it. It starts when something is to be solved, and anew after it ran out of memory.
-import type { Ask, Tell } from "./worker.js";
+// The page's side of the solver's thread. It starts with the first scene, and again after it ran
+// out of memory.
+import type { SolverRequest, SolverMessage } from "./worker.js";
 import WORKER from "worker:./worker.ts";
 
 let compiling: Promise<WebAssembly.Module> | undefined;
@@ -17,41 +18,41 @@ function compile(): Promise<WebAssembly.Module> {
 
 export class Solver {
   private worker: Worker | undefined;
-  /** Settled when the thread has told what it knows. */
+  /** Resolved when the thread has sent its presets. */
   private ready: Promise<void> = Promise.resolve();
 
-  constructor(private readonly told: (what: Tell) => void) {}
+  constructor(private readonly receive: (what: SolverMessage) => void) {}
 
-  /** Whether there is a thread: one that knows what it works on, once it was told. */
+  /** True if there is a thread. */
   get runs(): boolean {
     return this.worker !== undefined;
   }
 
-  /** Starts the thread where there is none, and waits until it has told its presets. */
+  /** Starts the thread if there is none, and waits for its presets. */
   async start(): Promise<void> {
     const module = await compile();
     if (this.worker) return this.ready;
     const script = URL.createObjectURL(new Blob([WORKER], { type: "text/javascript" }));
     const worker = (this.worker = new Worker(script));
     this.ready = new Promise((resolve, reject) => {
-      worker.onmessage = ({ data }: MessageEvent<Tell>) => {
+      worker.onmessage = ({ data }: MessageEvent<SolverMessage>) => {
         URL.revokeObjectURL(script);
-        // Whatever is wrong may have left its memory full.
+        // Any error may have left its memory full.
         if (data.kind === "error") this.end();
-        this.told(data);
+        this.receive(data);
         if (data.kind === "presets") resolve();
       };
       worker.onerror = ({ message }) => {
         this.end();
         reject(new Error(message || "a worker does not start: the page may not start any (worker-src blob:)"));
-        this.told({ kind: "error", message: message || "The solver’s thread does not start." });
+        this.receive({ kind: "error", message: message || "The solver’s thread does not start." });
       };
     });
     this.ask({ kind: "start", module });
     return this.ready;
   }
 
-  ask(what: Ask, handed: Transferable[] = []): void {
+  ask(what: SolverRequest, handed: Transferable[] = []): void {
     this.worker?.postMessage(what, handed);
   }
 

@@ -1,15 +1,16 @@
-// The thread that solves. It works a little at a time and listens in between, so that it can be stopped at any time.
+// The thread that solves. It works for short turns and handles messages in between, so that it can
+// be stopped at any time.
 import { Dropped, initSync, presets, Solver } from "../../pkg/lumistack_web_solver.js";
 
-/** What the page asks for. */
-export type Ask =
+/** Requests of the page. */
+export type SolverRequest =
   | { kind: "start"; module: WebAssembly.Module }
   | { kind: "solve"; files: [path: string, bytes: ArrayBuffer][]; path: string; title: string; settings: string }
   | { kind: "change"; settings: string }
   | { kind: "pause" | "resume" }
   | { kind: "zip" };
 
-/** How far the work is. */
+/** Progress of the work. */
 export interface State {
   stage: "scene" | "views" | "patterns" | "done";
   share: number;
@@ -17,23 +18,23 @@ export interface State {
   warnings: string[];
 }
 
-/** What it tells. */
-export type Tell =
+/** Messages to the page. */
+export type SolverMessage =
   | { kind: "presets"; json: string }
   | { kind: "state"; state: State }
   | { kind: "stack"; json: string; codes: Uint8Array<ArrayBuffer> }
   | { kind: "zip"; bytes: Uint8Array<ArrayBuffer> }
   | { kind: "error"; message: string };
 
-/** Milliseconds of work between two looks at what the page wants, and between two states that it is told. */
+/** Milliseconds of a turn, and between two reports of progress. */
 const TURN_MS = 25;
-const TELL_MS = 100;
+const REPORT_MS = 100;
 
 let solver: Solver | undefined;
 let title = "";
 let running = false;
 let shown = 0;
-let told = 0;
+let reported = 0;
 let warnings: string[] = [];
 
 // Timers wait four milliseconds after the fifth in a row; messages do not.
@@ -47,20 +48,20 @@ function turn(): void {
   const done = solver.stage() === "done";
   const patterns = solver.shown() !== shown;
   if (patterns) shown = solver.shown();
-  if (patterns || done || performance.now() - told > TELL_MS) report(patterns);
+  if (patterns || done || performance.now() - reported > REPORT_MS) report(patterns);
   if (done) running = false;
   else turns.port2.postMessage(undefined);
 }
 
 function report(patterns: boolean): void {
   if (!solver) return;
-  told = performance.now();
+  reported = performance.now();
   warnings.push(...solver.warnings());
-  tell({ kind: "state", state: { stage: solver.stage() as State["stage"], share: solver.share(), psnr: solver.psnr(), warnings } });
+  send({ kind: "state", state: { stage: solver.stage() as State["stage"], share: solver.share(), psnr: solver.psnr(), warnings } });
   warnings = [];
   if (!patterns) return;
   const codes = solver.codes() as Uint8Array<ArrayBuffer>;
-  tell({ kind: "stack", json: solver.preview(title), codes }, [codes.buffer]);
+  send({ kind: "stack", json: solver.preview(title), codes }, [codes.buffer]);
 }
 
 function run(): void {
@@ -70,7 +71,7 @@ function run(): void {
   turns.port2.postMessage(undefined);
 }
 
-function tell(what: Tell, handed: Transferable[] = []): void {
+function send(what: SolverMessage, handed: Transferable[] = []): void {
   postMessage(what, { transfer: handed });
 }
 
@@ -83,18 +84,18 @@ function guarded(work: () => void): void {
     if (error instanceof WebAssembly.RuntimeError || error instanceof RangeError) {
       solver = undefined;
       const why = "the solver stopped: most likely this takes more memory than a page can have";
-      return tell({ kind: "error", message: `${title}: ${why}. Take less detail or fewer frames, or solve it with “lumistack run”.` });
+      return send({ kind: "error", message: `${title}: ${why}. Take less detail or fewer frames, or solve it with “lumistack run”.` });
     }
-    tell({ kind: "error", message: error instanceof Error ? error.message : String(error) });
+    send({ kind: "error", message: error instanceof Error ? error.message : String(error) });
   }
 }
 
-onmessage = ({ data }: MessageEvent<Ask>) =>
+onmessage = ({ data }: MessageEvent<SolverRequest>) =>
   guarded(() => {
     switch (data.kind) {
       case "start":
         initSync({ module: data.module });
-        return tell({ kind: "presets", json: presets() });
+        return send({ kind: "presets", json: presets() });
       case "solve": {
         running = false;
         solver?.free();
@@ -116,7 +117,7 @@ onmessage = ({ data }: MessageEvent<Ask>) =>
         return solver && run();
       case "zip": {
         const bytes = solver!.zip() as Uint8Array<ArrayBuffer>;
-        return tell({ kind: "zip", bytes }, [bytes.buffer]);
+        return send({ kind: "zip", bytes }, [bytes.buffer]);
       }
     }
   });
