@@ -46,6 +46,7 @@ const CLEAN: &[&str] = &[
     "plugins/panels",
     "plugins/quilt",
     "plugins/splats",
+    "plugins/web-simulator",
     "web/README.md",
     "web/src",
     "xtask",

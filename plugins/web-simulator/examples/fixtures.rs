@@ -1,8 +1,11 @@
-//! `fixtures FOLDER [--bench]`: previews of small random stacks and the views that the forward model gives of the unrounded patterns, for the page's tests.
+//! `fixtures FOLDER [--bench]`: writes previews of small random stacks, and reference views of the
+//! unrounded patterns by the forward model, for the page's tests.
 //!
-//! With `--bench` one preview of 420 × 262 pixels, three layers and six frames, for `cargo xtask bench web`.
+//! With `--bench`: one preview of 420 × 262 pixels, three layers and six frames, for `cargo xtask
+//! bench web`.
 //!
-//! Of every case `references.json`: nine slopes, and for each a file of L̃/β, little-endian `f32`, `[row][col][rgb]`.
+//! Every case has `references.json`: nine slopes, and for each a file of L̃/β, little-endian `f32`,
+//! `[row][col][rgb]`.
 
 use std::path::Path;
 
@@ -16,7 +19,8 @@ use lumistack_plugin_testkit::MemoryHost;
 use lumistack_plugin_testkit::serve::{Output, OutputData, Plugin};
 use lumistack_plugin_web_simulator::PLUGIN;
 
-/// Of every case; the front layer lets no more through, so that nothing is clipped and every error shows.
+/// Brightness of every case. The front layer transmits no more, so nothing is clipped and every
+/// error shows.
 const BRIGHTNESS: f64 = 0.8;
 /// Pixels of every case.
 const SIZE: [usize; 2] = [60, 40];
@@ -51,7 +55,7 @@ fn cases() -> [(&'static str, Display); 4] {
     [("uniform3", uniform), ("directional", directional), ("mixed", mixed), ("layers8", layers(&eight, 2))]
 }
 
-/// Smooth patterns with a little noise, bright enough that eight of them let light through.
+/// Smooth patterns with a little noise, bright enough that a product of eight transmits light.
 fn random_stack(display: &Display) -> LayerStack {
     let mut stack = LayerStack::filled(display, 1.0);
     let mut random = Stream::new(17);
@@ -73,7 +77,7 @@ fn write_case(folder: &Path, display: &Display) -> Result<(), Box<dyn std::error
     let stack = random_stack(display);
     let geometry = display.geometry()?;
     let (simulator, map) = (Simulator::new(display, &stack), RayMap::new(display, &geometry));
-    // the target is what the display shows, a little darker, so that the error map has something to show
+    // The target is a little darker than the display's view, so that the error map is not black.
     let mut target = LightField::black(geometry.clone())?;
     for view in geometry.grid.iter() {
         let emitted = simulator.view(&map, &geometry, view).radiance;

@@ -1,3 +1,3 @@
-//! The plugin as a library of its own, as the loader takes it.
+//! The plugin as a library for the loader.
 
 extern crate lumistack_plugin_web_simulator;

@@ -1,17 +1,18 @@
-//! Output plugin `web_simulator`: a static site that shows what the display shows, from wherever one looks.
+//! Output plugin `web_simulator`: a static site that simulates the display in a browser.
 //!
-//! | file | what |
+//! | file | content |
 //! |---|---|
-//! | `index.html`, `app/` | the page; works under any path of any server that hands out files |
-//! | `preview.html` | the same in one file, which a double click opens |
-//! | `stack/preview.json` | title, caption, display, brightness, target, and the pictures in the order to fetch: the frames whose mean is nearest to the whole first |
-//! | `stack/poster.jpg` | the display from straight ahead, which the page shows at once |
-//! | `stack/around.jpg` | of large stacks: small views from all over the zone, side by side, to look around in while the patterns load |
-//! | `stack/layerL_frameM.png` | patterns: value = code / 255, linear |
+//! | `index.html`, `app/` | the page; works under any path of any file server |
+//! | `preview.html` | the same in one file, which opens by a double click |
+//! | `stack/preview.json` | title, caption, display, brightness, target, and the pictures in the order of their loading: first the frames whose mean is nearest to the final picture |
+//! | `stack/poster.jpg` | the display from the middle, which the page shows at once |
+//! | `stack/around.jpg` | for large stacks: small views from all over the zone, side by side, to look around in while the patterns load |
+//! | `stack/layerL_frameM.png` | masks: value = code / 255, linear |
 //! | `stack/emission_frameM.png` | emission of a directional backlight, bins side by side: value = code / 255, linear |
-//! | `stack/target_YY_XX.png` | views of the light field that the patterns were made for, sRGB-encoded, where the host lends them; 7 per axis at most |
+//! | `stack/target_YY_XX.png` | views of the target, sRGB-encoded, if the host provides them; at most 7 per axis |
 //!
-//! Later times of a sequence are sites of their own in `time_0001/`, ... Memory: one frame of patterns, whatever their number.
+//! Later time steps of a sequence have their own sites in `time_0001/`, ... Memory: one frame of
+//! patterns, regardless of their number.
 
 mod order;
 mod page;
@@ -32,12 +33,15 @@ use poster::{AROUND, POSTER, Poster};
 
 pub use page::PREVIEW_JSON;
 
-/// Hash of this crate's sources and of those of the page that it writes. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of the sources of this crate and of the page that it writes. It belongs in the keys of all
+/// cached results that this code affects.
 pub const FINGERPRINT: &str = concat!(env!("LUMISTACK_FINGERPRINT"), " ", include_str!("../dist/sources.blake3"));
 
-/// Views of the target per axis that the page has to compare with, at most: of a display that chooses hundreds they would be most of the site.
+/// Largest number of the target's views per axis on the site. All views of a display with hundreds
+/// would be most of the site.
 const MOST_TARGETS: usize = 7;
-/// Bytes of patterns from which on small views come before them: half a second of a mobile connection.
+/// Size of patterns, in bytes, from which on small views are shown first: half a second of a mobile
+/// connection.
 const AROUND_FROM: usize = 1_000_000;
 
 /// The plugin.
@@ -61,7 +65,7 @@ pub struct SimulatorParams {
 }
 
 impl OutputPlugin for WebSimulator {
-    const DOC: &'static str = "Writes a static site that shows what the display shows, from wherever the mouse, finger or phone is. \
+    const DOC: &'static str = "Writes a static site that simulates the display; mouse, finger or phone move the view. \
         Open preview.html by a double click, or `lumistack preview` on the run.";
     const PORTS: &'static [Port] = &[Port::LayerStack];
     type Params = SimulatorParams;
@@ -78,14 +82,14 @@ impl OutputPlugin for WebSimulator {
             Param::bool(
                 "target",
                 true,
-                "Also write views that the patterns were made for, 7 × 7 at most, to compare with; they are a good part of the site's size.",
+                "Also write views of the target for comparison, at most 7 × 7; they are a large part of the site's size.",
             ),
             Param::bool("single_file", true, "Also write the whole site as one file, preview.html."),
             Param::float(
                 "single_file_mb",
                 30.0,
                 1.0..=2000.0,
-                "Largest preview.html: browsers take long to open a larger one, so it is left out, which a message says.",
+                "Largest preview.html; a larger one is left out with a message, since browsers open it slowly.",
             )
             .unit("MB"),
         ])
@@ -99,6 +103,7 @@ impl OutputPlugin for WebSimulator {
         let Input::LayerStack(stack) = data else { return Err(PluginError::unexpected(data)) };
         let folder = if time.index == 0 { String::new() } else { format!("time_{:04}/", time.index) };
         let (params, display) = (&self.params, &self.display);
+        // Describe the site.
         let title = words::title_of(if params.title.is_empty() { &display.name } else { &params.title });
         let caption =
             if params.caption.is_empty() { words::caption_of(&title, display) } else { params.caption.clone() };
@@ -107,6 +112,7 @@ impl OutputPlugin for WebSimulator {
         let most_bytes = params.single_file.then_some((params.single_file_mb * 1e6) as usize);
         let mut site = Site::new(&self.host, folder, &about, most_bytes)?;
         let mut files = Vec::new();
+        // Choose the views of the target.
         let places = stack.target().grid.views().map(|count| spread(count, MOST_TARGETS));
         let shown = thinned(stack.target(), &places);
         let targets = self.targets(stack, &shown)?;
@@ -114,6 +120,7 @@ impl OutputPlugin for WebSimulator {
         let stage = self.host.stage("preview", (stack.frames() * per_frame + targets.len()) as u64, "pictures");
         let mut rounding = Rounding::new(display, &shown);
         let mut middles = Vec::with_capacity(stack.frames());
+        // Write every frame, and measure the effect of rounding to 8 bits.
         for frame in 0..stack.frames() {
             let mut layers = Vec::with_capacity(stack.layer_count());
             for layer in 0..stack.layer_count() {
@@ -137,13 +144,15 @@ impl OutputPlugin for WebSimulator {
             let middle = rounding.add(layers, emission, stack.brightness());
             middles.push(order::coarse(&middle, shown.cols));
         }
+        // Sort the files so that early means are close to the final picture.
         let order = order::by_importance(&middles);
         files.sort_by_key(|file: &Value| order.iter().position(|frame| file["frame"] == *frame));
         let size: u64 = files.iter().filter_map(|file| file["bytes"].as_u64()).sum();
+        // A large stack gets small views for the time of loading.
         let around = if size >= AROUND_FROM as u64 {
-            let (jpeg, told) = poster::around(stack, display.field.fov_deg)?;
+            let (jpeg, entry) = poster::around(stack, display.field.fov_deg)?;
             site.file(AROUND, &jpeg)?;
-            Some(told)
+            Some(entry)
         } else {
             None
         };
@@ -156,6 +165,7 @@ impl OutputPlugin for WebSimulator {
             files.push(site.picture(&path, entry, &picture, &png_of(&picture)?)?);
             stage.advance(1, "");
         }
+        // Write preview.json and the page.
         let rounding_db = rounding.psnr();
         let preview = json!({
             "schema": "lumistack-preview",
@@ -181,7 +191,7 @@ impl OutputPlugin for WebSimulator {
 }
 
 impl WebSimulator {
-    /// The views to write of those that are `shown`, from the middle outwards, so that the ones that are looked at first come first.
+    /// The views of `shown` to write, from the middle outwards: users look at the middle first.
     fn targets(&self, stack: &StackInput<'_>, shown: &FieldGeometry) -> Result<Vec<[usize; 2]>, PluginError> {
         if !self.params.target || !stack.has_target_views() {
             return Ok(Vec::new());
@@ -194,7 +204,7 @@ impl WebSimulator {
     }
 }
 
-/// A light field with some of its rows and columns of views.
+/// A light field with selected rows and columns of views.
 fn thinned(geometry: &FieldGeometry, [rows, cols]: &[Vec<usize>; 2]) -> FieldGeometry {
     let pick = |slopes: &[f64], places: &[usize]| places.iter().map(|&place| slopes[place]).collect();
     let grid = &geometry.grid;

@@ -1,11 +1,12 @@
-//! Which frames come first: the mean of those that are there should come as near to the mean of all as it can.
+//! Sorts the frames: the mean of the first ones should be as near to the mean of all as possible.
 
-/// Least side of the boxes over which a frame's picture is averaged, pixels: the eye sees those, not the grain.
+/// Least side of the boxes over which a frame's picture is averaged, pixels. The eye sees the
+/// average, not the noise.
 const BOX: usize = 8;
-/// Most boxes side by side, so that a frame of any size takes little memory.
+/// Largest number of boxes side by side, so that a frame of any size needs little memory.
 const ACROSS: usize = 64;
 
-/// What a frame shows straight ahead, coarsely.
+/// A coarse picture of a frame, from the middle.
 pub(crate) fn coarse(linear: &[f32], cols: usize) -> Vec<f32> {
     let rows = linear.len() / (3 * cols);
     let side = rows.max(cols).div_ceil(ACROSS).max(BOX);
@@ -18,7 +19,8 @@ pub(crate) fn coarse(linear: &[f32], cols: usize) -> Vec<f32> {
     sums
 }
 
-/// The frames in the order to fetch: each is the one that brings the mean of those so far nearest to the mean of all.
+/// The frames in the order of their loading: each brings the mean of those so far nearest to the
+/// mean of all.
 pub(crate) fn by_importance(frames: &[Vec<f32>]) -> Vec<usize> {
     let width = frames.first().map_or(0, Vec::len);
     let whole: Vec<f64> =
@@ -48,7 +50,8 @@ mod tests {
     #[test]
     fn the_first_frame_is_the_likest_and_the_second_makes_up_for_it() {
         let frames: Vec<Vec<f32>> = [0.0, 9.0, 5.0, 4.0].map(|value| vec![value; 3]).to_vec();
-        // the mean is 4.5: of the two that are equally near the first one, then the other, whose mean with it is exact
+        // The mean is 4.5. Frames 2 and 3 are equally near, so the first of them, then the other:
+        // their mean is exact.
         assert_eq!(by_importance(&frames), [2, 3, 0, 1]);
         assert_eq!(by_importance(&[]), [0; 0]);
     }

@@ -8,24 +8,25 @@ use lumistack_plugin::{Host, OutputFile, PluginError};
 use crate::pictures::Picture;
 use crate::poster::{POSTER, Poster};
 
-/// What the page reads first.
+/// Path of the file that the page reads first.
 pub const PREVIEW_JSON: &str = "stack/preview.json";
 const INDEX: &str = include_str!("../dist/index.html");
 const SCRIPT: &str = include_str!("../dist/viewer.js");
 const MODULE: &[u8] = include_bytes!("../dist/lumistack_web_bg.wasm");
 
-/// What of the page is replaced in the single file.
+/// Part of the page that is replaced in the single file.
 const SCRIPT_LINK: &str = r#"<script type="module" src="app/viewer.js"></script>"#;
-/// What of the page is replaced in every site.
+/// Part of the page that is replaced in every site.
 const HEAD: [&str; 2] = ["<title>", "<!--/about-->"];
 const POSTER_PLACE: &str = "<!--poster-->";
-/// What of the page a single file has no use for, and the sentence that names it, which only stands where there is one.
+/// Parts of the page that are removed: those about the folder in a single file, and the sentence
+/// about the single file without one.
 const FOLDER: [&str; 2] = ["<!--folder-->", "<!--/folder-->\n"];
 const SINGLE: [&str; 2] = ["<!--single-->", "<!--/single-->"];
-/// Bytes; a multiple of 3, so that the parts' texts join to the text of the whole.
+/// Number of bytes; a multiple of 3, so that the encoded parts join to the encoded whole.
 const ENCODED_AT_ONCE: usize = 3 << 16;
 
-/// A site that is being written.
+/// A site during its writing.
 pub(crate) struct Site<'a> {
     host: &'a Host,
     folder: String,
@@ -33,27 +34,28 @@ pub(crate) struct Site<'a> {
     single: Option<SingleFile>,
 }
 
-/// The site in one file; every picture is added when it is there, so that none is kept.
+/// The site in one file; every picture is appended at once, so none is kept in memory.
 struct SingleFile {
     file: OutputFile,
-    /// Bytes so far, and at most.
+    /// Bytes so far, and their limit.
     length: usize,
     most: usize,
-    /// What of the page follows its script.
+    /// The part of the page after its script.
     end: String,
 }
 
-/// What the page and links to it say.
+/// The texts of the page and of links to it.
 pub(crate) struct About<'a> {
     pub(crate) title: &'a str,
     pub(crate) caption: &'a str,
-    /// Where the site will be; empty where nobody knows.
+    /// Address of the site; empty if unknown.
     pub(crate) address: &'a str,
     pub(crate) poster: &'a Poster,
 }
 
 impl<'a> Site<'a> {
-    /// `folder` is empty or ends with `/`; `most_bytes` are those of the single file, where there is to be one.
+    /// `folder` is empty or ends with `/`; `most_bytes` is the limit of the single file, if
+    /// requested.
     pub(crate) fn new(
         host: &'a Host,
         folder: String,
@@ -76,7 +78,7 @@ impl<'a> Site<'a> {
         if single.add(path, bytes)? {
             return Ok(());
         }
-        // dropped, the file leaves nothing
+        // dropping the file removes it
         let most = single.most / 1_000_000;
         self.single = None;
         let text = format!(
@@ -86,7 +88,7 @@ impl<'a> Site<'a> {
         Ok(())
     }
 
-    /// Writes a picture; gives its entry in preview.json.
+    /// Writes a picture; returns its entry in preview.json.
     pub(crate) fn picture(
         &mut self,
         path: &str,
@@ -135,7 +137,7 @@ impl SingleFile {
         Ok(single)
     }
 
-    /// A file of the site, unless that makes the whole too large.
+    /// Appends a file of the site; false if the whole would be too large.
     fn add(&mut self, path: &str, bytes: &[u8]) -> Result<bool, PluginError> {
         if self.length + bytes.len().div_ceil(3) * 4 > self.most {
             return Ok(false);
@@ -145,7 +147,7 @@ impl SingleFile {
         Ok(true)
     }
 
-    /// Keys are our own paths and base64 has nothing that a script would take for its end.
+    /// The text needs no escapes: keys are this crate's paths, and base64 cannot end a script.
     fn entry(&mut self, key: &str, bytes: &[u8]) -> Result<(), PluginError> {
         self.text(&format!("\"{key}\":\""))?;
         for part in bytes.chunks(ENCODED_AT_ONCE) {
@@ -171,7 +173,7 @@ impl SingleFile {
 }
 
 impl About<'_> {
-    /// The page; in a `single` file its poster is part of it, and it says nothing of a folder or an address of its own.
+    /// The page. A `single` file contains its poster, and has no link to a folder or an address.
     fn page(&self, single: bool) -> Result<String, PluginError> {
         let Poster { jpeg, rows, cols } = self.poster;
         let source = if single { format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg)) } else { POSTER.into() };
@@ -184,7 +186,7 @@ impl About<'_> {
         if single { cut(&cut(&page, FOLDER, "")?, SINGLE, "") } else { Ok(page) }
     }
 
-    /// Title and description, and what services that show links ask for (Open Graph).
+    /// Title and description, with the properties that services read for links (Open Graph).
     fn head(&self, single: bool) -> String {
         let (title, caption) = (escaped(self.title), escaped(self.caption));
         let mut head = format!(
@@ -208,7 +210,7 @@ impl About<'_> {
     }
 }
 
-/// The page with `text` in place of what lies between two marks, and of the marks.
+/// Replaces the part of a page between two marks, and the marks, by `text`.
 fn cut(page: &str, [from, to]: [&str; 2], text: &str) -> Result<String, PluginError> {
     let missing = |mark: &str| PluginError::Failed(format!("web/dist/index.html: expected {mark}, found none"));
     let start = page.find(from).ok_or_else(|| missing(from))?;
@@ -217,7 +219,7 @@ fn cut(page: &str, [from, to]: [&str; 2], text: &str) -> Result<String, PluginEr
     Ok(format!("{}{text}{}", &page[..start], &page[end..]))
 }
 
-/// Text that stands in the page, also within quotes.
+/// Escapes text for the page, also within quotes.
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

@@ -1,4 +1,4 @@
-//! Patterns as pictures of 8 bits per channel, and what the rounding costs.
+//! Patterns as pictures of 8 bits per channel, and the effect of rounding.
 
 use lumistack_plugin::core::Tensor;
 use lumistack_plugin::core::colour::srgb_code;
@@ -18,14 +18,14 @@ fn linear_code(value: f32) -> u8 {
     (value.clamp(0.0, 1.0) * 255.0 + 0.5) as u8
 }
 
-/// The picture of a layer's pattern, and the pattern itself.
+/// The picture of a layer's mask, and the mask itself.
 pub(crate) fn layer_picture(plane: &PlaneView<'_>) -> (Picture, Vec<f32>) {
     let exact = plane.to_vec();
     let codes = exact.iter().map(|value| linear_code(*value)).collect();
     (Picture { rows: plane.rows(), cols: plane.cols(), codes }, exact)
 }
 
-/// The picture of a frame's emission, bins side by side, and its values in the same order.
+/// The picture of a frame's emission with bins side by side, and its values in the same order.
 pub(crate) fn emission_picture(
     stack: &StackInput<'_>,
     frame: usize,
@@ -48,7 +48,7 @@ pub(crate) fn target_codes(plane: &PlaneView<'_>) -> Picture {
     Picture { rows: plane.rows(), cols: plane.cols(), codes }
 }
 
-/// The file.
+/// Encodes a picture.
 pub(crate) fn png_of(picture: &Picture) -> Result<Vec<u8>, PluginError> {
     let failed = |error: png::EncodingError| PluginError::failed("a picture", error);
     let mut bytes = Vec::new();
@@ -61,7 +61,8 @@ pub(crate) fn png_of(picture: &Picture) -> Result<Vec<u8>, PluginError> {
     Ok(bytes)
 }
 
-/// Views from rounded patterns against views from the patterns themselves: the middle one and two opposite corners of the target.
+/// Compares views from rounded patterns with views from the patterns themselves: the target's
+/// middle view and two opposite corners.
 pub(crate) struct Rounding<'a> {
     display: &'a Display,
     geometry: FieldGeometry,
@@ -89,7 +90,8 @@ impl<'a> Rounding<'a> {
         Self { display, differences, geometry, map, frames: 0.0, brightness: 1.0 }
     }
 
-    /// One frame. First the patterns, then what their codes stand for: one of the two is in memory at a time. Returns the frame's middle view.
+    /// Adds one frame: first the patterns, then their codes, so that only one of them is in memory.
+    /// Returns the frame's middle view.
     pub(crate) fn add(
         &mut self,
         layers: Vec<(Picture, Vec<f32>)>,
@@ -123,7 +125,7 @@ impl<'a> Rounding<'a> {
         middle
     }
 
-    /// PSNR of L̃/β, dB; infinite where the rounding costs nothing.
+    /// PSNR of L̃/β, dB; infinite if rounding has no effect.
     pub(crate) fn psnr(&self) -> f64 {
         let scale = 1.0 / (self.frames * self.brightness);
         let mut error = SquaredError::default();
@@ -138,7 +140,7 @@ fn layer(picture: &Picture, values: Vec<f32>) -> Tensor<4> {
     Tensor::from_vec(LayerStack::LAYER_AXES, shape, values).expect("a picture has a value per code")
 }
 
-/// Bins that lie side by side, as one frame of emission.
+/// Converts bins side by side to one frame of emission.
 fn untiled(values: &[f32], [bins_y, bins_x, rows, cols]: Bins) -> Tensor<6> {
     let mut emission = Tensor::zeros(LayerStack::EMISSION_AXES, [1, bins_y, bins_x, rows, cols, 3]);
     for (line, values) in values.chunks_exact(3 * bins_x * cols).enumerate() {

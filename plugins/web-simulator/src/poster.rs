@@ -1,4 +1,5 @@
-//! Pictures that the page shows before its patterns are there: the display from the middle, and from a few places around it.
+//! Pictures that the page shows while its patterns load: the display from the middle, and from a
+//! few positions around it.
 
 use image::ExtendedColorType;
 use image::codecs::jpeg::JpegEncoder;
@@ -15,11 +16,12 @@ pub(crate) const AROUND: &str = "stack/around.jpg";
 /// Longest side of the poster and of a view around it, pixels.
 const POSTER_PX: usize = 1200;
 const AROUND_PX: usize = 240;
-/// Bytes that the poster and all views around it should have at most, and the qualities that are tried for it.
+/// Largest size of the poster and of all views around it, and the qualities that are tried.
 const POSTER_BYTES: usize = 45_000;
 const AROUND_BYTES: usize = 110_000;
 const QUALITIES: [u8; 6] = [88, 80, 72, 64, 56, 48];
-/// Places across and upwards: close enough that a mixture of neighbours has no double edges at this size.
+/// Positions across and upwards: so close that a blend of neighbours has no double edges at this
+/// size.
 const PLACES: [usize; 2] = [5, 3];
 
 /// A picture and its size.
@@ -31,7 +33,7 @@ pub(crate) struct Poster {
 }
 
 impl Poster {
-    /// What an eye that is adapted to the display sees from straight ahead.
+    /// The seen picture from the middle, for an adapted eye.
     ///
     /// # Errors
     /// If the host cannot simulate.
@@ -42,13 +44,14 @@ impl Poster {
     }
 }
 
-/// Small views from places all over the zone, side by side in one picture, the first at the left and from above; and what preview.json says of them.
+/// Small views from all over the zone, side by side in one picture, from left to right and from the
+/// top; and their entry in preview.json.
 ///
 /// # Errors
 /// If the host cannot simulate.
 pub(crate) fn around(stack: &StackInput<'_>, fov_deg: [f64; 2]) -> Result<(Vec<u8>, Value), PluginError> {
     let views = stack.target().grid.views();
-    // one view promises nothing beside it
+    // a single view makes no zone
     let slopes = |axis: usize, views: usize| match (views, PLACES[axis]) {
         (1, _) => vec![0.0],
         (_, count) => {
@@ -74,7 +77,8 @@ pub(crate) fn around(stack: &StackInput<'_>, fov_deg: [f64; 2]) -> Result<(Vec<u
     Ok((jpeg_of(&quilt, AROUND_BYTES)?, told))
 }
 
-/// The display from a slope at the centre of the field, box-filtered until no side is longer than `most` pixels, sRGB-encoded.
+/// The seen picture from a slope at the centre of the field, sRGB-encoded. A box filter reduces it
+/// until no side is longer than `most` pixels.
 fn seen(stack: &StackInput<'_>, [x, y]: [f64; 2], most: usize) -> Result<Picture, PluginError> {
     let from = match stack.target().grid.projection {
         Projection::Oblique => ViewPoint::Slope([x, y]),
@@ -84,7 +88,7 @@ fn seen(stack: &StackInput<'_>, [x, y]: [f64; 2], most: usize) -> Result<Picture
     Ok(reduced(&plane.values(), stack.target(), most, (1.0 / stack.brightness()) as f32))
 }
 
-/// Values times `scale`, the mean over boxes of whole pixels.
+/// Values times `scale`, averaged over boxes of whole pixels.
 fn reduced(linear: &[f32], geometry: &FieldGeometry, most: usize, scale: f32) -> Picture {
     let (rows, cols) = (geometry.rows, geometry.cols);
     let step = rows.max(cols).div_ceil(most);
@@ -103,7 +107,7 @@ fn reduced(linear: &[f32], geometry: &FieldGeometry, most: usize, scale: f32) ->
     Picture { rows: out_rows, cols: out_cols, codes }
 }
 
-/// The file, of the best quality that fits.
+/// Encodes a picture in the best quality that fits.
 fn jpeg_of(picture: &Picture, most_bytes: usize) -> Result<Vec<u8>, PluginError> {
     let (width, height) = (picture.cols as u32, picture.rows as u32);
     let mut jpeg = Vec::new();

@@ -1,8 +1,9 @@
-//! What the page and links to it say of a display.
+//! Texts about a display for the page and for links to it.
 
 use lumistack_plugin::display::{Backlight, Display};
 
-/// A title for people: the name of a file becomes words ("still-life" → "Still life"); other titles stay as they are.
+/// A title for users: the name of a file becomes words ("still-life" → "Still life"); other titles
+/// are unchanged.
 pub(crate) fn title_of(name: &str) -> String {
     let of_file = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_';
     let words = name.split(['-', '_']).filter(|word| !word.is_empty()).collect::<Vec<_>>().join(" ");
@@ -12,7 +13,7 @@ pub(crate) fn title_of(name: &str) -> String {
     words[..1].to_uppercase() + &words[1..]
 }
 
-/// One sentence: how the display shows the scene.
+/// One sentence that describes the display and the scene.
 pub(crate) fn caption_of(title: &str, display: &Display) -> String {
     let plural = |count: usize, one: &str| match count {
         1 => format!("one {one}"),

@@ -1,4 +1,4 @@
-//! The site through the plugin's C functions, read back by the module that the page uses.
+//! The site through the plugin's C functions, read back by the page's module.
 
 use std::collections::BTreeMap;
 
@@ -44,7 +44,8 @@ fn conforms() {
     conformance(&PLUGIN).unwrap();
 }
 
-/// Of every sample stack, uniform and directional: what the page shows is what the display shows, but for the rounding that the preview itself states.
+/// For every sample stack, uniform and directional, the page's picture equals the display's except
+/// for the rounding that the preview states.
 #[test]
 fn the_page_shows_what_the_display_shows() {
     for sample in samples().iter().filter(|sample| sample.stack().is_some()) {
@@ -78,7 +79,7 @@ fn files_come_frame_by_frame_and_then_the_target_from_the_middle() {
     let files = write(&sample.display, OutputData::LayerStack(stack, Some(&target)), json!({"title": "A <b> & c"}));
     let preview: Value = from_slice(&files[PREVIEW_JSON]).unwrap();
     let list = preview["files"].as_array().unwrap();
-    // one frame after another, whichever comes first
+    // all files of a frame are together, in any order of frames
     for (i, file) in list.iter().take(stack.layers.len() * stack.frames()).enumerate() {
         let layers = stack.layers.len();
         assert_eq!((&file["layer"], &file["frame"]), (&json!(i % layers), &list[i / layers * layers]["frame"]));
@@ -87,7 +88,7 @@ fn files_come_frame_by_frame_and_then_the_target_from_the_middle() {
     let [rows, cols] = target.geometry().grid.views();
     let first = list.iter().find(|file| file["kind"] == "target").unwrap();
     assert_eq!(first["view"], json!([(rows - 1) / 2, (cols - 1) / 2]));
-    // the single file has everything under its path, and no links
+    // the single file contains every file under its path, and no links
     let page = std::str::from_utf8(&files["preview.html"]).unwrap();
     assert!(
         page.contains("<title>A &lt;b&gt; &amp; c") && !page.contains("href=\"app/") && !page.contains("src=\"app/")
@@ -120,7 +121,7 @@ fn rounding_of_exact_codes_costs_nothing() {
     assert!(stated.is_none_or(|stated| stated > 120.0), "{stated:?}");
 }
 
-/// A stack of slow waves, which a JPEG keeps.
+/// A stack of slow waves, which JPEG compression keeps.
 fn waves(display: &Display) -> LayerStack {
     let mut stack = LayerStack::filled(display, 0.0);
     for (n, layer) in stack.layers.iter_mut().enumerate() {
@@ -163,7 +164,8 @@ fn the_poster_is_the_seen_picture_and_links_show_it() {
     assert!(page.contains(r#"src="data:image/jpeg;base64,"#) && !page.contains("og:image"));
 }
 
-/// Of a large stack there are small views from all over the zone; and a single file that is too large is left out, which is said.
+/// A large stack has small views from all over the zone. A single file that is too large is left
+/// out, with a message.
 #[test]
 fn a_large_stack_can_be_looked_into_before_it_is_there() {
     let display = Display::uniform([400, 250], 1.0, [3, 1], [20.0, 20.0], &[-3.0, 3.0], 3);
@@ -187,7 +189,7 @@ fn a_large_stack_can_be_looked_into_before_it_is_there() {
     assert!(
         host.messages().iter().any(|(_, text)| text.contains("preview.html was left out") && text.contains("2 MB"))
     );
-    // a small one has none
+    // a small stack has none
     let display = Display::uniform([6, 5], 1.0, [3, 3], [20.0, 20.0], &[-3.0, 3.0], 2);
     let files = write(&display, OutputData::LayerStack(&LayerStack::filled(&display, 0.5), None), json!({}));
     assert!(!files.contains_key("stack/around.jpg") && files.contains_key("preview.html"));
