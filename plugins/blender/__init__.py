@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lumistack in Blender: the open scene on a tensor display.
+"""Lumistack in Blender: patterns of a tensor display for the active scene.
 
-What needs no `bpy` is in the Python package `lumistack`, whose wheel comes with the extension; here are the panel, the operators and what Blender
-calls.
+Code without `bpy` is in the Python package `lumistack`; the extension contains its wheel. This
+package has the panel, the operators and the functions that Blender calls.
 
-    settings    what a scene keeps                 operators   what buttons do
-    jobs        what is done, step by step         panel       where they stand
-    pictures    views from files, simulated ones   overlay     what the 3D view shows
-    digest      whether kept views still hold      command     `blender --command lumistack`
+    settings    the settings of a scene             operators   the actions of the buttons
+    jobs        the work, step by step              panel       the panels
+    pictures    views from files, simulated views   overlay     the drawing in the 3D view
+    digest      the validity of kept views          command     `blender --command lumistack`
 """
 
 from . import command, jobs, operators, overlay, panel, settings

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """`blender -b FILE.blend --command lumistack ...`: the button without a window, with an exit code.
 
-Where Blender's version has no --command, or the file of a script is more handy:
+In versions of Blender without --command, or from a script:
 
     blender -b FILE.blend --python-expr "import sys; from bl_ext.user_default.lumistack import command; sys.exit(command.main(['make']))"
 """
@@ -20,7 +20,7 @@ _handle = None
 
 
 def main(words: list[str]) -> int:
-    """0 done, 1 failed, 2 wrong usage, 130 interrupted."""
+    """Returns 0 done, 1 failed, 2 wrong usage, 130 interrupted."""
     try:
         asked = command_line.parse(words)
     except command_line.Usage as usage:
@@ -35,14 +35,15 @@ def main(words: list[str]) -> int:
         for name, value in asked.scene_settings.items():
             setattr(scene, name, value)
         job = jobs.Job(scene, factorize=asked.what == "make")
-        # a command has no window, and shows the file's open scene whatever was asked for
+        # A command has no window. The lent window shows the file's active scene, not a requested
+        # other one.
         with handover.in_window(bpy, scene):
             if asked.fit_depth:
                 print(jobs.fit_depth(scene, compress=asked.fit_depth == "compress"), flush=True)
-            said = command_line.Teller(sys.stdout)
+            said = command_line.ProgressPrinter(sys.stdout)
             jobs.run_now(job, said)
     except KeyboardInterrupt:
-        print("stopped; what is finished is kept", file=sys.stderr)
+        print("stopped; finished parts are kept", file=sys.stderr)
         return 130
     except KeyError as error:
         print(f"error: expected one of the scenes {', '.join(each.name for each in bpy.data.scenes)}, found {error}", file=sys.stderr)

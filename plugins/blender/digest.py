@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whether views that were kept still show the scene: a digest of everything that a render depends on.
+"""A digest of all data that a render depends on, which shows whether kept views are still valid.
 
-Objects are taken as evaluated, so that modifiers, drivers and animation count; of everything else all plain properties are. Names of pictures count with
-the size and time of their files.
+Objects are read as evaluated, which includes modifiers, drivers and animation. All other data
+contribute all their plain properties. Pictures contribute their names, and the size and time of
+their files.
 """
 
 from __future__ import annotations
@@ -14,18 +15,18 @@ import struct
 import bpy
 
 _PLAIN = {"BOOLEAN", "INT", "FLOAT", "STRING", "ENUM"}
-#: What changes without changing a picture.
+#: Properties that do not affect a picture.
 _SKIP = {
     "rna_type", "name_full", "session_uid", "is_evaluated", "is_library_indirect", "is_missing", "is_runtime_data", "tag", "use_fake_user",
     "use_extra_user", "users", "is_embedded_data", "original", "select", "show_options", "show_preview", "show_texture", "location_absolute",
     "warning_propagation", "width", "height", "hide", "is_editable", "ui_shortcut", "is_icon_custom", "use_auto_refresh", "location",
-    # set for every render
+    # Settings that every render sets.
     "filepath", "resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y", "use_border", "use_multiview",
     "use_sequencer", "use_stamp", "use_overwrite", "use_placeholder", "use_file_extension", "display_mode", "use_lock_interface", "threads", "threads_mode",
     "preview_samples", "use_preview_denoising", "frame_path", "is_movie_format", "file_extension",
 }  # fmt: skip
 _MESHES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
-#: Plain properties of a node tree's sockets are few: these are the values of inputs.
+#: The values of a node's inputs; sockets have few other plain properties.
 _INPUT = "default_value"
 
 
@@ -73,7 +74,7 @@ class _Hasher:
             self.sha.update(struct.pack("<d", value))
 
     def plain(self, held, only: set[str] | None = None) -> None:
-        """The plain properties of anything."""
+        """Adds the plain properties of any data."""
         for prop in held.bl_rna.properties:
             name = prop.identifier
             if prop.type not in _PLAIN or name in _SKIP or (only is not None and name not in only):
@@ -87,7 +88,7 @@ class _Hasher:
             self.text(f"{name}={value!r}" if not isinstance(value, set) else f"{name}={sorted(value)!r}")
 
     def block(self, data) -> None:
-        """A material, light, world or other block, with its nodes."""
+        """Adds a material, light, world or other block, with its nodes."""
         if data is None:
             self.text("none")
             return

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the button does, as a list of steps that is made while it is walked through.
+"""The button's work, as steps that are generated while they are done.
 
-A step is a view that Blender's main thread renders, or work that runs on a thread of its own. `operators` walks through the steps from a timer, so that the
-window stays alive; `command` and a render farm walk through them at once. Every finished view and every finished time is a file, and a second walk leaves out
-what is there.
+A step is a view that Blender's main thread renders, or work on another thread. `operators` does the
+steps from a timer, so that the window responds; `command` and a render farm do them at once. Every
+finished view and every finished time step is a file, and a second run skips existing ones.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from lumistack.blender.work import Work
 
 from . import digest, pictures, settings as settings_of
 
-#: Full updates of every time after the first, which starts from the patterns of the one before.
+#: Iterations of every time step after the first, which starts with the previous patterns.
 NEXT_ITERATIONS = 5
-#: Whose views these are.
+#: Names of the renderers' views.
 NAMES = {"BLENDER": "Blender's views", "GLTF": "Lumistack's views of the glTF file", "USD": "Lumistack's views of the USD file"}
-#: Share of clipped values that is worth a warning.
+#: Fraction of clipped values above which a warning is given.
 CLIPPED = 0.01
 
 
 class JobError(Exception):
-    """What is wrong, in one sentence."""
+    """An error, described in one sentence."""
 
 
 @dataclass
 class Render:
-    """A view that is to be rendered: call `aim`, render the scene with write_still, call `finished`."""
+    """A view to render: call `aim`, render the scene with write_still, call `finished`."""
 
     scene: object
     aim: Callable[[], None]
@@ -49,18 +49,18 @@ class Render:
 
 @dataclass
 class Wait:
-    """Work on another thread, which is to be waited for."""
+    """Work on another thread to wait for."""
 
     work: Work
     title: str
-    #: Of all that is to be done, what is done before, and what this is.
+    #: The fraction of the job before this work, and this work's fraction.
     share: float
     part: float
 
 
 @dataclass
 class Tick:
-    """A moment to breathe."""
+    """A pause in which Blender can handle events."""
 
     title: str
     share: float
@@ -71,7 +71,7 @@ Step = Render | Wait | Tick
 
 @dataclass
 class Shown:
-    """What a job left to be looked at."""
+    """The result of a job, for the simulated view."""
 
     stack: lumistack.LayerStack
     window: cameras.Window
@@ -120,7 +120,8 @@ class Job:
             scene.frame_set(current)
 
     def _time(self, folder: Path, before: lumistack.LayerStack | None, start: float, part: float):
-        """One time: views, light field, patterns, outputs."""
+        """One time step: views, light field, patterns, outputs."""
+        # Render the views by every renderer; the first one's are the target.
         scene, settings = self.scene, self.scene.lumistack
         display = display_of(settings)
         window = window_of(scene, display)
@@ -139,6 +140,7 @@ class Job:
         if not self.factorize:
             light_field.save(folder / "target")
             return None
+        # Patterns with an equal key from an earlier run are kept.
         iterations = settings_of.quality(settings)[1]
         key = key_of({"target": hash_of(light_field.radiance), "display": display.to_toml(), "iterations": iterations, "first": before is None})
         stamp = folder / "blender.json"
@@ -160,6 +162,7 @@ class Job:
                 lumistack.write(stack, output, folder / "outputs" / "tensor-display" / output, target=light_field, callback=report, **parameters)
             return stack, stack.psnr(light_field)
 
+        # Solve on another thread, and keep the result for the 3D view.
         work = Work(solve).start()
         yield Wait(work, "Patterns", start + rendering, part - rendering)
         stack, psnr = result_of(work)
@@ -170,7 +173,7 @@ class Job:
     def _check_depth(self, display: lumistack.Display, window: cameras.Window) -> None:
         sentence = depth_sentence(self.scene, display, window)
         if sentence:
-            self.warn("depth", f"{sentence}. Fit Depth brings the scene into that range")
+            self.warn("depth", f"{sentence}. Fit Depth moves the scene into that range")
 
     def _views(self, _renderer, display, window, folder: Path, start: float, part: float):
         """Views by Blender's engine."""
@@ -179,6 +182,7 @@ class Job:
         _, _, rows, columns, _ = display.light_field_shape
         scale = settings.depth_scale
         yield Tick("Looking at the scene", start)
+        # The key contains all data that the views depend on.
         key = key_of(
             {
                 "digest": digest.digest(scene),
@@ -193,6 +197,7 @@ class Job:
         missing = views.missing()
         total = len(slope_x) * len(slope_y)
         self.kept += total - len(missing)
+        # Render only the missing views.
         depths = rig.depth_range(bpy, scene, window)
         if missing:
             try:
@@ -210,6 +215,7 @@ class Job:
                     done = total - len(views.missing())
                     yield Render(scene, aim, lambda view=view: views.keep(view), f"View {done + 1} of {total}", start + 0.9 * part * done / total)
                     self.rendered += 1
+        # Read all views.
         radiance = numpy.empty(display.light_field_shape, numpy.float32)
         for number, view in enumerate(views.all()):
             yield Tick("Reading views", start + part * (0.9 + 0.1 * number / total))
@@ -222,24 +228,24 @@ class Job:
             return pictures.as_shown(path, self.scene)
         picture = pictures.load(path) * 2.0**settings.exposure_ev
         if (picture > 1.0).mean() > CLIPPED:
-            self.warn("look", "more than 1 % of the light is brighter than white and cut: lower the exposure, or take the look of the scene")
+            self.warn("look", "more than 1 % of the light is brighter than white and clipped: lower the exposure, or use the scene's look")
         return numpy.clip(picture, 0.0, 1.0)
 
     def _trace(self, renderer: str, display, window, folder: Path, start: float, part: float):
-        """Views by our own path tracer, of the exported scene."""
+        """Views of the exported scene by Lumistack's path tracer."""
         scene, settings = self.scene, self.scene.lumistack
         yield Tick("Exporting the scene", start)
         if renderer == "USD":
             path = folder / "scene.usdc"
             with handover.in_window(bpy, scene):
                 usd.export_scene(bpy, path)
-            # where it is not, another Python is looked for
+            # If it cannot, another Python will be used.
             usd.is_readable(bpy)
         else:
             path = folder / "scene.glb"
             handover.export_scene(bpy, path, self.warn, scene)
         for line in unshown.unshown(bpy, scene):
-            # USD has curves
+            # USD supports curves.
             if not (renderer == "USD" and line.startswith("hair")):
                 self.warn(scene.name, line)
         samples = settings_of.quality(settings)[2]
@@ -251,7 +257,7 @@ class Job:
         def trace(report):
             loaded = lumistack.Scene(path, light={"automatic": False}, callback=report)
             return lumistack.render(
-                # the panel decides about depth, for Blender's views and ours alike
+                # The panel controls depth for both renderers.
                 loaded, display, window=window.as_job(), fit_depth="off", depth_scale=scale, samples=samples, light=light,
                 tone=tone, exposure_ev=exposure, cache=folder / "cache", callback=report,
             )  # fmt: skip
@@ -261,15 +267,15 @@ class Job:
         return result_of(work)
 
 
-#: What was made of every scene in this session, by its name.
+#: The results of this session's jobs, by the scene's name.
 shown: dict[str, Shown] = {}
-#: Scenes that jobs are working at: their camera is one of ours now and then.
+#: Scenes that jobs work at: their camera may be a temporary one.
 busy: set[str] = set()
 _running: list[Work] = []
 
 
 def result_of(work: Work):
-    """What work gave; its error, on this thread."""
+    """The result of work; raises its error on this thread."""
     if work.error is not None:
         raise work.error
     return work.result
@@ -283,7 +289,7 @@ def display_of(settings) -> lumistack.Display:
 
 
 def window_of(scene, display: lumistack.Display) -> cameras.Window:
-    """The window as the scene's settings place it."""
+    """The window according to the scene's settings."""
     settings = scene.lumistack
     _, _, rows, columns, _ = display.light_field_shape
     size_mm = (columns * display.pitch_mm, rows * display.pitch_mm)
@@ -296,19 +302,20 @@ def window_of(scene, display: lumistack.Display) -> cameras.Window:
 
 
 def depth_sentence(scene, display: lumistack.Display, window: cameras.Window) -> str | None:
-    """The warning of a scene that is too deep for its display."""
+    """The warning for a scene that is too deep for its display."""
     return depth.sentence(depths_shown(scene, display, window), display.depth_of_field_mm())
 
 
 def depths_shown(scene, display, window) -> list[float]:
-    """Depths of what is seen, as the display shows them."""
+    """Depths of the visible content, as the display shows them."""
     fit = depth.Fit(0.0, scene.lumistack.depth_scale)
     distance_mm = display.distance_mm
     return [depth.shown_at(z, fit, distance_mm) for z in rig.depths_through(bpy, scene, window, distance_mm)]
 
 
 def fit_depth(scene, compress: bool) -> str:
-    """Moves the window, and scales depth, so that the display shows the scene sharply; says what was done."""
+    """Moves the window, and scales depth, so that the display shows the scene sharply. Returns a
+    text about the changes."""
     settings = scene.lumistack
     display = display_of(settings)
     range_mm = display.depth_of_field_mm()
@@ -324,7 +331,7 @@ def fit_depth(scene, compress: bool) -> str:
 
 
 def output_folder(scene) -> Path:
-    """Where a scene's results go."""
+    """Folder of a scene's results."""
     text = scene.lumistack.folder or "//lumistack"
     if text.startswith("//") and not bpy.data.filepath:
         return Path(bpy.app.tempdir) / text[2:]
@@ -338,7 +345,7 @@ def hash_of(array: numpy.ndarray) -> str:
 
 
 def kept_patterns(folder: Path, stamp: Path, key: str) -> lumistack.LayerStack | None:
-    """The patterns of an earlier run, if they are of the same light field and settings."""
+    """The patterns of an earlier run, if they have the same light field and settings."""
     try:
         if json.loads(stamp.read_text(encoding="utf-8")).get("key") != key:
             return None
@@ -354,7 +361,7 @@ def write_stamp(stamp: Path, key: str) -> None:
 
 
 def renderers_of(settings) -> list[str]:
-    """Who renders, the one that counts first."""
+    """The renderers; the first one's views are the target."""
     found = ["BLENDER"] if settings.renderer in ("BLENDER", "BOTH") else []
     if settings.renderer in ("LUMISTACK", "BOTH"):
         found += ["GLTF", "USD"] if settings.handover == "BOTH" else [settings.handover]
@@ -362,7 +369,7 @@ def renderers_of(settings) -> list[str]:
 
 
 def compared(our_name: str, ours, their_name: str, theirs) -> str:
-    """How far two light fields are apart."""
+    """A text about the difference of two light fields."""
     error = float(numpy.mean((ours.radiance.astype(numpy.float64) - theirs.radiance) ** 2))
     means = [float(each.radiance.mean()) for each in (ours, theirs)]
     psnr = float("inf") if error == 0.0 else -10.0 * numpy.log10(error)
@@ -370,12 +377,12 @@ def compared(our_name: str, ours, their_name: str, theirs) -> str:
 
 
 def track(work: Work) -> None:
-    """Remembers work that must end before Blender does."""
+    """Registers work that must end before Blender does."""
     _running.append(work)
 
 
 def run_now(job: Job, say: Callable[[str, float], None] = lambda *_: None) -> None:
-    """Walks through a job at once; for scripts and render farms."""
+    """Does all steps of a job at once; for scripts and render farms."""
     walk = job.steps()
     try:
         for step in walk:
@@ -397,7 +404,7 @@ def run_now(job: Job, say: Callable[[str, float], None] = lambda *_: None) -> No
 
 
 def end_all() -> None:
-    """Stops all work that still runs."""
+    """Stops all running work."""
     for work in _running:
         work.stop()
     deadline = time.monotonic() + 10.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the buttons do."""
+"""Actions of the buttons."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from lumistack.blender import outline
 
 from . import jobs, overlay, pictures
 
-#: Seconds between two looks at what runs.
+#: Interval of checks of running work, seconds.
 TICK = 0.1
-#: Width of the window that shows a small picture.
+#: Width of the window for a small picture.
 WINDOW_PX = 720
 _previews: list[subprocess.Popen] = []
 
@@ -27,7 +27,7 @@ def _text(error: BaseException) -> str:
 
 
 class _Steps(bpy.types.Operator):
-    """Walks through a job from a timer; without a window, at once."""
+    """Does a job's steps from a timer; without a window, all at once."""
 
     bl_options = {"REGISTER"}
     factorizes = True
@@ -40,7 +40,7 @@ class _Steps(bpy.types.Operator):
         job = jobs.Job(context.scene, factorize=self.factorizes)
         try:
             jobs.run_now(job)
-        except Exception as error:  # whatever it is, it is told
+        except Exception as error:  # every error is reported to the user
             self.report({"ERROR"}, _text(error))
             return {"CANCELLED"}
         return self._end(context, job)
@@ -55,19 +55,19 @@ class _Steps(bpy.types.Operator):
         self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
         context.window_manager.progress_begin(0.0, 1.0)
         context.window_manager.modal_handler_add(self)
-        # no window for every view: it would lie over the panel
+        # A window per view would cover the panel.
         self._display_type = context.preferences.view.render_display_type
         context.preferences.view.render_display_type = "NONE"
         return {"RUNNING_MODAL"}
 
     def modal(self, context, event):
         if event.type == "ESC" and event.value == "PRESS":
-            return self._stop(context, "Stopped; what is finished is kept")
+            return self._stop(context, "Stopped; finished parts are kept")
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
         try:
             return self._go_on(context)
-        except Exception as error:  # whatever it is, nothing may stay behind
+        except Exception as error:  # the timer must be removed after any error
             self._close(context)
             self.report({"ERROR"}, _text(error))
             return {"CANCELLED"}
@@ -77,23 +77,23 @@ class _Steps(bpy.types.Operator):
         if self._state == "rendering":
             return {"PASS_THROUGH"}
         if self._state == "cancelled":
-            return self._stop(context, "Stopped; what is finished is kept")
+            return self._stop(context, "Stopped; finished parts are kept")
         if bpy.app.is_job_running("RENDER"):
-            # the last view's job is being wound up
+            # Blender is still finishing the previous view's job.
             return {"PASS_THROUGH"}
         if self._state == "rendered":
             step.finished()
             self._state = "next"
         if isinstance(step, jobs.Wait) and not step.work.is_done():
             stage, share = step.work.progress
-            self._tell(context, f"{step.title} {stage}", step.share + step.part * share)
+            self._show_progress(context, f"{step.title} {stage}", step.share + step.part * share)
             return {"PASS_THROUGH"}
         try:
             self._step = step = next(self._walk)
         except StopIteration:
             self._close(context)
             return self._end(context, self._job)
-        self._tell(context, step.title, step.share)
+        self._show_progress(context, step.title, step.share)
         if isinstance(step, jobs.Wait):
             jobs.track(step.work)
         elif isinstance(step, jobs.Render):
@@ -111,7 +111,7 @@ class _Steps(bpy.types.Operator):
         if self._state == "rendering":
             self._state = "cancelled"
 
-    def _tell(self, context, title, share):
+    def _show_progress(self, context, title, share):
         context.window_manager.progress_update(share)
         if context.workspace:
             context.workspace.status_text_set(f"Lumistack: {title} ({100 * share:.0f} %). Esc stops")
@@ -147,7 +147,7 @@ class _Steps(bpy.types.Operator):
 
 
 class LUMISTACK_OT_make(_Steps):
-    """Render the views, make the layers' patterns, and show what the display shows"""
+    """Render the views, compute the layers' patterns, and show the simulated display"""
 
     bl_idname = "lumistack.make"
     bl_label = "Make Tensor Display"
@@ -159,7 +159,7 @@ class LUMISTACK_OT_make(_Steps):
 
 
 class LUMISTACK_OT_render_views(_Steps):
-    """Render the display's views as a light field; views that are finished and still hold are left as they are"""
+    """Render the display's views as a light field; finished views that are still valid are kept"""
 
     bl_idname = "lumistack.render_views"
     bl_label = "Render Views"
@@ -167,7 +167,7 @@ class LUMISTACK_OT_render_views(_Steps):
 
 
 def show_view(scene, slope) -> None:
-    """Simulates the display of a scene from a direction, into the image and the 3D view."""
+    """Simulates the display of a scene from a direction, for the image and the 3D view."""
     held = jobs.shown.get(scene.name)
     if held is not None:
         picture = lumistack.simulate(held.stack, slope=slope)
@@ -176,7 +176,8 @@ def show_view(scene, slope) -> None:
 
 
 def show_editor(context) -> None:
-    """Shows the simulated view in an image editor: one that is open, else a window's like that of a render."""
+    """Shows the simulated view in an image editor: an open one, or a new window like that of a
+    render."""
     image = bpy.data.images.get(pictures.SHOWN)
     if image is None:
         return
@@ -193,7 +194,7 @@ def _areas(context, kind: str) -> list:
 
 
 def _open_editor(context, size) -> None:
-    """A window of its own, as large as a picture that is easily seen."""
+    """Opens a window, large enough to see the picture well."""
     render, view = context.scene.render, context.preferences.view
     larger = max(WINDOW_PX / size[0], 1.0)
     changes = [(render, "resolution_x", round(larger * size[0])), (render, "resolution_y", round(larger * size[1])), (render, "resolution_percentage", 100)]
@@ -206,7 +207,7 @@ def _open_editor(context, size) -> None:
     finally:
         for held, name, value in old:
             setattr(held, name, value)
-    # the window gets its size when it is drawn first
+    # The window's size is known after it has been drawn once.
     for delay_s in (0.2, 1.0):
         bpy.app.timers.register(functools.partial(_fit_editor), first_interval=delay_s)
 
@@ -222,7 +223,7 @@ def _fit_editor() -> None:
 
 
 class LUMISTACK_OT_look(bpy.types.Operator):
-    """Look at the display from where the mouse is: left and right, up and down. Esc or the right button ends it"""
+    """Look around by moving the mouse: left and right, up and down. Esc or the right button ends it"""
 
     bl_idname = "lumistack.look"
     bl_label = "Look Around"
@@ -238,7 +239,7 @@ class LUMISTACK_OT_look(bpy.types.Operator):
     def invoke(self, context, event):
         self._fov = jobs.shown[context.scene.name].stack.display.to_dict()["field"]["fov_deg"]
         show_view(context.scene, (0.0, 0.0))
-        # only the mouse over this window is heard of
+        # An operator receives mouse events only from its own window.
         kinds = {area.type for area in context.window.screen.areas}
         if "IMAGE_EDITOR" not in kinds and not ("VIEW_3D" in kinds and context.scene.lumistack.show_picture):
             show_editor(context)
@@ -262,13 +263,13 @@ class LUMISTACK_OT_look(bpy.types.Operator):
 
 
 class LUMISTACK_OT_fit_depth(bpy.types.Operator):
-    """Bring the scene into the depths that the display shows sharply: the window moves along its normal, and depth is scaled where that is not enough"""
+    """Fit the scene to the depths that the display shows sharply: move the window along its normal, and scale depth if that is not enough"""
 
     bl_idname = "lumistack.fit_depth"
     bl_label = "Fit Depth"
     bl_options = {"REGISTER", "UNDO"}
 
-    compress: bpy.props.BoolProperty(name="Scale depth", description="Also flatten the scene where moving the window is not enough", default=True)
+    compress: bpy.props.BoolProperty(name="Scale depth", description="Also flatten the scene if moving the window is not enough", default=True)
 
     def execute(self, context):
         try:
@@ -280,7 +281,7 @@ class LUMISTACK_OT_fit_depth(bpy.types.Operator):
 
 
 class LUMISTACK_OT_check_depth(bpy.types.Operator):
-    """Say how the depth of the scene fits the display"""
+    """Compare the depth of the scene with the display"""
 
     bl_idname = "lumistack.check_depth"
     bl_label = "Check Depth"
@@ -313,7 +314,7 @@ class LUMISTACK_OT_preview(bpy.types.Operator):
 
 
 def finished_folder(scene) -> Path | None:
-    """The run folder to look at: the scene's, or its first time."""
+    """The finished run folder: the scene's, or its first time step's."""
     folder = jobs.output_folder(scene)
     return next((each for each in (folder, folder / "t0001") if (each / "layers" / "stack.json").is_file()), None)
 
@@ -323,7 +324,7 @@ def preview_command(folder: Path) -> list[str]:
 
 
 def preview_environment() -> dict[str, str]:
-    """A child finds the package where this process found it."""
+    """An environment in which a child finds the package."""
     home = str(Path(lumistack.__file__).resolve().parent.parent)
     paths = [home, *filter(None, [os.environ.get("PYTHONPATH")])]
     return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}

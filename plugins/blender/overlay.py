@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the 3D view shows: the window with its depth of field and viewing cone, the simulated view on it, an arrow that moves it back and forth, and a
-frame that moves and scales it in its plane."""
+"""Drawings in the 3D view: the window with its depth of field and viewing zone, and the simulated
+view on it. An arrow moves the window back and forth, and a frame moves and scales it in its plane.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ from . import jobs
 #: Linear RGBA.
 WINDOW, DEPTH, CONE = (1.0, 0.75, 0.1, 1.0), (0.2, 0.75, 1.0, 0.7), (0.6, 1.0, 0.4, 0.5)
 WIDTH_PX = 1.5
-#: Seconds after which a handle that does not move is taken to rest.
+#: Seconds without motion after which a handle is at rest.
 REST_S = 0.4
 
 _handle = None
@@ -22,23 +23,23 @@ _moved_at = 0.0
 _pictures: dict[str, object] = {}
 _textures: dict[str, object] = {}
 _outlines: dict[str, tuple[object, object]] = {}
-#: Why scenes have no window, by their names.
+#: The reason why a scene has no window, by the scene's name.
 missing: dict[str, str] = {}
 
 
 def forget() -> None:
-    """Something that the lines depend on has changed."""
+    """Drops the lines, since their data have changed."""
     _outlines.clear()
 
 
 def set_picture(scene_name: str, picture) -> None:
-    """The simulated view [row, column, rgb] that is shown on the window."""
+    """Sets the simulated view [row, column, rgb] on the window."""
     _pictures[scene_name] = picture
     _textures.pop(scene_name, None)
 
 
 def lines_of(scene) -> list[tuple[tuple[float, ...], list[tuple[float, float, float]]]]:
-    """(colour, ends of lines in the scene) of what the settings show; nothing where there is no window."""
+    """(colour, ends of lines in the scene) for the settings; empty without a window."""
     settings = scene.lumistack
     placed = placement(scene)
     if placed is None:
@@ -55,7 +56,7 @@ def lines_of(scene) -> list[tuple[tuple[float, ...], list[tuple[float, float, fl
 
 
 def placement(scene) -> tuple[object, cameras.Window] | None:
-    """Display and window, found again when the camera or a setting has changed."""
+    """Display and window; computed again after the camera or a setting has changed."""
     kept = _outlines.get(scene.name)
     if scene.name in jobs.busy:
         return kept and kept[1]
@@ -73,7 +74,7 @@ def placement(scene) -> tuple[object, cameras.Window] | None:
 
 
 def _key(scene) -> object:
-    """What of the camera decides where the window stands."""
+    """The camera's data that determine the window."""
     camera = scene.camera
     if camera is None or camera.type != "CAMERA":
         return None
@@ -118,7 +119,7 @@ def _draw_picture(scene, gpu, batch_for_shader) -> None:
 
         rows, columns, _ = picture.shape
         values = numpy.ones((rows, columns, 4), numpy.float32)
-        # linear: what is drawn here is encoded for the screen afterwards
+        # The values are linear; Blender encodes the drawing for the screen.
         values[..., :3] = numpy.clip(picture[::-1], 0.0, 1.0)
         texture = gpu.types.GPUTexture((columns, rows), format="RGBA16F", data=gpu.types.Buffer("FLOAT", values.size, values.ravel()))
         _textures[scene.name] = texture
@@ -130,7 +131,8 @@ def _draw_picture(scene, gpu, batch_for_shader) -> None:
 
 
 def _moved() -> None:
-    """A handle has moved something. Blender makes no step of undo of it; one is made when it rests."""
+    """Called when a handle has moved. Blender adds no undo step for it, so one is added when it
+    rests."""
     global _moved_at
     _moved_at = time.monotonic()
     if not bpy.app.timers.is_registered(_push_undo):
@@ -164,7 +166,7 @@ class LUMISTACK_GGT_window(bpy.types.GizmoGroup):
         arrow.color_highlight, arrow.alpha_highlight = (1.0, 1.0, 1.0), 1.0
         arrow.target_set_handler("offset", get=self._get, set=self._set)
         cage = self.gizmos.new("GIZMO_GT_cage_2d")
-        # its sides are linked: the display's own are
+        # The display's proportions link the sides.
         cage.transform = {"TRANSLATE", "SCALE", "SCALE_UNIFORM"}
         cage.color, cage.alpha = WINDOW[:3], 0.3
         cage.color_highlight, cage.alpha_highlight = (1.0, 1.0, 1.0), 1.0
@@ -205,13 +207,16 @@ class LUMISTACK_GGT_window(bpy.types.GizmoGroup):
 
 
 def arrow_matrix(window: cameras.Window, moved_back_mm: float):
-    """The arrow's own place: where the window stands when it is not moved, along its normal."""
+    """The arrow's origin: the window's position along its normal before any move."""
     return _matrix(window, window.point((0.0, 0.0, moved_back_mm)))
 
 
 def cage_of(display, window: cameras.Window, settings):
-    """Where the frame stands that moves and scales the window: the middle of the camera's picture in the window's plane; how large that picture is; and the
-    width that shifts are counted in."""
+    """The frame that moves and scales the window, as three values.
+
+    Its centre is the middle of the camera's picture in the window's plane. The second value is the size
+    of that picture. The third is the width in which shifts are measured.
+    """
     grown = 1.0 if display.distance_mm is None else (display.distance_mm + settings.moved_back_mm) / display.distance_mm
     width, height = (window.scale * part / settings.window_size for part in window.size_mm)
     unit = width / grown
@@ -220,7 +225,7 @@ def cage_of(display, window: cameras.Window, settings):
 
 
 def _matrix(window: cameras.Window, origin):
-    """A place with the axes of a window."""
+    """A position with the axes of a window."""
     from mathutils import Matrix
 
     return Matrix([[window.right[row], window.up[row], window.back[row], origin[row]] for row in range(3)] + [[0.0, 0.0, 0.0, 1.0]])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Panels among the render properties."""
+"""Panels in the render properties."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ class _Panel:
         return context.scene is not None
 
     def begin(self, context):
-        """The layout, names on its left as elsewhere in Blender, and the scene's settings."""
+        """Sets the layout, with names on the left as elsewhere in Blender; returns it and the
+        scene's settings."""
         self.layout.use_property_split = True
         self.layout.use_property_decorate = False
         return self.layout, context.scene.lumistack
@@ -98,7 +99,7 @@ class LUMISTACK_PT_views(_Panel, bpy.types.Panel):
             held.prop(settings, name, text="")
         try:
             display = settings_of.display_of(settings)
-        except Exception as error:  # whatever it is, a panel tells it
+        except Exception as error:  # a panel shows every error
             layout.label(text=str(error)[:120], icon="ERROR")
             return
         rows, columns, height, width, _ = display.light_field_shape

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Views from files to arrays, as the scene's colour management shows them, and simulated views to Blender's image editor."""
+"""Reads views from files, with the scene's colour management if requested, and puts simulated views
+into Blender's image editor."""
 
 from __future__ import annotations
 
@@ -9,12 +10,12 @@ from pathlib import Path
 import bpy
 import numpy
 
-#: The image that shows the simulated view.
+#: Name of the image with the simulated view.
 SHOWN = "Lumistack"
 
 
 def load(path: Path, linear: bool = True) -> numpy.ndarray:
-    """[row, column, rgb] of a picture as it stands in the file, the top row first."""
+    """[row, column, rgb] of a picture with the file's values, the top row first."""
     image = bpy.data.images.load(str(path), check_existing=False)
     try:
         if not linear:
@@ -31,7 +32,8 @@ def load(path: Path, linear: bool = True) -> numpy.ndarray:
 
 
 def as_shown(path: Path, scene) -> numpy.ndarray:
-    """The same after the view transform, exposure, look and curves of the scene, for an sRGB screen, in linear light 0..1."""
+    """The picture after the scene's view transform, exposure, look and curves for an sRGB screen,
+    in linear light 0..1."""
     settings, display = scene.render.image_settings, scene.display_settings
     old: list[tuple[object, str, object]] = []
 
@@ -61,13 +63,13 @@ def as_shown(path: Path, scene) -> numpy.ndarray:
 
 
 def from_srgb(codes: numpy.ndarray) -> numpy.ndarray:
-    """sRGB code values 0..1 to linear light."""
+    """Converts sRGB codes 0..1 to linear light."""
     linear = numpy.where(codes <= 0.04045, codes / 12.92, ((numpy.maximum(codes, 0.0) + 0.055) / 1.055) ** 2.4)
     return numpy.clip(linear, 0.0, 1.0).astype(numpy.float32)
 
 
 def show(picture: numpy.ndarray) -> object:
-    """Puts a linear picture [row, column, rgb] into the image that editors show."""
+    """Writes a linear picture [row, column, rgb] to the image that editors show."""
     rows, columns, _ = picture.shape
     image = bpy.data.images.get(SHOWN)
     if image is None or tuple(image.size) != (columns, rows) or not image.is_float:

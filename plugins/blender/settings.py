@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a scene keeps: display, window, views, quality, outputs."""
+"""The settings of a scene: display, window, views, quality, outputs."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import lumistack
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, IntVectorProperty, PointerProperty, StringProperty
 from lumistack.blender import forms
 
-#: Share of the display's pixels in percent, iterations, and paths per pixel of our own path tracer.
+#: Percentage of the display's pixels, iterations, and paths per pixel of Lumistack's path tracer.
 QUALITY = {"DRAFT": (20, 10, 4), "PREVIEW": (50, 25, 16), "FULL": (100, 50, 64)}
 
 
 @functools.cache
 def plugins() -> list[dict]:
-    """Plugins that write, as the package describes them."""
+    """Plugins that write files, as the package describes them."""
     return [plugin for plugin in lumistack.plugins() if plugin["kind"] == "output" and not plugin["presents"]]
 
 
@@ -95,11 +95,11 @@ def _property(each: forms.Field):
 
 
 class LumistackOutputs(bpy.types.PropertyGroup):
-    """Parameters of all output plugins; their properties are added before it is registered."""
+    """Parameters of all output plugins; their properties are added before its registration."""
 
 
 def _settings_class():
-    """The property group of a scene, whose lists come from the package."""
+    """The property group of a scene; its lists come from the package."""
     presets = _presets()
     default = "paper-three-layer" if any(name == "paper-three-layer" for name, *_ in presets) else presets[0][0]
     draw = {"update": _redraw}
@@ -113,11 +113,11 @@ def _settings_class():
         "file": StringProperty(name="File", description="Display file (.toml)", subtype="FILE_PATH", **draw),
         "grid": EnumProperty(
             name="Projection",
-            description="How the rays of a view lie",
+            description="Directions of a view's rays",
             items=[
-                ("DISPLAY", "As the Display", "What the display's description says"),
-                ("OBLIQUE", "Parallel", "Every view a parallel projection, as from far away"),
-                ("PERSPECTIVE", "Eyes", "Every view from an eye at a distance before the display"),
+                ("DISPLAY", "As the Display", "The display's own projection"),
+                ("OBLIQUE", "Parallel", "Every view is a parallel projection, as from far away"),
+                ("PERSPECTIVE", "Eyes", "Every view is seen from an eye in front of the display"),
             ],
             **draw,
         ),
@@ -125,7 +125,7 @@ def _settings_class():
         "use_views": BoolProperty(name="Own Number of Views", **draw),
         "views": IntVectorProperty(name="Views", description="Horizontal and vertical", size=2, default=(5, 5), min=1, max=64, **draw),
         "use_brightness": BoolProperty(name="Own Brightness", **draw),
-        "brightness": FloatProperty(name="Brightness", description="Share of the target's light that the display emits", default=0.2, min=0.001, max=1.0, **draw),
+        "brightness": FloatProperty(name="Brightness", description="Brightness scale: the display emits the target times this factor", default=0.2, min=0.001, max=1.0, **draw),
         "quality": EnumProperty(
             name="Quality",
             items=[
@@ -137,14 +137,14 @@ def _settings_class():
             default="PREVIEW",
             **draw,
         ),
-        "percentage": IntProperty(name="Pixels", description="Share of the display's pixels", subtype="PERCENTAGE", default=50, min=1, max=100, **draw),
-        "iterations": IntProperty(name="Iterations", description="Full updates of all layers", default=25, min=1, max=10000),
+        "percentage": IntProperty(name="Pixels", description="Percentage of the display's pixels", subtype="PERCENTAGE", default=50, min=1, max=100, **draw),
+        "iterations": IntProperty(name="Iterations", description="Updates of all layers", default=25, min=1, max=10000),
         "samples": IntProperty(name="Paths", description="Paths per pixel of Lumistack's path tracer", default=16, min=1, max=65536),
         "window_from": EnumProperty(
             name="Window",
-            description="Where the display stands: as wide as the camera's picture there",
+            description="Position of the display; it is as wide as the camera's picture there",
             items=[
-                ("AUTO", "Automatic", "The camera's plane of focus where it has one, else the middle of what it sees"),
+                ("AUTO", "Automatic", "The camera's plane of focus, or without one the middle of its visible depths"),
                 ("DISTANCE", "Distance", "At a distance from the camera"),
             ],
             **draw,
@@ -152,12 +152,12 @@ def _settings_class():
         "distance": FloatProperty(name="Distance", description="From the camera to the window", subtype="DISTANCE", default=10.0, min=1e-4, max=1e6, **draw),
         "window_size": FloatProperty(
             name="Size",
-            description="Width of the window, over that of the camera's picture in its plane",
+            description="Width of the window relative to the camera's picture in its plane",
             default=1.0, min=0.01, max=100.0, soft_min=0.1, soft_max=4.0, **draw,
         ),  # fmt: skip
         "window_shift": FloatVectorProperty(
             name="Shift",
-            description="Where the window stands in its plane, to the right and up of the middle of the camera's picture, in widths of that picture",
+            description="Offset of the window in its plane from the middle of the camera's picture, to the right and up, in widths of that picture",
             subtype="XYZ", size=2, default=(0.0, 0.0), min=-100.0, max=100.0, soft_min=-2.0, soft_max=2.0, **draw,
         ),  # fmt: skip
         "window_width": FloatProperty(
@@ -168,7 +168,7 @@ def _settings_class():
         ),
         "moved_back_mm": FloatProperty(
             name="Move Back (mm)",
-            description="Moves the window along its normal, in millimetres of the display; what is seen straight on stays",
+            description="Moves the window along its normal, in millimetres of the display; the view from the middle stays",
             default=0.0, min=-1e5, max=1e5, **draw,
         ),  # fmt: skip
         "depth_scale": FloatProperty(
@@ -179,36 +179,36 @@ def _settings_class():
             items=[
                 ("BLENDER", "Blender", "The scene's engine, Cycles or EEVEE, with its settings"),
                 ("LUMISTACK", "Lumistack", "Lumistack's path tracer, of the exported scene"),
-                ("BOTH", "Both", "Blender's views, and how far Lumistack's are from them"),
+                ("BOTH", "Both", "Blender's views, and their difference from Lumistack's"),
             ],
         ),
         "handover": EnumProperty(
             name="Hand-over",
-            description="How Lumistack's path tracer gets the scene",
+            description="Format in which Lumistack's path tracer receives the scene",
             items=[
-                ("GLTF", "glTF", "Blender's glTF exporter, with all that Cycles sees of the scene's light"),
-                ("USD", "USD", "Blender's USD exporter as it is, subdivision surfaces and all"),
-                ("BOTH", "Both", "Renders both, and says how far they are apart; the glTF one counts"),
+                ("GLTF", "glTF", "Blender's glTF exporter, with the scene's lights in the units of Cycles"),
+                ("USD", "USD", "Blender's USD exporter, including subdivision surfaces"),
+                ("BOTH", "Both", "Renders both and reports their difference; the views of the glTF file are used"),
             ],
         ),
         "look": EnumProperty(
             name="Look",
             items=[
                 ("SCENE", "As Blender Shows It", "The view transform, exposure and look of Color Management, one for all views"),
-                ("LINEAR", "Linear", "Radiance times the exposure below; what is brighter than white is cut"),
+                ("LINEAR", "Linear", "Radiance times the exposure below; values brighter than white are clipped"),
             ],
         ),
         "exposure_ev": FloatProperty(name="Exposure", description="Stops", default=0.0, min=-20.0, max=20.0),
         "times": EnumProperty(
             name="Time",
-            items=[("CURRENT", "Current Frame", "A still"), ("RANGE", "Frame Range", "The scene's frames, each starting from the patterns of the one before")],
+            items=[("CURRENT", "Current Frame", "A still"), ("RANGE", "Frame Range", "The scene's frames; each starts with the patterns of the previous one")],
         ),
-        "folder": StringProperty(name="Folder", description="Where views, patterns and outputs go", subtype="DIR_PATH", default="//lumistack"),
-        "output": EnumProperty(name="Output", description="What is written besides the patterns", items=_outputs(), default="NONE"),
+        "folder": StringProperty(name="Folder", description="Folder of views, patterns and outputs", subtype="DIR_PATH", default="//lumistack"),
+        "output": EnumProperty(name="Output", description="Additional output besides the patterns", items=_outputs(), default="NONE"),
         "show_window": BoolProperty(name="Window", description="Draw the display's window in the 3D view", default=True, **draw),
         "show_depth": BoolProperty(name="Depth of Field", description="Draw the depths that the display shows sharply", default=True, **draw),
-        "show_cone": BoolProperty(name="Viewing Cone", description="Draw from where the display is seen", default=False, **draw),
-        "show_picture": BoolProperty(name="Simulated View", description="Show what the display shows on the window in the 3D view", default=True, **draw),
+        "show_cone": BoolProperty(name="Viewing Cone", description="Draw the viewing zone", default=False, **draw),
+        "show_picture": BoolProperty(name="Simulated View", description="Show the simulated view on the window in the 3D view", default=True, **draw),
     }
     return type("LumistackSettings", (bpy.types.PropertyGroup,), {"__annotations__": annotations, "__doc__": __doc__})
 
@@ -242,7 +242,7 @@ def quality(settings) -> tuple[int, int, int]:
 
 
 def display_of(settings) -> lumistack.Display:
-    """The display, as the settings change it. Raises what the package raises of one that makes no sense."""
+    """The display, changed by the settings. Raises the package's error for an invalid one."""
     what = settings.preset if settings.display_from == "PRESET" else bpy.path.abspath(settings.file)
     display = lumistack.Display(what)
     described = display.to_dict()
@@ -260,7 +260,7 @@ def display_of(settings) -> lumistack.Display:
     if settings.use_views:
         changes["views"] = list(settings.views)
     elif field["views"] == "auto":
-        # each view is a picture that Blender renders, not a share of the samples
+        # Blender renders each view as a separate picture, so the many views of "auto" would be slow.
         changes["views"] = [5, 5]
     if settings.use_brightness:
         changes["brightness"] = settings.brightness

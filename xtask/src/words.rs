@@ -41,6 +41,7 @@ const CLEAN: &[&str] = &[
     "examples",
     "fuzz",
     "plugins/baselines",
+    "plugins/blender",
     "plugins/images",
     "plugins/obj",
     "plugins/panels",

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What must hold in a real Blender, each case in a process of its own.
+"""Cases that must pass in a real Blender, each in its own process.
 
     python cases.py all ZIP FOLDER              the cases, one after the other
-    python cases.py full ZIP FOLDER             and those that take long
-    python cases.py CASE,CASE ZIP FOLDER        some
-    python cases.py inside CASE ZIP FOLDER      one, in this process: the Blender of this Python's module bpy
+    python cases.py full ZIP FOLDER             also those that take long
+    python cases.py CASE,CASE ZIP FOLDER        some of them
+    python cases.py inside CASE ZIP FOLDER      one case in this process: the Blender of this
+                                                Python's module bpy
 
-`cargo xtask blender --check` does the first, with `--full` the second in all versions.
+`cargo xtask blender --check` runs the first command, and with `--full` the second in all versions.
 """
 
 import os
@@ -19,9 +20,9 @@ import traceback
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-#: Seconds after which a case is taken to hang.
+#: Seconds after which a case is killed.
 LONGEST = 420
-#: Radiance: how far the mean over a view may be from ours.
+#: Tolerance of the mean radiance of a view between the renderers.
 MEAN = 0.02
 
 
@@ -34,7 +35,7 @@ def settings_file(folder):
 
 
 def install(zip_path):
-    """As a user does: Preferences > Get Extensions > Install from Disk."""
+    """Installs the extension as a user does: Preferences > Get Extensions > Install from Disk."""
     import bpy
 
     result = bpy.ops.extensions.package_install_files(filepath=str(zip_path), repo="user_default", enable_on_install=True)
@@ -68,12 +69,12 @@ def run(scene, **values):
 
 
 def hit_masks(field):
-    """[view, row, column]: whether the shape covers at least half of a pixel."""
+    """[view, row, column]: true if the shape covers at least half of a pixel."""
     return field.radiance[..., 1].reshape(-1, *field.shape[2:4]) >= 0.5
 
 
 def grown(mask):
-    """A mask and its neighbours, diagonal ones too."""
+    """A mask and its neighbours, including diagonal ones."""
     import numpy
 
     padded = numpy.pad(mask, ((0, 0), (1, 1), (1, 1)))
@@ -82,7 +83,7 @@ def grown(mask):
 
 
 def light_fields(scene, folder, grid):
-    """The same views by Cycles and by our path tracer."""
+    """The same views by Cycles and by Lumistack's path tracer."""
     import lumistack
 
     fields = []
@@ -107,7 +108,7 @@ def picture_of(path):
 
 
 def case_lifecycle(folder, zip_path):
-    """Enable, disable and enable again leave nothing behind, and Blender ends by itself."""
+    """Enable, disable and enable again leave nothing behind, and Blender exits by itself."""
     import bpy
 
     def traces():
@@ -138,7 +139,8 @@ def case_lifecycle(folder, zip_path):
 
 
 def case_silhouettes(folder, zip_path):
-    """Both grids: every view's outline is that of our path tracer, to one pixel."""
+    """Both projections: every view's outline equals that of Lumistack's path tracer, to one pixel.
+    """
     import scenes
 
     install(zip_path)
@@ -153,11 +155,11 @@ def case_silhouettes(folder, zip_path):
 
 
 def outlines(grid, ours, theirs):
-    """Pixels of every view by which outlines differ by more than one."""
+    """Counts the pixels of every view by which outlines differ by more than one."""
     a, b = hit_masks(ours), hit_masks(theirs)
     share = a.mean()
     assert 0.1 < share < 0.4, share
-    # content moves from view to view by more than the tolerance
+    # Content moves between views by more than the tolerance.
     assert (a[0] & ~grown(a)[8]).sum() > 50
     beyond = [int((a[view] & ~grown(b)[view]).sum() + (b[view] & ~grown(a)[view]).sum()) for view in range(9)]
     print(f"{grid}: {int((a != b).sum())} of {a.size} pixels on the outlines differ, {sum(beyond)} by more than one pixel; views {beyond}")
@@ -197,7 +199,7 @@ def light_fields_of(scene, folder, grid, samples):
 
 
 def case_exporters(folder, zip_path):
-    """The same scene through Blender's glTF and USD exporters, and what is said of both."""
+    """The same scene through Blender's glTF and USD exporters, and the reports on both."""
     import bpy
     import numpy
     import scenes
@@ -212,9 +214,9 @@ def case_exporters(folder, zip_path):
     if not usd.is_readable(bpy) and not os.environ.get("LUMISTACK_PYTHON"):
         return "skipped: this Blender's Python has no OpenUSD, and LUMISTACK_PYTHON names none"
     bpy.data.objects.remove(bpy.data.objects["sun"])
-    for look in bpy.data.materials:
-        # UsdPreviewSurface has no surface without a shine
-        look.node_tree.nodes["Principled BSDF"].inputs["Specular IOR Level"].default_value = 0.5
+    for shader in bpy.data.materials:
+        # A surface of UsdPreviewSurface always has a specular reflection.
+        shader.node_tree.nodes["Principled BSDF"].inputs["Specular IOR Level"].default_value = 0.5
 
     def both(name, **values):
         fields = []
@@ -232,7 +234,8 @@ def case_exporters(folder, zip_path):
     off = both("lamps and world") - 1.0
     assert abs(off).max() < MEAN, off
     assert jobs.renderers_of(scene.lumistack) == ["USD"]
-    # Blender writes suns in units of its own: a quarter as bright in 5.0. That share is the same everywhere
+    # Blender writes suns in its own units: a quarter as bright in 5.0. The factor is the same for
+    # every sun.
     for name in ("area", "point"):
         bpy.data.objects.remove(bpy.data.objects[name])
     scenes.background(0.0)
@@ -247,7 +250,8 @@ def case_exporters(folder, zip_path):
 
 
 def case_eevee(folder, zip_path):
-    """Views by EEVEE, both grids: every view's outline is that of our path tracer, to one pixel. Needs OpenGL."""
+    """Views by EEVEE in both projections: outlines equal those of Lumistack's path tracer, to one
+    pixel. Needs OpenGL."""
     import scenes
 
     install(zip_path)
@@ -255,7 +259,7 @@ def case_eevee(folder, zip_path):
 
     scene = scenes.silhouettes()
     scene.render.engine = eevee(scene)
-    # outlines are compared to a pixel: a few samples do
+    # Outlines are compared to a pixel, so a few samples are enough.
     scene.eevee.taa_render_samples = 8
     scene.render.filter_size = 0.0
     for grid in ("OBLIQUE", "PERSPECTIVE"):
@@ -276,7 +280,8 @@ def eevee(scene):
 
 
 def case_make(folder, zip_path):
-    """The button: patterns, an output, a report, the simulated view; a second press renders nothing."""
+    """The button: patterns, an output, a report, the simulated view; a second press renders
+    nothing."""
     import bpy
     import numpy
     import scenes
@@ -313,11 +318,11 @@ def case_make(folder, zip_path):
     assert operators.finished_folder(scene) == out
     lines = overlay.lines_of(scene)
     assert [len(ends) for _, ends in lines] == [8, 24]
-    # patterns are kept too
+    # Patterns are kept too.
     start = (out / "layers/stack.json").stat().st_mtime_ns
     job = run(scene)
     assert (job.rendered, job.kept) == (0, 9) and (out / "layers/stack.json").stat().st_mtime_ns == start
-    # every output there is, with the values that its panel shows at first
+    # Every output, with the default values of its panel.
     from bl_ext.user_default.lumistack import settings
 
     count = 0
@@ -335,7 +340,7 @@ def case_make(folder, zip_path):
         count += 1
     assert count >= 3
     scene.lumistack.output = "images"
-    # until something that is seen changes
+    # A visible change makes the views invalid.
     bpy.data.materials["clay"].node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.1, 0.9, 0.1, 1.0)
     job = run(scene, factorize=False)
     assert job.rendered == 9
@@ -343,7 +348,8 @@ def case_make(folder, zip_path):
 
 
 def case_animation(folder, zip_path):
-    """A range of frames: one folder per time, each from the patterns before; a second run goes on where the first was stopped."""
+    """A range of frames: one folder per time step, each starts with the previous patterns; a second
+    run continues an interrupted one."""
     import bpy
     import scenes
 
@@ -367,7 +373,7 @@ def case_animation(folder, zip_path):
 
 
 def case_faults(folder, zip_path):
-    """What is missing is said; what can be done without is."""
+    """Missing parts are reported; optional ones do not stop the work."""
     import bpy
     import scenes
 
@@ -397,11 +403,11 @@ def case_faults(folder, zip_path):
     away.data.dof.use_dof = False
     away.rotation_euler = (3.0, 0.0, 0.0)
     bpy.context.view_layer.update()
-    fails("away: the camera sees nothing", scene)
+    fails("away: the camera sees no object", scene)
     scene.lumistack.file = str(folder / "no such.toml")
     scene.camera = bpy.data.objects["camera"]
     fails("no such.toml", scene)
-    # an orthographic camera works
+    # An orthographic camera works.
     scene = scenes.empty()
     scenes.shapes(scenes.material("white", (1.0, 1.0, 1.0), glow=1.0))
     scenes.camera(orthographic=True)
@@ -409,7 +415,7 @@ def case_faults(folder, zip_path):
     scene.cycles.samples = 1
     ours, theirs = light_fields(scene, folder, "OBLIQUE")
     assert not (hit_masks(ours) & ~grown(hit_masks(theirs))).any() and 0.1 < hit_masks(ours).mean() < 0.4
-    # depth that does not fit is said, and fitted by one click
+    # Depth that does not fit is reported, and fitted by one click.
     scene.lumistack.moved_back_mm = -200.0
     warned = [line for line in run(scene, factorize=False).warnings if line.startswith("depth")]
     assert warned, "the scene lies behind the depth of field"
@@ -420,7 +426,8 @@ def case_faults(folder, zip_path):
 
 
 def case_handover(folder, zip_path):
-    """Linked libraries, pictures that are there and that are missing, names beyond ASCII, instances, modifiers: as .blend scene files."""
+    """.blend files as scenes: linked libraries, existing and missing pictures, names with non-ASCII letters,
+    instances, modifiers."""
     import bpy
     import numpy
     import scenes
@@ -462,7 +469,7 @@ def case_handover(folder, zip_path):
     import lumistack as package
 
     home = str(Path(package.__file__).parent.parent)
-    # counts how often Blender is started
+    # Counts the starts of Blender.
     starts, counting = folder / "starts", folder / "python-that-counts"
     starts.touch()
     counting.write_text(f'#!/bin/sh\necho >> "{starts}"\nexec "{sys.executable}" "$@"\n', encoding="utf-8")
@@ -486,12 +493,12 @@ def case_handover(folder, zip_path):
     print("note:", " | ".join(said.split("\n"))[:600])
     assert "is missing" not in said, said
     assert "camera" in said and "rot" in said and "environment: yes" in said and "engine: CYCLES" in said, said
-    # 2 levels of a cube are 6 · 16 quads, whatever the viewport shows
+    # 2 levels of a cube are 6 · 16 quads, regardless of the viewport's settings.
     shapes = 48 * 22 * 2 + 96 + 12 + 78 + 48 * 12 * 2
     print("note:", [line for line in said.split("\n") if "triangles" in line], shapes)
     said = lumistack("render", path, "--display", settings_file(folder), "--resolution", "48x30", "--samples", "16", "-o", folder / "aus")
     assert (folder / "aus" / "lightfield.json").is_file() and started() == 1
-    # nothing has changed, so Blender is not asked again; a library that has, is seen
+    # Without a change Blender is not started again; a changed library is detected.
     lumistack("render", path, "--display", settings_file(folder), "--resolution", "48x30", "--samples", "16", "-o", folder / "aus")
     assert started() == 0
     os.utime(place / "bücherei.blend")
@@ -499,21 +506,22 @@ def case_handover(folder, zip_path):
     assert started() == 0, "what counts is the content"
     lumistack("render", path, "--display", settings_file(folder), "--resolution", "48x30", "--samples", "16", "--time", "1", "-o", folder / "aus")
     assert started() == 1
-    # the same view by Cycles, window and all
+    # The same view by Cycles, with the same window.
     common = ["--display", settings_file(folder), "--resolution", "48x30"]
     said = lumistack("render", path, *common, "--engine", "blender", "-o", folder / "cycles")
     pictures = [picture_of(folder / name / "view_00_00.exr") for name in ("aus", "cycles")]
     apart = abs(pictures[0].mean() / pictures[1].mean() - 1.0)
     alike = float(numpy.corrcoef(pictures[0].ravel(), pictures[1].ravel())[0, 1])
     print(f"note: our path tracer and Cycles on the command line: means apart by {100 * apart:.1f} %, correlation {alike:.3f}")
-    # noise, and an exposure found by each; another window or a mirrored picture would not be alike
+    # Renders differ by noise and by the automatic exposure; another window or a mirrored picture
+    # would differ more.
     assert apart < 0.12 and alike > 0.85
-    # a picture and a library that are gone
+    # A missing picture and a missing library.
     (place / "muster é.png").unlink()
     (place / "bücherei.blend").unlink()
     said = lumistack("info", path)
     assert "muster é.png is missing" in said and "bücherei.blend is missing" in said, said
-    # a file that is none, and settings that make no sense
+    # A file that is no .blend file, and invalid settings.
     (place / "kaputt.blend").write_bytes(b"not a blend file, though it says so")
     said = lumistack("info", place / "kaputt.blend", code=1)
     assert "kaputt.blend" in said and "Traceback" not in said, said
@@ -534,7 +542,8 @@ def gltf_of(path):
 
 
 def case_beyond(folder, zip_path):
-    """What glTF cannot express is named, and has the file rendered by its own engine unless the job says otherwise."""
+    """Content that glTF cannot express is reported, and the file's own engine renders it unless the
+    job selects another."""
     import bpy
     import numpy
     import scenes
@@ -570,7 +579,7 @@ def case_beyond(folder, zip_path):
         assert ("own engine, CYCLES, renders" in said) == (engine == "auto"), said
     assert (fields["auto"] == fields["blender"]).all(), "the default is the file's own engine"
     assert numpy.abs(fields["auto"] - fields["lumistack"]).mean() > 0.01
-    # where our path tracer is asked for, smoke is left out and is no white box
+    # Lumistack's path tracer leaves smoke out; its domain must not be a white box.
     nodes = {node.get("name") for node in gltf_of(next((folder / "lumistack").rglob("*.glb")))["nodes"]}
     assert "smoke" not in nodes and "Cube" in nodes, nodes
     return ""
@@ -604,7 +613,7 @@ def case_resume(folder, zip_path):
 
 
 def case_command(folder, zip_path):
-    """Not a test of its own: what `case_resume` runs and kills."""
+    """No test itself: `case_resume` runs and kills it."""
     import bpy
 
     install(zip_path)
@@ -627,7 +636,7 @@ def case_command(folder, zip_path):
 
 
 def case_headless(folder, zip_path):
-    """The command line: exit codes, and what it says."""
+    """The command line: exit codes and messages."""
     import bpy
     import scenes
 
@@ -643,7 +652,7 @@ def case_headless(folder, zip_path):
     assert list((folder / "a" / "outputs" / "tensor-display" / "quilt").iterdir())
     assert command.main(["make", *common, "-o", str(folder / "b"), "--renderer", "both", "--samples", "4", "--blend", str(folder / "szene.blend")]) == 0
     assert (folder / "b" / "scene.glb").is_file()
-    # `blender --command` has no window, and so no active object
+    # `blender --command` has no window, so no active object.
     with bpy.context.temp_override(window=None):
         assert not hasattr(bpy.context, "active_object"), "this is not what a command sees"
         for renderer in ("lumistack", "both"):
@@ -669,7 +678,7 @@ def case_headless(folder, zip_path):
 
 
 def case_digest(folder, zip_path):
-    """Kept views are taken again only while nothing that is seen has changed."""
+    """Kept views are reused only while no visible data have changed."""
     import bpy
     import scenes
 
@@ -714,7 +723,8 @@ def case_digest(folder, zip_path):
 
 
 def case_overlay(folder, zip_path):
-    """What the 3D view draws, drawn here: the window's edges are those of the camera's picture; a picture from the side is left to be looked at."""
+    """Drawings of the 3D view: the window's edges are those of the camera's picture; a picture from
+    the side remains for inspection."""
     import bpy
     import numpy
     import scenes
@@ -734,7 +744,7 @@ def case_overlay(folder, zip_path):
             places = [world_to_camera_view(scene, scene.camera, Vector(end)) for end in ends]
             assert {(round(place.x, 3), round(place.y, 3)) for place in places} == {(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)}
             assert all(abs(place.z - 4.0) < 1e-4 for place in places), "in the plane of focus"
-    # the arrow moves the window along its normal, and shows where it stands
+    # The arrow moves the window along its normal, and shows its position.
     origin = overlay.arrow_matrix(window, 0.0).translation.copy()
     scene.lumistack.moved_back_mm = 30.0
     overlay.forget()
@@ -742,7 +752,7 @@ def case_overlay(folder, zip_path):
     normal = Vector(window.back)
     assert (Vector(moved.centre) - Vector(window.centre) + 30.0 * window.scale * normal).length < 1e-5
     assert (overlay.arrow_matrix(moved, 30.0).translation - origin).length < 1e-5
-    # the frame that a hand moves and scales is the window's edge; and what it says is taken over
+    # The frame that the user drags equals the window's edge, and its changes are applied.
     held = scene.lumistack
     for grid in ("OBLIQUE", "PERSPECTIVE"):
         held.grid, held.window_size, held.window_shift = grid, 1.3, (0.2, -0.1)
@@ -758,7 +768,7 @@ def case_overlay(folder, zip_path):
     overlay.forget()
     run(scene)
     operators.show_view(scene, (0.0, 0.0))
-    # from the side, as a 3D view would show it
+    # From the side, as a 3D view shows it.
     look, side = scene.camera, scenes.camera("side")
     side.data.dof.use_dof = False
     side.location, side.rotation_euler = (4.2, -2.6, 2.0), (1.25, 0.0, 0.98)
@@ -800,7 +810,7 @@ def case_overlay(folder, zip_path):
 
 
 CASES = ["lifecycle", "silhouettes", "radiance", "make", "animation", "faults", "handover", "beyond", "resume", "headless", "digest", "overlay"]
-#: Those that take long, or need what not every machine has.
+#: Cases that take long, or have special requirements.
 MORE = ["exporters", "eevee"]
 
 
@@ -821,7 +831,7 @@ def run_all(zip_path, folder, names):
         lines = [line for line in said.split("\n") if line.startswith(("case:", "note:", "OBLIQUE", "PERSPECTIVE"))]
         for line in lines:
             if line.startswith("case: skipped") and os.environ.get("LUMISTACK_SKIPPED"):
-                # `cargo xtask` accounts for it, and CI takes it for a failure
+                # `cargo xtask` lists it, and CI treats it as a failure.
                 with open(os.environ["LUMISTACK_SKIPPED"], "a") as list_of_skips:
                     list_of_skips.write(f"Blender {name}: {line.removeprefix('case: skipped: ')}\n")
         print(f"{'ok  ' if ok else 'FAIL'} {name} ({time.monotonic() - start:.0f} s)", *lines if ok else [said[-6000:]], sep="\n     ", flush=True)
@@ -845,7 +855,7 @@ def main():
     sys.stderr.flush()
     if code == 0 and said == "ends by itself":
         return
-    # Blender as a module may hang or crash while Python ends with classes registered
+    # As a module, Blender may hang or crash when Python ends with registered classes.
     os._exit(code)
 
 

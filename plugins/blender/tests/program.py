@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What must hold in a real Blender program, of any version from 3.4, with or without extensions:
+"""Checks in a real Blender program of any version from 3.4, with or without extensions:
 
     blender -b --factory-startup --python-exit-code 1 --python program.py -- FOLDER PLACE
 
-PLACE holds the Python package, as its wheel has it, and the extension's source as the package `lumistack_extension`. In Blender 3.4, Debian's, extensions and
-`--command` do not exist yet: the extension is imported, and its command runs without a window, which is how `--command` runs it.
+PLACE contains the Python package, as in its wheel, and the extension's source as the package
+`lumistack_extension`. Debian's Blender 3.4 has no extensions and no `--command` yet. So the
+extension is imported, and its command runs without a window, as `--command` runs it.
 """
 
 import os
@@ -36,7 +37,7 @@ pitch_mm = 8.0
 
 
 def scene_to_show(bpy):
-    """A cube of noise with hair beside a plain one, a lamp and a camera."""
+    """A cube of noise with hair, a plain cube, a lamp and a camera."""
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
     scene.cycles.samples, scene.cycles.use_denoising = 1, False
@@ -65,14 +66,14 @@ def check(bpy, folder, place):
     lines = "\n".join(unshown.unshown(bpy, scene))
     assert "bark (Noise Texture)" in lines and "hair" in lines and "plain" not in lines.replace("plain colours", ""), lines
     lumistack_extension.register()
-    # saved and opened again, as `blender -b FILE` has it
+    # Save and open the file, as with `blender -b FILE`.
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "shot.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(folder / "shot.blend"), load_ui=False)
     display = folder / "display.toml"
     display.write_text(DISPLAY + "".join(LAYER % depth for depth in (-12.0, 0.0, 12.0)), encoding="utf-8")
     with bpy.context.temp_override(window=None):
         assert not hasattr(bpy.context, "active_object"), "this is not what a command sees"
-        # views by Blender itself need what came with 4.2, the extension's oldest; the hand-over does not
+        # Views by Blender need version 4.2, the extension's oldest; the export does not.
         for renderer in ("lumistack", "both") if bpy.app.version >= (4, 2) else ("lumistack",):
             out = folder / renderer
             words = ["make", "--display", str(display), "--iterations", "1", "--samples", "1", "--look", "linear", "--renderer", renderer, "-o", str(out)]

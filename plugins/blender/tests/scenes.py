@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Scenes that the tests build, and a small display for them."""
+"""Scenes for the tests, and a small display for them."""
 
 import math
 
 import bpy
 
-#: Millimetres: a display of 96 × 60 pixels, 3 × 3 views.
+#: Lengths in millimetres: a display of 96 × 60 pixels, 3 × 3 views.
 DISPLAY = """name = "three small layers"
 frames = 3
 refresh_hz = 180.0
@@ -38,7 +38,7 @@ pitch_mm = 2.0
 
 
 def empty():
-    # unlike read_factory_settings this leaves extensions enabled
+    # Unlike read_factory_settings, this keeps extensions enabled.
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
@@ -48,7 +48,7 @@ def empty():
     scene.cycles.use_denoising = False
     scene.cycles.pixel_filter_type = "BOX"
     scene.cycles.filter_width = 1.0
-    # nothing is cut off, and paths are as long as ours
+    # No clamping and no clipping, and paths as long as those of Lumistack.
     scene.cycles.sample_clamp_direct = scene.cycles.sample_clamp_indirect = 0.0
     scene.cycles.blur_glossy = 0.0
     scene.cycles.light_sampling_threshold = 0.0
@@ -91,7 +91,7 @@ def add(kind, look, **where):
 
 
 def camera(name="camera", focus=4.0, orthographic=False):
-    """Looks along +y from the left and from above, turned a little about its axis."""
+    """Looks along +y from the left and from above, rotated slightly about its axis."""
     data = bpy.data.cameras.new(name)
     data.dof.use_dof = True
     data.dof.focus_distance = focus
@@ -109,7 +109,7 @@ def camera(name="camera", focus=4.0, orthographic=False):
 
 
 def shapes(look):
-    """Before, in and behind the window."""
+    """Shapes in front of, in and behind the window."""
     add("uv_sphere", look, radius=0.35, location=(-0.7, 0.4, 0.15), segments=48, ring_count=24)
     add("cube", look, size=0.5, location=(0.35, -0.7, 0.25), rotation=(0.3, 0.5, 0.2))
     add("cone", look, radius1=0.35, depth=0.8, location=(0.55, 1.6, 0.5), vertices=40)
@@ -124,7 +124,7 @@ def silhouettes():
 
 
 def diffuse():
-    """Everything diffuse, lit by a sun, a lamp with a surface, a round lamp, and a grey world."""
+    """A diffuse scene with a sun, an area light, a round lamp and a grey world."""
     scene = empty()
     background(0.25)
     shapes(material("clay", (0.6, 0.5, 0.4)))
@@ -151,7 +151,8 @@ def lamp(kind, energy, location=(0.0, 0.0, 3.0), rotation=(0.0, 0.0, 0.0)):
 
 
 def beyond():
-    """What glTF has no words for: a noise, a shader of its own, hair, and smoke in a box; and a plain cube."""
+    """Content that glTF cannot express: a noise, an unsupported shader, hair, and smoke in a box;
+    and a plain cube."""
     scene = diffuse()
     bark = material("bark", (0.5, 0.5, 0.5))
     tree = bark.node_tree

@@ -125,7 +125,7 @@ def parse(words: list[str]) -> Asked:
     return Asked(found.what, found.blend, found.scene, found.fit_depth, settings, scene_settings)
 
 
-class Teller:
+class ProgressPrinter:
     """Prints progress: a line per stage, and per few per cent."""
 
     def __init__(self, file: TextIO) -> None:

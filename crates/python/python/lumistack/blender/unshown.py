@@ -90,16 +90,16 @@ def _rendered(bpy: Any, scene: Any, depsgraph: Any) -> Iterator[tuple[Any, Any]]
     """Objects that a render shows, each with its evaluated object, including instances and results
     of geometry nodes."""
     depsgraph = depsgraph or bpy.context.evaluated_depsgraph_get()
-    met: set[tuple[str, str]] = set()
+    visited: set[tuple[str, str]] = set()
     for instance in depsgraph.object_instances:
         shown = instance.object
         # The result of geometry nodes is an instance with another type.
         held = (instance.parent if instance.is_instance and shown.original.name not in scene.objects else shown).original
         key = (held.name, shown.name + shown.type)
-        if key not in met and is_rendered(held):
-            met.add(key)
+        if key not in visited and is_rendered(held):
+            visited.add(key)
             yield held, shown
-    there = {name for name, _ in met}
+    there = {name for name, _ in visited}
     # Objects that the viewport hides and a render shows.
     for held in scene.objects:
         if held.name not in there and is_rendered(held):
@@ -181,15 +181,15 @@ def _is_factor(node: Any) -> bool:
 
 def _behind(socket: Any, groups: tuple[Any, ...]) -> Iterator[tuple[Any, Any]]:
     """All nodes that a socket depends on, each with the output that is used; groups are entered."""
-    todo, met = [(socket, groups)], set()
+    todo, visited = [(socket, groups)], set()
     while todo:
         socket, groups = todo.pop()
         for link in socket.links:
             node, output = link.from_node, link.from_socket
             key = (tuple(group.name for group in groups), node.name, output.identifier)
-            if key in met or link.is_muted:
+            if key in visited or link.is_muted:
                 continue
-            met.add(key)
+            visited.add(key)
             if node.mute:
                 # A muted node passes some of its inputs on.
                 todo += [(each, groups) for each in node.inputs]

@@ -13,7 +13,7 @@ from lumistack.farm import _work
 from lumistack.farm._engine import FarmError, execute
 
 
-def _told(event: dict[str, Any]) -> str:
+def _line_of(event: dict[str, Any]) -> str:
     match event["event"]:
         case "done_unit":
             return f"{event['done']:>5}/{event['units']}  {event['id']}  {event['seconds']:.1f} s"
@@ -42,7 +42,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--send", action="append", default=[], metavar="FOLDER")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args(arguments)
-    tell = (lambda event: print(json.dumps(event), flush=True)) if given.json else (lambda event: print(_told(event), file=sys.stderr, flush=True))
+    tell = (lambda event: print(json.dumps(event), flush=True)) if given.json else (lambda event: print(_line_of(event), file=sys.stderr, flush=True))
     program = json.loads(given.program)
     tls = (given.tls_ca, given.tls_cert, given.tls_key) if given.tls_ca else None
     words = [*_work._program(program), "--json", "farm", "show", given.folder]
