@@ -260,7 +260,7 @@ def display_of(settings) -> lumistack.Display:
     if settings.use_views:
         changes["views"] = list(settings.views)
     elif field["views"] == "auto":
-        # Blender renders each view as a separate picture, so the many views of "auto" would be slow.
+        # Blender renders each view as a separate picture, so the many views of "auto" are slow.
         changes["views"] = [5, 5]
     if settings.use_brightness:
         changes["brightness"] = settings.brightness

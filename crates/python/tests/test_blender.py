@@ -115,7 +115,7 @@ def test_kept_views_are_not_rendered_again(tmp_path: Path) -> None:
     assert len(Views(folder, 3, 3, key_of({"size": [64, 41]})).missing()) == 9
 
 
-def test_work_reports_stops_and_tells_its_error() -> None:
+def test_work_reports_stops_and_keeps_its_error() -> None:
     started = threading.Event()
 
     def forever(report: object) -> None:

@@ -76,7 +76,7 @@ def test_arrays_and_their_file_are_the_same_light_field(tmp_path: Path) -> None:
         ({"colours": 1}, "found colours"),
     ],
 )
-def test_what_is_wrong_is_told(change: dict[str, Any], part: str) -> None:
+def test_wrong_arrays_are_reported(change: dict[str, Any], part: str) -> None:
     with pytest.raises(lumistack.SettingError, match=part):
         Scene.from_splats({**cloud(), **change})
 

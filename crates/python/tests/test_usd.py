@@ -91,7 +91,7 @@ def test_variants_of_a_file(tmp_path: Path) -> None:
         Scene(stage_of_boxes(), variants=["look=red"])
 
 
-def test_mistakes_are_told(tmp_path: Path) -> None:
+def test_mistakes_are_reported(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="missing.usda"):
         Scene(tmp_path / "missing.usda")
     broken = tmp_path / "broken.usda"

@@ -132,7 +132,7 @@ def test_work_in_several_threads(light_field: lumistack.LightField) -> None:
     assert first[0] == first[2] and first[1] == first[3]
 
 
-def test_progress_is_told_from_begin_to_end(light_field: lumistack.LightField) -> None:
+def test_progress_is_reported_from_begin_to_end(light_field: lumistack.LightField) -> None:
     news: list[tuple[str, float]] = []
     lumistack.factorize(light_field, iterations=7, callback=lambda stage, share: news.append((stage, share)))
     shares = [share for stage, share in news if stage == "factorize"]

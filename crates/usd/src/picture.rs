@@ -162,7 +162,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn formats_are_told_by_their_content() {
+    fn formats_follow_from_the_content() {
         let mut png = Vec::new();
         let picture = DynamicImage::ImageLuma16(image::ImageBuffer::from_raw(2, 1, vec![0u16, 65535]).unwrap());
         picture.write_to(&mut Cursor::new(&mut png), ImageFormat::Png).unwrap();

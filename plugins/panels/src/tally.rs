@@ -101,7 +101,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn late_repeated_dropped_and_disordered_are_told_apart() {
+    fn late_repeated_dropped_and_disordered_differ() {
         let mut tally = Tally::new(0.01);
         for (index, time_s) in [(0, 0.0), (1, 0.0101), (2, 0.0199), (3, 0.0401), (5, 0.05), (4, 0.06)] {
             tally.came(index, time_s);

@@ -46,7 +46,7 @@ fn parameters_that_do_not_go_with_the_display_are_refused() {
 }
 
 #[test]
-fn commands_are_told_from_nonsense() {
+fn commands_differ_from_nonsense() {
     let plugin = Plugin::compiled_in(&PLUGIN).unwrap();
     let (host, sample) = (MemoryHost::new(), &samples()[0]);
     let output = Output::open(&plugin, &host, &json!({}), &sample.display).unwrap();

@@ -306,7 +306,7 @@ fn meshes_with_joints_of_their_own_are_posed_with_their_normals() {
 }
 
 #[test]
-fn meshes_that_cannot_be_posed_stay_as_they_are_and_are_named() {
+fn meshes_that_cannot_be_posed_keep_their_rest_pose_and_are_named() {
     if common::python().is_none() {
         return;
     }
