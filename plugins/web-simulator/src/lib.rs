@@ -72,7 +72,11 @@ impl OutputPlugin for WebSimulator {
 
     fn schema() -> Schema {
         Schema::new([
-            Param::text("title", "", "Title of the page: the scene's name; empty for the display's. The name of a file becomes words."),
+            Param::text(
+                "title",
+                "",
+                "Title of the page: the scene's name; empty for the display's. The name of a file becomes words.",
+            ),
             Param::text("caption", "", "One sentence below the title; empty for one about the display."),
             Param::text(
                 "address",
