@@ -171,8 +171,7 @@ pub(crate) fn render(
 /// * start: "auto", "random", "smooth" or "content"
 /// * coarse_levels, coarse_iterations: number of levels at half the resolution each, and their
 ///   iterations
-/// * levels: how masks of layers with few bits are re-optimized on the values that the panel can
-///   show
+/// * levels: True re-optimizes masks of layers with few bits on the values that the panel can show
 /// * weights: an array ≥ 0, [view_y, view_x] or [view_y, view_x, row, col]
 /// * eyes: instead of weights, a list of {"eye_mm": (x, y, z), "sigma_mm": s, "weight": w}, with
 ///   eye_floor

@@ -191,12 +191,10 @@ pub(crate) fn capsule(top_radius: f32, bottom_radius: f32, height: f32, axis: Ax
     axis.apply(geometry)
 }
 
-/// `UsdGeomPlane`. In the cyclic order of coordinates, width is along the first of the two other
-/// axes and length along the second; for the axis y it is the reverse.
+/// `UsdGeomPlane`. Width and length are along z and y for the axis x, along x and z for y, and along
+/// x and y for z.
 pub(crate) fn plane(width: f32, length: f32, axis: Axis) -> Geometry {
     let mut geometry = Geometry::default();
-    // From the schema: axis X has width along z and length along y; Y width x, length z; Z width x,
-    // length y.
     let (normal, along_width, along_length) = match axis {
         Axis::X => (Vec3::X, Vec3::NEG_Z, Vec3::Y),
         Axis::Y => (Vec3::Y, Vec3::X, Vec3::NEG_Z),

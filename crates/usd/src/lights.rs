@@ -2,7 +2,7 @@
 //!
 //! A light with a surface has the radiance L = intensity · 2^exposure · colour · colour
 //! temperature, divided by its area in the scene if normalized. It becomes a black emitting mesh
-//! that the viewer does not see directly.
+//! that the viewer sees only on request.
 //!
 //! * A distant light of angle 2θ has radiance L in a cone, so its irradiance is L π sin²θ;
 //!   normalized, it is L.
