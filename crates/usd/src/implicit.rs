@@ -191,8 +191,8 @@ pub(crate) fn capsule(top_radius: f32, bottom_radius: f32, height: f32, axis: Ax
     axis.apply(geometry)
 }
 
-/// `UsdGeomPlane`. Width and length are along z and y for the axis x, along x and z for y, and along
-/// x and y for z.
+/// `UsdGeomPlane`. For the axis x, width and length are along z and y; for y, along x and z; for z,
+/// along x and y.
 pub(crate) fn plane(width: f32, length: f32, axis: Axis) -> Geometry {
     let mut geometry = Geometry::default();
     let (normal, along_width, along_length) = match axis {
