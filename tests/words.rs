@@ -99,10 +99,10 @@ fn viewpoints_outside_the_zone_say_so() {
     let from = |flags: [&str; 2]| said(lumistack().arg("simulate").arg(&out).args(flags).arg("-o").arg(&picture));
     let text = from(["--view", "14,0"]);
     assert!(
-        text.contains("--view: from there all of the display is seen outside its viewing zone of ±10° × ±10°"),
+        text.contains("--view: this viewpoint sees all of the display from outside of its viewing zone of ±10° × ±10°"),
         "{text}"
     );
-    assert!(from(["--eye", "100,0,600"]).contains("--eye: from there "));
+    assert!(from(["--eye", "100,0,600"]).contains("--eye: this viewpoint sees "));
     // the examples of the help
     let help = succeed(lumistack().args(["simulate", "--help"]));
     for flags in [["--view", "4,-2"], ["--eye", "100,0,2000"]] {

@@ -1,10 +1,15 @@
-//! Two runs side by side, a run beside a photograph of its panels, and what an eye's pupil makes of a display.
+//! Compares two runs, or a run with a photograph of its panels; simulates an eye with a pupil.
 //!
-//! The seen pictures of two runs are compared with each other in directions all over the first one's zone, and what both show along the rays of the first one's
-//! target with that. How right each is all over its zone stands in its report.
+//! Seen pictures of two runs are compared over directions of the first run's viewing zone. Both
+//! runs are also compared with the first run's target along its rays. Each run's zone score comes
+//! from its report.
 //!
-//! Through a pupil around the eye e at distance D, focused on depth z, a display is the mean of what is seen from points q of the pupil, each moved so that the
-//! plane at z stays where it is: by (q − e) z/(D − z) on z = 0.
+//! An eye e at distance D with a pupil, focused on depth z, sees the mean of the pictures from
+//! points q of the pupil. Each picture is shifted so that the plane at z stays in place:
+//!
+//! ```text
+//! shift on z = 0:  (q − e) z/(D − z)
+//! ```
 
 mod displays;
 mod likeness;
@@ -25,33 +30,35 @@ use crate::job::Job;
 use crate::simulate::{RunFolder, Viewpoint, picture_from};
 use crate::stage::score;
 
-/// What two runs have in common and what not.
+/// Comparison of two runs.
 #[derive(Clone, Debug, Serialize)]
 pub struct RunComparison {
-    /// The first one's score of its zone, where its report has one.
+    /// Zone score of the first run, if its report has one.
     pub first_zone: Option<ZoneLikeness>,
-    /// The second one's.
+    /// Zone score of the second run, if its report has one.
     pub second_zone: Option<ZoneLikeness>,
-    /// Directions of the first one's zone from which the seen pictures of both were compared.
+    /// Number of directions of the first run's viewing zone whose seen pictures were compared.
     pub directions: usize,
-    /// The second against the first, over these.
+    /// The second run against the first, over these directions.
     pub between: Likeness,
-    /// Views of the first one's target, where it has one, at whose rays both were compared with it.
+    /// Number of views of the first run's target that were compared; 0 without a target.
     pub views: usize,
-    /// The first against its target.
+    /// The first run against its target.
     pub first: Option<Likeness>,
-    /// The second against the same target.
+    /// The second run against the same target.
     pub second: Option<Likeness>,
-    /// Pictures that were written.
+    /// Written pictures.
     #[serde(serialize_with = "lumistack_core::path_text::told_each")]
     pub pictures: Vec<PathBuf>,
 }
 
-/// Compares two run folders whose light fields have the same pixels; writes the seen pictures of both from the left, the middle and the right with their difference into
-/// `out`.
+/// Compares two run folders whose light fields have the same pixels.
+///
+/// Writes seen pictures of both from the left, the middle and the right, with their differences,
+/// into `out`.
 ///
 /// # Errors
-/// When they cannot be read, or have other pixels.
+/// If a run cannot be read, or the pixels differ.
 pub fn compare_runs(
     first: &Path,
     second: &Path,
@@ -64,6 +71,7 @@ pub fn compare_runs(
         let of = |g: &FieldGeometry| format!("{} × {} pixels of {} mm", g.cols, g.rows, g.pitch_mm);
         return Err(PipelineError::value(second, "field", of(&own), of(&other)));
     }
+    // Views and directions are those of the first run: its target's, or its display's.
     let target = target_of(first)?;
     let geometry = match &target {
         Some(target) => target.geometry().clone(),
@@ -71,7 +79,7 @@ pub fn compare_runs(
     };
     let simulators = [&a, &b].map(|run| Simulator::new(&run.display, &run.stack));
     let shape = [geometry.rows, geometry.cols];
-    // patterns that somebody saved have no job beside them, which would tell of expected eyes
+    // Expected eyes of the job limit the zone. Saved patterns may lie in a folder without a job.
     let zone = match Job::load(&first.join("job.toml")) {
         Ok(job) => score::zone_of(&job, &a.display, &geometry),
         Err(_) => Zone::of_grid(&geometry.grid, Some(a.display.field.fov_deg)),
@@ -83,6 +91,7 @@ pub fn compare_runs(
     let pair = |geometry: &FieldGeometry, view| {
         [0, 1].map(|i| seen(&simulators[i], [&a, &b][i].stack.brightness, geometry, view))
     };
+    // Compare the runs with each other, over the pixels that both displays cover.
     let mut between = Sums::new();
     for direction in &directions {
         task.cancel.check()?;
@@ -91,6 +100,7 @@ pub fn compare_runs(
         between.add(&first, &second, shape, &both);
         task.progress.advance(1, "");
     }
+    // Compare each run with the target.
     let mut of_target = [Sums::new(), Sums::new()];
     if let Some(target) = &target {
         let maps = [&a, &b].map(|run| RayMap::new(&run.display, &geometry));
@@ -104,6 +114,7 @@ pub fn compare_runs(
             task.progress.advance(1, "");
         }
     }
+    // Write target, both runs and their difference side by side.
     let mut pictures = Vec::new();
     for view in shown {
         if let Some(out) = out {
@@ -130,13 +141,14 @@ pub fn compare_runs(
     })
 }
 
-/// Samples of a pupil per axis; those outside its disc do not count.
+/// Samples of a pupil per axis; samples outside of its disc do not count.
 const PUPIL_SAMPLES: usize = 7;
 
-/// What an eye at `eye_mm` with a pupil of `pupil_mm` sees of a display, focused on the depth `focus_mm`: `[row][col][rgb]`, linear, L̃/β.
+/// The picture for an eye at `eye_mm` with a pupil of diameter `pupil_mm` that focuses on the depth
+/// `focus_mm`: `[row][col][rgb]`, linear, L̃/β.
 ///
 /// # Errors
-/// When the eye is not in front of the display and of the focus.
+/// If the eye is not in front of the display and of the focus.
 pub fn refocused(
     display: &Display,
     stack: &LayerStack,
@@ -161,7 +173,7 @@ pub fn refocused(
             continue;
         }
         let view = picture_from(display, stack, Viewpoint::Eye([eye_mm[0] + dx, eye_mm[1] + dy, distance]), false)?;
-        // columns to the right, rows down
+        // rows point down, y points up
         let shift = [-dy, dx].map(|offset| offset * focus_mm / ((distance - focus_mm) * pixels.pitch_mm));
         add_moved(&mut sum, &view, shift);
         count += 1;
@@ -170,7 +182,7 @@ pub fn refocused(
     Ok(sum)
 }
 
-/// Adds a picture moved by [rows, columns]; beyond its edge it goes on as at the edge.
+/// Adds a picture, shifted by [rows, columns]; pixels at the edge extend outwards.
 fn add_moved(sum: &mut Tensor<3>, view: &Tensor<3>, [down, right]: [f64; 2]) {
     let [rows, cols, _] = view.shape();
     let axis = |i: usize, shift: f64, count: usize| {
@@ -194,7 +206,7 @@ fn add_moved(sum: &mut Tensor<3>, view: &Tensor<3>, [down, right]: [f64; 2]) {
 mod tests {
     use super::*;
 
-    /// A dot on the front layer is sharp in focus and a disc of the pupil's size out of it.
+    /// A dot on the front layer is sharp in focus, and a disc of the pupil's size out of focus.
     #[test]
     fn focus_is_sharp_where_it_lies() {
         let mut display = Display::uniform([41, 41], 1.0, [3, 3], [20.0, 20.0], &[0.0, 60.0], 1);

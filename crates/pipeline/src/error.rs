@@ -1,5 +1,5 @@
-//! What can go wrong between a job file and its outputs. Every message names the file, the place in it, what was expected and what was
-//! found.
+//! Errors between a job file and its outputs. Every message names the file, the place in it, the
+//! expected value and the found one.
 
 use std::path::{Path, PathBuf};
 
@@ -23,8 +23,8 @@ use thiserror::Error;
 /// A job that did not finish.
 #[derive(Debug, Error)]
 pub enum PipelineError {
-    /// Somebody asked to stop; what is finished is kept.
-    #[error("stopped; run the same command again to go on from what is finished")]
+    /// The user stopped the run; finished results are kept.
+    #[error("stopped; run the same command again to continue from the finished results")]
     Cancelled,
     /// A file cannot be read.
     #[error("{}: expected a readable file, found: {source}", path.display())]
@@ -48,9 +48,9 @@ pub enum PipelineError {
         /// The path.
         path: PathBuf,
     },
-    /// Somebody else works in the output folder.
+    /// Another process works in the output folder.
     #[error(
-        "{}: another run works in this folder: {owner}; wait for it, end it, or choose another folder with -o",
+        "{}: another run uses this folder: {owner}; wait for it, end it, or choose another folder with -o",
         folder.display()
     )]
     InUse {
@@ -61,14 +61,14 @@ pub enum PipelineError {
     },
     /// A folder without a plan of units of work.
     #[error(
-        "{}: expected a run folder with a farm's plan, found none; is the folder shared with this machine, and under the same path?",
+        "{}: expected a run folder with a farm's plan, found none; check that this machine shares the folder under the same path",
         folder.display()
     )]
     NoFarmPlan {
         /// The folder.
         folder: PathBuf,
     },
-    /// A worker whose results would differ from those of the others.
+    /// A worker of another build, whose results may differ from those of the others.
     #[error(
         "{}: expected the program that planned the run ({plan}), found another ({worker}); install the same build on all workers, or plan the run again",
         folder.display()
@@ -81,36 +81,36 @@ pub enum PipelineError {
         /// Version and code of the worker.
         worker: String,
     },
-    /// Something that Lumistack did not write, or that was changed since, has a name that it writes under.
+    /// A file that Lumistack did not write, or that was changed since, is in the way.
     #[error(
-        "{}: expected a name that is free or what Lumistack wrote itself, found {}, which {work} into this folder would replace; move it away, or choose another folder with -o",
+        "{}: expected no file, or one that Lumistack wrote, found {}, which {work} into this folder would replace; move it away, or choose another folder with -o",
         path.display(), if *changed { "a file that was changed since Lumistack wrote it" } else { "something else" }
     )]
     Foreign {
         /// The file or folder.
         path: PathBuf,
-        /// What would replace it.
+        /// The work that would replace it.
         work: &'static str,
-        /// Whether it was written by Lumistack and changed by somebody else.
+        /// True if Lumistack wrote it and it was changed since.
         changed: bool,
     },
-    /// An input lies where the output would be written.
+    /// An input lies where the output is written.
     #[error(
-        "{}: expected a {what} that lies elsewhere than the output, found it among what is written into {}; choose another folder with -o",
+        "{}: expected a {what} outside of the output, found it among the files that are written into {}; choose another folder with -o",
         input.display(), folder.display()
     )]
     Overwrites {
-        /// The file or folder that is read.
+        /// The input, a file or folder.
         input: PathBuf,
-        /// What it is.
+        /// Its role, such as `scene`.
         what: &'static str,
         /// The output folder.
         folder: PathBuf,
     },
-    /// The run is finished, save for some outputs.
+    /// Some outputs failed; the rest of the run is finished.
     #[error("{}", failed_outputs(failed))]
     Outputs {
-        /// Each with the reason.
+        /// The outputs with their reasons.
         failed: Vec<FailedOutput>,
     },
     /// A job file does not parse.
@@ -123,33 +123,33 @@ pub enum PipelineError {
         /// Place and message.
         source: ConfigError,
     },
-    /// A display file is wrong.
+    /// A display file does not parse, or has a wrong value.
     #[error("{}: {source}{}", path.display(), display_excerpt(text, source))]
     Display {
         /// The file or preset.
         path: PathBuf,
-        /// Its text, or empty when the values come from elsewhere.
+        /// Its text; empty if the values do not come from a file.
         text: String,
-        /// What is wrong.
+        /// The cause.
         source: DisplayError,
     },
     /// No such preset.
     #[error("display `{name}`: expected a preset or a .toml file; `lumistack displays` lists the presets{}", nearest.as_ref().map_or(String::new(), |n| format!("; did you mean `{n}`?")))]
     UnknownDisplay {
-        /// What was asked for.
+        /// The requested name.
         name: String,
         /// The nearest preset.
         nearest: Option<String>,
     },
-    /// A value makes no sense.
+    /// A wrong value.
     #[error(transparent)]
     Value(Box<BadValue>),
-    /// A result that a stage has just written is not what stands there: somebody else works on the folder's files.
-    #[error("{}: {what}: expected the picture just written, found another or none", path.display())]
+    /// A result that a stage has just written was replaced: another program changes the folder.
+    #[error("{}: {what}: expected the picture that was just written, found another or none; another program changes this folder", path.display())]
     Replaced {
         /// The file.
         path: PathBuf,
-        /// Its content, for people.
+        /// Its content, for the message.
         what: &'static str,
     },
     /// glTF ingest failed.
@@ -163,7 +163,7 @@ pub enum PipelineError {
     Scene {
         /// The scene's file.
         name: String,
-        /// What is wrong.
+        /// The cause.
         source: SceneError,
     },
     /// The window cannot be placed.
@@ -171,10 +171,10 @@ pub enum PipelineError {
     Window {
         /// The scene's file.
         name: String,
-        /// What is wrong.
+        /// The cause.
         source: WindowError,
     },
-    /// A view grid makes no sense.
+    /// A wrong view grid.
     #[error(transparent)]
     Grid(#[from] GridError),
     /// A light field or stack cannot be read or written.
@@ -185,7 +185,7 @@ pub enum PipelineError {
     Stack {
         /// The folder.
         path: PathBuf,
-        /// What is wrong.
+        /// The cause.
         source: StackError,
     },
     /// Weights do not fit.
@@ -193,7 +193,7 @@ pub enum PipelineError {
     Weights {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// The cause.
         source: WeightError,
     },
     /// Rendering failed.
@@ -211,7 +211,7 @@ pub enum PipelineError {
     /// A plot could not be drawn.
     #[error(transparent)]
     Plot(PlotError),
-    /// What a command does beside the pipeline failed.
+    /// A command's work outside of the pipeline failed.
     #[error(transparent)]
     Command(Box<dyn std::error::Error + Send + Sync>),
 }
@@ -219,17 +219,17 @@ pub enum PipelineError {
 /// An output that could not be written.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct FailedOutput {
-    /// Its folder, relative to the run's.
+    /// Its folder, relative to the run folder.
     pub path: String,
-    /// Why.
+    /// The cause of the failure.
     pub reason: String,
 }
 
 fn failed_outputs(failed: &[FailedOutput]) -> String {
     let list = failed.iter().map(|output| format!("{}: {}", output.path, output.reason)).collect::<Vec<_>>().join("; ");
     match failed.len() {
-        1 => format!("an output failed, all else is finished: {list}"),
-        count => format!("{count} outputs failed, all else is finished: {list}"),
+        1 => format!("an output failed; everything else is finished: {list}"),
+        count => format!("{count} outputs failed; everything else is finished: {list}"),
     }
 }
 
@@ -240,7 +240,7 @@ impl From<Cancelled> for PipelineError {
 }
 
 impl PipelineError {
-    /// A value that makes no sense.
+    /// Error for a wrong value of a file.
     pub fn value(
         place: impl Into<Place>,
         key: impl Into<String>,
@@ -251,12 +251,12 @@ impl PipelineError {
         Self::Value(Box::new(BadValue { place, key, expected, found }))
     }
 
-    /// A value of the job that makes no sense.
+    /// Error for a wrong value of the job.
     pub fn job(key: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Self {
         Self::value(Place::Job, key, expected, found)
     }
 
-    /// A value of an option, or of a variable of the environment, that makes no sense.
+    /// Error for a wrong value of an option or an environment variable.
     pub fn option(
         name: &'static str,
         key: impl Into<String>,
@@ -266,22 +266,22 @@ impl PipelineError {
         Self::value(Place::Option(name), key, expected, found)
     }
 
-    /// A result that was written and is not there any more, as a conversion for `ok_or_else`.
+    /// Error for a result that was replaced after it was written, for `ok_or_else`.
     pub(crate) fn replaced<'a>(path: &'a Path, what: &'static str) -> impl FnOnce() -> Self + 'a {
         move || Self::Replaced { path: path.to_owned(), what }
     }
 
-    /// An error of something that a command does beside the pipeline, as a conversion for `map_err`.
+    /// Error of a command's work outside of the pipeline, for `map_err`.
     pub fn command(error: impl std::error::Error + Send + Sync + 'static) -> Self {
         Self::Command(Box::new(error))
     }
 
-    /// Whether it is about this machine alone: another one may do the work.
+    /// True if only this machine has the problem, so that another one may do the work.
     pub fn is_of_machine(&self) -> bool {
         matches!(self, Self::NoFarmPlan { .. } | Self::OtherCode { .. })
     }
 
-    /// Whether the store is to blame: no space, no right to write, or gone.
+    /// True if the storage failed: no space, read-only, or disconnected.
     pub fn is_of_store(&self) -> bool {
         use std::io::ErrorKind;
         let mut cause: Option<&(dyn std::error::Error + 'static)> = Some(self);
@@ -303,13 +303,13 @@ impl PipelineError {
         false
     }
 
-    /// A failed write, as a conversion for `map_err`.
+    /// Error for a failed write, for `map_err`.
     pub fn write(path: &Path) -> impl FnOnce(std::io::Error) -> Self + '_ {
         move |source| Self::Write { path: path.to_owned(), source }
     }
 }
 
-/// An error of a plugin; being asked to stop is none.
+/// Converts an error of a plugin; a cancelled call becomes [`PipelineError::Cancelled`].
 pub(crate) fn host_error(error: HostError) -> PipelineError {
     match error {
         HostError::Cancelled => PipelineError::Cancelled,
@@ -363,23 +363,23 @@ pub(crate) fn field_error(error: lumistack_field_io::FieldError) -> PipelineErro
     }
 }
 
-/// Reads a whole regular file.
+/// Reads a regular file.
 ///
 /// # Errors
-/// When it cannot be read.
+/// If it cannot be read.
 pub fn read(path: &Path) -> Result<Vec<u8>, PipelineError> {
     lumistack_files::read(path).map_err(|source| PipelineError::Read { path: path.to_owned(), source })
 }
 
-/// Reads a whole regular file of UTF-8 text.
+/// Reads a regular file of UTF-8 text.
 ///
 /// # Errors
-/// When it cannot be read or is not UTF-8.
+/// If it cannot be read or is not UTF-8.
 pub fn read_to_string(path: &Path) -> Result<String, PipelineError> {
     lumistack_files::read_text(path).map_err(|source| PipelineError::Read { path: path.to_owned(), source })
 }
 
-/// The line of the error with a mark under the place.
+/// The line of the error, with marks under the place.
 fn excerpt(text: &str, error: &ConfigError) -> String {
     let Some(line) = text.lines().nth(error.line.saturating_sub(1)) else { return String::new() };
     let length = error.span.len().clamp(1, line.chars().count().saturating_sub(error.column - 1).max(1));

@@ -1,4 +1,4 @@
-//! What the shells ask besides running: what is in a light field, which plugins there are.
+//! Descriptions for the command line and other front ends: light fields and plugins.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -9,19 +9,19 @@ use lumistack_plugin_host::{Kind, Origin, Param, PluginInfo, Registry};
 
 use crate::error::{PipelineError, field_error};
 
-/// Describes a light field of any kind.
+/// Describes a light field of any file format.
 ///
 /// # Errors
-/// When it cannot be read.
+/// If it cannot be read.
 pub fn describe_light_field(path: &Path, flags: &GeometryFlags, task: Task<'_>) -> Result<Description, PipelineError> {
     lumistack_field_io::describe(path, flags, task).map_err(field_error)
 }
 
-/// The plugins that are compiled in, and those in libraries: in `paths`, the places that the environment variable `LUMISTACK_PLUGIN_PATH` names, and the user's data
-/// folder. Without the feature `dynamic` only the former.
+/// Loads the built-in plugins and, with the feature `dynamic`, those in libraries: in `paths`, in
+/// the environment variable `LUMISTACK_PLUGIN_PATH`, and in the user's data folder.
 ///
 /// # Errors
-/// When a plugin that is compiled in describes itself badly.
+/// If the description of a built-in plugin is wrong.
 pub fn plugins(paths: &[PathBuf]) -> Result<Registry, PipelineError> {
     #[cfg_attr(not(feature = "dynamic"), expect(unused_mut, reason = "only libraries are added"))]
     let mut registry = Registry::built_in().map_err(PipelineError::Output)?;
@@ -32,10 +32,11 @@ pub fn plugins(paths: &[PathBuf]) -> Result<Registry, PipelineError> {
     Ok(registry)
 }
 
-/// Plugins with their parameters and where they come from, those of `ids` or else all, and what gave no plugin and why, as JSON.
+/// Plugins as JSON, with parameters, origins, and errors of libraries; all plugins if `ids` is
+/// empty.
 ///
 /// # Errors
-/// When there is no plugin of such an id, or its library cannot be used.
+/// If there is no plugin of such an id, or its library cannot be used.
 pub fn plugin_list(registry: &Registry, ids: &[String]) -> Result<serde_json::Value, PipelineError> {
     let plugins = chosen(registry, ids)?.into_iter().map(|(info, origin)| {
         let mut plugin = serde_json::to_value(info).expect("descriptions serialize");
@@ -47,24 +48,24 @@ pub fn plugin_list(registry: &Registry, ids: &[String]) -> Result<serde_json::Va
     Ok(serde_json::json!({ "plugins": plugins, "failed": failed }))
 }
 
-/// The plugins of these ids, of none all, and where each comes from.
+/// The plugins of `ids` and their origins; all plugins if `ids` is empty.
 fn chosen<'a>(registry: &'a Registry, ids: &[String]) -> Result<Vec<(&'a PluginInfo, &'a Origin)>, PipelineError> {
     if ids.is_empty() {
         return Ok(registry.entries().collect());
     }
     let one = |id: &String| {
         let info = registry.get(id).map_err(PipelineError::Output)?.info();
-        Ok((info, registry.origin(id).expect("what is there came from somewhere")))
+        Ok((info, registry.origin(id).expect("every plugin has an origin")))
     };
     ids.iter().map(one).collect()
 }
 
-/// Why some libraries gave no plugin, where all are listed.
+/// Errors of libraries that could not be loaded, for the list of all plugins.
 fn failed(registry: &Registry, ids: &[String]) -> Vec<String> {
     if ids.is_empty() { registry.failed().iter().map(ToString::to_string).collect() } else { Vec::new() }
 }
 
-/// The same as text; of plugins that were asked for by id with the words of their choices.
+/// The same as text. Plugins that are requested by id list the options of their parameters too.
 ///
 /// # Errors
 /// As [`plugin_list`].
@@ -93,7 +94,7 @@ pub fn plugin_text(registry: &Registry, ids: &[String]) -> Result<String, Pipeli
     Ok(text.trim_end().to_string())
 }
 
-/// What a parameter takes, in its unit, and its value when none is given.
+/// The values of a parameter in its unit, and its default.
 fn values_of(param: &Param) -> String {
     let unit = param.unit.as_ref().filter(|unit| *unit != "1").map_or(String::new(), |unit| format!(" {unit}"));
     let default = match param.default_value() {
@@ -109,7 +110,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn parameters_are_told_in_their_units_and_without_names_of_types() {
+    fn parameters_have_units_and_no_names_of_types() {
         for (param, expected) in [
             (Param::bool("a", true, "A."), "true or false; default true"),
             (Param::int("a", 4, 1..=9, "A.").unit("1"), "a whole number from 1 to 9; default 4"),

@@ -1,7 +1,7 @@
-//! The job file: which scene or light field becomes patterns of which display, and what is written.
+//! The job file: names the input (a scene or a light field), the display and the outputs.
 //!
-//! Every key has a default except the input and the display; `docs/JOB.md` lists them all. Relative paths are relative to the job file.
-//! One file per table, beside this one.
+//! Only the input and the display have no default. `docs/JOB.md` lists all keys. Relative paths are
+//! relative to the job file. Each table has a file in the folder `job`.
 
 mod display;
 mod factorize;
@@ -32,10 +32,10 @@ pub use lumistack_shot::{
     ZoneSamples,
 };
 
-/// Views that are chosen where Blender may render them, at most.
+/// Most views of an automatic choice if Blender may render them, which takes minutes a view.
 const MOST_OF_BLENDER: usize = 25;
 
-/// A job, as its file says.
+/// A job file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Job {
@@ -48,18 +48,19 @@ pub struct Job {
     /// Name for people and for the run folder; default: the file's stem.
     #[serde(default)]
     pub name: String,
-    /// Scene to render: `.gltf`, `.glb`, USD, or what an importer takes. Either this, `light_field` or `source`.
+    /// Scene to render: `.gltf`, `.glb`, USD, or a file of an importer plugin. A job has one of
+    /// `scene`, `light_field` and `source`.
     #[serde(default, skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub scene: Option<PathBuf>,
-    /// Light field that somebody else rendered: a folder, `.npy`, a quilt.
+    /// Light field of another program: a folder, `.npy`, a quilt.
     #[serde(default, skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub light_field: Option<PathBuf>,
     /// Seed of all random streams.
     #[serde(default = "default_seed")]
     pub seed: u64,
-    /// Geometry that a foreign light field does not state itself.
+    /// Geometry of a light field whose files do not state it.
     #[serde(default, skip_serializing_if = "is_default")]
     pub geometry: GeometryFlags,
     /// The display.
@@ -79,7 +80,7 @@ pub struct Job {
     /// Factorizer.
     #[serde(default)]
     pub factorize: FactorizeJob,
-    /// Times of a sequence; without it the job is a still.
+    /// Time steps of a sequence; without it the job is a still.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sequence: Option<SequenceJob>,
     /// Designs to compare, for `lumistack sweep`.
@@ -88,35 +89,36 @@ pub struct Job {
     /// Report.
     #[serde(default)]
     pub report: ReportJob,
-    /// How the scene's files are read: by which plugin, from where, with how much memory.
+    /// Plugin, folders and memory to read the scene's files with.
     #[serde(default, skip_serializing_if = "is_default")]
     pub importer: ImporterJob,
     /// Plugin that makes the light field.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source: Option<SourceJob>,
-    /// Displays that are fed from one light field; without any, the one display of the job.
+    /// Displays that share the light field; default: the one display of the job.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub nodes: Vec<NodeJob>,
     /// Output plugins; default: `images`.
     #[serde(default = "default_outputs")]
     pub outputs: Vec<OutputJob>,
-    /// Folder of the file, to which files in parameters of plugins are relative.
+    /// Folder of the job file; files in parameters of plugins are relative to it.
     #[serde(skip)]
     pub folder: PathBuf,
-    /// The file itself, where the job came from one; a run does not write over it.
+    /// The job file, if there is one; a run does not write over it.
     #[serde(skip)]
     pub file: Option<PathBuf>,
 }
 
-/// What to take of a scene that has a choice.
+/// Time, variants and crop of a scene.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PoseJob {
-    /// Time at which animations are sampled, seconds; they hold beyond their ends. Without it the scene as its nodes stand, or, with
-    /// `animation`, time 0.
+    /// Time at which animations are sampled, seconds; outside their range they keep their first or
+    /// last values. Default: the scene without animation; with `animation`, time 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub time_s: Option<f64>,
-    /// Name or number of the animation; without it all of them together where no two move the same thing, otherwise the first.
+    /// Name or number of the animation. Default: all of them together if no two move the same
+    /// thing, otherwise the first.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub animation: Option<String>,
     /// Name or number of glTF's material variant.
@@ -140,7 +142,7 @@ pub struct PoseJob {
 pub struct ReportJob {
     /// Pixels of a view per degree of visual angle, for FLIP.
     pub pixels_per_degree: f64,
-    /// Directions all over the zone from which scene and display are compared for the report only; 0 for no score of the zone.
+    /// Directions of the viewing zone that the zone score compares; 0 for no zone score.
     pub zone_directions: usize,
 }
 
@@ -169,10 +171,10 @@ impl Default for ReportJob {
 impl Job {
     /// Value of the key `schema`.
     pub const SCHEMA: &'static str = "lumistack/job";
-    /// What a light field comes from.
+    /// The inputs that a job may have, for messages.
     pub(crate) const INPUTS: &'static str = "one of `scene`, `light_field` and `source`";
 
-    /// A job with nothing set but its display.
+    /// A job of a display, with defaults for everything else.
     pub fn new(display: DisplayJob) -> Self {
         Self {
             schema: format(),
@@ -203,7 +205,7 @@ impl Job {
     /// Reads a job file; its relative paths become relative to the working folder.
     ///
     /// # Errors
-    /// When the file cannot be read, does not parse, or has unknown keys.
+    /// If the file cannot be read, does not parse, or has unknown keys.
     pub fn load(path: &Path) -> Result<Self, PipelineError> {
         let text = read_to_string(path)?;
         let mut job: Self = config::parse(&text).map_err(|source| PipelineError::Config {
@@ -221,7 +223,7 @@ impl Job {
         }
         if job.name.is_empty() {
             job.name = path.file_stem().map_or("job".into(), |stem| stem.to_string_lossy().into_owned());
-            // scenes/still-life/job.toml is called still-life
+            // A file job.toml takes its folder's name: scenes/still-life/job.toml is still-life.
             if job.name == "job"
                 && let Some(folder) = path.parent().and_then(Path::file_name)
             {
@@ -237,7 +239,7 @@ impl Job {
         Ok(job)
     }
 
-    /// Every path in the job.
+    /// All paths in the job.
     pub fn paths_mut(&mut self) -> impl Iterator<Item = &mut PathBuf> {
         let own = [
             &mut self.scene,
@@ -254,24 +256,28 @@ impl Job {
         own.into_iter().chain(of_nodes).flatten()
     }
 
-    /// The display that the job asks for, with its choice of views made: within the memory that the job allows.
+    /// Returns the display of the job. Automatic views are chosen within the job's memory limit.
     ///
     /// # Errors
-    /// When the preset is unknown, the file does not parse, or a changed value is out of range.
+    /// If the preset is unknown, the file does not parse, or a changed value is out of range.
     pub fn resolve_display(&self) -> Result<Display, PipelineError> {
         let display = self.display.resolve()?;
         let most = self.most_views(&display);
         Ok(display.with_views_chosen(most))
     }
 
-    /// Views of a display's light field within the memory that the job allows, and that its renderer can give in reasonable time.
+    /// Most views of a display's light field: limited by the job's memory, and by time if Blender
+    /// may render them.
     pub(crate) fn most_views(&self, display: &Display) -> usize {
         let [cols, rows] = display.field.resolution;
         let affordable = self.render.affordable_views(cols * rows);
         if self.may_be_blenders() { affordable.min(MOST_OF_BLENDER) } else { affordable }
     }
 
-    /// The job with the choices made that it leaves to the display's views, where it asks for a display.
+    /// The job with the automatic settings set that depend on the display's views.
+    ///
+    /// A display that does not load changes nothing here; [`Self::resolve_display`] returns its
+    /// error.
     pub(crate) fn settled(&self) -> Self {
         let mut job = self.clone();
         if let Ok(display) = job.display.resolve() {
@@ -283,7 +289,7 @@ impl Job {
         job
     }
 
-    /// What takes noise out of the views of a display: light is shared where there are as many as the display wants.
+    /// Returns the denoiser. Automatic: views share light if their number is automatic too.
     pub(crate) fn denoise_for(&self, display: &Display) -> Denoise {
         let fixed = matches!(display.field.views, Views::Fixed(_));
         match self.render.denoise {
@@ -293,18 +299,19 @@ impl Job {
         }
     }
 
-    /// Whether Blender may render the views, which takes minutes each.
+    /// True if Blender may render the views, which takes minutes each.
     fn may_be_blenders(&self) -> bool {
         let is_file = self.scene.as_deref().is_some_and(is_blend);
         self.render.engine == Engine::Blender || is_file && self.render.engine == Engine::Auto
     }
 
-    /// Checks values that no parser checks.
+    /// Checks ranges, and keys that exclude each other.
     ///
     /// # Errors
-    /// On the first value that makes no sense.
+    /// For the first wrong value.
     pub fn check(&self) -> Result<(), PipelineError> {
         let fail = |key: &str, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
+        // A job has exactly one input.
         let inputs = [
             self.scene.as_ref().map(|_| "`scene`"),
             self.light_field.as_ref().map(|_| "`light_field`"),
@@ -315,6 +322,7 @@ impl Job {
             [] => return fail("scene", Self::INPUTS, "none".into()),
             several => return fail("scene", Self::INPUTS, several.join(" and ")),
         }
+        // Ranges of single values. The types allow any number, also NaN.
         if let Some(time_s) = self.source.as_ref().map(|source| source.time_s).filter(|time_s| !time_s.is_finite()) {
             return fail("source.time_s", "a finite time", time_s.to_string());
         }
@@ -343,6 +351,7 @@ impl Job {
         if !(1..=1 << 20).contains(&self.importer.picture_mib) {
             return fail("importer.picture_mib", "1 to 1048576 MiB", self.importer.picture_mib.to_string());
         }
+        // Tables with checks of their own, and combinations of tables.
         self.render.check()?;
         self.window.check()?;
         self.light.check()?;
@@ -356,21 +365,22 @@ impl Job {
             .map_or(Ok(()), |sequence| sequence.check(self.scene.is_some(), self.light_field.is_some()))
     }
 
-    /// The job for a report.
+    /// The job as JSON, for a report.
     pub(crate) fn to_json(&self) -> serde_json::Value {
         serde_json::to_value(self).expect("a job holds nothing that JSON cannot")
     }
 
-    /// The job as a file, every default written out.
+    /// The text of a job file, with all defaults.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("a job holds nothing that TOML cannot")
     }
 }
 
 impl Job {
-    /// Checks that nodes and outputs have names of their own, and that every output takes something that is there.
+    /// Checks that names of nodes and outputs are unique, and that every output's input exists.
     fn check_graph(&self) -> Result<(), PipelineError> {
         let fail = |key: String, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
+        // Names of nodes are names of folders, so they must be unique and valid on every system.
         let mut ids: Vec<&str> = Vec::new();
         for (i, node) in self.nodes.iter().enumerate() {
             if !is_folder_name(&node.id) || node.id == OutputJob::LIGHT_FIELD || ids.contains(&node.id.as_str()) {
@@ -388,6 +398,7 @@ impl Job {
         if self.nodes.is_empty() {
             ids.push(NodeJob::TENSOR_DISPLAY);
         }
+        // Two outputs of one node must not write into the same folder.
         let mut taken: Vec<(&str, &str)> = Vec::new();
         for (i, output) in self.outputs.iter().enumerate() {
             let known = || format!("`{}` or one of {}", OutputJob::LIGHT_FIELD, ids.join(", "));
@@ -413,7 +424,8 @@ impl Job {
         Ok(())
     }
 
-    /// The plugins of the job: their place in it, id and parameters. The id of an importer that is chosen by the scene's extension is empty.
+    /// The plugins of the job: their key in the file, id and parameters. The id of an importer is
+    /// empty if the scene's extension selects it.
     pub(crate) fn plugins_mut(
         &mut self,
     ) -> impl Iterator<Item = (String, &str, &mut serde_json::Map<String, serde_json::Value>)> {
@@ -427,7 +439,7 @@ impl Job {
         importer.into_iter().chain(source).chain(nodes).chain(outputs)
     }
 
-    /// The outputs that take what `from` makes.
+    /// The outputs whose input is `from`: a node's id or `light_field`.
     pub(crate) fn outputs_of(&self, from: &str) -> impl Iterator<Item = &OutputJob> {
         let only = self.nodes.len() < 2;
         self.outputs
@@ -436,7 +448,7 @@ impl Job {
     }
 }
 
-/// Whether a text can be a folder on every system.
+/// True if a text is a valid folder name on every system.
 fn is_folder_name(name: &str) -> bool {
     !name.is_empty() && name.len() <= 100 && name.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-' || b == b'_')
 }
@@ -445,7 +457,7 @@ fn is_folder_name(name: &str) -> bool {
 mod tests {
     use super::*;
 
-    /// The keys that a table takes: what the parser offers when it meets one that it does not know.
+    /// The keys of a table, from the parser's message about an unknown key.
     fn keys<T: serde::de::DeserializeOwned>() -> Vec<String> {
         let Err(error) = config::parse::<T>("no_such_key = 1") else { panic!("unknown keys are accepted") };
         let names: Vec<String> = error.message.split('`').skip(1).step_by(2).map(String::from).collect();

@@ -1,6 +1,7 @@
 //! A job whose settings and files change while its display is shown (`lumistack live`).
 //!
-//! [`Studio`] makes light fields of it, whatever of it has changed anew; [`LiveFolder`] keeps what was shown last as a run folder.
+//! [`Studio`] makes its light fields and repeats only stages whose input changed. [`LiveFolder`]
+//! writes the last state as a run folder.
 
 mod change;
 mod folder;

@@ -1,4 +1,4 @@
-//! The views of a scene alone, as a light-field folder: the stages of a run up to the exposure.
+//! Renders the views of a scene into a light-field folder: the stages of a run up to the exposure.
 
 use std::path::Path;
 
@@ -17,10 +17,11 @@ use crate::store::names::Work;
 use crate::store::{plugin_files, used};
 use crate::view_options::ViewOptions;
 
-/// Renders the views of a job's scene into `target_dir`, without factorizing, as `options` say; returns what their depth asks of the display.
+/// Renders the views of a job's scene into `target_dir`, without factorizing. Returns the depth of
+/// the views against the display's depth of field.
 ///
 /// # Errors
-/// When ingest or rendering fails or is cancelled.
+/// If the job or the options are wrong, or ingest or rendering fails or is cancelled.
 pub fn render_only(
     job: &Job,
     target_dir: &Path,
@@ -33,7 +34,7 @@ pub fn render_only(
     };
     let mut job = job.clone();
     if !options.only.is_empty() && job.render.denoise == Denoise::Auto {
-        // a filter works on all views together
+        // The denoiser needs all views.
         job.render.denoise = Denoise::Off;
     }
     let job = &plugin_files::resolved(&job, registry)?;
@@ -41,9 +42,10 @@ pub fn render_only(
     let _owned = folder::take(target_dir, Work::Views, job, registry, task)?;
     let display = job.resolve_display()?;
     let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
-    // found out before the first ray, not after
+    // Refuse wrong options before the scene is loaded, which may take minutes.
     options.check(job, geometry.grid.iter().count())?;
     options.chosen(geometry.grid.views())?;
+    // Run the stages. Held-out views and views outside the zone serve the report, which is absent.
     let cache = target_dir.join("cache");
     let ingested = ingest::load_scene(scene, &job.pose, &job.importer, registry, &job.light, Some(&cache), task)?;
     let placement = place::place(&ingested, &job.window, &display, &geometry, Some(&cache), task)?;
@@ -57,14 +59,16 @@ pub fn render_only(
     let exposed = expose::run(shot, &traced, options.linear, task)?;
     let budget = depth::budget(&traced.depths, &display, &geometry, &placement);
     warn_of_depth(&budget, task);
+    // Automatic exposure depends on the rendered views, so parts of one light field may differ.
     let all = geometry.grid.iter().count();
     if traced.views.len() < all && !options.linear && job.light.automatic_exposure {
         let count = traced.views.len();
         let message = format!(
-            "exposure is chosen from {count} of {all} views; for equal exposure of views that are rendered apart, set `light.automatic_exposure = false` or give --linear"
+            "exposure is chosen from {count} of {all} views; if the other views are rendered separately, set `light.automatic_exposure = false` or use --linear for equal exposure"
         );
         task.warn("exposure", message);
     }
+    // Write the folder, and remove cached views of earlier settings.
     let mut info = field_info(exposed.look, &placement);
     if options.linear {
         info.insert("tone".into(), "none".into());

@@ -1,4 +1,4 @@
-//! What can be told of a scene on a display before anything is rendered.
+//! Predicts depth, coverage and memory of a scene on a display, without rendering.
 
 use lumistack_core::Task;
 use lumistack_display::Display;
@@ -12,20 +12,20 @@ use crate::job::Job;
 use crate::stage::ingest::load_scene;
 use crate::stage::{depth, place};
 
-/// What can be told of a scene on a display before anything is rendered.
+/// Depth, coverage and memory of a scene on a display.
 pub struct Outlook {
-    /// How much of the scene the display can show sharply.
+    /// The scene's depth against the display's depth of field.
     pub depth: DepthBudget,
-    /// Share of the window where the middle view sees a surface, 0..1.
+    /// Share of the window where the middle view has a hit, 0..1.
     pub coverage: f64,
-    /// What the scene occupies once it is prepared for rendering.
+    /// Memory of the scene after it is prepared for rendering.
     pub memory: Memory,
 }
 
-/// Places the job's display in its scene as a run would, and looks how deep its views see.
+/// Places the job's display in its scene as a run does, and measures the depth of its views.
 ///
 /// # Errors
-/// When the job has no scene, or scene, display or window make no sense.
+/// If the job has no scene, or its scene, display or window is wrong.
 pub fn outlook(job: &Job, registry: &Registry, task: Task<'_>) -> Result<Outlook, PipelineError> {
     outlook_on(job, &job.resolve_display()?, registry, task)
 }
@@ -33,7 +33,7 @@ pub fn outlook(job: &Job, registry: &Registry, task: Task<'_>) -> Result<Outlook
 /// [`outlook`] with another display than the job's.
 ///
 /// # Errors
-/// As there.
+/// As [`outlook`].
 pub fn outlook_on(job: &Job, display: &Display, registry: &Registry, task: Task<'_>) -> Result<Outlook, PipelineError> {
     let Some(scene) = &job.scene else {
         return Err(PipelineError::job("scene", "a scene", "none"));

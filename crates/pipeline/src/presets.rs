@@ -1,4 +1,4 @@
-//! Displays that come with the program: the paper's prototypes and figures.
+//! Presets of displays: the paper's prototypes, and the displays of its figures.
 
 use std::path::Path;
 
@@ -8,15 +8,15 @@ pub use lumistack_display::PRESETS;
 
 use crate::error::{PipelineError, read_to_string};
 
-/// Their names.
+/// Names of the presets.
 pub fn names() -> impl Iterator<Item = &'static str> {
     PRESETS.iter().map(|(name, _)| *name)
 }
 
-/// The preset called `name`.
+/// Loads the preset `name`.
 ///
 /// # Errors
-/// When there is none; the error names the nearest.
+/// If there is no such preset; the error suggests the nearest name.
 pub fn load(name: &str) -> Result<Display, PipelineError> {
     let Some((_, text)) = PRESETS.iter().find(|(preset, _)| *preset == name) else {
         return Err(PipelineError::UnknownDisplay {
@@ -27,10 +27,10 @@ pub fn load(name: &str) -> Result<Display, PipelineError> {
     parse(Path::new(name), text)
 }
 
-/// A display file.
+/// Reads a display file.
 ///
 /// # Errors
-/// When it cannot be read or is wrong.
+/// If it cannot be read, does not parse, or has a wrong value.
 pub fn load_file(path: &Path) -> Result<Display, PipelineError> {
     parse(path, &read_to_string(path)?)
 }

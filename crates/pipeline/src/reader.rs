@@ -1,4 +1,4 @@
-//! Who reads a scene's file.
+//! Selects the reader of a scene's file: glTF, USD, Blender or an importer plugin.
 
 use std::path::Path;
 
@@ -7,7 +7,7 @@ use lumistack_plugin_host::{PluginKind, Registry};
 use crate::error::PipelineError;
 use crate::job::ImporterJob;
 
-/// What reads a scene's file.
+/// Reader of a scene's file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Reader {
     Gltf,
@@ -17,24 +17,24 @@ pub(crate) enum Reader {
     Plugin(String),
 }
 
-/// Whether a file is USD by its extension.
+/// True if a file's extension is one of USD's.
 pub fn is_usd(path: &Path) -> bool {
     let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     lumistack_usd::EXTENSIONS.contains(&extension.as_str())
 }
 
-/// Whether a file is a capture by its extension: splats alone.
+/// True if a file's name is one of a capture, which has Gaussian splats and nothing else.
 pub(crate) fn is_capture(path: &Path) -> bool {
     let has = |known: &&str| path.extension().is_some_and(|found| found.eq_ignore_ascii_case(known));
     ["ply", "spz", "sog"].iter().any(has) || path.file_name().is_some_and(|name| name == "meta.json")
 }
 
-/// Whether a file is Blender's by its extension.
+/// True if a file's extension is Blender's.
 pub fn is_blend(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(lumistack_usd::BLEND_EXTENSION))
 }
 
-/// Who reads a file without a plugin.
+/// The built-in reader of a file, by its extension.
 pub(crate) fn own_reader(path: &Path) -> Option<Reader> {
     let is_gltf = |extension: &std::ffi::OsStr| ["gltf", "glb"].iter().any(|own| extension.eq_ignore_ascii_case(own));
     if path.extension().is_some_and(is_gltf) {
@@ -46,10 +46,10 @@ pub(crate) fn own_reader(path: &Path) -> Option<Reader> {
     is_blend(path).then_some(Reader::Blend)
 }
 
-/// Who reads a job's scene.
+/// The reader of a job's scene: the job's importer, a built-in reader, or a plugin.
 ///
 /// # Errors
-/// When nobody takes files of its kind, or there is no such importer.
+/// If the importer does not exist, or no reader has the file's extension.
 pub(crate) fn reader_of(path: &Path, importer: &ImporterJob, registry: &Registry) -> Result<Reader, PipelineError> {
     let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     if let Some(id) = &importer.plugin {

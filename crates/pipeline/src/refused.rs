@@ -1,4 +1,4 @@
-//! Outputs of a job that would be refused, before any work.
+//! Finds outputs that plugins refuse, before a run begins.
 
 use lumistack_core::Task;
 use lumistack_plugin_host::Registry;
@@ -12,22 +12,22 @@ use crate::stage::field::field_defaults;
 use crate::stage::output;
 use crate::store::plugin_files;
 
-/// An output of a job that would not be written.
+/// An output of a job that its plugin refuses to write.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct RefusedOutput {
-    /// The plugin.
+    /// Id of the plugin.
     pub plugin: String,
-    /// Name of its folder.
+    /// Name of the output's folder.
     pub name: String,
-    /// Why not.
+    /// The plugin's message.
     pub reason: String,
 }
 
-/// Opens every output of a job against the display that it would be given, as a run does before the first ray, and says which are refused. Outputs of a sequence are those
-/// of its times, which all have the first one's geometry.
+/// Opens every output of a job with its display, as a run does before it renders, and returns the
+/// refused ones. For a sequence the first time step stands for all, since all have its geometry.
 ///
 /// # Errors
-/// When a display of the job makes no sense, the light field that it reads cannot be opened, or when cancelled.
+/// If a display of the job is wrong, its light field cannot be opened, or when cancelled.
 pub fn refused_outputs(job: &Job, registry: &Registry, task: Task<'_>) -> Result<Vec<RefusedOutput>, PipelineError> {
     let job = plugin_files::resolved(job, registry)?;
     let job = match &job.sequence {
@@ -35,7 +35,7 @@ pub fn refused_outputs(job: &Job, registry: &Registry, task: Task<'_>) -> Result
         None => job,
     };
     let own = job.resolve_display()?;
-    // a source makes the light field of the display; what is read has a geometry of its own
+    // A light field from files has its own geometry; scenes and sources take the display's.
     let (display, geometry) = match (&job.scene, &job.light_field) {
         (None, Some(path)) => {
             let geometry = lumistack_field_io::geometry_of(path, &job.geometry, &field_defaults(&own), task);

@@ -1,4 +1,4 @@
-//! The work on a job: its plan, and the plan executed in a run folder that nobody else has.
+//! Runs jobs: makes a job's plan and executes it in a run folder, which it locks.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -25,73 +25,77 @@ use crate::store::lock::{Hold, UNIT_LIMIT, take_for_unit};
 use crate::store::names::Work;
 use crate::store::plugin_files;
 
-/// What a run ended with.
+/// Results of a run.
 #[derive(Clone, Debug, Serialize)]
 pub struct Summary {
     /// The report.
     #[serde(serialize_with = "lumistack_core::path_text::told")]
     pub report: PathBuf,
-    /// Headline: PSNR of seen pictures all over the zone, dB; where a scene was rendered.
+    /// Zone score: PSNR of seen pictures over the viewing zone, dB. `None` without a scene.
     pub psnr_zone: Option<f64>,
-    /// The same of the worst tenth of the directions, dB.
+    /// Zone score of the worst tenth of the directions, dB.
     pub psnr_zone_worst: Option<f64>,
     /// PSNR of L̃/β against L at the solver's views, dB.
     pub psnr_view: f64,
     /// PSNR of L̃ against βL, dB.
     pub psnr_raw: f64,
-    /// PSNR at in-between views, dB.
+    /// PSNR at held-out views, dB.
     pub psnr_held_out: Option<f64>,
-    /// PSNR at views beyond the zone, dB.
+    /// PSNR at views outside the viewing zone, dB.
     pub psnr_outside: Option<f64>,
-    /// Of a job with several nodes: each. The figures above are the first one's.
+    /// Results per node, of a job with several nodes. The scores above are the first node's.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub nodes: Vec<NodeSummary>,
-    /// What the scene's depth asks of the display, as in report.json; where a scene was rendered.
+    /// The scene's depth against the display's depth of field, as in report.json. `None` without a
+    /// scene.
     pub depth: Option<Value>,
-    /// The same in a line.
+    /// The same as a sentence.
     #[serde(skip)]
     pub depth_sentence: Option<String>,
-    /// What a sequence adds.
+    /// Results of a sequence.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sequence: Option<SequenceSummary>,
-    /// Outputs that could not be written; all others were.
+    /// Outputs that failed; all others were written.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub failed_outputs: Vec<FailedOutput>,
     /// Time of the whole run, seconds.
     pub seconds: f64,
 }
 
-/// What one node ended with.
+/// Results of one node.
 #[derive(Clone, Debug, Serialize)]
 pub struct NodeSummary {
-    /// Its name.
+    /// Id of the node.
     pub id: String,
     /// PSNR of L̃/β against L, dB.
     pub psnr_view: f64,
     /// PSNR of L̃ against βL, dB.
     pub psnr_raw: f64,
-    /// PSNR at in-between views, dB.
+    /// PSNR at held-out views, dB.
     pub psnr_held_out: Option<f64>,
-    /// PSNR of seen pictures all over the zone, dB.
+    /// Zone score: PSNR of seen pictures over the viewing zone, dB.
     pub psnr_zone: Option<f64>,
 }
 
-/// What the summary of a sequence adds.
+/// Results of a sequence.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SequenceSummary {
-    /// Number of times.
+    /// Number of time steps.
     pub times: usize,
-    /// Flicker over time: PSNR of the change shown against the change wanted, dB; higher is steadier. `None` of a single time.
+    /// Flicker: PSNR of the emitted change between time steps against the target's, dB; higher is
+    /// steadier. `None` for a single time step.
     pub psnr_change: Option<f64>,
-    /// The same over rays whose target stands still; `None` where there are none.
+    /// The same over rays whose target is constant; `None` if there are none.
     pub psnr_still: Option<f64>,
 }
 
-/// Runs a whole job into `run_dir`. An output that fails ends neither the run nor the outputs after it: the report and the summary name it.
+/// Runs a job into `run_dir`.
+///
+/// A failed output does not end the run: the report and the summary list it.
 ///
 /// # Errors
-/// When another run works in the folder, the folder holds what is not ours, or any other stage fails or is cancelled; finished stages are kept and taken up
-/// by the next run.
+/// If another run uses the folder, a file of others is in the way, or a stage fails or is
+/// cancelled. Finished stages are kept, and the next run reuses them.
 pub fn run(
     job: &Job,
     run_dir: &Path,
@@ -106,17 +110,17 @@ pub fn run(
     run_in(job, run_dir, registry, command, start, task)
 }
 
-/// Runs the whole job of units of work that are done: takes up what they left, and makes the rest.
+/// Runs a job after its units of work: reuses their results and makes the rest.
 ///
 /// # Errors
-/// As [`run`] or [`sweep`], and when an output failed.
+/// As [`run`] or [`sweep`], and if an output failed.
 pub(crate) fn run_finished(
     job: &Job,
     run_dir: &Path,
     registry: &Registry,
     task: Task<'_>,
 ) -> Result<(), PipelineError> {
-    // a unit that seemed lost may still be at work
+    // A worker that seemed lost may still run its unit, so wait until the folder is free.
     drop(take_for_unit(run_dir, Hold::Alone, UNIT_LIMIT, task)?);
     if job.sweep.is_some() {
         return sweep(job, run_dir, registry, task).map(|_| ());
@@ -130,7 +134,7 @@ pub(crate) fn run_finished(
     }
 }
 
-/// Runs a job in a folder that the caller holds.
+/// Runs a job in a folder that the caller has locked.
 fn run_in(
     job: &Job,
     run_dir: &Path,
@@ -145,10 +149,11 @@ fn run_in(
     Ok(Summary { seconds: start.elapsed().as_secs_f64(), ..summary(&mut executor.context, job) })
 }
 
-/// Executes one step of a job's plan in its run folder, as another process of the same run may do: results of the steps before are read back from the folder.
+/// Executes one step of a job's plan in its run folder. Results of earlier steps, perhaps of other
+/// processes, are read from the folder.
 ///
 /// # Errors
-/// As [`run`], and when the plan has no such step.
+/// As [`run`], and if the plan has no such step.
 pub fn run_step(
     job: &Job,
     run_dir: &Path,
@@ -161,11 +166,12 @@ pub fn run_step(
     Executor::new(&of_run(job, run_dir)?, registry, None, task).execute_alone(step)
 }
 
-/// Solves every design of a job with `[sweep]` into `dir`, or those that a search finds worth it. Of a sequence a row holds figures over all times together, of a job
-/// with nodes those of every node.
+/// Solves the designs of a job with `[sweep]` into `dir`: all of them, or those that a search
+/// selects. A row of the table has scores over all time steps and of every node.
 ///
 /// # Errors
-/// When a design makes no sense, or any stage fails or is cancelled; finished designs are kept and taken up by the next run.
+/// If a design is wrong, or a stage fails or is cancelled. Finished designs are kept, and the next
+/// run reuses them.
 pub fn sweep(job: &Job, dir: &Path, registry: &Registry, task: Task<'_>) -> Result<SweepSummary, PipelineError> {
     let Some(table) = &job.sweep else {
         return Err(PipelineError::job("sweep", "a table `[sweep]`, or an axis as an option", "none"));
@@ -177,10 +183,11 @@ pub fn sweep(job: &Job, dir: &Path, registry: &Registry, task: Task<'_>) -> Resu
     sweep::execute(&plan, &designs, job, registry, task)
 }
 
-/// The plan of a job in a run folder, with what is known before the work: keys, what is cached, and estimates of time and memory. Nothing is written.
+/// The plan of a job in a run folder, with keys, cached results, and estimates of time and memory.
+/// Writes nothing.
 ///
 /// # Errors
-/// When the job or a design of its sweep makes no sense.
+/// If the job or a design of its sweep is wrong.
 pub fn plan(job: &Job, run_dir: &Path, registry: &Registry) -> Result<Plan, PipelineError> {
     let job = &plugin_files::resolved(job, registry)?;
     let mut plan = if job.sweep.is_some() { of_sweep(job, run_dir)?.0 } else { of_run(job, run_dir)? };
@@ -196,7 +203,7 @@ fn without_sweep(job: &Job, registry: &Registry) -> Result<Job, PipelineError> {
     plugin_files::resolved(job, registry)
 }
 
-/// The work of a job in its folder.
+/// The kind of work of a job.
 pub(crate) fn work_of(job: &Job) -> Work {
     match (&job.sweep, &job.sequence) {
         (Some(_), _) => Work::Sweep,
@@ -225,7 +232,7 @@ pub(crate) fn of_sweep(job: &Job, dir: &Path) -> Result<(Plan, Designs), Pipelin
     Ok((plan, designs))
 }
 
-/// What the parts of an executed plan have ended with.
+/// Collects the results of an executed plan.
 fn summary(context: &mut Context<'_>, job: &Job) -> Summary {
     let plan = context.plan;
     let mut summary = Summary {
@@ -243,6 +250,7 @@ fn summary(context: &mut Context<'_>, job: &Job) -> Summary {
         failed_outputs: std::mem::take(&mut context.failed),
         seconds: 0.0,
     };
+    // A sequence has scores over all time steps, and no held-out views.
     if let Some(report) = context.sequence.take() {
         let of_nodes = job.nodes.iter().zip(&report.series);
         summary.nodes = of_nodes
@@ -262,6 +270,7 @@ fn summary(context: &mut Context<'_>, job: &Job) -> Summary {
         }
         return summary;
     }
+    // A still has a report per display. The first one's scores are those of the run.
     let displays = if job.nodes.is_empty() { vec![0] } else { plan.within(0).collect() };
     let reports = displays.into_iter().filter_map(|part| Some((part, &context.states[part].reported.as_ref()?.report)));
     for (number, (part, report)) in reports.enumerate() {

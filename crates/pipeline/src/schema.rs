@@ -1,7 +1,8 @@
-//! JSON Schemas of job and display files, by which editors complete and check them.
+//! JSON Schemas of job and display files, for completion and checks in editors.
 //!
-//! Structure, defaults and descriptions come from the types that read the files, the parameters of plugins from their own declarations. Ranges that
-//! depend on other keys stay with the program.
+//! Structure, defaults and descriptions come from the types that read the files. Parameters of
+//! plugins come from the plugins' declarations. Only the program checks ranges that depend on other
+//! keys.
 
 use lumistack_display::Display;
 use lumistack_plugin_host::{Kind, Param, PluginInfo, Registry};
@@ -12,7 +13,7 @@ use serde_json::{Map, Value, json};
 
 use crate::job::Job;
 
-/// Draft 7 is what editors of TOML know.
+/// Generates a schema of draft 7, which TOML editors support.
 fn made<T: JsonSchema>(title: &str) -> Schema {
     let mut schema = SchemaSettings::draft07().into_generator().into_root_schema_for::<T>();
     let _ = schema.insert("title".into(), title.into());
@@ -25,7 +26,7 @@ pub fn display() -> Schema {
     made::<Display>("Lumistack display")
 }
 
-/// The schema of job files, with the parameters of the plugins that are there.
+/// The schema of job files, with the parameters of all loaded plugins.
 pub fn job(registry: &Registry) -> Schema {
     let mut schema = made::<Job>("Lumistack job");
     for definition in ["ImporterJob", "SourceJob", "NodeJob", "OutputJob"] {
@@ -38,7 +39,7 @@ pub fn job(registry: &Registry) -> Schema {
     schema
 }
 
-/// Where a table names the plugin, its `params` are the plugin's.
+/// A rule for one plugin: a table with its id takes its parameters.
 fn parameters(info: &PluginInfo) -> Value {
     let properties: Map<String, Value> =
         info.schema.params.iter().map(|param| (param.name.clone(), parameter(param))).collect();
@@ -64,7 +65,7 @@ fn parameter(param: &Param) -> Value {
     schema
 }
 
-/// What the types say for Rust, said for files.
+/// Adapts schemas of Rust types to files: no links, no null, no sizes of integers.
 struct Editors;
 
 impl Transform for Editors {
@@ -72,9 +73,9 @@ impl Transform for Editors {
         if let Some(text) = schema.get("description").and_then(Value::as_str).map(plain) {
             let _ = schema.insert("description".into(), text.into());
         }
-        // sizes of machine integers tell a writer nothing
+        // `format` has sizes of machine integers, which do not matter to an author.
         let _ = schema.remove("format");
-        // TOML has no null: a key that may be left out is left out
+        // TOML has no null: optional keys are absent instead.
         if let Some(kinds) = schema.get_mut("type").and_then(Value::as_array_mut) {
             kinds.retain(|kind| kind != "null");
             if let [kind] = kinds.as_slice() {
@@ -92,7 +93,7 @@ impl Transform for Editors {
     }
 }
 
-/// Markdown without the links of Rust's documentation: ``[`Shared`](Self::Shared)`` becomes `` `Shared` ``.
+/// Removes rustdoc links from Markdown: ``[`Shared`](Self::Shared)`` becomes `` `Shared` ``.
 fn plain(text: &str) -> String {
     let mut plain = String::new();
     let mut rest = text;
@@ -144,7 +145,7 @@ mod tests {
         }
     }
 
-    /// Other tests cannot tell a schema that allows everything from one that checks.
+    /// Valid files pass a schema that allows everything too, so this test looks for restrictions.
     #[test]
     fn a_table_of_a_job_knows_its_keys_and_its_plugins() {
         let schema = job(&Registry::built_in().unwrap());

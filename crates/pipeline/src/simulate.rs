@@ -1,4 +1,4 @@
-//! What a finished display shows from somewhere.
+//! Simulates a finished run from a viewpoint, and writes the run's browser simulator.
 
 use std::path::{Path, PathBuf};
 
@@ -18,12 +18,12 @@ use crate::store::lock::take_preview;
 use crate::store::plugin_files::plugin_key;
 use crate::store::stamps::Stamps;
 
-/// Name of a run's own preview: its folder, and its stamp.
+/// Name of the folder and the stamp of a run's preview.
 const PREVIEW: &str = "preview";
 
 /// A finished run: the display and its patterns.
 pub struct RunFolder {
-    /// Where it lies.
+    /// The run folder.
     pub dir: PathBuf,
     /// The display.
     pub display: Display,
@@ -31,23 +31,23 @@ pub struct RunFolder {
     pub stack: LayerStack,
 }
 
-/// The run's title, as its report has it; empty without one.
+/// The title in the run's report; empty without a report.
 fn title_of(dir: &Path) -> String {
     let report = std::fs::read(dir.join("report.json")).ok();
     let report = report.and_then(|text| serde_json::from_slice::<serde_json::Value>(&text).ok());
     report.and_then(|report| report["title"].as_str().map(str::to_owned)).unwrap_or_default()
 }
 
-/// Where the viewer stands.
+/// A direction or position of the viewer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Viewpoint {
-    /// A parallel projection from these angles, degrees: right and up.
+    /// A parallel projection at these angles from the z axis, degrees: right and up.
     Angle([f64; 2]),
-    /// A parallel projection from this slope: tangents, right and up.
+    /// A parallel projection at this slope: right and up.
     Slope([f64; 2]),
     /// An eye in display space, millimetres: right, up, in front.
     Eye([f64; 3]),
-    /// This many parallel projections side by side, from left to right across the horizontal field of view.
+    /// This many parallel projections side by side, over the horizontal field of view.
     Sweep(usize),
 }
 
@@ -55,7 +55,7 @@ impl RunFolder {
     /// Reads the display and the patterns of a run.
     ///
     /// # Errors
-    /// When they are missing, wrong or do not fit each other.
+    /// If they are missing or wrong, or do not match.
     pub fn open(dir: &Path) -> Result<Self, PipelineError> {
         let display = presets::load_file(&dir.join("display.toml"))?;
         let layers = dir.join("layers");
@@ -64,7 +64,8 @@ impl RunFolder {
         Ok(Self { dir: dir.to_owned(), display, stack })
     }
 
-    /// Writes the browser simulator of the run into `out_dir`, with the target where the run has one; gives the files, relative to it.
+    /// Writes the browser simulator of the run into `out_dir`, with the target if the run has one.
+    /// Returns the files, relative to `out_dir`.
     fn write_preview(
         &self,
         registry: &Registry,
@@ -72,7 +73,7 @@ impl RunFolder {
         task: Task<'_>,
     ) -> Result<Vec<PathBuf>, PipelineError> {
         let folder = self.dir.join("target");
-        // a sequence's displays share one target, and old runs may have none
+        // The displays of a sequence share one target, and old runs may have none.
         let target = if folder.join("lightfield.json").is_file() {
             Some(lumistack_field_io::read_field_folder(&folder).map_err(field_error)?.0)
         } else {
@@ -89,7 +90,7 @@ impl RunFolder {
         written.map_err(host_error)
     }
 
-    /// A sentence about a viewpoint from which some of the display is seen at angles that it is not made for.
+    /// A warning, if the viewpoint sees some of the display from outside of the viewing zone.
     pub fn beyond_zone(&self, viewpoint: Viewpoint) -> Option<String> {
         let share = share_beyond_zone(&self.display, viewpoint)?;
         let field = &self.display.field;
@@ -100,23 +101,26 @@ impl RunFolder {
             _ => String::new(),
         };
         let zone = format!("±{}° × ±{}°{from}", round(0.5 * x), round(0.5 * y));
-        (share > 0.0).then(|| format!("from there {part} of the display is seen outside its viewing zone of {zone}, where nothing constrains what it shows"))
+        (share > 0.0).then(|| format!("this viewpoint sees {part} of the display from outside of its viewing zone of {zone}, where the solver does not constrain the emitted light"))
     }
 
     /// [`picture_from`] the viewpoint.
     ///
     /// # Errors
-    /// When the viewpoint is behind the display or beside all views.
+    /// If the viewpoint is behind the display, or its numbers are out of range.
     pub fn picture(&self, viewpoint: Viewpoint, raw: bool) -> Result<Tensor<3>, PipelineError> {
         picture_from(&self.display, &self.stack, viewpoint, raw)
     }
 }
 
-/// Writes the browser simulator of the run in `dir` into its folder `preview`, unless that shows the run's patterns as they are: contents are compared, not times,
-/// which a copy or a restored backup changes. Gives whether it was written.
+/// Writes the browser simulator of the run in `dir` into its folder `preview`, unless that is up to
+/// date. Returns true if it was written.
+///
+/// The check compares contents of files, not their times, which a copy or a backup changes.
 ///
 /// # Errors
-/// When `dir` is no finished run, another preview of it is being made, the plugin `web_simulator` is not there, or the files cannot be written.
+/// If `dir` is no finished run, another process writes its preview, the plugin `web_simulator` is
+/// missing, or the files cannot be written.
 pub fn update_preview(dir: &Path, registry: &Registry, task: Task<'_>) -> Result<bool, PipelineError> {
     let stamps = Stamps::new(dir);
     let key = preview_key(dir, registry)?;
@@ -131,7 +135,7 @@ pub fn update_preview(dir: &Path, registry: &Registry, task: Task<'_>) -> Result
     Ok(true)
 }
 
-/// Everything that a run's preview is made from.
+/// Hash of all inputs of a run's preview.
 fn preview_key(dir: &Path, registry: &Registry) -> Result<String, PipelineError> {
     let mut key = KeyBuilder::new(PREVIEW, code::PLUGINS);
     key.add("plugin", plugin_key(registry, "web_simulator", &serde_json::Map::new())?.as_bytes());
@@ -149,10 +153,11 @@ fn preview_key(dir: &Path, registry: &Registry) -> Result<String, PipelineError>
     Ok(key.add("title", title_of(dir).as_bytes()).finish())
 }
 
-/// What a display that shows a stack of its shape looks like from a viewpoint: `[row][col][rgb]`, linear; L̃/β, or L̃ itself when `raw`.
+/// The picture of patterns on a display from a viewpoint: `[row][col][rgb]`, linear; L̃/β, or L̃ if
+/// `raw`.
 ///
 /// # Errors
-/// When the viewpoint is behind the display or beside all views.
+/// If the viewpoint is behind the display, or its numbers are out of range.
 pub fn picture_from(
     display: &Display,
     stack: &LayerStack,
@@ -188,8 +193,8 @@ pub fn picture_from(
     Ok(picture)
 }
 
-/// Share of the display, 0..1, that a viewpoint sees along rays beyond the target's views; none of those that ask for no single picture, or are
-/// refused.
+/// Share of the display, 0..1, that a viewpoint sees along rays outside of the viewing zone. `None`
+/// for a sweep and for viewpoints that [`picture_from`] refuses.
 fn share_beyond_zone(display: &Display, viewpoint: Viewpoint) -> Option<f64> {
     let field = &display.field;
     let size_mm = display.field_pixels().size_mm();
@@ -207,7 +212,8 @@ fn share_beyond_zone(display: &Display, viewpoint: Viewpoint) -> Option<f64> {
         let place = [place[0] * size_mm[0], place[1] * size_mm[1]];
         let slope = slope_of(place)?;
         let is_outside = |axis: usize| {
-            // where the eye of a perspective grid would stand; one view alone shows the same from everywhere
+            // A perspective zone is a range of eye positions: follow the ray to the eyes' distance.
+            // A single view on an axis does not limit the zone, since all eyes see the same.
             let seen = match field.distance_mm {
                 Some(distance_mm) if field.projection == ProjectionKind::Perspective => {
                     place[axis] / distance_mm + slope[axis]
@@ -222,10 +228,10 @@ fn share_beyond_zone(display: &Display, viewpoint: Viewpoint) -> Option<f64> {
     Some(outside as f64 / (PROBES * PROBES) as f64)
 }
 
-/// Places per axis at which the angle to the viewer is looked at.
+/// Points of the display per axis at which the viewer's slope is tested.
 const PROBES: usize = 32;
 
-/// Degrees for people.
+/// Rounds degrees to one digit, for messages.
 fn round(degrees: f64) -> f64 {
     (10.0 * degrees).round() / 10.0
 }
@@ -237,7 +243,7 @@ fn strip(display: &Display, simulator: &Simulator<'_>, count: usize) -> Result<T
     let half_width = (0.5 * display.field.fov_deg[0].to_radians()).tan();
     let views: Vec<Tensor<3>> = (0..count)
         .map(|i| {
-            // the same bin centres as a view grid of `count` views
+            // Slopes of a view grid of `count` views: the bins' centres.
             let slope = (2.0 * i as f64 + 1.0 - count as f64) / count as f64 * half_width;
             simulator.from_slope([slope, 0.0]).radiance
         })
@@ -253,10 +259,11 @@ fn strip(display: &Display, simulator: &Simulator<'_>, count: usize) -> Result<T
     Ok(strip)
 }
 
-/// Writes a linear picture as PNG (sRGB-encoded) or EXR (linear), by the file's extension.
+/// Writes a linear picture `[row][col][rgb]` as PNG (sRGB-encoded) or EXR (linear), by the file's
+/// extension.
 ///
 /// # Errors
-/// When the extension is another, or the file cannot be written.
+/// If the extension is another one, or the file cannot be written.
 pub fn simulate_to_file(picture: &Tensor<3>, path: &Path) -> Result<(), PipelineError> {
     let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     let [rows, cols, _] = picture.shape();
@@ -283,14 +290,14 @@ mod tests {
 
     #[test]
     fn the_zone_ends_where_the_outermost_views_do() {
-        // 475 mm wide, 20° × 20°
+        // The display is 475 mm wide; its field of view is 20° × 20°.
         let display = presets::load("paper-three-layer").unwrap();
         let share = |viewpoint| share_beyond_zone(&display, viewpoint).unwrap();
         assert_eq!(share(Viewpoint::Angle([4.0, -2.0])), 0.0);
         assert_eq!(share(Viewpoint::Angle([9.9, 0.0])), 0.0);
         assert_eq!(share(Viewpoint::Angle([10.1, 0.0])), 1.0);
         assert_eq!(share(Viewpoint::Angle([0.0, -30.0])), 1.0);
-        // the example of the command's help; from nearer the display's sides are seen too obliquely
+        // The example of the command's help. A nearer eye sees the display's sides too obliquely.
         assert_eq!(share(Viewpoint::Eye([100.0, 0.0, 2000.0])), 0.0);
         let near = share(Viewpoint::Eye([100.0, 0.0, 600.0]));
         // |x - 100| <= 105.8 of ±237.5, |y| <= 105.8 of ±148.4

@@ -1,14 +1,14 @@
-//! Run folders: their files, and how these are told from those of others.
+//! Run folders: their files, and the checks that a file is ours.
 //!
 //! ```text
-//! key        what a result depends on, as a hash          code           fingerprints of the crates that results pass through
-//! stamps     which results are current                    views          cached pictures that carry their own hash
-//! files      written whole or not at all                  settings       job.toml and display.toml with a seal
-//! lock       one owner at a time                          names          what work writes under which name
-//! folder     taken for a job                              left_overs     of runs that were killed
-//! used       what the last run needed                     clean          frees the rest
-//! handover   scenes that Blender handed over              plugin_files   files among the parameters of plugins
-//! paged      light fields too large for memory         farm         units of work that are done
+//! key        hash of a result's inputs           code           fingerprints of crates, for keys
+//! stamps     records of results, with their keys views          cached pictures with hashes
+//! files      atomic writes                       settings       sealed job.toml and display.toml
+//! lock       one owner of a folder at a time     names          names that work writes
+//! folder     takes a folder for a job            left_overs     files of killed runs
+//! used       files that the last run used        clean          removes the other ones
+//! handover   scenes that Blender exported        plugin_files   files in parameters of plugins
+//! paged      light fields larger than memory     farm           finished units of work
 //! ```
 
 pub(crate) mod clean;

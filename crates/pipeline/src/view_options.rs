@@ -1,37 +1,38 @@
-//! Views for other purposes than a display: some of them only, in scene-linear radiance, with layers of what they see.
+//! Options of views without a display: a selection of views, scene-linear radiance, extra channels.
 
 use std::str::FromStr;
 
 use crate::error::PipelineError;
 use crate::job::{Engine, Job};
 
-/// What `render_only` writes.
+/// Options of `render_only`.
 #[derive(Clone, Debug, Default)]
 pub struct ViewOptions {
-    /// Scene-linear radiance in single floats: neither exposed nor tone-mapped nor clipped, and without a background.
+    /// Scene-linear radiance in 32-bit floats, without exposure, tone curve, clipping and
+    /// background.
     pub linear: bool,
-    /// What else is written of every view.
+    /// Extra channels of every view.
     pub layers: Vec<ViewLayer>,
-    /// Views to render; none for all.
+    /// Views to render; all if empty.
     pub only: Vec<ViewPick>,
 }
 
-/// What a view sees, besides its light.
+/// An extra channel of a view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ViewLayer {
-    /// z in display space of the first surface on the central ray of a pixel.
+    /// z in display space of the first hit on a pixel's central ray, millimetres.
     Depth,
     /// Shading normal.
     Normal,
-    /// Reflectance.
+    /// Albedo of the first hits.
     Albedo,
     /// Variance of the radiance.
     Variance,
-    /// Share of the pixel where a surface is.
+    /// Share of a pixel's samples that hit a surface.
     Coverage,
 }
 
-/// Views by row and column, as their files are named.
+/// Views by row and column, as in the names of their files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ViewPick {
     /// First and last row, then first and last column; `None` for all.
@@ -58,7 +59,7 @@ impl ViewLayer {
         }
     }
 
-    /// Unit and meaning, for the folder's index.
+    /// Unit and meaning, for the folder's `lightfield.json`.
     pub(crate) fn about(self) -> [&'static str; 2] {
         match self {
             Self::Depth => [
@@ -74,9 +75,9 @@ impl ViewLayer {
             }
             Self::Variance => [
                 "radiance²",
-                "variance of the view's scene-linear radiance before exposure and denoising: that of its samples over their number",
+                "variance of the view's scene-linear radiance before exposure and denoising: the samples' variance over their number",
             ],
-            Self::Coverage => ["1", "share of the pixel's samples that meet a surface, 0..1"],
+            Self::Coverage => ["1", "share of the pixel's samples that hit a surface, 0..1"],
         }
     }
 }
@@ -109,12 +110,12 @@ impl FromStr for ViewPick {
 }
 
 impl ViewOptions {
-    /// Whether variances are to be rendered.
+    /// True if variances are requested.
     pub(crate) fn variance(&self) -> bool {
         self.layers.contains(&ViewLayer::Variance)
     }
 
-    /// Checks that the job can give what is wanted of a light field of so many views.
+    /// Checks that a job of this many views can write the selected views and channels.
     pub(crate) fn check(&self, job: &Job, views: usize) -> Result<(), PipelineError> {
         let fail =
             |flag: &str, expected: &str, found: String| Err(PipelineError::value("render", flag, expected, found));
@@ -137,7 +138,7 @@ impl ViewOptions {
         Ok(())
     }
 
-    /// The views to render, [view_y, view_x], row by row, of `views` = [rows, columns].
+    /// The views to render, `[view_y, view_x]`, row by row; `views` counts rows and columns.
     pub(crate) fn chosen(&self, views: [usize; 2]) -> Result<Vec<[usize; 2]>, PipelineError> {
         for ViewPick { axes } in &self.only {
             for (axis, (name, count)) in axes.iter().zip([("row", views[0]), ("column", views[1])]) {

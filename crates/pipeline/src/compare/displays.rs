@@ -1,4 +1,4 @@
-//! The displays of one run side by side: a job with `[[nodes]]` has made them from one light field.
+//! Compares the displays of one run, which a job with `[[nodes]]` made from one light field.
 
 use std::path::{Path, PathBuf};
 
@@ -13,21 +13,21 @@ use crate::job::Job;
 use crate::simulate::RunFolder;
 use crate::store::files::write;
 
-/// Quality of the sheet's JPEG: what PNG would make four times as large.
+/// Quality of the sheet's JPEG. A PNG would be four times as large.
 const JPEG_QUALITY: u8 = 92;
 
-/// What one of several displays shows of the target.
+/// One of several displays against the target.
 #[derive(Clone, Debug, Serialize)]
 pub struct DisplayLikeness {
     /// Id of its node.
     pub id: String,
-    /// Layers, frames and light, in words.
+    /// Layers, frames, backlight and β, in words.
     pub display: String,
-    /// How right it is all over its zone, where its report says so.
+    /// Zone score, if its report has one.
     pub zone: Option<ZoneLikeness>,
-    /// Against the target along its rays, over views that are spread over it.
+    /// The display against the target along its rays, over a selection of its views.
     pub likeness: Likeness,
-    /// PSNR of each of these views, dB, by row and column; none where it is equal.
+    /// PSNR of each of these views, dB, by row and column; `None` if the view is equal.
     pub views_db: Vec<Vec<Option<f64>>>,
 }
 
@@ -36,15 +36,18 @@ pub struct DisplayLikeness {
 pub struct DisplaysComparison {
     /// In the job's order.
     pub displays: Vec<DisplayLikeness>,
-    /// Pictures that were written.
+    /// Written pictures.
     #[serde(serialize_with = "lumistack_core::path_text::told_each")]
     pub pictures: Vec<PathBuf>,
 }
 
-/// Compares all displays of a run whose job has `[[nodes]]` with the target; `displays.jpg` in `out` shows in columns what is seen of each from the left, the middle and the right.
+/// Compares all displays of a run whose job has `[[nodes]]` with the target.
+///
+/// Writes `displays.jpg` into `out`: a column per display, with seen pictures from the left, the
+/// middle and the right.
 ///
 /// # Errors
-/// When the run has no nodes or no target, or files cannot be read or written.
+/// If the run has no nodes or no target, or files cannot be read or written.
 pub fn compare_displays(run: &Path, out: Option<&Path>, task: Task<'_>) -> Result<DisplaysComparison, PipelineError> {
     let job = Job::load(&run.join("job.toml"))?;
     if job.nodes.is_empty() {
@@ -56,6 +59,7 @@ pub fn compare_displays(run: &Path, out: Option<&Path>, task: Task<'_>) -> Resul
     let geometry = target.geometry();
     let (shape, [views_y, views_x]) = ([geometry.rows, geometry.cols], geometry.grid.views());
     let (shown, views) = (middle_views(&geometry.grid), some_views(&geometry.grid));
+    // The first column of the sheet shows the target.
     let codes = |linear: &mut dyn Iterator<Item = f32>| linear.map(colour::srgb_code).collect::<Vec<u8>>();
     let mut sheet = Sheet {
         size: [geometry.cols, geometry.rows],
@@ -77,6 +81,7 @@ pub fn compare_displays(run: &Path, out: Option<&Path>, task: Task<'_>) -> Resul
         let folder = run.join("nodes").join(&node.id);
         let made = RunFolder::open(&folder)?;
         let (simulator, map) = (Simulator::new(&made.display, &made.stack), RayMap::new(&made.display, geometry));
+        // Scores along the target's rays, per view and together.
         let mut sums = Sums::new();
         let mut views_db: Vec<Vec<Option<f64>>> = Vec::new();
         for row in views.chunk_by(|a, b| a[0] == b[0]) {
@@ -92,6 +97,7 @@ pub fn compare_displays(run: &Path, out: Option<&Path>, task: Task<'_>) -> Resul
             }
             views_db.push(of_row);
         }
+        // Seen pictures for the display's column of the sheet.
         for (&view, (_, cells)) in shown.iter().zip(&mut sheet.rows) {
             let (rgb, counts) = seen(&simulator, made.stack.brightness, geometry, view);
             let mut own = Sums::new();
@@ -101,13 +107,14 @@ pub fn compare_displays(run: &Path, out: Option<&Path>, task: Task<'_>) -> Resul
             task.progress.advance(1, "");
         }
         let likeness = sums.likeness();
+        // The column's heading.
         let plural = |count: usize, one: &str| format!("{count} {one}{}", if count == 1 { "" } else { "s" });
         let lenses = if made.stack.emission.is_some() { ", directional" } else { "" };
         let layers = format!("{}{lenses}", plural(made.display.layers.len(), "layer"));
         let frames = format!("{}, β = {:.2}", plural(made.display.frames, "frame"), made.stack.brightness);
         let zone = zone_of(&folder);
         let psnr = match (zone, likeness.psnr_db) {
-            (Some(zone), _) => format!("{:.1} dB all over the zone", zone.psnr_db),
+            (Some(zone), _) => format!("{:.1} dB over the viewing zone", zone.psnr_db),
             (None, Some(psnr)) => format!("{psnr:.1} dB at the target's views"),
             (None, None) => "exact".into(),
         };
@@ -118,7 +125,7 @@ pub fn compare_displays(run: &Path, out: Option<&Path>, task: Task<'_>) -> Resul
             likeness,
             views_db,
         });
-        // a line each: a picture is not wide
+        // A column is narrow, so each fact has its own line.
         sheet.columns.push(vec![node.id.clone(), layers, frames, psnr]);
     }
     task.progress.end();

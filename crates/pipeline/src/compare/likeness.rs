@@ -1,4 +1,4 @@
-//! How alike two pictures are, and what comparisons read and write.
+//! Similarity of pictures, and the files that comparisons read and write.
 
 use std::path::Path;
 
@@ -10,10 +10,10 @@ use serde::Serialize;
 use crate::error::{PipelineError, field_error};
 use crate::simulate::simulate_to_file;
 
-/// How alike two pictures or light fields are.
+/// Similarity of two pictures or light fields.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Likeness {
-    /// Peak signal-to-noise ratio, dB; none where they are equal.
+    /// Peak signal-to-noise ratio, dB; `None` if they are equal.
     pub psnr_db: Option<f64>,
     /// Structural similarity, at most 1.
     pub ssim: f64,
@@ -21,16 +21,16 @@ pub struct Likeness {
     pub flip: f64,
 }
 
-/// How right a run's display is all over its zone, as its report says.
+/// Zone score of a run, from its report.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct ZoneLikeness {
-    /// PSNR of seen pictures, dB.
+    /// PSNR of seen pictures over the viewing zone, dB.
     pub psnr_db: f64,
-    /// The same of the worst tenth of the directions, dB.
+    /// The same over the worst tenth of the directions, dB.
     pub worst_tenth_db: f64,
 }
 
-/// The zone's score in the report of a run, where it knows one.
+/// Reads the zone score from the report of a run, if there is one.
 pub(super) fn zone_of(run: &Path) -> Option<ZoneLikeness> {
     let report = std::fs::read(run.join("report.json")).ok()?;
     let report: serde_json::Value = serde_json::from_slice(&report).ok()?;
@@ -38,16 +38,16 @@ pub(super) fn zone_of(run: &Path) -> Option<ZoneLikeness> {
     Some(ZoneLikeness { psnr_db: number("psnr_zone")?, worst_tenth_db: number("psnr_zone_worst_tenth")? })
 }
 
-/// Views per axis of a target that are compared, at most.
+/// Most views per axis of a target that are compared.
 const MOST_VIEWS: usize = 5;
 
-/// Views of a grid that stand for all: spread over it, with the middle and the outermost ones.
+/// A selection of a grid's views: evenly spread, with the middle and the outermost ones.
 pub(super) fn some_views(grid: &ViewGrid) -> Vec<[usize; 2]> {
     let [rows, cols] = grid.views().map(|count| spread(count, MOST_VIEWS));
     rows.iter().flat_map(|&row| cols.iter().map(move |&col| [row, col])).collect()
 }
 
-/// The left, the middle and the right one of a grid's views, in its middle row.
+/// The left, the middle and the right view of a grid's middle row.
 pub(super) fn middle_views(grid: &ViewGrid) -> Vec<[usize; 2]> {
     let [rows, cols] = grid.views();
     let mut views: Vec<[usize; 2]> = [0, cols / 2, cols - 1].map(|col| [rows / 2, col]).into();
@@ -55,7 +55,7 @@ pub(super) fn middle_views(grid: &ViewGrid) -> Vec<[usize; 2]> {
     views
 }
 
-/// A seen picture / β of the view of a geometry, and which of its pixels count.
+/// The seen picture of a view, and for each pixel whether it counts.
 pub(super) fn seen(
     simulator: &Simulator<'_>,
     brightness: f64,
@@ -65,7 +65,7 @@ pub(super) fn seen(
     adapted(simulator.seen(geometry, view).into(), brightness)
 }
 
-/// What a display shows along the rays of a view, L̃/β, and which of them count.
+/// The emitted light along the rays of a view, L̃/β, and for each ray whether it counts.
 pub(super) fn along_rays(
     simulator: &Simulator<'_>,
     map: &RayMap,
@@ -76,7 +76,7 @@ pub(super) fn along_rays(
     adapted(simulator.view(map, geometry, view), brightness)
 }
 
-/// Divided by β.
+/// Divides by β.
 fn adapted(emitted: EmittedView, brightness: f64) -> (Vec<f32>, Vec<bool>) {
     let scale = (1.0 / brightness) as f32;
     (emitted.radiance.data().iter().map(|value| value * scale).collect(), emitted.valid)
@@ -96,7 +96,8 @@ impl Sums {
         Self { error: SquaredError::default(), ssim: Mean::default(), flip: Mean::default(), filter }
     }
 
-    /// Pixels where `valid` says so; the others are given the reference's values.
+    /// Adds a picture. Pixels that are not `valid` do not count; they take the reference's values,
+    /// so that they do not disturb the filters of their neighbours.
     pub(super) fn add(&mut self, reference: &[f32], test: &[f32], shape: [usize; 2], valid: &[bool]) {
         let counted = |i: usize| valid[i];
         let mut test = test.to_vec();
@@ -125,7 +126,7 @@ impl Sums {
     }
 }
 
-/// The target of a run, or of the graph's run that a node's folder lies in.
+/// The target of a run. A node's folder has none, so the target of the run around it counts.
 pub(super) fn target_of(run: &Path) -> Result<Option<LightField>, PipelineError> {
     for folder in [run.join("target"), run.join("../../target")] {
         if folder.join("lightfield.json").is_file() {
@@ -135,13 +136,13 @@ pub(super) fn target_of(run: &Path) -> Result<Option<LightField>, PipelineError>
     Ok(None)
 }
 
-/// ½ + the difference, so that equal is middle grey.
+/// The difference around middle grey.
 pub(super) fn difference(first: &[f32], second: &[f32]) -> Vec<f32> {
-    // middle grey of the encoded picture
+    // 0.214 is middle grey, ½, after sRGB encoding.
     first.iter().zip(second).map(|(a, b)| (0.214 + (b - a)).clamp(0.0, 1.0)).collect()
 }
 
-/// Writes pictures of one shape side by side.
+/// Writes pictures of one shape `[row][col][rgb]` side by side.
 pub(super) fn save(path: &Path, panes: Vec<Vec<f32>>, [rows, cols]: [usize; 2]) -> Result<(), PipelineError> {
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder).map_err(PipelineError::write(folder))?;

@@ -1,20 +1,23 @@
-//! A photograph of panels beside the simulation of its run, at its pose and exposure.
+//! Compares a photograph of panels with the simulation of their run.
 //!
-//! It is brought onto the display by the homography of its four corners, and to the simulation's exposure by the one factor g that minimizes Σ (g p − s)² over
-//! photograph p and simulation s, in linear light and over the pixels that are not clipped:
+//! The homography of the display's four corners rectifies the photograph. A factor g matches its
+//! exposure to the simulation's. It minimizes Σ (g p − s)² over photograph p and simulation s, in
+//! linear light; clipped pixels do not count:
 //!
 //! ```text
 //! g = Σ s p / Σ p²
 //! ```
 //!
-//! Where nobody says from where it was taken, the corners do, with the camera's focal length f in pixels: for a pinhole whose axis meets the middle of the picture the homography from
-//! the display's millimetres to the picture's pixels around its middle is
+//! If the camera's position is unknown, the corners and the focal length f in pixels determine it.
+//! The optical axis of a pinhole camera passes through the picture's middle. The homography from
+//! the display's millimetres to pixels around that middle is
 //!
 //! ```text
 //! H ∝ diag(f, f, 1) [r_1 r_2 t],      eye = −Rᵀ t
 //! ```
 //!
-//! with r_1 and r_2 the display's x and y axis as the camera has them, which are made orthonormal. Source: Zhang, "A Flexible New Technique for Camera Calibration" (2000), section 3.1.
+//! with the display's x and y axes r_1 and r_2 in the camera's frame, which are orthonormalized.
+//! Source: Zhang, "A Flexible New Technique for Camera Calibration" (2000), section 3.1.
 
 use std::path::{Path, PathBuf};
 
@@ -27,37 +30,40 @@ use super::likeness::{Likeness, Sums, difference, save};
 use crate::error::{PipelineError, field_error};
 use crate::simulate::{RunFolder, Viewpoint};
 
-/// From where a photograph was taken.
+/// The camera's position for a photograph.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Pose {
-    /// As somebody measured it.
+    /// A measured position.
     Known(Viewpoint),
-    /// As the corners say, through a lens of this focal length in millimetres for a picture of 36 mm × 24 mm (EXIF: FocalLengthIn35mmFilm).
+    /// Derived from the corners and this focal length in millimetres, for a picture of
+    /// 36 mm × 24 mm (EXIF: FocalLengthIn35mmFilm).
     FocalMm(f64),
 }
 
-/// A photograph beside the simulation.
+/// Comparison of a photograph with the simulation.
 #[derive(Clone, Debug, Serialize)]
 pub struct PhotoComparison {
     /// Photograph against simulation, at the simulation's exposure.
     pub likeness: Likeness,
-    /// Factor that was put on the photograph's linear values.
+    /// Factor g on the photograph's linear values.
     pub gain: f64,
     /// Share of the display's pixels where the photograph is clipped; they do not count.
     pub clipped: f64,
-    /// Where the camera stood, as the corners say: right, up and in front of the display's centre, millimetres.
+    /// The camera's position that the corners give: `[x, y, z]` in display space, millimetres.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub eye_mm: Option<[f64; 3]>,
-    /// Pictures that were written.
+    /// Written pictures.
     #[serde(serialize_with = "lumistack_core::path_text::told_each")]
     pub pictures: Vec<PathBuf>,
 }
 
-/// Compares a photograph with what the run shows from where it was taken. `corners` are those of the light field's rectangle in the photograph, pixels from its top left
-/// corner, in the order left top, right top, right bottom, left bottom; without them it fills the photograph.
+/// Compares a photograph with the simulation of the run from the camera's position.
+///
+/// `corners` are those of the light field's rectangle in the photograph, in pixels from its top
+/// left corner: top left, top right, bottom right, bottom left. Default: the photograph's corners.
 ///
 /// # Errors
-/// When run or photograph cannot be read, its pose makes no sense, or the corners span nothing.
+/// If the run or the photograph cannot be read, the pose is wrong, or the corners span no area.
 pub fn compare_photo(
     run: &Path,
     photo: &Path,
@@ -73,6 +79,7 @@ pub fn compare_photo(
     let map = Homography::of_unit_square(corners).ok_or_else(|| {
         PipelineError::option("--corners", "corners", "four corners of a convex figure", format!("{corners:?}"))
     })?;
+    // Find the camera's position, and simulate the run from there.
     let (viewpoint, eye_mm) = match pose {
         Pose::Known(viewpoint) => (viewpoint, None),
         Pose::FocalMm(focal_mm) => {
@@ -80,14 +87,19 @@ pub fn compare_photo(
             let eye = eye_of(&map, run.display.field_pixels().size_mm(), [width, height], focal_px);
             let eye = eye.filter(|eye| focal_px > 0.0 && eye.iter().all(|v| v.is_finite()) && eye[2] > 0.0);
             let eye = eye.ok_or_else(|| {
-                PipelineError::option("--focal-35mm", "MM", "a lens that can see the display so", focal_mm.to_string())
+                PipelineError::option(
+                    "--focal-35mm",
+                    "MM",
+                    "a focal length that fits the corners",
+                    focal_mm.to_string(),
+                )
             })?;
             (Viewpoint::Eye(eye), Some(eye))
         }
     };
     let simulated = run.picture(viewpoint, false)?;
     let [rows, cols, _] = simulated.shape();
-    // what is brightest in a file of codes may have been brighter
+    // Files of codes clip bright light, so their brightest values do not count.
     let ends = picture.is_encoded();
     let mut linear = picture.into_linear();
     if ends {
@@ -96,6 +108,7 @@ pub fn compare_photo(
     let mut taken = rectified(&linear, size, &map, [rows, cols]);
     let counts: Vec<bool> = taken.chunks_exact(3).map(|rgb| rgb.iter().all(|value| value.is_finite())).collect();
     let clipped = counts.iter().filter(|counts| !**counts).count() as f64 / counts.len().max(1) as f64;
+    // The factor g of the module's documentation.
     let (mut products, mut squares) = (0.0, 0.0);
     for ((p, s), _) in taken.chunks_exact(3).zip(simulated.data().chunks_exact(3)).zip(&counts).filter(|(_, c)| **c) {
         products += p.iter().zip(s).map(|(p, s)| f64::from(*p) * f64::from(*s)).sum::<f64>();
@@ -104,8 +117,14 @@ pub fn compare_photo(
     let gain = products / squares;
     if !gain.is_finite() {
         let found = format!("{:.0} % of it clipped, the rest black", 100.0 * clipped);
-        return Err(PipelineError::value(photo, "exposure", "a photograph that shows something", found));
+        return Err(PipelineError::value(
+            photo,
+            "exposure",
+            "a photograph with pixels between black and clipped",
+            found,
+        ));
     }
+    // Compare at the simulation's exposure; clipped pixels become white in the picture.
     for value in &mut taken {
         *value = if value.is_finite() { *value * gain as f32 } else { 1.0 };
     }
@@ -123,20 +142,21 @@ pub fn compare_photo(
 
 /// Diagonal of a picture of 36 mm × 24 mm, to which EXIF relates focal lengths.
 const DIAGONAL_35MM: f64 = 43.266_615;
-/// Linear values from which on codes are taken for clipped: 254 of 255.
+/// Linear value of the code 254 of 255: from here on, values count as clipped.
 const CLIPPED: f32 = 0.991;
 
-/// Where the camera stood, display millimetres. `map` is the homography from the unit square that the display of `size_mm` fills.
+/// The camera's position in display space, millimetres. `map` is the homography from the unit
+/// square, which stands for the display of `size_mm`, to the picture.
 fn eye_of(map: &Homography, size_mm: [f64; 2], [width, height]: [f64; 2], focal_px: f64) -> Option<[f64; 3]> {
     let m = &map.0;
     let unit = DMat3::from_cols_array_2d(m).transpose();
-    // from millimetres, y up, to the unit square, y down
+    // From millimetres, y up, to the unit square, y down.
     let from_mm = DMat3::from_cols(
         DVec3::new(1.0 / size_mm[0], 0.0, 0.0),
         DVec3::new(0.0, -1.0 / size_mm[1], 0.0),
         DVec3::new(0.5, 0.5, 1.0),
     );
-    // from pixels, y down, to right, up and forward of the camera
+    // From pixels, y down, to the camera's frame: right, up and forward.
     let to_camera = DMat3::from_diagonal(DVec3::new(1.0 / focal_px, -1.0 / focal_px, 1.0))
         * DMat3::from_translation(-0.5 * DVec2::new(width, height));
     let h = to_camera * unit * from_mm;
@@ -144,7 +164,7 @@ fn eye_of(map: &Homography, size_mm: [f64; 2], [width, height]: [f64; 2], focal_
     let (a, b) = (h.x_axis.try_normalize()?, h.y_axis.try_normalize()?);
     let (sum, difference) = ((a + b).try_normalize()?, (a - b).try_normalize()?);
     let [r_1, r_2] = [sum + difference, sum - difference].map(|r| r * std::f64::consts::FRAC_1_SQRT_2);
-    // right, up, forward is left-handed, and the display's z comes towards the camera
+    // The camera's frame is left-handed, and the display's z axis points to the camera.
     let r_3 = -r_1.cross(r_2);
     let t = h.z_axis / scale;
     Some([-r_1.dot(t), -r_2.dot(t), -r_3.dot(t)])
@@ -153,7 +173,8 @@ fn eye_of(map: &Homography, size_mm: [f64; 2], [width, height]: [f64; 2], focal_
 /// Points per pixel and axis of the rectified picture.
 const POINTS: usize = 4;
 
-/// The part of a picture `[row][col][rgb]` of size [width, height] that a homography frames, at [rows, cols].
+/// The rectangle of a picture `[row][col][rgb]` of size [width, height] that a homography maps the
+/// unit square to, resampled to [rows, cols].
 fn rectified(rgb: &[f32], [width, height]: [usize; 2], map: &Homography, [rows, cols]: [usize; 2]) -> Vec<f32> {
     let mut result = vec![0.0f32; 3 * rows * cols];
     let share = 1.0 / (POINTS * POINTS) as f32;
@@ -182,12 +203,12 @@ fn rectified(rgb: &[f32], [width, height]: [usize; 2], map: &Homography, [rows, 
 mod tests {
     use super::*;
 
-    /// Corners as a pinhole sees them, from the camera's own axes; the eye is found again.
+    /// Projects corners by a pinhole camera, and recovers its position from them.
     #[test]
     fn corners_tell_where_the_camera_stood() {
         let (size_mm, picture, focal_px) = ([300.0, 200.0], [1600.0, 1200.0], 1900.0);
         for eye in [DVec3::new(120.0, -80.0, 700.0), DVec3::new(0.0, 0.0, 500.0), DVec3::new(-400.0, 90.0, 600.0)] {
-            // it looks at a point beside the centre, and its horizon leans
+            // The camera looks at a point beside the centre, and is rolled.
             let forward = (DVec3::new(20.0, 10.0, 0.0) - eye).normalize();
             let right = forward.cross(DVec3::new(0.1, 1.0, 0.0)).normalize();
             let up = right.cross(forward);

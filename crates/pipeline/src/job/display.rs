@@ -1,4 +1,4 @@
-//! `[display]`: which display, and what to change about it.
+//! `[display]`: a preset or a display file, and changes of its values.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use crate::error::PipelineError;
 use crate::presets;
 use lumistack_core::path_text::PathText;
 
-/// Which display, and what to change about it.
+/// A preset or a display file, and changes of its values.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct DisplayJob {
@@ -23,13 +23,16 @@ pub struct DisplayJob {
     #[serde(skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub file: Option<PathBuf>,
-    /// [columns, rows] of the light field; masks scale along, the width in millimetres stays.
+    /// Resolution of the light field, `[columns, rows]`. Masks scale with it; the width in
+    /// millimetres stays.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resolution: Option<[usize; 2]>,
-    /// Which views sample the zone: `"auto"`, as many as it takes; [horizontal, vertical]; or `{ step = [x, y] }`, at multiples of these slopes.
+    /// Views that sample the viewing zone: `"auto"` for as many as the display needs,
+    /// `[horizontal, vertical]` counts, or `{ step = [x, y] }` for views at multiples of these
+    /// slopes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub views: Option<Views>,
-    /// [horizontal, vertical] full angles of view, degrees.
+    /// Field of view, `[horizontal, vertical]` full angles in degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fov_deg: Option<[f64; 2]>,
     /// Frames M.
@@ -38,28 +41,29 @@ pub struct DisplayJob {
     /// Brightness scale β.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub brightness: Option<f64>,
-    /// How a ray reads a layer between pixel centres.
+    /// Interpolation of a layer between its pixels' centres.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sampling: Option<Sampling>,
-    /// What a ray reads that leaves a layer.
+    /// Transmittance for a ray that passes outside of a layer.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub missing: Option<Missing>,
 }
 
 impl DisplayJob {
-    /// Of what a user typed: the name of a preset or the path of a file.
+    /// Takes a user's text as the path of a file if it ends in `.toml` or has a slash, otherwise as
+    /// the name of a preset.
     pub fn by_name_or_path(text: impl AsRef<OsStr>) -> Self {
         let path = Path::new(text.as_ref());
         match path.to_str() {
             Some(name) if !(name.ends_with(".toml") || name.contains(['/', '\\'])) => {
                 Self { preset: Some(name.into()), ..Default::default() }
             }
-            // the names of presets are UTF-8
+            // Names of presets are UTF-8, so any other text is a path.
             _ => Self { file: Some(path.to_owned()), ..Default::default() },
         }
     }
 
-    /// The display that is asked for.
+    /// Loads the display and applies the changes.
     ///
     /// # Errors
     /// As [`Job::resolve_display`](super::Job::resolve_display).
@@ -75,10 +79,10 @@ impl DisplayJob {
         self.changed(&place, display)
     }
 
-    /// A display from `place` with what the job changes about it.
+    /// Applies the changes to a display; errors name `place`.
     ///
     /// # Errors
-    /// When a changed value is out of range.
+    /// If a changed value is out of range.
     pub fn changed(&self, place: &Path, mut display: Display) -> Result<Display, PipelineError> {
         let job = self;
         if let Some(views) = job.views {

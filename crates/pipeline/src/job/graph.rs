@@ -1,4 +1,4 @@
-//! `[importer]`, `[source]`, `[[nodes]]` and `[[outputs]]`: the plugins of a job and what joins them.
+//! `[importer]`, `[source]`, `[[nodes]]` and `[[outputs]]`: plugins of a job and their connections.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -7,17 +7,17 @@ use super::display::DisplayJob;
 use super::factorize::FactorizeJob;
 use lumistack_core::path_text::is_default;
 
-/// How the scene's files are read.
+/// Settings of the scene's importer.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ImporterJob {
-    /// Whether glTF and OBJ files may name files outside of their own folder.
+    /// Allows glTF and OBJ files to refer to files outside of their own folder.
     #[serde(default, skip_serializing_if = "is_default")]
     pub allow_outside: bool,
     /// Memory for the decoded pictures of a glTF or OBJ scene, MiB: 1 to 1048576.
     #[serde(default = "default_picture_mib")]
     pub picture_mib: u64,
-    /// Id of the plugin; default: the one that takes files of this extension.
+    /// Id of the plugin; default: the one that reads files of this extension.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plugin: Option<String>,
     /// Its parameters.
@@ -35,16 +35,16 @@ fn default_picture_mib() -> u64 {
     lumistack_gltf::LoadOptions::default().max_picture_bytes >> 20
 }
 
-/// Which plugin makes the light field.
+/// The plugin that makes the light field.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SourceJob {
     /// Id of a source plugin.
     pub plugin: String,
-    /// Number of the time that it makes; a sequence counts on from it.
+    /// Number of the time step; a sequence counts on from it.
     #[serde(default, skip_serializing_if = "is_default")]
     pub time: u64,
-    /// The time in seconds.
+    /// Time of the time step, seconds.
     #[serde(default, skip_serializing_if = "is_default")]
     pub time_s: f64,
     /// Its parameters.
@@ -52,16 +52,16 @@ pub struct SourceJob {
     pub params: serde_json::Map<String, serde_json::Value>,
 }
 
-/// What makes a layer stack from the light field.
+/// A node: it makes the patterns of a display from the light field.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NodeJob {
-    /// Name, unique in the job; also that of its folder.
+    /// Name of the node and of its folder, unique in the job.
     pub id: String,
     /// The id of a node plugin; see `lumistack plugins`.
     #[serde(default = "default_node")]
     pub plugin: String,
-    /// Its display, which takes the light field's resolution and views; default: the job's.
+    /// Display of the node, with the light field's resolution and views; default: the job's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub display: Option<DisplayJob>,
     /// Factorizer of `tensor-display`; default: the job's.
@@ -90,7 +90,7 @@ pub struct OutputJob {
     /// Name of its folder; default: the plugin's id.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// What it takes: `light_field`, or a node; default: the one node.
+    /// Input: `light_field` or the id of a node. Default: the node, if there is only one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from: Option<String>,
     /// Its parameters.
@@ -107,7 +107,7 @@ impl OutputJob {
         Self { plugin: plugin.into(), name: None, from: None, params: serde_json::Map::new() }
     }
 
-    /// Whether it takes the light field itself, and no patterns.
+    /// True if the input is the light field, not patterns.
     pub(crate) fn takes_light_field(&self) -> bool {
         self.from.as_deref() == Some(Self::LIGHT_FIELD)
     }

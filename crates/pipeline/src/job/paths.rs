@@ -1,4 +1,4 @@
-//! Tests: paths of a job, which may be any bytes, are written and read back.
+//! Tests: a job keeps paths of any bytes when it is written and read.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,4 @@
-//! `[sequence]`: times instead of a still.
+//! `[sequence]`: time steps of an animation or a moving window.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -9,23 +9,29 @@ use crate::error::PipelineError;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SequenceJob {
-    /// Number of times; without it one for every light field in the folder.
+    /// Number of time steps. Default: one for every light field in the folder.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub times: Option<usize>,
-    /// Full updates at every time after the first, which starts from nothing and takes `factorize.iterations`.
+    /// Iterations at every time step after the first. The first has no warm start and takes
+    /// `factorize.iterations`.
     pub iterations: u32,
-    /// Angle by which the window turns about its vertical axis from the first time to the last, degrees; above 0 the viewer walks to the right.
+    /// Angle by which the window turns about its vertical axis from the first time step to the
+    /// last, degrees. Above 0 the viewer walks to the right.
     pub turn_deg: f64,
-    /// [right, up, to the viewer] by which the window moves from the first time to the last, millimetres of display space at the first time.
+    /// Shift of the window from the first time step to the last, `[x, y, z]` in display space at
+    /// the first time step, millimetres.
     pub shift_mm: [f64; 3],
-    /// Time of the scene's animations from the first time to the last, seconds; the first is `pose.time_s`, or 0.
+    /// Time of the scene's animations from the first time step to the last, seconds. The first is
+    /// `pose.time_s`, or 0.
     pub duration_s: f64,
-    /// Whether every time gets a whole report of its own; the sequence's is always written.
+    /// Writes a full report of every time step too. The sequence's report is always written.
     pub reports: bool,
-    /// Times of a chunk. Chunks do not depend on each other's patterns, so machines solve them at once; without it all times are one chain.
+    /// Time steps of a chunk. Chunks do not depend on each other's patterns, so several machines
+    /// solve them at once. Default: all time steps are one chain of warm starts.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub chunk_times: Option<usize>,
-    /// Times before a chunk that are solved once more, from nothing, so that the chunk starts as the chain would have; default 2.
+    /// Time steps before a chunk that are solved again, without a warm start, so that the chunk
+    /// begins as in one chain; default 2.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub warm_up_times: Option<usize>,
 }
@@ -46,10 +52,10 @@ impl Default for SequenceJob {
 }
 
 impl SequenceJob {
-    /// Most times of a sequence: their folders have four digits.
+    /// Most time steps of a sequence: names of their folders have four digits.
     pub const MOST: usize = 9999;
 
-    /// Checks values that no parser checks.
+    /// Checks ranges, and keys that need a scene or a source.
     pub(super) fn check(&self, has_scene: bool, has_light_field: bool) -> Result<(), PipelineError> {
         let fail = |key: &str, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
         match self.times {
@@ -57,7 +63,7 @@ impl SequenceJob {
                 return fail("sequence.times", "1 to 9999", times.to_string());
             }
             None if !has_light_field => {
-                let expected = "the number of times, as only a folder of light fields says it";
+                let expected = "the number of time steps, since only a folder of light fields has it";
                 return fail("sequence.times", expected, "nothing".into());
             }
             _ => {}

@@ -7,11 +7,12 @@ use serde::{Deserialize, Serialize};
 use crate::error::PipelineError;
 use lumistack_core::path_text::is_default;
 
-/// Axes along which designs differ; every combination is one. An axis without values stays as the display has it.
+/// Values per parameter; every combination is one design. A parameter without values stays as the
+/// display has it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SweepJob {
-    /// Presets, or display files relative to the job, that are varied; without any the job's own.
+    /// Presets, or display files relative to the job; default: the job's display.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub displays: Vec<String>,
     /// Layers N.
@@ -23,19 +24,21 @@ pub struct SweepJob {
     /// Brightness scales β.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub brightness: Vec<f64>,
-    /// Distances of neighbouring layers Δd, millimetres.
+    /// Gaps between neighbouring layers Δd, millimetres.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub gap_mm: Vec<f64>,
-    /// [horizontal, vertical] full angles of view, degrees; each is a light field of its own.
+    /// Fields of view, `[horizontal, vertical]` full angles in degrees; each needs its own light
+    /// field.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub fov_deg: Vec<[f64; 2]>,
-    /// [columns, rows] of lenslets; displays without a directional backlight stay.
+    /// Numbers of lenslets, `[columns, rows]`; displays without a directional backlight stay as
+    /// they are.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub lenslets: Vec<[usize; 2]>,
-    /// How many plots of the table.
+    /// Number of plots of the table.
     #[serde(skip_serializing_if = "is_default")]
     pub plots: Plots,
-    /// What a design must be like; then not all are solved to the end.
+    /// Constraints of a search, which solves only promising designs to the end.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub search: Option<SearchJob>,
 }
@@ -44,25 +47,26 @@ pub struct SweepJob {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SearchJob {
-    /// Most depth from the rearmost part to the frontmost, millimetres.
+    /// Most thickness from the rearmost part to the frontmost, millimetres.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_thickness_mm: Option<f64>,
-    /// Fastest refresh rate of the panels, hertz: a period of all frames must come 60 times a second.
+    /// Highest refresh rate of the panels, Hz. All frames together must be shown 60 times a second.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_refresh_hz: Option<f64>,
-    /// Panels at hand: the layers, and the one behind the lenslets.
+    /// Most panels: one per layer, and one behind the lenslets.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_panels: Option<usize>,
     /// Least brightness scale β.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub min_brightness: Option<f64>,
-    /// A PSNR that is enough, dB: the design of fewest panels and frames that reaches it is proposed, not the best one.
+    /// Sufficient PSNR, dB. The search proposes the design of fewest panels and frames that reaches
+    /// it, instead of the best one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub enough_db: Option<f64>,
 }
 
 impl SweepJob {
-    /// Number of designs, before those are left out that are the same.
+    /// Number of designs, equal ones included.
     pub fn count(&self) -> usize {
         let lengths = [
             self.displays.len(),
@@ -76,7 +80,7 @@ impl SweepJob {
         lengths.iter().fold(1, |count: usize, length| count.saturating_mul(*length.max(&1)))
     }
 
-    /// Checks what no display checks.
+    /// Checks the number of designs and the constraints; each display checks its own values.
     pub(crate) fn check(&self) -> Result<(), PipelineError> {
         if self.count() > Self::MOST {
             let expected = format!("at most {} designs", Self::MOST);
@@ -97,6 +101,6 @@ impl SweepJob {
         Ok(())
     }
 
-    /// More than this is a mistake.
+    /// Most designs; a larger number is taken for a mistake.
     pub const MOST: usize = 10_000;
 }

@@ -7,10 +7,11 @@ use crate::error::PipelineError;
 use crate::job::Job;
 
 impl Job {
-    /// The job with another value of a key, such as `display.brightness`; `null` is the default. Relative paths are relative to where the program works.
+    /// The job with another value of a key such as `display.brightness`; `null` sets the default.
+    /// Relative paths are relative to the working folder.
     ///
     /// # Errors
-    /// When there is no such key, it takes no such value, or the job makes no sense with it.
+    /// If the key does not exist, its type is another one, or the job is wrong with this value.
     pub fn with(&self, key: &str, value: Value) -> Result<Self, PipelineError> {
         let mut all = self.to_json();
         let found = value.to_string();
@@ -23,7 +24,7 @@ impl Job {
     }
 }
 
-/// Sets a key in a tree of tables; tables on the way are made.
+/// Sets a key in a tree of tables; missing tables are created.
 fn set(all: &mut Value, key: &str, value: Value) -> Result<(), PipelineError> {
     let mut at = all;
     let mut parts = key.split('.').peekable();
@@ -48,7 +49,7 @@ fn set(all: &mut Value, key: &str, value: Value) -> Result<(), PipelineError> {
     Ok(())
 }
 
-/// The parser's words as an error of ours: it names the keys that there are, or the kind of value.
+/// Converts the parser's message to an error with the known keys, or the expected type.
 fn unfit(key: &str, message: &str, found: String) -> PipelineError {
     let last = key.rsplit('.').next().unwrap_or(key);
     if let Some((unknown, known)) =

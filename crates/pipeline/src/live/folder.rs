@@ -1,4 +1,4 @@
-//! The run folder that a live display leaves.
+//! Writes the last state of a live display as a run folder.
 
 use std::path::{Path, PathBuf};
 
@@ -16,35 +16,37 @@ use crate::store::lock::Owned;
 use crate::store::names::Work;
 use crate::store::settings::{write_display, write_job};
 
-/// A run folder that belongs to a live display until it is dropped.
+/// A run folder that a live display has locked until the value is dropped.
 pub struct LiveFolder {
     dir: PathBuf,
     _owned: Owned,
 }
 
 impl LiveFolder {
-    /// Takes a folder.
+    /// Locks a folder and prepares it.
     ///
     /// # Errors
-    /// When another run works there, it holds what is not ours, or an input lies among what is written.
+    /// If another run uses it, a file of others is in the way, or an input lies where files are
+    /// written.
     pub fn take(dir: &Path, job: &Job, registry: &Registry, task: Task<'_>) -> Result<Self, PipelineError> {
         let owned = folder::take(dir, Work::Run, job, registry, task)?;
         Ok(Self { dir: dir.to_owned(), _owned: owned })
     }
 
-    /// The folder for what may be made again.
+    /// The folder for results that can be made again.
     pub fn cache(&self) -> PathBuf {
         self.dir.join("cache")
     }
 
-    /// Writes job, display, light field, patterns and report of what was shown last. Returns the report's path.
+    /// Writes job, display, light field, patterns and report of the last state. Returns the path of
+    /// the report.
     ///
     /// # Errors
-    /// When a file cannot be written, or when cancelled.
+    /// If a file cannot be written, or when cancelled.
     pub fn leave(&self, job: &Job, state: &State, task: Task<'_>) -> Result<PathBuf, PipelineError> {
         let (dir, target) = (&self.dir, &state.target);
         remove_reports(dir)?;
-        // of a run before; patterns here are others
+        // Results of an earlier run in this folder do not match these patterns.
         for name in ["held-out", "outside", "outputs"] {
             let path = dir.join(name);
             if path.is_dir() {
@@ -62,7 +64,8 @@ impl LiveFolder {
             target: &target.field,
             references: None,
             weights: &state.weights,
-            // updates went on from patterns of other light fields: there is no curve of convergence
+            // The solver warm-started from patterns of other light fields, so it has no convergence
+            // curve.
             solution: None,
             settings: &job.to_json(),
         };

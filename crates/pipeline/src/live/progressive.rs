@@ -1,10 +1,12 @@
-//! Views of a scene that get better pass by pass.
+//! Renders views of a scene in passes, each of which lowers their noise.
 //!
 //! ```text
-//! pass 1, 2, 3, ...: 1, 1, 2, 4, ... more paths per pixel and view        mean of all paths so far ─▶ light shared between views ─▶ splats before it
+//! pass 1, 2, 3, ...: 1, 1, 2, 4, ... more paths per pixel and view
+//! result: mean of all paths so far ─▶ light shared between views ─▶ splats in front of it
 //! ```
 //!
-//! One path per pixel shows at once where things are; light that views share makes of it as many paths as there are views.
+//! The first pass traces one path per pixel. Shared light lowers its noise to that of as many paths
+//! as there are views.
 
 use lumistack_core::{Task, Tensor};
 use lumistack_display::LightField;
@@ -17,12 +19,13 @@ use crate::error::{PipelineError, render_error};
 use crate::job::{Background, Denoise};
 use crate::stage::fields::{FieldJob, Shot};
 
-/// Paths by which it is found out where a background is seen.
+/// Paths per pixel that measure the visible share of the background.
 const MISSED_SAMPLES: u32 = 4;
-/// Where a pixel of a [`SplitView`] keeps the surface that it sees: its normal and its depth. Both are 0 where there is none.
+/// Values of a pixel of a [`SplitView`] that hold normal and depth of the hit surface. All are 0
+/// without a hit.
 const SURFACE: std::ops::Range<usize> = 9..13;
 
-/// Views under way.
+/// Views in progress.
 pub(super) struct Progressive {
     pub(super) of: FieldJob,
     shares: bool,
@@ -34,27 +37,28 @@ pub(super) struct Progressive {
 #[derive(Default)]
 struct View {
     place: [usize; 2],
-    /// Means so far; none before the first pass, nor where no path is traced.
+    /// Means so far; `None` before the first pass, or if the scene needs no paths.
     split: Option<SplitView>,
     samples: u32,
     /// `[row][col][r, g, b, T]`; empty without splats.
     splats: Vec<f32>,
-    /// Share of every pixel through which a background is seen; empty where there is none.
+    /// Share of each pixel that shows the background; empty without a background colour.
     missed: Vec<f32>,
 }
 
-/// Scene-linear views, and which of their rays meet a surface.
+/// Scene-linear views, with brightness and hits of their rays.
 pub(super) struct Radiance {
     pub(super) field: LightField,
-    /// The brightest channel of each ray, and whether it meets a surface.
+    /// The brightest channel of each ray, and whether the ray hits a surface.
     pub(super) brightest: Vec<(f32, bool)>,
 }
 
 impl Progressive {
-    /// Prepares the target's views of a shot, with all that has no noise: splats, and where a background is seen.
+    /// Prepares the target's views, and renders the parts without noise: splats and the
+    /// background's share.
     ///
     /// # Errors
-    /// When the scene cannot be rendered, or when cancelled.
+    /// If the scene cannot be rendered, or when cancelled.
     pub(super) fn new(shot: Shot<'_>, task: Task<'_>) -> Result<Self, PipelineError> {
         let fields = shot.fields(std::path::Path::new(""), false);
         let of = fields.into_iter().next().ok_or_else(|| PipelineError::job("views", "at least one", "none"))?;
@@ -76,10 +80,11 @@ impl Progressive {
         Ok(Self { of, shares: shot.job.render.denoise != Denoise::Off, views, passes: 0 })
     }
 
-    /// Traces another pass over the views; says whether there was one left to trace. Views keep what they have got where it is cancelled.
+    /// Traces another pass. Returns false if all samples were traced before. Views keep the paths
+    /// of a cancelled pass.
     ///
     /// # Errors
-    /// When rendering fails or is cancelled.
+    /// If rendering fails or is cancelled.
     pub(super) fn pass(&mut self, shot: Shot<'_>, task: Task<'_>) -> Result<bool, PipelineError> {
         let most = if shot.ingested.is_traced() { self.of.settings.samples } else { 0 };
         let is_first = self.passes == 0;
@@ -130,7 +135,8 @@ impl Progressive {
         Ok(Radiance { field, brightest })
     }
 
-    /// Share of every pixel of a view, by its number, through which a background is seen; empty where there is none.
+    /// Share of each pixel of view `number` that shows the background; empty without a background
+    /// colour.
     pub(super) fn missed(&self, number: usize) -> &[f32] {
         &self.views[number].missed
     }
@@ -145,7 +151,7 @@ impl View {
         samples: u32,
         task: Task<'_>,
     ) -> Result<(), PipelineError> {
-        // other paths than those before
+        // Another seed gives other paths than those of earlier passes.
         let settings = lumistack_pathtracer::Settings { samples, ..of.seeded(&[3, u64::from(self.samples)]) };
         let new =
             renderer.render_split(shot.window(), &of.traced, self.place, &settings, task).map_err(render_error)?;
@@ -158,7 +164,8 @@ impl View {
     }
 }
 
-/// Means of the paths of both; `share` is that of the new ones. Surfaces are those that either sees.
+/// Mean over the paths of both; the new ones have the share `share`. A surface that only one of
+/// them hits is kept as it is.
 fn mean(before: SplitView, new: &SplitView, share: f32) -> SplitView {
     let mut values: Tensor<3> = before.values().clone();
     let pixels =

@@ -1,12 +1,13 @@
-//! Light fields of a job that changes: stage after stage, each made anew only where what it reads has changed.
+//! Light fields of a changing job: a stage runs again only if its input has changed.
 //!
 //! ```text
-//! ingest ─▶ place ─▶ views, pass by pass ─▶ expose ─▶ Target
+//! ingest ─▶ place ─▶ views, in passes ─▶ expose ──────▶ Target
 //! read ───────────────────────────────────────────────▶ Target
 //! ```
 //!
-//! The window stays where it is while the scene moves, and so do exposure and tone curve: the first times' are kept until something that they are set by
-//! changes. A display that would show 169 views gets fewer, since each has to be traced before the first is shown.
+//! The window, exposure and tone curve of the first time step stay while the scene moves, until a
+//! setting of theirs changes. Displays get at most 49 automatic views, since all views must be
+//! traced before the first picture.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -30,7 +31,7 @@ use crate::stage::ingest::{self, Ingested};
 use crate::stage::place;
 use crate::stage::{EXPOSE, INGEST, PLACE, TRACE, field, read};
 
-/// Views that are chosen for a display that has a choice, at most.
+/// Most views of a display with automatic views.
 const MOST_VIEWS: usize = 49;
 
 /// Makes light fields of a job.
@@ -38,23 +39,23 @@ pub struct Studio {
     job: Job,
     display: Arc<Display>,
     cache: PathBuf,
-    /// What was made, with what it was made from.
+    /// Results, each with the key of its inputs.
     scene: Option<(Value, Arc<Ingested>)>,
     placement: Option<(Value, Placement)>,
     views: Option<(Value, Progressive)>,
     look: Option<(Value, Look)>,
-    /// Of the light field that was handed out last.
+    /// Key of the last returned light field.
     shown: Option<Value>,
-    /// Raised when files have changed.
+    /// Counts reloads: part of every key of a result from files.
     edition: u64,
     content: u64,
 }
 
 impl Studio {
-    /// For a job; `cache` is a folder for what other programs make of its scene.
+    /// Prepares a job; `cache` is a folder for scenes that other programs convert.
     ///
     /// # Errors
-    /// When the job makes no sense, or asks for more than one display at a time.
+    /// If the job is wrong, or has more than one display.
     pub fn new(job: Job, cache: &Path) -> Result<Self, PipelineError> {
         let display = Arc::new(display_of(&job)?);
         let (scene, placement, views, look, shown) = (None, None, None, None, None);
@@ -62,7 +63,7 @@ impl Studio {
         Ok(Self { job, display, cache, scene, placement, views, look, shown, edition: 0, content: 0 })
     }
 
-    /// Another job from the next pass on. After an error the one before stays.
+    /// Changes the job from the next pass on. After an error the old job stays.
     ///
     /// # Errors
     /// As [`new`](Self::new).
@@ -72,7 +73,7 @@ impl Studio {
         Ok(())
     }
 
-    /// Reads the files anew at the next pass.
+    /// Reads the files again at the next pass.
     pub fn reload(&mut self) {
         self.edition += 1;
     }
@@ -82,15 +83,15 @@ impl Studio {
         &self.job
     }
 
-    /// Settings of a fresh factorization of the job.
+    /// Solver settings of the job, without a warm start.
     ///
     /// # Errors
-    /// When there is no such solver or start.
+    /// If the solver or the start does not exist.
     pub fn settings(&self) -> Result<Settings, PipelineError> {
         solver_settings(&self.job.factorize, self.job.seed)
     }
 
-    /// Files that the light field is made from.
+    /// Files that the light field depends on.
     pub fn files(&self) -> Vec<PathBuf> {
         let named = [&self.job.scene, &self.job.light_field, &self.job.display.file, &self.job.light.environment];
         let mut files: Vec<PathBuf> = named.into_iter().flatten().cloned().collect();
@@ -101,10 +102,12 @@ impl Studio {
         files
     }
 
-    /// The next light field: of what has changed, or of the same content with less noise. `None` where there is nothing left to do.
+    /// Makes the next light field: of changed content, or of the same content with less noise.
+    /// Returns `None` if all samples are traced and nothing has changed.
     ///
     /// # Errors
-    /// When the scene or the light field cannot be read or rendered, or when cancelled; what was made before is kept.
+    /// If the scene or the light field cannot be read or rendered, or when cancelled. Earlier
+    /// results are kept.
     pub fn pass(&mut self, registry: &Registry, task: Task<'_>) -> Result<Option<Target>, PipelineError> {
         match self.job.light_field.clone() {
             Some(path) => self.read(&path, task),
@@ -123,9 +126,9 @@ impl Studio {
         if self.shown.as_ref() == Some(&key) {
             return Ok(None);
         }
-        // a change that cannot be read is told once
+        // Remember the key before reading, so that a broken file is reported once.
         self.shown = Some(key);
-        // views for a score of the zone are for reports
+        // Only reports need the views of the zone score.
         let report = ReportJob { zone_directions: 0, ..self.job.report.clone() };
         let (field, _) = read::run(path, &Job { report, ..self.job.clone() }, &self.display, task)?;
         let adapted = self.display.adapted_to(field.geometry());
@@ -136,6 +139,7 @@ impl Studio {
     }
 
     fn render(&mut self, registry: &Registry, task: Task<'_>) -> Result<Option<Target>, PipelineError> {
+        // Ingest. After an error the earlier scene stays.
         let (job, display) = (&self.job, self.display.clone());
         let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
         let path = job.scene.clone().unwrap_or_default();
@@ -143,7 +147,8 @@ impl Studio {
         let key_of_scene = json!([name, self.edition, (INGEST.reads)(job)]);
         let before = self.scene.take_if(|(key, _)| *key != key_of_scene);
         if self.scene.is_none() {
-            // light of our own that it began without does not come up while it moves
+            // Animation may switch lights off. A scene that began without the automatic studio
+            // light does not get it while it moves.
             let is_motion = |key: &Value| key[0] == key_of_scene[0] && key[1] == key_of_scene[1];
             let stays_dark = before.as_ref().is_some_and(|(key, scene)| is_motion(key) && !scene.studio);
             match self.load(&path, stays_dark, registry, task) {
@@ -155,6 +160,8 @@ impl Studio {
             }
         }
         let Some((_, ingested)) = self.scene.clone() else { return Ok(None) };
+        // Place the window. Its key has the scene's cameras but not its surfaces, so the window
+        // stays while the scene moves.
         let cameras = format!("{:?}", ingested.scene.cameras);
         let key_of_place = json!([name, cameras, (PLACE.reads)(&self.job), format!("{geometry:?}")]);
         if self.placement.as_ref().is_none_or(|(key, _)| *key != key_of_place) {
@@ -162,6 +169,7 @@ impl Studio {
             self.placement = Some((key_of_place, placed));
         }
         let Some((_, placement)) = self.placement else { return Ok(None) };
+        // Trace one more pass, of new views if anything has changed that they depend on.
         let footprint = display.angular_footprint();
         let job = self.job.clone();
         let (geometry, samples) = (&geometry, None);
@@ -174,11 +182,12 @@ impl Studio {
             self.views = Some((key_of_views, Progressive::new(shot, task)?));
         }
         let Some((_, views)) = &mut self.views else { return Ok(None) };
-        // what was traced serves another exposure, and another display of the same rays
+        // Traced paths also serve another exposure, and another display with the same rays.
         let traced = if is_new && views.passes > 0 { false } else { views.pass(shot, task)? };
         if !(traced || is_new) {
             return Ok(None);
         }
+        // Expose. Exposure and tone curve stay until the scene's file or their settings change.
         let radiance = views.radiance(shot, task)?;
         let key_of_look = json!([name, of_light]);
         let look = match &self.look {
@@ -216,10 +225,10 @@ impl Studio {
         Ok(Target { display, field, weights, content: self.content, passes })
     }
 
-    /// The light fields of a sequence, in the order of their times.
+    /// The light fields of a sequence, in the order of their time steps.
     ///
     /// # Errors
-    /// When the folder holds none.
+    /// If the folder has none.
     pub fn times_of(job: &Job) -> Result<Vec<PathBuf>, PipelineError> {
         Times::find(job, &SequenceJob::default()).map(Times::into_fields)
     }
@@ -238,13 +247,13 @@ fn expose(look: Look, job: &Job, shot: Shot<'_>, views: &Progressive, field: &mu
     }
 }
 
-/// The display of a job, with few enough views.
+/// The display of a job, with at most [`MOST_VIEWS`] automatic views.
 fn display_of(job: &Job) -> Result<Display, PipelineError> {
     job.check()?;
     let refused = [
         ("nodes", "one display, without nodes", !job.nodes.is_empty()),
         ("sweep", "one display, without a sweep", job.sweep.is_some()),
-        ("sequence", "a job without times: what moves is set while it runs", job.sequence.is_some()),
+        ("sequence", "a job without a sequence: the time is set while it runs", job.sequence.is_some()),
         ("source", "a scene or a light field", job.source.is_some()),
     ];
     if let Some((key, expected, _)) = refused.into_iter().find(|(.., is_there)| *is_there) {

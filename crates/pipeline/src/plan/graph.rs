@@ -1,4 +1,5 @@
-//! One light field, several nodes: each makes the patterns of a display, and outputs take those or the light field itself.
+//! Steps of a graph: one light field, and nodes that make the patterns of a display each. Outputs
+//! take patterns of a node, or the light field itself.
 //!
 //! ```text
 //! scene or light field ─▶ target/ ─┬─▶ nodes/A/layers ─▶ outputs/A/<name>/ ...
@@ -6,7 +7,8 @@
 //!                                  └─────────────────▶ outputs/light_field/<name>/ ...
 //! ```
 //!
-//! `nodes/ID` has the layout of a run folder (display.toml, layers, report), without the light field that all share. A job without nodes is a still.
+//! `nodes/ID` has the layout of a run folder (display.toml, layers, report), without the shared
+//! light field. A job without nodes is a still.
 
 use lumistack_display::{Display, FieldGeometry};
 
@@ -16,8 +18,10 @@ use crate::error::PipelineError;
 use crate::job::{Job, NodeJob, OutputJob};
 use crate::stage::node;
 
-/// Adds what follows a part's light field: the still's display, or those of all nodes and their report. `before` gives patterns and light field of the same display at
-/// the time before. Gives the last ids.
+/// Adds the steps after a part's light field: a still's display, or the nodes and their report.
+///
+/// `before` returns patterns and light field of the same display at the previous time step. Returns
+/// the ids of the last steps.
 pub(crate) fn add_displays(
     plan: &mut Plan,
     part: usize,
@@ -44,7 +48,7 @@ pub(crate) fn add_displays(
     ends
 }
 
-/// The plain job that a node stands for, given the light field.
+/// The job of a node as a still: its display, factorizer and outputs.
 pub(crate) fn job_of(job: &Job, node: &NodeJob) -> Job {
     Job {
         name: format!("{}: {}", job.name, node.id),
@@ -56,10 +60,11 @@ pub(crate) fn job_of(job: &Job, node: &NodeJob) -> Job {
     }
 }
 
-/// All outputs of a job, those of its nodes among them, each with the display that it is given for a light field of this geometry; `display` is the one that all nodes share.
+/// All outputs of a job and its nodes, each with its display for a light field of this geometry.
+/// `display` is the job's.
 ///
 /// # Errors
-/// When a node's own display makes no sense or cannot show the light field.
+/// If a node's own display is wrong or does not fit the light field.
 pub(crate) fn outputs_on(
     job: &Job,
     display: &Display,

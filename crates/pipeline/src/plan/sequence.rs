@@ -1,14 +1,17 @@
-//! A sequence: one run folder per time, each factorized from the patterns of the time before.
+//! Steps of a sequence: one run folder per time step, each with a warm start from the previous one.
 //!
 //! ```text
-//! job ─▶ t0001/ ─layers─▶ t0002/ ─layers─▶ t0003/ ─▶ ...      every folder holds a plain job that runs on its own
+//! job ─▶ t0001/ ─layers─▶ t0002/ ─layers─▶ t0003/ ─▶ ...      each folder holds the job of a still
 //!          └──────────────── error, flicker ──────────────▶ report.html, report.json
 //! ```
 //!
-//! A time of a job with nodes is a graph,
-//! t0001/nodes/ID, whose nodes each start from their own patterns of the time before. A time for which those are no start, as after a cut, starts fresh. What a
-//! time is stands in one place, [`Times::job`](super::times::Times::job). A sequence in chunks breaks the chain: the first time of a chunk starts from patterns of the
-//! times before it that are solved once more, so machines solve chunks at once. Two times are in memory at once, since flicker compares them.
+//! A time step of a job with nodes is a graph, t0001/nodes/ID, with a warm start per node. A time
+//! step whose warm start does not help, as after a cut, starts without one.
+//! [`Times::job`](super::times::Times::job) makes the job of a time step.
+//!
+//! Chunks break the chain, so that machines solve them at once. The first time step of a chunk
+//! starts from patterns of the time steps before it, which are solved again. Two time steps are in
+//! memory at once, since flicker compares them.
 
 use super::graph::add_displays;
 use super::steps::{Kind, Plan, What};
@@ -18,21 +21,23 @@ use crate::error::PipelineError;
 use crate::job::NodeJob;
 use crate::stage::node::is_factorized;
 
-/// Adds a sequence in a part's folder: every time, and the report of all. With `fields_only` the light fields alone. Gives the ids of the light fields.
+/// Adds a sequence in a part's folder: all time steps and a report, or with `fields_only` the light
+/// fields alone. Returns the ids of the light fields.
 ///
 /// # Errors
-/// When there are no light fields, or fewer than the job asks for.
+/// If there are no light fields, or fewer than the job's time steps.
 pub(crate) fn add_times(plan: &mut Plan, part: usize, fields_only: bool) -> Result<Vec<String>, PipelineError> {
     let (job, folder) = (plan.parts[part].job.clone(), plan.parts[part].folder.clone());
     let Some(sequence) = &job.sequence else { return Ok(Vec::new()) };
     let times = Times::find(&job, sequence)?;
     plan.parts[part].kind = Kind::Sequence(times.clone());
-    // the place of the window at the first time is that of all
+    // The window is placed once, for the first time step; later ones move with it.
     let placed = job.scene.is_some().then(|| {
         let ingest = plan.add_step(part, What::Ingest, Vec::new());
         let place = plan.add_step(part, What::Place, vec![ingest.clone()]);
         [ingest, place]
     });
+    // Every time step is a part with its own job, and depends on the previous one.
     let reports = sequence.reports && !fields_only;
     let (mut fields, mut ends) = (Vec::<String>::new(), Vec::new());
     for time in 0..times.count() {

@@ -1,4 +1,4 @@
-//! A plan as data: steps, and the folders in which they work.
+//! Data of a plan: steps, and the folders that they write.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -19,7 +19,7 @@ pub struct Plan {
     /// The run folder.
     #[serde(serialize_with = "lumistack_core::path_text::told")]
     pub folder: PathBuf,
-    /// In an order in which they can be executed.
+    /// Steps, each after its inputs.
     pub steps: Vec<Step>,
     #[serde(skip)]
     pub(crate) parts: Vec<Part>,
@@ -28,25 +28,25 @@ pub struct Plan {
 /// One step of a plan: a stage in a folder.
 #[derive(Clone, Debug, Serialize)]
 pub struct Step {
-    /// Unique in the plan: the folder and the stage.
+    /// Id, unique in the plan: the folder and the stage.
     pub id: String,
     /// Name of the stage.
     pub stage: &'static str,
-    /// Relative to the run folder.
+    /// Folder of the step, relative to the run folder.
     #[serde(serialize_with = "lumistack_core::path_text::told")]
     pub folder: PathBuf,
-    /// Ids of the steps whose results it takes.
+    /// Ids of the steps whose results it reads.
     pub inputs: Vec<String>,
-    /// Files and folders that it leaves in its folder.
+    /// Files and folders that it writes, relative to its folder.
     pub writes: &'static [&'static str],
-    /// Hash of all that the result depends on, as far as it is known before the work: equal keys make equal results. `None` before the first run has told which
-    /// files the scene is made of.
+    /// Hash of all that the result depends on: equal keys give equal results. `None` if a key needs
+    /// the list of the scene's files, which only a run finds.
     pub key: Option<String>,
-    /// Whether the run folder holds the result; `None` where nobody can say before the work.
+    /// True if the run folder has the result; `None` if only a run can find out.
     pub cached: Option<bool>,
-    /// Memory that it holds, bytes: estimated from the sizes of arrays.
+    /// Estimated memory, bytes, from the sizes of arrays.
     pub memory_bytes: u64,
-    /// How long it takes here, seconds: estimated, 0 where it is cached.
+    /// Estimated time on this machine, seconds; 0 if cached.
     pub seconds: f64,
     #[serde(skip)]
     pub(crate) part: usize,
@@ -67,29 +67,29 @@ pub(crate) enum What {
     Source,
     /// An output of the light field itself, by number in the part's job.
     FieldOutput(usize),
-    /// By the factorizer or by a node plugin.
+    /// Patterns, by the factorizer or by a node plugin.
     Patterns,
     /// An output of the patterns.
     StackOutput(usize),
-    /// Error and flicker of a time.
+    /// Error and flicker of a time step.
     Measure,
-    /// Of a display, of a graph, of a sequence or of a sweep: what the part is.
+    /// Report of the part: a display, a graph, a sequence or a sweep.
     Report,
     /// A design of a sweep, by number.
     Design(usize),
-    /// All designs of a search, of which some are solved to the end.
+    /// All designs of a search, which solves some to the end.
     Search,
 }
 
 /// A folder in which steps work.
 #[derive(Clone, Debug)]
 pub(crate) struct Part {
-    /// Relative to the run folder.
+    /// The folder, relative to the run folder.
     pub(crate) folder: PathBuf,
     pub(crate) kind: Kind,
-    /// The plain job of the folder, as far as it is known before the work.
+    /// The folder's job, as far as it is known before execution.
     pub(crate) job: Job,
-    /// The folder around it.
+    /// The part whose folder contains this one.
     pub(crate) parent: Option<usize>,
 }
 
@@ -98,13 +98,13 @@ pub(crate) struct Part {
 pub(crate) enum Kind {
     /// A still, or a light field with several nodes.
     Run,
-    /// Node of the folder around it, by number.
+    /// A node of the parent part, by number.
     Node(usize),
-    /// A sequence, whose times stand within.
+    /// A sequence; its time steps are parts within it.
     Sequence(Times),
-    /// Time of a sequence, from 0 on.
+    /// Time step of a sequence, counted from 0.
     Time(usize),
-    /// A sweep, whose light fields stand within.
+    /// A sweep; its light fields are parts within it.
     Sweep,
 }
 
@@ -118,7 +118,7 @@ impl Plan {
         self.parts.len() - 1
     }
 
-    /// Adds a step after its inputs; gives its id.
+    /// Adds a step after its inputs. Returns its id.
     pub(crate) fn add_step(&mut self, part: usize, what: What, inputs: Vec<String>) -> String {
         let Part { folder, job, .. } = &self.parts[part];
         let info = self.stage_of(part, what);
@@ -148,7 +148,7 @@ impl Plan {
         id
     }
 
-    /// The row of the table of stages to which a step belongs.
+    /// The stage of a step.
     pub(crate) fn stage_of(&self, part: usize, what: What) -> &'static StageInfo {
         match what {
             What::Ingest => &stage::INGEST,
@@ -168,17 +168,17 @@ impl Plan {
         }
     }
 
-    /// Numbers of the steps by their ids.
+    /// Indices of the steps by their ids.
     pub(crate) fn indices(&self) -> HashMap<&str, usize> {
         self.steps.iter().enumerate().map(|(index, step)| (step.id.as_str(), index)).collect()
     }
 
-    /// A part and those around it, from the inside out.
+    /// A part and its ancestors, from the inside out.
     pub(crate) fn around(&self, part: usize) -> impl Iterator<Item = usize> + '_ {
         std::iter::successors(Some(part), |part| self.parts[*part].parent)
     }
 
-    /// The node whose folder a part is.
+    /// The node of a part, if it is one.
     pub(crate) fn node(&self, part: usize) -> Option<&NodeJob> {
         match (&self.parts[part].kind, self.parts[part].parent) {
             (Kind::Node(number), Some(parent)) => self.parts[parent].job.nodes.get(*number),
@@ -186,7 +186,7 @@ impl Plan {
         }
     }
 
-    /// The part whose light field a part takes: its own, or that of the graph around it.
+    /// The part with the light field of a part: itself, or the parent of a node.
     pub(crate) fn field_part(&self, part: usize) -> usize {
         match (&self.parts[part].kind, self.parts[part].parent) {
             (Kind::Node(_), Some(parent)) => parent,
@@ -194,7 +194,7 @@ impl Plan {
         }
     }
 
-    /// The time of a sequence to which a part belongs, and the part of the sequence.
+    /// The time step that a part belongs to, and the part of the sequence.
     pub(crate) fn time(&self, part: usize) -> Option<(usize, usize)> {
         let of_field = self.field_part(part);
         match (&self.parts[of_field].kind, self.parts[of_field].parent) {
@@ -203,7 +203,7 @@ impl Plan {
         }
     }
 
-    /// The same part at another time of its sequence: the time itself, or the same node there.
+    /// The same part at another time step of its sequence: the time step's part, or its same node.
     pub(crate) fn at_time(&self, part: usize, time: usize) -> Option<usize> {
         let (_, sequence) = self.time(part)?;
         let is_time = |other: &Part| matches!(other.kind, Kind::Time(t) if t == time) && other.parent == Some(sequence);
@@ -217,12 +217,12 @@ impl Plan {
         }
     }
 
-    /// The parts within a part.
+    /// The parts directly within a part.
     pub(crate) fn within(&self, part: usize) -> impl Iterator<Item = usize> + '_ {
         self.parts.iter().enumerate().filter(move |(_, inner)| inner.parent == Some(part)).map(|(number, _)| number)
     }
 
-    /// Whether a part is another or lies below it.
+    /// True if a part is `above` or lies below it.
     pub(crate) fn is_below(&self, part: usize, above: usize) -> bool {
         self.around(part).any(|part| part == above)
     }

@@ -1,19 +1,19 @@
-//! A still: one light field, the patterns of one display, its outputs and its report.
+//! Steps of a still: one light field, patterns of one display, outputs and a report.
 
 use super::steps::{Kind, Plan, What};
 
-/// The steps that a part's light field takes from other parts.
+/// Steps of other parts that a part's light field depends on.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct Before<'a> {
-    /// Has loaded the scene already.
+    /// The step that loaded the scene.
     pub(crate) ingested: Option<&'a str>,
-    /// Has placed the window at the first time.
+    /// The step that placed the window at the first time step.
     pub(crate) placed: Option<&'a str>,
-    /// The light field of the first time, whose exposure and geometry are those of all.
+    /// The light field of the first time step, whose exposure and geometry apply to all.
     pub(crate) first: Option<&'a str>,
 }
 
-/// Adds the steps to a part's light field; gives the last one's id.
+/// Adds the steps that make a part's light field. Returns the id of the last one.
 pub(crate) fn add_field(plan: &mut Plan, part: usize, before: Before<'_>) -> String {
     let job = &plan.parts[part].job;
     let denoised = job.render.denoise.filters();
@@ -33,13 +33,13 @@ pub(crate) fn add_field(plan: &mut Plan, part: usize, before: Before<'_>) -> Str
     if denoised {
         last = plan.add_step(part, What::Denoise, vec![last]);
     }
-    // the exposure of the first time comes first: it is part of this one's job
+    // The exposure of the first time step comes first: it is a setting of this step.
     let mut inputs = ids(before.first);
     inputs.push(last);
     plan.add_step(part, What::Expose, inputs)
 }
 
-/// Adds the step to the scene's pictures all over the zone, which reports alone look at.
+/// Adds the step that renders the scene for the zone score, which only reports use.
 pub(crate) fn add_score(plan: &mut Plan, part: usize, field: &str) -> Vec<String> {
     if plan.parts[part].job.scene.is_none() {
         return Vec::new();
@@ -47,16 +47,17 @@ pub(crate) fn add_score(plan: &mut Plan, part: usize, field: &str) -> Vec<String
     vec![plan.add_step(part, What::Score, vec![field.to_owned()])]
 }
 
-/// The same display at the time before.
+/// The same display at the previous time step.
 pub(crate) struct TimeBefore {
     pub(crate) patterns: String,
     pub(crate) field: String,
-    /// Light fields that are solved once more instead of starting from those patterns.
+    /// Light fields that are solved again for a warm start, in place of `patterns`.
     pub(crate) warm_up: Vec<String>,
 }
 
-/// Adds the steps from the light field to the outputs of a display, with a report or without; gives the ids of patterns and report. Patterns may start from those
-/// of `before`.
+/// Adds the steps of a display: patterns, outputs, measures and, if `reports`, a report.
+///
+/// Returns the ids of the patterns and of the last step. The solver warm-starts from `before`.
 pub(crate) fn add_display(
     plan: &mut Plan,
     part: usize,
@@ -65,6 +66,7 @@ pub(crate) fn add_display(
     before: Option<TimeBefore>,
     reports: bool,
 ) -> [String; 2] {
+    // Patterns, from the light field and a warm start.
     let field = field.to_owned();
     let mut inputs = vec![field.clone()];
     if let Some(before) = &before {
@@ -75,6 +77,7 @@ pub(crate) fn add_display(
     }
     let patterns = plan.add_step(part, What::Patterns, inputs);
     let mut last = vec![patterns.clone(), field.clone()];
+    // Outputs. Those of the light field belong to the graph, not to its nodes.
     let is_node = matches!(plan.parts[part].kind, Kind::Node(_));
     let outputs = plan.parts[part].job.outputs.clone();
     for (number, _) in outputs.iter().enumerate().filter(|(_, output)| !output.takes_light_field()) {
@@ -83,6 +86,7 @@ pub(crate) fn add_display(
     if !is_node {
         last.extend(add_field_outputs(plan, part, &field));
     }
+    // Flicker compares each time step with the previous one.
     if plan.time(part).is_some() {
         let mut inputs = vec![patterns.clone(), field.clone()];
         inputs.extend(before.into_iter().flat_map(|before| [before.patterns, before.field]));
