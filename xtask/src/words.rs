@@ -30,6 +30,7 @@ const CLEAN: &[&str] = &[
     "crates/python",
     "crates/scene",
     "crates/shot",
+    "crates/splats",
     "crates/simd",
     "crates/testkit",
     "crates/usd",
