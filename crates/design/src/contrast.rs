@@ -423,7 +423,7 @@ mod tests {
     }
 
     /// The paper's Figure 11, over the whole emission: a layer in front of integral imaging
-    /// improves the screen plane at once. Off the screen it needs more than one frame.
+    /// improves the display plane at once. Off that plane it needs more than one frame.
     #[test]
     fn a_layer_helps_integral_imaging_on_the_screen_and_off_it_only_with_frames() {
         let bin = 0.4 * 10f64.to_radians().tan();

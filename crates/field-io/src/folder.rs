@@ -250,10 +250,10 @@ pub fn read_field_folder(folder: &Path) -> Result<(LightField, Map<String, Value
     Ok((field, info))
 }
 
-/// Some rows and columns of all views of a light field's folder, as a light field of this geometry; one view is in memory at a time.
+/// Reads some rows and columns of all views of a light field's folder, as a light field of this
+/// geometry. One view is in memory at a time.
 ///
-/// # Errors
-/// As [`read_field_folder`], and if the folder has other views or fewer pixels.
+/// Errors of [`read_field_folder`], and if the folder has other views or fewer pixels.
 pub fn read_field_region(
     folder: &Path,
     geometry: FieldGeometry,

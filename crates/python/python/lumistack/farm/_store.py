@@ -5,7 +5,7 @@
     URL/PLAN/start.json              files of the run folder before the first unit, the plan among them
     URL/PLAN/sent/N.json             files of a folder that the client sends
 
-Each worker has a run folder of its own, the mirror. A unit takes the files of the units that it depends on, is executed as in any run folder, and publishes what it has written.
+Each worker has a run folder of its own, the mirror. A unit fetches the files of the units that it depends on, is executed as in any run folder, and publishes the files that it wrote.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ MOST_FETCHES = 3
 
 
 class StoreError(Exception):
-    """The store cannot be used: what was done and why it failed."""
+    """The store cannot be used: the operation and the reason of the failure."""
 
 
 class Store:
@@ -157,7 +157,7 @@ class Run:
         return f"{self.plan}/units/{unit}.json"
 
     def begin(self, folder: Path, sent: list[Path]) -> None:
-        """Publishes the plan, what the run folder holds, and the files of folders that workers need."""
+        """Publishes the plan, the files of the run folder, and those of folders that workers need."""
         for number, source in enumerate(sent):
             self.store.publish(f"{self.plan}/sent/{number}.json", source, _files(source))
         # last: it says that the run has begun
@@ -167,7 +167,7 @@ class Run:
         return self.store.has(self.unit(unit))
 
     def collect(self, folder: Path, units: Iterable[str]) -> None:
-        """Brings what units have written into the run folder of the client."""
+        """Copies the files that units wrote into the run folder of the client."""
         self.store.pull([self.unit(unit) for unit in units], folder)
 
     def has_begun(self) -> bool:
@@ -177,7 +177,7 @@ class Run:
 class Mirror:
     """The run folder of one thread of a worker."""
 
-    # what a worker has made, by run and thread
+    # the mirrors of a worker, by run and thread
     known: dict[tuple[str, str, int], Mirror] = {}
 
     def __init__(self, run: Run) -> None:
@@ -216,7 +216,7 @@ class Mirror:
         return maps
 
     def publish(self, unit: str) -> None:
-        """Publishes what a unit wrote since `take`."""
+        """Publishes the files that a unit wrote since `take`."""
         states = _states(self.folder)
         changed = [path for path, state in states.items() if self.before.get(path) != state]
         self.run.store.publish(self.run.unit(unit), self.folder, changed)
@@ -238,7 +238,7 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _states(folder: Path) -> dict[Path, tuple[int, int, int]]:
-    """Files with what changes when they are written."""
+    """Files with their sizes and times, which change when they are written."""
     found = {}
     for path in _files(folder):
         state = path.stat()
