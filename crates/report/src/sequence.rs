@@ -1,7 +1,7 @@
 //! The report of a sequence: error, flicker and cost of every time step, on one page.
 //!
 //! Flicker is the unwanted change between time steps. The error of a ray at time t is e_t = L̃_t/β
-//! − L_t, and flicker is the rms of e_t − e_(t−1) over rays and channels. `psnr_change` is
+//! − L_t. Flicker is the rms of e_t − e_(t−1) over rays and channels. `psnr_change` is
 //! −20·log10 of that rms, in dB: the PSNR of the displayed change against the target's change.
 //! `psnr_still` covers only rays with a constant target.
 //!
