@@ -1,4 +1,4 @@
-//! Denoised runs: reports, caches, resuming, sequences, and what a missing program says.
+//! Denoised runs: reports, caches, resuming, sequences, and the message for a missing program.
 
 use std::path::Path;
 use std::process::Command;
@@ -28,7 +28,7 @@ fn pair(value: &Value) -> [f64; 2] {
 }
 
 #[test]
-fn a_denoised_run_says_what_was_done_and_goes_on_from_its_halves() {
+fn a_denoised_run_reports_its_errors_and_resumes_from_its_halves() {
     let folder = tempfile::tempdir().unwrap();
     let (plain, run) = (folder.path().join("plain"), folder.path().join("run"));
     succeed(&mut still_life(&plain, "off"));
@@ -45,12 +45,12 @@ fn a_denoised_run_says_what_was_done_and_goes_on_from_its_halves() {
     let html = std::fs::read_to_string(run.join("report.html")).unwrap();
     assert!(html.contains("id=\"denoising\"") && html.contains("guided filter"));
 
-    // nothing is done twice
+    // a second run computes nothing
     succeed(&mut still_life(&run, "guided"));
     assert!(cached(&report(&run), "render"));
     let target = files(&run.join("target"));
     assert!(target != files(&plain.join("target")), "filtered and unfiltered views are the same");
-    // a lost filtered view comes back without tracing
+    // a deleted filtered view is made again without tracing
     let views = run.join("cache/views");
     let of = |suffix: &str| -> Vec<_> {
         files(&views).into_iter().filter(|(path, _)| path.to_string_lossy().ends_with(suffix)).collect()
@@ -75,7 +75,7 @@ fn first_target(views: &Path) -> std::path::PathBuf {
 }
 
 #[test]
-fn every_time_of_a_sequence_is_denoised() {
+fn every_time_step_of_a_sequence_is_denoised() {
     let folder = tempfile::tempdir().unwrap();
     let (run, job) = (folder.path().join("run"), folder.path().join("job.toml"));
     let scene = root().join("scenes/still-life/still-life.gltf");
@@ -103,10 +103,10 @@ fn a_missing_program_is_named_before_anything_is_rendered() {
     assert!(!traced, "views were traced before the filter was looked for");
 }
 
-/// A stand-in for the program that gives back what it gets.
+/// A stand-in for the program, which returns its input.
 #[cfg(unix)]
 #[test]
-fn the_program_gets_pictures_and_its_answer_is_taken() {
+fn the_external_denoiser_receives_pictures_and_its_result_is_used() {
     use std::os::unix::fs::PermissionsExt;
     let folder = tempfile::tempdir().unwrap();
     let (run, program) = (folder.path().join("run"), folder.path().join("oidnDenoise"));
@@ -119,7 +119,7 @@ test -s "$alb" && test -s "$nrm" && cp "$in" "$out"
     std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
     succeed(still_life(&run, "oidn").env("LUMISTACK_OIDN", &program));
     let told = report(&run)["denoising"].clone();
-    // it changes nothing, so the errors are the same and the mean stays
+    // it changes nothing, so errors and mean stay the same
     assert_eq!(told["mse_before"], told["mse_after"], "{told}");
     assert!(pair(&told["mean_change"])[0].abs() < 1e-6 && told["name"].as_str().unwrap().contains("Open Image"));
     assert!(!files(&run.join("cache")).iter().any(|(path, _)| path.to_string_lossy().contains("exchange")));

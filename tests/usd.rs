@@ -1,4 +1,4 @@
-//! USD on the command line, as far as it can be tested without OpenUSD: what is said where it is missing.
+//! USD on the command line, without OpenUSD: the messages if it is missing.
 
 use std::path::Path;
 
