@@ -75,14 +75,14 @@ fn the_preview_window_shows_the_view_that_the_pointer_selects() {
     let Some(session) = Session::xorg(&[("DUMMY0", [1200, 800], [0, 0])]) else { return };
     let folder = tempfile::tempdir().unwrap();
     let display = write_waves(folder.path());
-    let mut show = Show::start(&session, folder.path(), &["--rehearse", "--from", "3,-2"]);
+    let mut show = Show::start(&session, folder.path(), &["--preview", "--from", "3,-2"]);
     show.event("started");
     // eight window pixels per pixel of the display
     let size = [768, 480];
     let window = || Some(session.import()?.part([0, 0], size));
     let first =
         wait_for("the first view", || window().filter(|shot| shows_simulation(shot, folder.path(), [3.0, -2.0])));
-    keep(&first, "rehearse_first");
+    keep(&first, "preview_first");
     let mut poke = poke::Poke::new(session.x_display());
     let mut seen = vec![first];
     for (i, at) in [[384, 240], [40, 240], [728, 240], [384, 30], [600, 450]].into_iter().enumerate() {
@@ -95,7 +95,7 @@ fn the_preview_window_shows_the_view_that_the_pointer_selects() {
         let shot = wait_for(&format!("the view from {from:?}"), || {
             window().filter(|shot| shows_simulation(shot, folder.path(), from))
         });
-        keep(&shot, &format!("rehearse_{i}"));
+        keep(&shot, &format!("preview_{i}"));
         assert!(!seen.contains(&shot), "the picture does not follow the pointer");
         seen.push(shot);
     }

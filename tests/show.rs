@@ -417,7 +417,7 @@ fn a_bare_x_server_sends_keys_to_the_presentation() {
     // outside the preview window, so that no key arrives by way of the pointer
     poke.point([1300, 300]);
     let (root, other) = (poke.root, poke.window());
-    for options in [&["--hold", "1"][..], &["--span"], &["--rehearse"]] {
+    for options in [&["--hold", "1"][..], &["--span"], &["--preview"]] {
         for before in [poke::NOBODY, poke::POINTER_ROOT, root, other] {
             poke.focus(before);
             let mut show = Show::start(&session, folder.path(), options);
@@ -469,7 +469,7 @@ fn starts_and_stops(session: &Session, name: &str, turns: usize, key: &mut dyn F
     let mut random = Stream::new(7);
     let mut ended = std::collections::BTreeMap::<String, usize>::new();
     for turn in 0..turns {
-        let options = [&[][..], &["--hold", "1"], &["--span"], &["--rehearse"]][turn % 4];
+        let options = [&[][..], &["--hold", "1"], &["--span"], &["--preview"]][turn % 4];
         let mut show = Show::start(session, folder.path(), options);
         std::thread::sleep(Duration::from_secs_f32(1.5 * random.next_f32()));
         let way = ["quit", "interrupt", "terminate", "escape", "close"][(random.next_u64() % 5) as usize];

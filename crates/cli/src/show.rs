@@ -1,4 +1,4 @@
-//! `lumistack show`: drives panels, or rehearses them in a window.
+//! `lumistack show`: drives panels, or shows a preview in a window.
 
 use std::fmt::Write as _;
 use std::io::BufRead;
@@ -35,14 +35,14 @@ pub(crate) struct Show {
     /// Use one surface across all outputs, so that all layers change together (X11, or sway)
     #[arg(long)]
     pub(crate) span: bool,
-    /// Show the seen picture in an ordinary window; the mouse moves the viewer
-    #[arg(long, conflicts_with_all = ["span", "pattern", "full_resolution_2d", "hold"])]
-    pub(crate) rehearse: bool,
-    /// First viewing angles of the rehearsal, degrees to the right and up
-    #[arg(long, value_name = "X,Y", allow_hyphen_values = true, requires = "rehearse")]
+    /// Show a preview of the display in an ordinary window; the mouse moves the viewer
+    #[arg(long, alias = "rehearse", conflicts_with_all = ["span", "pattern", "full_resolution_2d", "hold"])]
+    pub(crate) preview: bool,
+    /// Initial direction of the preview's viewer, degrees to the right and up
+    #[arg(long, value_name = "X,Y", allow_hyphen_values = true, requires = "preview")]
     pub(crate) from: Option<Numbers<2>>,
     /// Scale to the panels, for a run that was made for other panels; its distances are then wrong
-    #[arg(long, conflicts_with_all = ["rehearse", "pattern"])]
+    #[arg(long, conflicts_with_all = ["preview", "pattern"])]
     pub(crate) fit: bool,
     /// Show a picture (PNG, JPEG, WebP) on one layer at the panel's full resolution; the other
     /// layers are clear
@@ -186,7 +186,7 @@ fn calibrated(display: &Display, measured: &Display, path: &Path) -> Result<Disp
 
 /// Makes the presenter's parameters from the options.
 fn params(args: &Show) -> Result<Value, PipelineError> {
-    let mode = match (args.rehearse, args.span) {
+    let mode = match (args.preview, args.span) {
         (true, _) => "window",
         (_, true) => "span",
         _ => "outputs",

@@ -85,9 +85,9 @@ impl OutputPlugin for Panels {
             ),
             Param::int("hold", -1, -1..=1 << 20, "Frame to hold; -1 shows all in turn.").unit("1"),
             Param::float("duration_s", 0.0, 0.0..=1e9, "Duration; 0 shows until it is closed.").unit("s"),
-            Param::float("from_x_deg", 0.0, -80.0..=80.0, "Initial horizontal viewing angle of the window, positive to the right.")
+            Param::float("from_x_deg", 0.0, -80.0..=80.0, "Initial angle between the viewer's direction and the display's axis in the window, positive to the right.")
                 .unit("degrees"),
-            Param::float("from_y_deg", 0.0, -80.0..=80.0, "Initial vertical viewing angle of the window, positive upwards.").unit("degrees"),
+            Param::float("from_y_deg", 0.0, -80.0..=80.0, "The same angle, positive upwards.").unit("degrees"),
             Param::text("pattern", "", &format!("Test pattern shown in place of the layer stack: {PATTERNS}.")),
             Param::text(
                 "only",
@@ -145,7 +145,7 @@ impl OutputPlugin for Panels {
             Some(pending) => {
                 let from_deg = [self.params.from_x_deg, self.params.from_y_deg];
                 pending.content = Some(match self.params.mode {
-                    Mode::Window => Content::Rehearsal { stack, from_deg },
+                    Mode::Window => Content::Preview { stack, from_deg },
                     Mode::Outputs | Mode::Span => Content::Stack(stack),
                 });
             }
