@@ -131,6 +131,7 @@ pub fn csv(rows: &[Row]) -> String {
         "display,layers,frames,brightness,gap_mm,fov_x_deg,fov_y_deg,lenslets_x,lenslets_y,thickness_mm,panels,refresh_hz,values_per_ray,\
          psnr_zone_db,psnr_zone_worst_tenth_db,psnr_view_db,psnr_raw_db,psnr_between_db",
     );
+    // Sequences and further nodes add columns to the heading.
     let has_times = rows.iter().any(|row| row.psnr_worst_db.is_some());
     if has_times {
         text.push_str(",psnr_worst_db");
@@ -142,6 +143,7 @@ pub fn csv(rows: &[Row]) -> String {
         }
     }
     text.push('\n');
+    // Only names may need quotes; a missing score is an empty cell.
     for row in rows {
         let d = &row.design;
         let name = if d.display.contains([',', '"', '\n']) {

@@ -145,6 +145,7 @@ impl Volume {
         let mut pixels = vec![0usize; map.layers.len()];
         for (number, &view) in views.iter().enumerate() {
             for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
+                // a ray counts if it hits a pixel of every layer
                 let meets = map.layers.iter().zip(&mut pixels).all(|(layer, pixel)| match met(layer, view, row, col) {
                     Some(found) => {
                         *pixel = found;
@@ -155,6 +156,7 @@ impl Volume {
                 if !meets {
                     continue;
                 }
+                // the error of a ray is the sum of its pixels' logarithms minus the target's
                 let ray = 3 * ((number * rows + row) * cols + col);
                 let mut error = [0, 1, 2].map(|c| -wanted[ray + c]);
                 for (values, &pixel) in at.iter().zip(&pixels) {

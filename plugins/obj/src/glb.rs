@@ -115,6 +115,7 @@ fn add_materials(root: &mut Value, materials: &[Look]) {
     let list: Vec<Value> = materials
         .iter()
         .map(|material| {
+            // without a roughness of its own, a material has that of its Phong exponent
             let shiny = material.shininess.map(|ns| 1.0 - (ns / 1000.0).clamp(0.0, 1.0).sqrt());
             let [r, g, b] = material.diffuse.unwrap_or([0.8; 3]).map(|value| value.clamp(0.0, 1.0));
             let alpha = material.alpha.unwrap_or(1.0).clamp(0.0, 1.0);
@@ -137,6 +138,7 @@ fn add_materials(root: &mut Value, materials: &[Look]) {
             material_json
         })
         .collect();
+    // glTF lists the extensions that a document uses.
     let emits = list.iter().any(|material| material["extensions"].is_object());
     let used = [(emits, EMISSIVE_STRENGTH), (pictures.transformed, TEXTURE_TRANSFORM)];
     let used: Vec<&str> = used.into_iter().filter_map(|(used, name)| used.then_some(name)).collect();

@@ -208,6 +208,7 @@ fn refused(name: &str, expected: impl std::fmt::Display, found: impl std::fmt::D
 fn fixed(params: &PanelsParams, display: &Display) -> Result<Option<Content>, PluginError> {
     if !params.pattern.is_empty() {
         let pattern = params.pattern.parse::<Pattern>().map_err(|error| PluginError::Refused(error.to_string()))?;
+        // A pattern on one panel, or on all, drawn for an eye in front of the layers.
         let all = Shows::all(display);
         let only = Some(&params.only).filter(|text| !text.is_empty()).map(|text| {
             let shows = text.parse().ok().filter(|shows| all.contains(shows));
@@ -224,6 +225,7 @@ fn fixed(params: &PanelsParams, display: &Display) -> Result<Option<Content>, Pl
         return Ok(Some(Content::Pattern { pattern, only: only.transpose()?, eye_mm }));
     }
     if !params.picture.is_empty() {
+        // By default the layer nearest to the display plane shows the picture.
         let nearest = (0..display.layers.len())
             .min_by(|a, b| display.layers[*a].d_mm.abs().total_cmp(&display.layers[*b].d_mm.abs()))
             .unwrap_or(0);

@@ -118,6 +118,7 @@ fn add_mirrors(document: &mut Document) {
     let body = Mesh::cuboid(DVec3::new(-0.5 * width, 0.0, -thickness), DVec3::new(0.5 * width, height, 0.0));
     let primitives = vec![document.primitive(&glass, silver), document.primitive(&body, frame)];
     let mesh = document.add_mesh("framed mirror", primitives);
+    // leaning back lowers the rear edge of its foot, so the mirror is lifted by as much
     let lean_rad = 3f64.to_radians();
     let lift = thickness * lean_rad.sin();
     let mut node = node_at(
@@ -178,6 +179,7 @@ fn add_glass(document: &mut Document) -> Result<(), GeneratorError> {
         }
         material
     };
+    // the panes overlap at three depths
     let panes = [
         (blended("stained pane", [1.0; 4], Some(stained)), [0.070, 0.105], [0.170, -0.105], -18.0),
         (blended("amber pane", [0.90, 0.45, 0.02, 0.45], None), [0.050, 0.075], [0.132, -0.045], -8.0),
@@ -223,6 +225,7 @@ fn add_paper_and_screen(document: &mut Document) -> Result<(), GeneratorError> {
         "alphaCutoff": 0.5,
         "doubleSided": true
     }));
+    // two repetitions of the square texture along the width
     let (width, height) = (0.096, 0.048);
     let sheet = Mesh::rectangle(DVec3::new(-0.5 * width, height, 0.0), DVec3::X * width, DVec3::NEG_Y * height)
         .with_texture_scale(DVec2::new(2.0, 1.0));
@@ -286,6 +289,7 @@ fn add_beads(document: &mut Document) {
         node["scale"] = json!(scale);
         node
     };
+    // three levels of nodes: beads, rows, and their parent
     let mut rows = Vec::new();
     for row in 0..2 {
         let beads: Vec<usize> = (0..4)

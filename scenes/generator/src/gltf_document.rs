@@ -230,6 +230,7 @@ impl Document {
         let json_file = format!("{}.gltf", self.name);
         let binary_file = format!("{}.bin", self.name);
         let sky_file = "sky.hdr".to_string();
+        // Keys are in the order in which a reader looks for them; empty lists are omitted.
         let mut root = Map::new();
         root.insert(
             "asset".into(),

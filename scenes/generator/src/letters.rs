@@ -68,6 +68,7 @@ pub(crate) fn build() -> Result<Vec<SceneFile>, GeneratorError> {
             "baseColorFactor": [0.03, 0.03, 0.035, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.6
         }
     }));
+    // each word has its depth in millimetres beside it
     for word in words() {
         add_word(&mut document, &word);
         add_rail(&mut document, &word, rail);
@@ -122,6 +123,7 @@ fn add_word(document: &mut Document, word: &Word) {
     let blended = |low: [f64; 3], high: [f64; 3], t: f64| -> [f64; 3] {
         std::array::from_fn(|channel| low[channel] + t * (high[channel] - low[channel]))
     };
+    // texture coordinates run over the whole line, so gradients follow them
     match word.paint {
         Paint::Plain(_) => {}
         Paint::Bytes(bottom, top) => {

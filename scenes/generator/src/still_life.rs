@@ -66,6 +66,7 @@ fn add_room(document: &mut Document) -> Result<(), GeneratorError> {
             "baseColorTexture": { "index": paper }, "metallicFactor": 0.0, "roughnessFactor": 0.9
         }
     }));
+    // floor and wall share the edge at `corner`
     let wall_z = WINDOW.at(0.0, FLOOR_Y, WALL_DEPTH).z;
     let (half_width, depth) = (0.8, 1.6);
     let corner = DVec3::new(-half_width, FLOOR_Y, wall_z);

@@ -17,6 +17,7 @@ impl Analysis {
             self.name,
             number(self.thickness_mm)
         );
+        // One line per property, with a column of names.
         let mut line = |name: &str, value: String| {
             let _ = writeln!(text, "  {name:15} {value}");
         };

@@ -13,6 +13,7 @@ pub(super) fn section(input: &ReportInput) -> Result<Markup, ReportError> {
     let Some(denoising) = input.denoising else { return Ok(html! {}) };
     let geometry = input.target.geometry();
     let (rows, cols) = (geometry.rows, geometry.cols);
+    // Three pictures of the middle view share the budget of bytes.
     let factor = shrink_factor(&[(rows, cols); 3], BUDGET);
     let small = |values: &[f32]| Linear::new(rows, cols, values, 1.0).shrunk(factor);
     let (before, after) = (small(denoising.unbiased), small(denoising.filtered));

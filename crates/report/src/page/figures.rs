@@ -82,6 +82,7 @@ pub(super) fn zone(input: &ReportInput) -> Markup {
             }
         };
     };
+    // A map of the zone: a dot per direction, coloured by its PSNR.
     let directions: Vec<_> = zone.score.directions.iter().filter(|direction| direction.pixels > 0).collect();
     let psnr = |direction: &DirectionScore| direction.psnr();
     let (low, high) =

@@ -37,6 +37,7 @@ pub(super) fn look_around(measured: &Measured) -> Markup {
         return html! {};
     }
     let sheet = |picture: &Embedded, name: &str| {
+        // the sheet of all views is shifted so that the central one is visible; the script moves it
         let style = format!(
             "width:{}%;transform:translate({}%,{}%)",
             100 * cols,

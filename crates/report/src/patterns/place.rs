@@ -88,6 +88,7 @@ impl Window {
 impl Totals {
     fn of(patterns: &Tensor<4>) -> Self {
         let [frames, rows, cols, _] = patterns.shape();
+        // Changes between frames count, so the mean over frames is subtracted.
         let line = cols * 3;
         let mut mean = vec![0.0f32; rows * line];
         if frames > 1 {
@@ -95,6 +96,7 @@ impl Totals {
                 mean.iter_mut().zip(patterns.block([frame])).for_each(|(mean, value)| *mean += value / frames as f32);
             }
         }
+        // Energy of the gradient per pixel, over channels and frames.
         let mut energy = vec![0.0f64; rows * cols];
         for frame in 0..frames {
             let values = patterns.block([frame]);
@@ -108,6 +110,7 @@ impl Totals {
                 }
             }
         }
+        // A summed-area table gives the energy of any rectangle from four values.
         let width = cols + 1;
         let mut sums = vec![0.0; (rows + 1) * width];
         for row in 0..rows {

@@ -513,6 +513,7 @@ impl App<'_> {
             (_, true) => 0.1,
             _ => 1.0,
         };
+        // Arrows turn the view of a preview, and shift the selected panel otherwise.
         let arrow = match key {
             Key::Named(NamedKey::ArrowLeft) => Some([-step, 0.0]),
             Key::Named(NamedKey::ArrowRight) => Some([step, 0.0]),
