@@ -90,7 +90,7 @@ fn a_killed_sweep_resumes_and_ends_with_the_same_bytes() {
 }
 
 #[test]
-fn a_search_proposes_what_the_constraints_allow() {
+fn a_search_proposes_a_design_within_the_constraints() {
     let folder = tempfile::tempdir().unwrap();
     let (job, out) = (small_sweep(folder.path()), folder.path().join("search"));
     let constraints = ["--max-refresh-hz", "120", "--max-panels", "2", "--min-brightness", "0.5"];

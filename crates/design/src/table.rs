@@ -490,7 +490,7 @@ mod tests {
     }
 
     #[test]
-    fn a_design_says_what_it_takes() {
+    fn a_design_lists_its_cost() {
         let mut display = Display::uniform([16, 10], 1.0, [3, 3], [20.0, 20.0], &[-12.0, 0.0, 12.0], 6);
         let design = Design::of("x", &display);
         assert_eq!((design.gap_mm, design.thickness_mm, design.panels, design.refresh_hz), (12.0, 24.0, 3, 360.0));
@@ -514,7 +514,7 @@ mod tests {
     }
 
     #[test]
-    fn what_varies_is_plotted() {
+    fn axes_with_several_values_are_plotted() {
         let stems =
             |which: Plots| -> Vec<String> { plots(&rows(), which).unwrap().0.into_iter().map(|plot| plot.0).collect() };
         let all = stems(Plots::All);
@@ -530,7 +530,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_gets_dozens_of_plots_unasked() {
+    fn the_default_has_few_plots() {
         let base = Display::uniform([16, 10], 1.0, [3, 3], [20.0, 20.0], &[-12.0, 12.0], 2);
         let mut rows = Vec::new();
         for (layers, frames, tenths) in (2..6).flat_map(|n| (1..4).flat_map(move |m| (1..11).map(move |b| (n, m, b)))) {

@@ -6,7 +6,7 @@ use lumistack_plugin::PluginError;
 use lumistack_plugin::serde_json::{self, Value, json};
 use tobj::{Mesh, Model};
 
-use crate::mtl::{Look, Map};
+use crate::mtl::{Map, MtlMaterial};
 use crate::paths::forward;
 use crate::up::Up;
 
@@ -50,7 +50,12 @@ impl Arrays {
 }
 
 /// The document: all meshes under one node that rotates and scales them.
-pub(crate) fn document(models: &[Model], materials: &[Look], up: Up, scale: f64) -> Result<Vec<u8>, PluginError> {
+pub(crate) fn document(
+    models: &[Model],
+    materials: &[MtlMaterial],
+    up: Up,
+    scale: f64,
+) -> Result<Vec<u8>, PluginError> {
     let mut arrays = Arrays::default();
     let meshes: Vec<Value> = models
         .iter()
@@ -107,7 +112,7 @@ fn bounds(positions: &[f32]) -> ([f32; 3], [f32; 3]) {
     (min, max)
 }
 
-fn add_materials(root: &mut Value, materials: &[Look]) {
+fn add_materials(root: &mut Value, materials: &[MtlMaterial]) {
     if materials.is_empty() {
         return;
     }

@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_missing_is_named() {
+    fn missing_outputs_are_named() {
         let three = display(&[None, Some("B"), None]);
         let error = names(&three, &[]).unwrap_err().to_string();
         assert!(

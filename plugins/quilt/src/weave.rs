@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_missing_or_makes_no_sense_is_named() {
+    fn missing_and_invalid_values_are_named() {
         let good = Calibration::from_json(&plain()).unwrap();
         assert_eq!((good.center, good.inv_view, good.flip_x, good.screen), (0.25, true, false, [384, 216]));
         for (key, value, message) in [

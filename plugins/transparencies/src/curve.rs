@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_curve_is_refused() {
+    fn texts_that_are_no_curve_are_refused() {
         for bad in [
             "0 0",
             "0 0, 255 0",

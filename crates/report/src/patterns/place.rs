@@ -142,7 +142,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_close_up_finds_what_flickers_finely() {
+    fn the_close_up_shows_the_finest_flicker() {
         let text = "name = \"a\"\nframes = 2\n[field]\nresolution = [200, 120]\npitch_mm = 1.0\nviews = [3, 3]\nfov_deg = [20.0, 20.0]\n\
                     [[layers]]\nd_mm = 0.0\nresolution = [200, 120]\npitch_mm = 1.0\n[[layers]]\nd_mm = 5.0\nresolution = [100, 60]\npitch_mm = 2.0\noffset_mm = [10.0, 0.0]\n";
         let display = Display::from_toml(text).unwrap();

@@ -130,7 +130,7 @@ fn a_white_that_cannot_be_reached_is_said() {
 }
 
 #[test]
-fn rounding_to_codes_costs_what_the_score_says() {
+fn the_limit_of_rounding_agrees_with_the_score() {
     let coarse = two_layers([2, 2], [24, 20], "bits = 3\ntransfer = \"linear\"");
     let (stack, target) = (noisy_stack(&coarse), noisy_field(&coarse, None));
     let base = score(&coarse, &stack, &target, &Weights::Uniform).psnr_view();
@@ -165,7 +165,7 @@ fn rounding_to_codes_costs_what_the_score_says() {
 }
 
 #[test]
-fn ends_of_the_range_are_counted_and_black_is_worth_what_the_score_says() {
+fn ends_of_the_range_are_counted_and_the_limit_of_black_agrees_with_the_score() {
     let display = two_layers([2, 2], [24, 20], "black_level = 0.1\npeak = 0.8");
     let target = noisy_field(&display, None);
     let mut stack = noisy_stack(&display);
@@ -226,7 +226,7 @@ fn a_flattened_tone_curve_is_measured() {
 }
 
 #[test]
-fn a_still_picture_is_worth_what_the_score_says() {
+fn the_limit_of_a_still_picture_agrees_with_the_score() {
     let display = display(2, 3, [2, 2], [24, 20], "");
     let (stack, target) = (noisy_stack(&display), noisy_field(&display, None));
     let mut still = stack.clone();
