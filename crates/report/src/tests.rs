@@ -348,7 +348,7 @@ fn a_denoised_target_is_reported() {
     let report = built(&ReportInput { denoising: Some(&denoising), ..plain }).unwrap();
     check_page(&report.html);
     for text in [
-        "Every view went through a filter",
+        "Every view was filtered by a filter",
         "2.00e-3 ± 1e-5 before, 3.00e-4 ± 2e-5 after",
         "+0.200 %",
         "href=\"#denoising\"",

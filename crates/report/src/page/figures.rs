@@ -74,10 +74,10 @@ pub(super) fn zone(input: &ReportInput) -> Markup {
     let Some(zone) = input.zone else {
         return html! {
             section id="zone" {
-                h2 { "All over the zone" }
+                h2 { "Whole viewing zone" }
                 p class="quiet" {
                     "Unknown: the solver used all views of the given light field, so there are no references between them. The figures below are those of these views. "
-                    "Of a light field with more views than the display needs, fewer may be kept (" code { "--views" } "): the zone is then judged by those that are left out."
+                    "If a light field has more views than the display needs, keep fewer (" code { "--views" } "): the others are then the references of the zone."
                 }
             }
         };
@@ -105,11 +105,11 @@ pub(super) fn zone(input: &ReportInput) -> Markup {
     let (mean, worst) = zone_figures(input);
     html! {
         section id="zone" {
-            h2 { "All over the zone" }
+            h2 { "Whole viewing zone" }
             p {
-                "Eyes stand anywhere, so the display is judged from " (directions.len()) " directions spread over its whole zone, none of which the solver saw. Each seen picture, averaged over the area of every pixel, is compared with "
-                @if zone.left_out { "a view of the given light field that was left out" } @else { "two renders of the scene from there, so that the noise of those does not count" }
-                ": " strong { (mean) } " over all, " strong { (worst) } " over the worst tenth. SSIM and FLIP are means over the first eight directions"
+                "Eyes may be anywhere, so the display is scored from " (directions.len()) " directions over its whole zone, none of which the solver used. Each seen picture, averaged over the area of every pixel, is compared with "
+                @if zone.left_out { "a view of the given light field that was left out" } @else { "two renders of the scene from there, so that their noise does not count" }
+                ": " strong { (mean) } " over all directions, " strong { (worst) } " over the worst tenth. SSIM and FLIP are means over the first eight directions"
                 @if !zone.left_out { ", whose renders have more samples" } "."
             }
             svg class="zone" role="img" aria-label="PSNR by direction" viewBox=(format!("0 0 {SIDE} {SIDE}")) {
@@ -254,7 +254,7 @@ impl Heat {
 pub(super) fn limits(input: &ReportInput, found: &Found) -> Markup {
     html! {
         section id="limits" {
-            h2 { "What limits the result" }
+            h2 { "Limits of the result" }
             p {
                 "Measured on this layer stack, without solving again. Each line has the gain of the PSNR without one effect, all else unchanged, the largest first. Effects overlap, so the "
                 "figures do not add up. The central view and the corners stand for all."
