@@ -97,9 +97,9 @@ fn a_photograph_is_compared_at_its_pose_and_exposure() {
     let folder = tempfile::tempdir().unwrap();
     let run = run_of_two(folder.path()).join("nodes/three-layers");
     let eye = [150.0, 60.0, 900.0];
-    let told = |eye: [f64; 3]| eye.map(|x| x.to_string()).join(",");
+    let point = |eye: [f64; 3]| eye.map(|x| x.to_string()).join(",");
     let simulated = folder.path().join("simulated.exr");
-    succeed(lumistack().arg("simulate").arg(&run).args(["--eye", &told(eye), "-o"]).arg(&simulated));
+    succeed(lumistack().arg("simulate").arg(&run).args(["--eye", &point(eye), "-o"]).arg(&simulated));
     let picture = Picture::read(&simulated).unwrap();
     let (size, shown) = (picture.size(), picture.into_linear());
     assert_eq!(size, [64, 40]);
@@ -119,7 +119,7 @@ fn a_photograph_is_compared_at_its_pose_and_exposure() {
         done(&succeed(command.arg("-o").arg(folder.path().join("compared"))))["photograph"].clone()
     };
     let psnr = |found: &Value| found["likeness"]["psnr_db"].as_f64().unwrap();
-    let known = compared(&["--eye", &told(eye)]);
+    let known = compared(&["--eye", &point(eye)]);
     let gain = known["gain"].as_f64().unwrap();
     assert!((gain * EXPOSURE - 1.0).abs() < 0.01, "the photograph has {EXPOSURE} of the light: {known}");
     assert!(psnr(&known) > 30.0 && known["clipped"] == 0.0, "{known}");
@@ -135,12 +135,12 @@ fn a_photograph_is_compared_at_its_pose_and_exposure() {
     // half a millimetre moves the points where rays cross from one pixel of a layer to the next
     assert!(psnr(&found) > 30.0, "{found}");
 
-    let elsewhere = compared(&["--eye", &told([-150.0, 60.0, 900.0])]);
+    let elsewhere = compared(&["--eye", &point([-150.0, 60.0, 900.0])]);
     assert!(psnr(&elsewhere) < psnr(&known) - 5.0, "{elsewhere}");
 
     // a longer exposure: clipped pixels are left out
     camera.photograph(&shown, size, pitch, 2.0, &photo);
-    let bright = compared(&["--eye", &told(eye)]);
+    let bright = compared(&["--eye", &point(eye)]);
     assert!(bright["clipped"].as_f64().unwrap() > 0.02, "{bright}");
     assert!((bright["gain"].as_f64().unwrap() * 2.0 - 1.0).abs() < 0.02 && psnr(&bright) > 30.0, "{bright}");
     let text = fail(lumistack().arg("compare").arg(&run).arg(&photo).args(["--corners", "0,0,9,9,0,9,9,0"]));
@@ -163,8 +163,8 @@ fn all_displays_of_a_run_stand_side_by_side() {
     // target and two displays, three views; every picture of 64 × 40 four times as large
     let sheet = image::open(out.join("displays.jpg")).unwrap();
     assert!(sheet.width() > 3 * 4 * 64 && sheet.height() > 3 * 4 * 40, "{} × {}", sheet.width(), sheet.height());
-    let told = succeed(lumistack().arg("compare").arg(&run));
-    assert!(told.contains("three-layers") && told.contains("1 frame, β = 0.20"), "{told}");
+    let printed = succeed(lumistack().arg("compare").arg(&run));
+    assert!(printed.contains("three-layers") && printed.contains("1 frame, β = 0.20"), "{printed}");
     let text = fail(lumistack().arg("compare").arg(run.join("nodes/static")));
     assert!(text.contains("job.toml"), "{text}");
 }

@@ -35,13 +35,13 @@ fn a_denoised_run_reports_its_errors_and_resumes_from_its_halves() {
     assert!(report(&plain)["denoising"].is_null());
     succeed(&mut still_life(&run, "guided"));
     let first = report(&run);
-    let told = &first["denoising"];
-    let ([before, _], [after, after_error]) = (pair(&told["mse_before"]), pair(&told["mse_after"]));
-    let ([change, change_error], mean) = (pair(&told["mean_change"]), number(told, "mean"));
+    let reported = &first["denoising"];
+    let ([before, _], [after, after_error]) = (pair(&reported["mse_before"]), pair(&reported["mse_after"]));
+    let ([change, change_error], mean) = (pair(&reported["mean_change"]), number(reported, "mean"));
     println!("{before} {after} ± {after_error}, mean {mean} {change} ± {change_error}");
-    assert!(after < 0.5 * before, "{told}");
-    assert!(change.abs() < 0.02 * mean && change_error < 0.02 * mean, "{told}");
-    assert_eq!(told["views"].as_array().unwrap().len(), 25);
+    assert!(after < 0.5 * before, "{reported}");
+    assert!(change.abs() < 0.02 * mean && change_error < 0.02 * mean, "{reported}");
+    assert_eq!(reported["views"].as_array().unwrap().len(), 25);
     let html = std::fs::read_to_string(run.join("report.html")).unwrap();
     assert!(html.contains("id=\"denoising\"") && html.contains("guided filter"));
 
@@ -86,8 +86,8 @@ fn every_time_step_of_a_sequence_is_denoised() {
     std::fs::write(&job, format!("scene = {scene:?}\n{display}\n{render}\n{factorize}\n{sequence}\n")).unwrap();
     succeed(lumistack().arg("run").arg(&job).arg("-o").arg(&run));
     for time in ["t0001", "t0002"] {
-        let told = report(&run.join(time))["denoising"].clone();
-        assert!(pair(&told["mse_after"])[0] < 0.5 * pair(&told["mse_before"])[0], "{time}: {told}");
+        let reported = report(&run.join(time))["denoising"].clone();
+        assert!(pair(&reported["mse_after"])[0] < 0.5 * pair(&reported["mse_before"])[0], "{time}: {reported}");
     }
 }
 
@@ -118,9 +118,11 @@ test -s "$alb" && test -s "$nrm" && cp "$in" "$out"
     std::fs::write(&program, script).unwrap();
     std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
     succeed(still_life(&run, "oidn").env("LUMISTACK_OIDN", &program));
-    let told = report(&run)["denoising"].clone();
+    let reported = report(&run)["denoising"].clone();
     // it changes nothing, so errors and mean stay the same
-    assert_eq!(told["mse_before"], told["mse_after"], "{told}");
-    assert!(pair(&told["mean_change"])[0].abs() < 1e-6 && told["name"].as_str().unwrap().contains("Open Image"));
+    assert_eq!(reported["mse_before"], reported["mse_after"], "{reported}");
+    assert!(
+        pair(&reported["mean_change"])[0].abs() < 1e-6 && reported["name"].as_str().unwrap().contains("Open Image")
+    );
     assert!(!files(&run.join("cache")).iter().any(|(path, _)| path.to_string_lossy().contains("exchange")));
 }

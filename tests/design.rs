@@ -100,8 +100,8 @@ fn a_search_proposes_a_design_within_the_constraints() {
     let best = &event["proposed"][0]["design"];
     assert_eq!((&best["layers"], &best["frames"], &best["brightness"]), (&2.into(), &2.into(), &0.6.into()), "{event}");
     let display = event["display"].as_str().unwrap();
-    let told = succeed(lumistack().args(["analyze", display]));
-    assert!(told.contains("2 layers, uniform backlight, 2 frames"), "{told}");
+    let printed = succeed(lumistack().args(["analyze", display]));
+    assert!(printed.contains("2 layers, uniform backlight, 2 frames"), "{printed}");
     let text = fail(lumistack().arg("sweep").arg(&job).args(["--max-panels", "0", "-o"]).arg(&out));
     assert!(text.contains("sweep.search: expected constraints that some design keeps"), "{text}");
 }
@@ -123,10 +123,13 @@ fn analyze_reports_draws_and_refuses() {
         "paper-directional",
         "paper-directional:layers=2,gap_mm=8.5",
     ];
-    let told = succeed(lumistack().arg("analyze").args(names).arg("-o").arg(folder.path()));
+    let printed = succeed(lumistack().arg("analyze").args(names).arg("-o").arg(folder.path()));
     assert!(
-        told.contains("eq. 24") && told.contains("eq. 25") && told.contains("eq. 26") && told.contains("eq. 23"),
-        "{told}"
+        printed.contains("eq. 24")
+            && printed.contains("eq. 25")
+            && printed.contains("eq. 26")
+            && printed.contains("eq. 23"),
+        "{printed}"
     );
     for name in ["depth-of-field", "spectral-support", "depth-of-field-vertical", "spectral-support-vertical"] {
         let svg = std::fs::read_to_string(folder.path().join(format!("{name}.svg"))).unwrap();
@@ -138,8 +141,8 @@ fn analyze_reports_draws_and_refuses() {
     assert_eq!(closed["equation"], 26);
     assert!(closed["difference_far"].as_f64().unwrap() > 0.5, "{closed}");
     let scene = root().join("scenes/letters/letters.gltf");
-    let told = succeed(lumistack().args(["analyze", "fig7-uniform", "--scene"]).arg(scene));
-    assert!(told.contains("of what is seen lies in the depth of field"), "{told}");
+    let printed = succeed(lumistack().args(["analyze", "fig7-uniform", "--scene"]).arg(scene));
+    assert!(printed.contains("of what is seen lies in the depth of field"), "{printed}");
     let text = fail(lumistack().args(["analyze", "fig7-uniforn"]));
     assert!(text.contains("did you mean `fig7-uniform`?"), "{text}");
 }

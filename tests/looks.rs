@@ -113,19 +113,19 @@ fn info_reports_the_depth_of_a_scene_for_a_display() {
     let job = folder.path().join("job.toml");
     let display = "[display]\npreset = \"paper-three-layer\"\nresolution = [84, 52]";
     std::fs::write(&job, format!("scene = {scene:?}\n{display}\n[render]\nsamples = 1\nmax_bounces = 0\n")).unwrap();
-    let told = |flags: &[&str]| -> Value {
+    let reported = |flags: &[&str]| -> Value {
         let mut info = lumistack();
         info.arg("--json").arg("info").arg(&job).args(["--display", "paper-three-layer"]).args(flags);
         serde_json::from_str::<Value>(&succeed(&mut info)).unwrap()["on the display"].clone()
     };
-    let plain = told(&[]);
+    let plain = reported(&[]);
     let rendered = succeed(lumistack().arg("render").arg(&job).arg("-o").arg(folder.path().join("views")));
     assert!(rendered.contains(plain["depth budget"].as_str().unwrap()), "{rendered}\n{plain}");
-    let inside = |told: &Value| number(&told["depth"], "inside");
+    let inside = |reported: &Value| number(&reported["depth"], "inside");
     assert!((0.0..=1.0).contains(&inside(&plain)) && number(&plain, "covered share of the window") > 0.25);
-    let unfitted = told(&["--fit-depth=off"]);
-    assert!(inside(&plain) > inside(&unfitted).max(0.9), "depth is fitted unless told otherwise");
-    assert!(inside(&told(&["--fit-depth=compress"])) > inside(&unfitted).max(0.9));
+    let unfitted = reported(&["--fit-depth=off"]);
+    assert!(inside(&plain) > inside(&unfitted).max(0.9), "depth is fitted by default");
+    assert!(inside(&reported(&["--fit-depth=compress"])) > inside(&unfitted).max(0.9));
     assert!(plain["memory"]["in all"].as_str().unwrap().ends_with(" MB"));
     let text = succeed(lumistack().arg("info").arg(&scene).args(["--display", "paper-three-layer"]));
     assert!(text.contains("depth of field") && text.contains("coarser levels of images"), "{text}");

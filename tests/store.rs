@@ -51,7 +51,7 @@ fn job(folder: &Path, frames: usize, outputs: &str) -> PathBuf {
 fn cached(run: &Path, stage: &str) -> bool {
     let report = report(run);
     let stage = report["stages"].as_array().unwrap().iter().find(|found| found["name"] == stage);
-    stage.expect("the stage is told")["cached"].as_bool().unwrap()
+    stage.expect("the stage is reported")["cached"].as_bool().unwrap()
 }
 
 /// Changes the last byte of a file, with its size and time unchanged.
@@ -211,9 +211,9 @@ fn outputs_that_refuse_the_display_do_so_before_the_work() {
         );
         fs::write(&path, text).unwrap();
         let output = lumistack().args(["--json", "run"]).arg(&path).arg("-o").arg(&run).output().unwrap();
-        let (told, error) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+        let (printed, error) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
         assert_eq!(output.status.code(), Some(1));
-        assert!(error.contains(reason) && !told.contains("\"begin\""), "{error}{told}");
+        assert!(error.contains(reason) && !printed.contains("\"begin\""), "{error}{printed}");
         assert!(succeed(lumistack().arg("info").arg(&path)).contains(WOULD_REFUSE));
     }
     // a node's output is checked with the node's display
@@ -268,9 +268,9 @@ fn an_output_that_fails_costs_neither_report_nor_other_outputs() {
     for finished in ["outputs/tensor-display/images/images.json", "outputs/light_field/images/images.json"] {
         assert!(run.join(finished).is_file(), "{finished} is missing");
     }
-    let told = report(&run);
+    let printed = report(&run);
     let failed: Vec<&Value> =
-        told["outputs"].as_array().unwrap().iter().filter(|output| !output["failed"].is_null()).collect();
+        printed["outputs"].as_array().unwrap().iter().filter(|output| !output["failed"].is_null()).collect();
     assert!(failed.len() == 1 && failed[0]["failed"].as_str().unwrap().contains(reason), "{failed:?}");
     let html = fs::read_to_string(run.join("report.html")).unwrap();
     assert!(html.contains("quilt was not written") && html.contains(reason));
@@ -362,13 +362,13 @@ fn neither_foreign_files_nor_inputs_are_written_over() {
 
 /// Runs `lumistack --json clean`; returns the freed bytes by kind, and the bytes that remain.
 fn clean(dir: &Path, flags: &[&str]) -> (Vec<(String, u64)>, u64) {
-    let told = succeed(lumistack().args(["--json", "clean"]).arg(dir).args(flags));
-    let told: Value = serde_json::from_str(told.trim()).unwrap();
-    let freed = told["freed"].as_array().unwrap().iter();
+    let printed = succeed(lumistack().args(["--json", "clean"]).arg(dir).args(flags));
+    let printed: Value = serde_json::from_str(printed.trim()).unwrap();
+    let freed = printed["freed"].as_array().unwrap().iter();
     let freed: Vec<_> =
         freed.map(|kind| (kind["kind"].as_str().unwrap().to_owned(), kind["bytes"].as_u64().unwrap())).collect();
-    assert_eq!(told["freed_bytes"].as_u64().unwrap(), freed.iter().map(|kind| kind.1).sum::<u64>());
-    (freed, told["kept_bytes"].as_u64().unwrap())
+    assert_eq!(printed["freed_bytes"].as_u64().unwrap(), freed.iter().map(|kind| kind.1).sum::<u64>());
+    (freed, printed["kept_bytes"].as_u64().unwrap())
 }
 
 fn views_of(run: &Path) -> Vec<String> {

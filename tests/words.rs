@@ -40,7 +40,7 @@ fn a_scene_alone_becomes_a_preview_and_the_hint_works() {
     let single = out.join("outputs/tensor-display/preview/preview.html");
     assert!(single.is_file() && text.contains(&format!("or open {} by a double click", single.display())), "{text}");
     let messages = report(&out)["warnings"].to_string();
-    assert!(!messages.contains("flicker"), "nobody chose these frames for panels: {messages}");
+    assert!(!messages.contains("flicker"), "these frames are not chosen for panels: {messages}");
     // through cargo, the hint names the repository's alias
     let by_cargo = |command: &mut Command| {
         command.env("CARGO", "cargo").env("CARGO_PKG_NAME", "lumistack-cli");

@@ -166,13 +166,13 @@ pub fn csv(rows: &[Row]) -> String {
         ];
         let mut cells: Vec<String> = std::iter::once(name).chain(numbers.map(|n| rounded(n, 6))).collect();
         cells.push(rounded(d.values_per_ray, 4));
-        let told = |psnr: Option<f64>| psnr.map_or(String::new(), |psnr| format!("{psnr:.3}"));
-        cells.extend([row.psnr_zone_db, row.psnr_zone_worst_tenth_db].map(told));
-        cells.extend([Some(row.psnr_view_db), Some(row.psnr_raw_db), row.psnr_between_db].map(told));
-        cells.extend(has_times.then(|| told(row.psnr_worst_db)));
+        let cell = |psnr: Option<f64>| psnr.map_or(String::new(), |psnr| format!("{psnr:.3}"));
+        cells.extend([row.psnr_zone_db, row.psnr_zone_worst_tenth_db].map(cell));
+        cells.extend([Some(row.psnr_view_db), Some(row.psnr_raw_db), row.psnr_between_db].map(cell));
+        cells.extend(has_times.then(|| cell(row.psnr_worst_db)));
         for node in &row.nodes {
-            cells.extend([node.psnr_zone_db, Some(node.psnr_view_db)].map(told));
-            cells.extend(has_times.then(|| told(node.psnr_worst_db)));
+            cells.extend([node.psnr_zone_db, Some(node.psnr_view_db)].map(cell));
+            cells.extend(has_times.then(|| cell(node.psnr_worst_db)));
         }
         text.push_str(&cells.join(","));
         text.push('\n');
@@ -250,7 +250,7 @@ impl Axis {
     }
 
     /// The value with its name, for titles.
-    fn told(self, design: &Design) -> String {
+    fn label(self, design: &Design) -> String {
         let value = self.name(design);
         match self {
             Self::Display => value,
@@ -411,9 +411,9 @@ fn value_label(rows: &[Row]) -> String {
 }
 
 fn title(part: &[Row], others: &[Axis]) -> String {
-    let told: Vec<String> =
-        part.first().map_or(Vec::new(), |row| others.iter().map(|axis| axis.told(&row.design)).collect());
-    if told.is_empty() { "All designs".into() } else { told.join(", ") }
+    let labels: Vec<String> =
+        part.first().map_or(Vec::new(), |row| others.iter().map(|axis| axis.label(&row.design)).collect());
+    if labels.is_empty() { "All designs".into() } else { labels.join(", ") }
 }
 
 fn map_of(all: &[Row], part: &[Row], x: Axis, y: Axis, others: &[Axis]) -> Result<String, PlotError> {
@@ -447,7 +447,7 @@ fn curves_of(all: &[Row], part: &[Row], x: Axis, by: Option<Axis>, others: &[Axi
             own.clone().map(|row| [x.number(&row.design), row.quality_db().min(plot::CAP_DB)]).collect();
         points.sort_by(|a, b| a[0].total_cmp(&b[0]));
         let first = own.clone().next();
-        let name = by.zip(first).map_or(String::new(), |(by, row)| by.told(&row.design));
+        let name = by.zip(first).map_or(String::new(), |(by, row)| by.label(&row.design));
         Curve { name, points, colour: place % COLOURS.len(), dashed: place >= COLOURS.len(), dots: true }
     });
     let lowest = all.iter().map(|row| row.quality_db()).fold(f64::MAX, f64::min);

@@ -64,17 +64,17 @@ fn patterns_and_commands_reach_a_presenter_while_it_runs() {
     let [first, next] = stacks();
     for registry in registries() {
         let (send, input) = channel();
-        for ask in [
+        for sent in [
             PresenterInput::Command(json!("dance")),
             PresenterInput::Stack(next.clone()),
             PresenterInput::Command(json!("quit")),
         ] {
-            send.send(ask).unwrap();
+            send.send(sent).unwrap();
         }
         let (events, warnings) = presented(&registry, "echo", &first, input, &Cancel::default()).unwrap();
         let event = |time: u64, stack: &LayerStack| json!({"time": time, "brightness": stack.brightness});
         assert_eq!(events, [event(0, &first), event(1, &next)]);
-        assert_eq!(warnings, ["expected \"quit\", found \"dance\"", "nobody listens any more"]);
+        assert_eq!(warnings, ["expected \"quit\", found \"dance\"", "the presentation has ended"]);
     }
 }
 
@@ -89,7 +89,7 @@ fn a_presentation_ends_on_request() {
                 cancel.cancel();
             });
             let (_, warnings) = presented(&registry, "echo", &stacks()[0], input, &cancel).unwrap();
-            assert_eq!(warnings, ["nobody listens any more"]);
+            assert_eq!(warnings, ["the presentation has ended"]);
         });
     }
 }

@@ -197,7 +197,7 @@ impl Heat {
     fn tables(&self, measured: &Measured) -> Markup {
         let target = Some((&measured.target, "Target views"));
         let held_out = measured.held_out.as_ref().map(|score| (score, "In-between views, not optimized"));
-        let outside = measured.outside.as_ref().map(|score| (score, "Views beyond the zone"));
+        let outside = measured.outside.as_ref().map(|score| (score, "Views outside the zone"));
         let fields: Vec<_> = [target, held_out, outside].into_iter().flatten().collect();
         let all =
             fields.iter().flat_map(|(score, _)| score.geometry.grid.iter().map(|view| (self.value)(score.view(view))));
@@ -287,7 +287,7 @@ pub(super) fn convergence(input: &ReportInput) -> Result<Markup, ReportError> {
                 None => p class="quiet" { "No history of the solver: the layer stack came from another source or an earlier run." },
                 Some(last) => p {
                     "After " (format::counted(last.iteration as usize, "iteration")) " and " (format::duration(last.seconds)) ": " (format::decibels(last.psnr_view)) " dB. "
-                    "A curve that still climbs at its right end asks for more iterations; a flat one has met the limit of its layers, frames and brightness."
+                    "A curve that still rises at its right end needs more iterations; a flat one is at the limit of its layers, frames and brightness."
                 },
             }
             @if let Some(solution) = input.solution { p { (solved_by(solution)) } }

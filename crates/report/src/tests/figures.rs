@@ -82,14 +82,14 @@ fn outside_views_are_scored_or_shown() {
     let (stack, target) = (noisy_stack(&display), noisy_field(&display, None));
     let shown = built(&plain(&display, &stack, &target)).unwrap();
     assert!(shown.json["outside"].is_null() && shown.outside_psnr_view.is_none());
-    assert!(shown.html.contains("Simulated: View beyond the zone"));
+    assert!(shown.html.contains("Simulated: View outside the zone"));
     let outside = noisy_field(&display, target.geometry().grid.outside(1));
     let report = built(&ReportInput { outside: Some(&outside), ..plain(&display, &stack, &target) }).unwrap();
     let expected = score(&display, &stack, &outside, &Weights::Uniform).psnr_view();
     assert!((json_psnr(&report.json["outside"]["overall_psnr_view"]) - expected).abs() < SAME_DB);
     assert_eq!(report.outside_psnr_view, Some(expected));
     assert_eq!(report.json["outside"]["ssim"][0].as_array().map(Vec::len), Some(2));
-    assert!(report.html.contains("Difference") && report.html.contains("Views beyond the zone"));
+    assert!(report.html.contains("Difference") && report.html.contains("Views outside the zone"));
 }
 
 #[test]
