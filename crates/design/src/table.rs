@@ -250,7 +250,7 @@ impl Axis {
     }
 
     /// The value with its name, for titles.
-    fn value_label(self, design: &Design) -> String {
+    fn with_value(self, design: &Design) -> String {
         let value = self.name(design);
         match self {
             Self::Display => value,
@@ -412,7 +412,7 @@ fn value_label(rows: &[Row]) -> String {
 
 fn title(part: &[Row], others: &[Axis]) -> String {
     let labels: Vec<String> =
-        part.first().map_or(Vec::new(), |row| others.iter().map(|axis| axis.value_label(&row.design)).collect());
+        part.first().map_or(Vec::new(), |row| others.iter().map(|axis| axis.with_value(&row.design)).collect());
     if labels.is_empty() { "All designs".into() } else { labels.join(", ") }
 }
 
@@ -447,7 +447,7 @@ fn curves_of(all: &[Row], part: &[Row], x: Axis, by: Option<Axis>, others: &[Axi
             own.clone().map(|row| [x.number(&row.design), row.quality_db().min(plot::CAP_DB)]).collect();
         points.sort_by(|a, b| a[0].total_cmp(&b[0]));
         let first = own.clone().next();
-        let name = by.zip(first).map_or(String::new(), |(by, row)| by.value_label(&row.design));
+        let name = by.zip(first).map_or(String::new(), |(by, row)| by.with_value(&row.design));
         Curve { name, points, colour: place % COLOURS.len(), dashed: place >= COLOURS.len(), dots: true }
     });
     let lowest = all.iter().map(|row| row.quality_db()).fold(f64::MAX, f64::min);
