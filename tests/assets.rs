@@ -1,15 +1,17 @@
-//! Real files that other people made, given with nothing but a display: window and light are found, and the result is worth looking at.
+//! Files of other projects, rendered with only a display given: window and light are found, and the
+//! result has content.
 
 use crate::common::{assets, lumistack, number, report, succeed};
 
-/// Share of the window that the object covers, at least: all of it is shown, and a slender one fills no more of a wide window.
+/// Least share of the window that the object covers. All of the object is visible, so a slender one
+/// fills no more of a wide window.
 const COVERAGE: f64 = 0.13;
-/// Distance between the 1st and the 99th percentile of the target, at least.
+/// Least distance between the 1st and the 99th percentile of the target.
 const SPAN: f64 = 0.3;
-/// PSNR all over the zone at β = 0.2, at least, dB.
+/// Least PSNR over the whole zone at β = 0.2, dB.
 const PSNR_DB: f64 = 23.0;
 
-/// The files that must look right with nothing set.
+/// Files that need no settings besides the display.
 const FILES: [&str; 5] = [
     "FlightHelmet/FlightHelmet.gltf",
     "CornellBox/CornellBox.glb",
@@ -43,14 +45,14 @@ fn files_with_nothing_set_small() {
     check(&["--resolution", "112x70", "--samples", "16"]);
 }
 
-/// At the display's own resolution and frames.
+/// The same at the display's own resolution and frames.
 #[test]
 #[ignore = "slow: renders five scenes at 840 × 525"]
 fn files_with_nothing_set() {
     check(&[]);
 }
 
-/// Light fields that somebody else rendered.
+/// Light fields of other projects.
 #[test]
 fn foreign_light_fields() {
     let Some(assets) = assets() else { return };

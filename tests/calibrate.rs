@@ -1,4 +1,5 @@
-//! What people look at: the rehearsal, flat pictures, test patterns on every output, and calibration from photographs of them.
+//! Presentation to people: the preview in a window, flat pictures, test patterns on every output,
+//! and calibration from photographs of them.
 
 #![cfg(feature = "panels")]
 
@@ -12,7 +13,7 @@ use crate::common::session::{Picture, SWAY, Session, wait_for};
 use crate::common::show::Show;
 use crate::common::{self, poke, session};
 
-/// A run whose layers hold smooth pictures, for people and for comparisons.
+/// A run whose layers contain smooth pictures, for people and for comparisons.
 fn write_waves(folder: &Path) -> Display {
     let mut display = Display::uniform([96, 60], 2.0, [3, 3], [24.0, 16.0], &[-20.0, 0.0, 20.0], 2);
     display.brightness = 0.5;
@@ -23,7 +24,7 @@ fn write_waves(folder: &Path) -> Display {
             (0..frames).flat_map(|f| (0..rows).flat_map(move |r| (0..cols).map(move |c| (f, r, c))))
         {
             let (x, y) = (col as f32 / cols as f32 - 0.5, row as f32 / rows as f32 - 0.5);
-            // rings on every layer, of another colour and place, so that parallax is seen
+            // rings on every layer, of different colours and places, so that parallax is visible
             let distance = (x - 0.1 * n as f32 + 0.1).hypot(0.6 * y) - 0.02 * frame as f32;
             for (channel, value) in layer.block_mut([frame, row, col]).iter_mut().enumerate() {
                 let dims = channel == n;
@@ -37,14 +38,15 @@ fn write_waves(folder: &Path) -> Display {
     display
 }
 
-/// Saves a screenshot where somebody wants to look at it.
+/// Saves a screenshot if `LUMISTACK_TEST_PICTURES` names a folder.
 fn keep(picture: &Picture, name: &str) {
     if let Ok(folder) = std::env::var("LUMISTACK_TEST_PICTURES") {
         picture.save(&Path::new(&folder).join(format!("{name}.png")));
     }
 }
 
-/// Whether a window holds what `lumistack simulate` writes for an angle, every pixel enlarged by a whole factor; one code of rounding is let pass.
+/// True if a window shows the picture that `lumistack simulate` writes for an angle, each pixel
+/// enlarged by a whole factor. A rounding difference of one code is allowed.
 fn shows_simulation(window: &Picture, run: &Path, from: [f64; 2]) -> bool {
     let file = run.join("simulated.png");
     let view = format!("{:.6},{:.6}", from[0], from[1]);
@@ -69,31 +71,31 @@ fn shows_simulation(window: &Picture, run: &Path, from: [f64; 2]) -> bool {
 }
 
 #[test]
-fn the_rehearsal_shows_what_simulate_does_from_wherever_the_pointer_looks() {
+fn the_preview_window_shows_the_view_that_the_pointer_selects() {
     let Some(session) = Session::xorg(&[("DUMMY0", [1200, 800], [0, 0])]) else { return };
     let folder = tempfile::tempdir().unwrap();
     let display = write_waves(folder.path());
-    let mut show = Show::start(&session, folder.path(), &["--rehearse", "--from", "3,-2"]);
+    let mut show = Show::start(&session, folder.path(), &["--preview", "--from", "3,-2"]);
     show.event("started");
-    // eight window pixels for one of the display
+    // eight window pixels per pixel of the display
     let size = [768, 480];
     let window = || Some(session.import()?.part([0, 0], size));
     let first =
         wait_for("the first view", || window().filter(|shot| shows_simulation(shot, folder.path(), [3.0, -2.0])));
-    keep(&first, "rehearse_first");
+    keep(&first, "preview_first");
     let mut poke = poke::Poke::new(session.x_display());
     let mut seen = vec![first];
     for (i, at) in [[384, 240], [40, 240], [728, 240], [384, 30], [600, 450]].into_iter().enumerate() {
-        // it moves there: that it is somewhere says nothing
+        // the pointer must move: its initial position causes no event
         poke.point([at[0] - 1, at[1]]);
         poke.point(at);
-        // the window reaches a fifth beyond the field of view
+        // the window covers the field of view and a fifth more
         let share = [2.0 * f64::from(at[0]) / 768.0 - 1.0, 1.0 - 2.0 * f64::from(at[1]) / 480.0];
         let from = [0, 1].map(|axis| 1.2 * share[axis] * 0.5 * display.field.fov_deg[axis]);
         let shot = wait_for(&format!("the view from {from:?}"), || {
             window().filter(|shot| shows_simulation(shot, folder.path(), from))
         });
-        keep(&shot, &format!("rehearse_{i}"));
+        keep(&shot, &format!("preview_{i}"));
         assert!(!seen.contains(&shot), "the picture does not follow the pointer");
         seen.push(shot);
     }
@@ -112,7 +114,8 @@ fn a_flat_picture_has_all_pixels_of_its_panel() {
     display.layers[2].panel_pitch_mm = Some(0.25);
     display.layers[2].panel = Some(Panel { flip: Flip::Horizontal, ..Panel::default() });
     std::fs::write(folder.path().join("display.toml"), display.to_toml()).unwrap();
-    // the third panel has 640 × 360 pixels, four for one of its mask, is mirrored and linear; the picture has as many
+    // The third panel has 640 × 360 pixels, four per pixel of its mask; it is mirrored and linear.
+    // The picture has as many.
     let mut random = Stream::new(5);
     let picture = image::RgbImage::from_fn(640, 360, |x, y| {
         let ring = (f64::from(x) - 320.0).hypot(f64::from(y) - 180.0) < 120.0;
@@ -124,7 +127,7 @@ fn a_flat_picture_has_all_pixels_of_its_panel() {
     let options = ["--full-resolution-2d", file.to_str().unwrap(), "--layer", "2"];
     let mut show = Show::start(&session, &folder.path().join("display.toml"), &options);
     show.event("started");
-    // sRGB codes are light, which a linear panel shows by its own codes
+    // sRGB codes become light, and light becomes codes of a linear panel
     let code = |code: u8| {
         let value = f64::from(code) / 255.0;
         let light = if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) };
@@ -137,7 +140,7 @@ fn a_flat_picture_has_all_pixels_of_its_panel() {
     let wanted = Picture { size: [640, 360], rgb };
     let shot = wait_for("the picture", || session.grim("HEADLESS-3").filter(|shown| *shown == wanted));
     keep(&shot, "flat_2");
-    // the others are clear where their masks are, 320 × 180 pixels in the middle, and dark beside them
+    // the others are clear within their masks, 320 × 180 pixels in the middle, and dark outside
     for (name, [cols, rows], _) in &SWAY[..2] {
         let mut rgb = Vec::new();
         for (y, x) in (0..*rows).flat_map(|y| (0..*cols).map(move |x| (y, x))) {
@@ -151,14 +154,14 @@ fn a_flat_picture_has_all_pixels_of_its_panel() {
 }
 
 #[test]
-fn masks_for_other_panels_are_warned_about_and_made_to_fit() {
+fn masks_for_other_panels_cause_a_warning_and_fit_scales_them() {
     let Some(session) = Session::sway(&SWAY) else { return };
     let folder = tempfile::tempdir().unwrap();
     let display = Display::uniform([40, 30], 4.0, [3, 3], [10.0, 10.0], &[-10.0, 0.0, 10.0], 1);
     std::fs::write(folder.path().join("display.toml"), display.to_toml()).unwrap();
     lumistack_field_io::write_stack(&folder.path().join("layers"), &display, &LayerStack::filled(&display, 1.0))
         .unwrap();
-    // eight panel pixels for one of the mask are what the smallest panel has room for
+    // the smallest panel has room for eight panel pixels per mask pixel
     for (options, mask) in [(&["--hold", "0"][..], [40, 30]), (&["--hold", "0", "--fit"], [320, 240])] {
         let mut show = Show::start(&session, folder.path(), options);
         let warning = show.event("warning");
@@ -186,11 +189,11 @@ fn masks_for_other_panels_are_warned_about_and_made_to_fit() {
 /// Columns and rows of the panels that are photographed.
 const PANEL: [usize; 2] = [840, 525];
 const PITCH_MM: f64 = 0.55;
-/// What is wanted of the way through photographs, panel pixels.
+/// Largest error of places after calibration, panel pixels.
 const ERROR_PX: f64 = 0.1;
 const EYE: [f64; 3] = [12.0, -8.0, 2000.0];
 
-/// Where a panel really is: turned and shifted on its layer, millimetres.
+/// True pose of a panel: rotated and shifted on its layer, millimetres.
 #[derive(Clone, Copy)]
 struct Standing {
     turn_rad: f64,
@@ -198,7 +201,7 @@ struct Standing {
 }
 
 impl Standing {
-    /// The pixel (column, row) that is at a place of the layer.
+    /// The pixel (column, row) at a point of the layer.
     fn pixel(&self, mm: [f64; 2]) -> [f64; 2] {
         let (sin, cos) = self.turn_rad.sin_cos();
         let [x, y] = [0, 1].map(|axis| mm[axis] - self.shift_mm[axis]);
@@ -206,7 +209,7 @@ impl Standing {
         [x / PITCH_MM + (PANEL[0] as f64 - 1.0) / 2.0, (PANEL[1] as f64 - 1.0) / 2.0 - y / PITCH_MM]
     }
 
-    /// The place of a pixel.
+    /// The point of a pixel.
     fn mm(&self, pixel: [f64; 2]) -> [f64; 2] {
         let (sin, cos) = self.turn_rad.sin_cos();
         let x = (pixel[0] - (PANEL[0] as f64 - 1.0) / 2.0) * PITCH_MM;
@@ -221,18 +224,20 @@ const OUTPUTS: [session::Screen; 3] = [
     ("HEADLESS-3", PANEL, [2 * PANEL[0] as i32, 0]),
 ];
 
-/// The whole way: crosses on an output, a photograph of what it showed, the command, the file, and the stack on the output afterwards.
+/// The whole calibration: crosses on an output, a photograph of them, the command, the file, and
+/// the stack on the output afterwards.
 #[test]
-fn panels_that_stand_askew_show_everything_in_its_place_once_they_were_photographed() {
+fn photographs_correct_the_pose_of_panels() {
     let Some(session) = Session::sway(&OUTPUTS) else { return };
     let folder = tempfile::tempdir().unwrap();
     let mut display = Display::uniform([420, 262], 1.1, [3, 3], [10.0, 10.0], &[-40.0, 0.0, 40.0], 1);
     for layer in &mut display.layers {
         (layer.panel_pitch_mm, layer.transfer) = (Some(PITCH_MM), Transfer::Linear);
-        // whole pixels would place an edge that is hardly turned by up to half of one
+        // interpolate: nearest pixels would move an edge with a small rotation by up to half a
+        // pixel
         layer.panel = Some(Panel { resample: Sampling::Bilinear, ..Panel::default() });
     }
-    // one spot, 12 mask pixels wide, in each ninth of every layer
+    // one spot, 12 mask pixels wide, per ninth of every layer
     let mut stack = LayerStack::filled(&display, 0.0);
     let spots: Vec<[usize; 2]> =
         [60, 210, 360].into_iter().flat_map(|col| [50, 131, 212].map(|row| [col, row])).collect();
@@ -259,7 +264,8 @@ fn panels_that_stand_askew_show_everything_in_its_place_once_they_were_photograp
         let options = ["--pattern", "crosshairs", "--only", &only, "--eye-mm", "12,-8,2000"];
         let mut show = Show::start(&session, &file, &options);
         show.event("swapped");
-        // dark crosses on light: it is there when the whole output is light and the picture stays
+        // dark crosses on light: complete when the whole output is light and the picture no longer
+        // changes
         let name = OUTPUTS[n].0;
         let shot = wait_for("the crosses", || {
             let shot = session.grim(name)?;
@@ -296,26 +302,26 @@ fn panels_that_stand_askew_show_everything_in_its_place_once_they_were_photograp
         println!("{found}");
         assert!(found["moved_mm"].as_f64().unwrap() > 1.0, "{found}");
     }
-    // a second round finds the panels in place
+    // a second calibration finds the panels in place
     let second: Vec<String> = (0..3).map(|n| photograph(n, 2)).collect();
     for found in calibrate(&second, &["--dry-run"]) {
         println!("{found}");
         assert!(found["moved_mm"].as_f64().unwrap() < ERROR_PX * PITCH_MM, "{found}");
     }
-    // and the stack appears where its mask pixels are
+    // the stack appears at the places of its mask pixels
     let mut show = Show::start(&session, folder.path(), &["--hold", "0"]);
     show.event("swapped");
     for (n, (name, ..)) in OUTPUTS.iter().enumerate() {
         let shot = wait_for("the spots", || {
             let shot = session.grim(name)?;
-            // nine spots of 12² mask pixels of 2² panel pixels
+            // nine spots of 12² mask pixels, each of 2² panel pixels
             let light = shot.rgb.iter().map(|code| usize::from(*code)).sum::<usize>() / 255;
             (light.abs_diff(9 * 3 * 24 * 24) < 300).then_some(shot)
         });
         keep(&shot, &format!("spots_{n}"));
         let mut worst: f64 = 0.0;
         for [col, row] in &spots {
-            // the middle of 12 pixels is half a pixel before the one that they are counted from
+            // the middle of 12 pixels is half a pixel before the pixel that is their origin
             let wanted = [(*col as f64 - 0.5 - 209.5) * 1.1, (130.5 - (*row as f64 - 0.5)) * 1.1];
             let around = standing[n].pixel(wanted);
             let (mut sum, mut count) = ([0.0; 2], 0.0);

@@ -1,4 +1,4 @@
-"""Checks with other people's software that a run's outputs are what their manifests say; prints how many files were opened by each reader.
+"""Checks with independent software that a run's outputs agree with their manifests; prints the number of files that each reader opened.
 
 usage: check_outputs.py RUN_DIR
 """
@@ -96,7 +96,7 @@ def images(folder):
         check(folder / "hci", "size", Image.open(folder / "hci/input_Cam000.png").size, size)
         head, shape, scale, data = (folder / "hci/gt_disp_lowres.pfm").read_bytes().split(b"\n", 3)
         check(folder / "hci", "map", (head, tuple(map(int, shape.split())), float(scale)), (b"Pf", size, -1.0))
-        # of a rendered scene the middle view's depth is known
+        # a rendered scene has the depth of the middle view
         disparities = np.frombuffer(data, "<f4")
         known = disparities[np.isfinite(disparities)]
         check(folder / "hci", "number of disparities", (disparities.size, known.size > 0), (size[0] * size[1], True))
@@ -127,7 +127,7 @@ def transparencies(folder):
     with tempfile.TemporaryDirectory() as pages:
         subprocess.run(["pdftoppm", "-r", "25.4", "-png", folder / "transparencies.pdf", f"{pages}/page"], check=True)
         files = sorted(Path(pages).iterdir())
-        # an assembly sheet and a chart before the layers
+        # an assembly sheet and a chart precede the layers
         check(folder, "pages", len(files), 2 + len(manifest["files"]))
         for file in files:
             size = Image.open(file).size
@@ -150,7 +150,7 @@ def web_simulator(folder):
 
 
 def image_magick(folder):
-    """The whole folder once more, by a third reader of PNG files."""
+    """Checks the whole folder with a third reader of PNG files."""
     if not shutil.which("identify"):
         return print("skipped: no ImageMagick")
     for file in folder.rglob("*.png"):

@@ -1,4 +1,4 @@
-//! `compare` from the command line: displays of one run side by side, and a photograph of panels.
+//! `compare` on the command line: displays of one run side by side, and a photograph of panels.
 
 use std::path::{Path, PathBuf};
 
@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use crate::common::{fail, lumistack, report, succeed};
 
-/// Cards before and behind two displays.
+/// A run of two displays with cards before and behind them.
 fn run_of_two(folder: &Path) -> PathBuf {
     let (job, out) = (folder.join("two.toml"), folder.join("two"));
     let text = "outputs = []\n[source]\nplugin = \"test_views\"\nparams = { pattern = \"cards\", depth_mm = 60.0 }\n\n[display]\npreset = \"fig7-uniform\"\nresolution = [64, 40]\n\n\
@@ -33,7 +33,7 @@ struct Camera {
 }
 
 impl Camera {
-    /// It looks at a point of the display's plane and leans a little.
+    /// The camera looks at a point of the display plane, with some roll.
     fn looking(eye: [f64; 3], at: [f64; 2]) -> Self {
         let cross = |a: [f64; 3], b: [f64; 3]| {
             [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
@@ -44,7 +44,7 @@ impl Camera {
         Self { eye, axes: [right, cross(right, forward), forward], size: [900, 675], focal_px: 1000.0 }
     }
 
-    /// Where a point of the display's plane is in the picture.
+    /// Pixel of a point of the display plane.
     fn pixel_of(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let seen = [x - self.eye[0], y - self.eye[1], -self.eye[2]];
         let [right, up, forward] = self.axes.map(|axis| axis.iter().zip(seen).map(|(a, b)| a * b).sum::<f64>());
@@ -52,7 +52,7 @@ impl Camera {
         [0.5 * width + self.focal_px * right / forward, 0.5 * height - self.focal_px * up / forward]
     }
 
-    /// Which point of the display's plane a place of the picture shows.
+    /// Point of the display plane at a pixel.
     fn point_at(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let [width, height] = self.size.map(|side| side as f64);
         let (right, up) = ((x - 0.5 * width) / self.focal_px, (0.5 * height - y) / self.focal_px);
@@ -61,9 +61,10 @@ impl Camera {
         [self.eye[0] + t * ray[0], self.eye[1] + t * ray[1]]
     }
 
-    /// Takes a photograph of a display that emits `shown` `[row][col][rgb]` to the camera, in a dim room: exposure, noise, 8-bit codes.
+    /// Renders a photograph of a display that emits `shown` `[row][col][rgb]` towards the camera,
+    /// in a dim room: exposure, noise, 8-bit codes.
     fn photograph(&self, shown: &[f32], [cols, rows]: [usize; 2], pitch_mm: f64, exposure: f64, path: &Path) {
-        // of a camera at a low sensitivity
+        // noise of a camera at low sensitivity
         const NOISE: f64 = 0.01;
         const ROOM: f64 = 0.03;
         let mut stream = Stream::new(11);
@@ -78,7 +79,7 @@ impl Camera {
                 (0..3).for_each(|c| light[c] += 0.25 * if inside { f64::from(shown[at + c]) } else { ROOM });
             }
             for value in light {
-                // a sum of twelve is as good as Gaussian
+                // a sum of twelve uniform numbers is nearly Gaussian
                 let noise = NOISE * ((0..12).map(|_| f64::from(stream.next_f32())).sum::<f64>() - 6.0);
                 codes.push(srgb_code((exposure * value + noise) as f32));
             }
@@ -88,16 +89,17 @@ impl Camera {
     }
 }
 
-/// A photograph from a known place, from the place that its corners tell, and taken for one from elsewhere.
+/// Compares a photograph at the known pose, at the pose found from its corners, and at a wrong
+/// pose.
 #[test]
 fn a_photograph_is_compared_at_its_pose_and_exposure() {
     const EXPOSURE: f64 = 0.6;
     let folder = tempfile::tempdir().unwrap();
     let run = run_of_two(folder.path()).join("nodes/three-layers");
     let eye = [150.0, 60.0, 900.0];
-    let told = |eye: [f64; 3]| eye.map(|x| x.to_string()).join(",");
+    let point = |eye: [f64; 3]| eye.map(|x| x.to_string()).join(",");
     let simulated = folder.path().join("simulated.exr");
-    succeed(lumistack().arg("simulate").arg(&run).args(["--eye", &told(eye), "-o"]).arg(&simulated));
+    succeed(lumistack().arg("simulate").arg(&run).args(["--eye", &point(eye), "-o"]).arg(&simulated));
     let picture = Picture::read(&simulated).unwrap();
     let (size, shown) = (picture.size(), picture.into_linear());
     assert_eq!(size, [64, 40]);
@@ -117,7 +119,7 @@ fn a_photograph_is_compared_at_its_pose_and_exposure() {
         done(&succeed(command.arg("-o").arg(folder.path().join("compared"))))["photograph"].clone()
     };
     let psnr = |found: &Value| found["likeness"]["psnr_db"].as_f64().unwrap();
-    let known = compared(&["--eye", &told(eye)]);
+    let known = compared(&["--eye", &point(eye)]);
     let gain = known["gain"].as_f64().unwrap();
     assert!((gain * EXPOSURE - 1.0).abs() < 0.01, "the photograph has {EXPOSURE} of the light: {known}");
     assert!(psnr(&known) > 30.0 && known["clipped"] == 0.0, "{known}");
@@ -130,15 +132,15 @@ fn a_photograph_is_compared_at_its_pose_and_exposure() {
     for (found, expected) in found["eye_mm"].as_array().unwrap().iter().zip(eye) {
         assert!((found.as_f64().unwrap() - expected).abs() < 3.0, "corners to a tenth of a pixel: {found}, {expected}");
     }
-    // half a millimetre moves where rays change from one pixel of a layer to the next
+    // half a millimetre moves the points where rays cross from one pixel of a layer to the next
     assert!(psnr(&found) > 30.0, "{found}");
 
-    let elsewhere = compared(&["--eye", &told([-150.0, 60.0, 900.0])]);
+    let elsewhere = compared(&["--eye", &point([-150.0, 60.0, 900.0])]);
     assert!(psnr(&elsewhere) < psnr(&known) - 5.0, "{elsewhere}");
 
-    // longer: a part is clipped, and left out
+    // a longer exposure: clipped pixels are left out
     camera.photograph(&shown, size, pitch, 2.0, &photo);
-    let bright = compared(&["--eye", &told(eye)]);
+    let bright = compared(&["--eye", &point(eye)]);
     assert!(bright["clipped"].as_f64().unwrap() > 0.02, "{bright}");
     assert!((bright["gain"].as_f64().unwrap() * 2.0 - 1.0).abs() < 0.02 && psnr(&bright) > 30.0, "{bright}");
     let text = fail(lumistack().arg("compare").arg(&run).arg(&photo).args(["--corners", "0,0,9,9,0,9,9,0"]));
@@ -161,8 +163,8 @@ fn all_displays_of_a_run_stand_side_by_side() {
     // target and two displays, three views; every picture of 64 × 40 four times as large
     let sheet = image::open(out.join("displays.jpg")).unwrap();
     assert!(sheet.width() > 3 * 4 * 64 && sheet.height() > 3 * 4 * 40, "{} × {}", sheet.width(), sheet.height());
-    let told = succeed(lumistack().arg("compare").arg(&run));
-    assert!(told.contains("three-layers") && told.contains("1 frame, β = 0.20"), "{told}");
+    let printed = succeed(lumistack().arg("compare").arg(&run));
+    assert!(printed.contains("three-layers") && printed.contains("1 frame, β = 0.20"), "{printed}");
     let text = fail(lumistack().arg("compare").arg(run.join("nodes/static")));
     assert!(text.contains("job.toml"), "{text}");
 }

@@ -1,4 +1,4 @@
-//! Denoised runs: reports, caches, resuming, sequences, and what a missing program says.
+//! Denoised runs: reports, caches, resuming, sequences, and the message for a missing program.
 
 use std::path::Path;
 use std::process::Command;
@@ -28,29 +28,29 @@ fn pair(value: &Value) -> [f64; 2] {
 }
 
 #[test]
-fn a_denoised_run_says_what_was_done_and_goes_on_from_its_halves() {
+fn a_denoised_run_reports_its_errors_and_resumes_from_its_halves() {
     let folder = tempfile::tempdir().unwrap();
     let (plain, run) = (folder.path().join("plain"), folder.path().join("run"));
     succeed(&mut still_life(&plain, "off"));
     assert!(report(&plain)["denoising"].is_null());
     succeed(&mut still_life(&run, "guided"));
     let first = report(&run);
-    let told = &first["denoising"];
-    let ([before, _], [after, after_error]) = (pair(&told["mse_before"]), pair(&told["mse_after"]));
-    let ([change, change_error], mean) = (pair(&told["mean_change"]), number(told, "mean"));
+    let reported = &first["denoising"];
+    let ([before, _], [after, after_error]) = (pair(&reported["mse_before"]), pair(&reported["mse_after"]));
+    let ([change, change_error], mean) = (pair(&reported["mean_change"]), number(reported, "mean"));
     println!("{before} {after} ± {after_error}, mean {mean} {change} ± {change_error}");
-    assert!(after < 0.5 * before, "{told}");
-    assert!(change.abs() < 0.02 * mean && change_error < 0.02 * mean, "{told}");
-    assert_eq!(told["views"].as_array().unwrap().len(), 25);
+    assert!(after < 0.5 * before, "{reported}");
+    assert!(change.abs() < 0.02 * mean && change_error < 0.02 * mean, "{reported}");
+    assert_eq!(reported["views"].as_array().unwrap().len(), 25);
     let html = std::fs::read_to_string(run.join("report.html")).unwrap();
     assert!(html.contains("id=\"denoising\"") && html.contains("guided filter"));
 
-    // nothing is done twice
+    // a second run computes nothing
     succeed(&mut still_life(&run, "guided"));
     assert!(cached(&report(&run), "render"));
     let target = files(&run.join("target"));
     assert!(target != files(&plain.join("target")), "filtered and unfiltered views are the same");
-    // a lost filtered view comes back without tracing
+    // a deleted filtered view is made again without tracing
     let views = run.join("cache/views");
     let of = |suffix: &str| -> Vec<_> {
         files(&views).into_iter().filter(|(path, _)| path.to_string_lossy().ends_with(suffix)).collect()
@@ -75,7 +75,7 @@ fn first_target(views: &Path) -> std::path::PathBuf {
 }
 
 #[test]
-fn every_time_of_a_sequence_is_denoised() {
+fn every_time_step_of_a_sequence_is_denoised() {
     let folder = tempfile::tempdir().unwrap();
     let (run, job) = (folder.path().join("run"), folder.path().join("job.toml"));
     let scene = root().join("scenes/still-life/still-life.gltf");
@@ -86,8 +86,8 @@ fn every_time_of_a_sequence_is_denoised() {
     std::fs::write(&job, format!("scene = {scene:?}\n{display}\n{render}\n{factorize}\n{sequence}\n")).unwrap();
     succeed(lumistack().arg("run").arg(&job).arg("-o").arg(&run));
     for time in ["t0001", "t0002"] {
-        let told = report(&run.join(time))["denoising"].clone();
-        assert!(pair(&told["mse_after"])[0] < 0.5 * pair(&told["mse_before"])[0], "{time}: {told}");
+        let reported = report(&run.join(time))["denoising"].clone();
+        assert!(pair(&reported["mse_after"])[0] < 0.5 * pair(&reported["mse_before"])[0], "{time}: {reported}");
     }
 }
 
@@ -103,10 +103,10 @@ fn a_missing_program_is_named_before_anything_is_rendered() {
     assert!(!traced, "views were traced before the filter was looked for");
 }
 
-/// A stand-in for the program that gives back what it gets.
+/// A stand-in for the program, which returns its input.
 #[cfg(unix)]
 #[test]
-fn the_program_gets_pictures_and_its_answer_is_taken() {
+fn the_external_denoiser_receives_pictures_and_its_result_is_used() {
     use std::os::unix::fs::PermissionsExt;
     let folder = tempfile::tempdir().unwrap();
     let (run, program) = (folder.path().join("run"), folder.path().join("oidnDenoise"));
@@ -118,9 +118,11 @@ test -s "$alb" && test -s "$nrm" && cp "$in" "$out"
     std::fs::write(&program, script).unwrap();
     std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
     succeed(still_life(&run, "oidn").env("LUMISTACK_OIDN", &program));
-    let told = report(&run)["denoising"].clone();
-    // it changes nothing, so the errors are the same and the mean stays
-    assert_eq!(told["mse_before"], told["mse_after"], "{told}");
-    assert!(pair(&told["mean_change"])[0].abs() < 1e-6 && told["name"].as_str().unwrap().contains("Open Image"));
+    let reported = report(&run)["denoising"].clone();
+    // it changes nothing, so errors and mean stay the same
+    assert_eq!(reported["mse_before"], reported["mse_after"], "{reported}");
+    assert!(
+        pair(&reported["mean_change"])[0].abs() < 1e-6 && reported["name"].as_str().unwrap().contains("Open Image")
+    );
     assert!(!files(&run.join("cache")).iter().any(|(path, _)| path.to_string_lossy().contains("exchange")));
 }

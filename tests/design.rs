@@ -1,4 +1,4 @@
-//! `analyze` and `sweep` from the command line.
+//! `analyze` and `sweep` on the command line.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -22,7 +22,7 @@ fn rows(folder: &Path) -> Vec<Value> {
 }
 
 #[test]
-fn a_killed_sweep_goes_on_and_ends_with_the_same_bytes() {
+fn a_killed_sweep_resumes_and_ends_with_the_same_bytes() {
     let folder = tempfile::tempdir().unwrap();
     let job = small_sweep(folder.path());
     let (whole, killed) = (folder.path().join("whole"), folder.path().join("killed"));
@@ -46,7 +46,7 @@ fn a_killed_sweep_goes_on_and_ends_with_the_same_bytes() {
     while done() < 3 && start.elapsed() < Duration::from_secs(60) {
         std::thread::sleep(Duration::from_millis(1));
     }
-    // SIGKILL: nothing is cleaned up
+    // SIGKILL leaves no time to clean up
     child.kill().unwrap();
     child.wait().unwrap();
     let finished = done();
@@ -64,7 +64,7 @@ fn a_killed_sweep_goes_on_and_ends_with_the_same_bytes() {
         assert_eq!(std::fs::read(plot.path()).unwrap(), std::fs::read(other).unwrap(), "{:?}", plot.file_name());
     }
 
-    // what the paper finds of such a table
+    // the paper's trends in such a table
     let found = rows(&whole);
     let psnr = |layers: u64, frames: u64, brightness: f64| {
         let is = |row: &&Value| {
@@ -90,7 +90,7 @@ fn a_killed_sweep_goes_on_and_ends_with_the_same_bytes() {
 }
 
 #[test]
-fn a_search_proposes_what_the_constraints_allow() {
+fn a_search_proposes_a_design_within_the_constraints() {
     let folder = tempfile::tempdir().unwrap();
     let (job, out) = (small_sweep(folder.path()), folder.path().join("search"));
     let constraints = ["--max-refresh-hz", "120", "--max-panels", "2", "--min-brightness", "0.5"];
@@ -100,8 +100,8 @@ fn a_search_proposes_what_the_constraints_allow() {
     let best = &event["proposed"][0]["design"];
     assert_eq!((&best["layers"], &best["frames"], &best["brightness"]), (&2.into(), &2.into(), &0.6.into()), "{event}");
     let display = event["display"].as_str().unwrap();
-    let told = succeed(lumistack().args(["analyze", display]));
-    assert!(told.contains("2 layers, uniform backlight, 2 frames"), "{told}");
+    let printed = succeed(lumistack().args(["analyze", display]));
+    assert!(printed.contains("2 layers, uniform backlight, 2 frames"), "{printed}");
     let text = fail(lumistack().arg("sweep").arg(&job).args(["--max-panels", "0", "-o"]).arg(&out));
     assert!(text.contains("sweep.search: expected constraints that some design keeps"), "{text}");
 }
@@ -115,7 +115,7 @@ fn a_job_with_a_sweep_is_not_run() {
 }
 
 #[test]
-fn analyze_tells_draws_and_refuses() {
+fn analyze_reports_draws_and_refuses() {
     let folder = tempfile::tempdir().unwrap();
     let names = [
         "paper-three-layer:layers=2",
@@ -123,10 +123,13 @@ fn analyze_tells_draws_and_refuses() {
         "paper-directional",
         "paper-directional:layers=2,gap_mm=8.5",
     ];
-    let told = succeed(lumistack().arg("analyze").args(names).arg("-o").arg(folder.path()));
+    let printed = succeed(lumistack().arg("analyze").args(names).arg("-o").arg(folder.path()));
     assert!(
-        told.contains("eq. 24") && told.contains("eq. 25") && told.contains("eq. 26") && told.contains("eq. 23"),
-        "{told}"
+        printed.contains("eq. 24")
+            && printed.contains("eq. 25")
+            && printed.contains("eq. 26")
+            && printed.contains("eq. 23"),
+        "{printed}"
     );
     for name in ["depth-of-field", "spectral-support", "depth-of-field-vertical", "spectral-support-vertical"] {
         let svg = std::fs::read_to_string(folder.path().join(format!("{name}.svg"))).unwrap();
@@ -138,16 +141,17 @@ fn analyze_tells_draws_and_refuses() {
     assert_eq!(closed["equation"], 26);
     assert!(closed["difference_far"].as_f64().unwrap() > 0.5, "{closed}");
     let scene = root().join("scenes/letters/letters.gltf");
-    let told = succeed(lumistack().args(["analyze", "fig7-uniform", "--scene"]).arg(scene));
-    assert!(told.contains("of what is seen lies in the depth of field"), "{told}");
+    let printed = succeed(lumistack().args(["analyze", "fig7-uniform", "--scene"]).arg(scene));
+    assert!(printed.contains("of what is seen lies in the depth of field"), "{printed}");
     let text = fail(lumistack().args(["analyze", "fig7-uniforn"]));
     assert!(text.contains("did you mean `fig7-uniform`?"), "{text}");
 }
-/// `angular_filter = "display"` renders what views that are dense enough come to when `--prefilter` averages them, and it is not what single slopes show.
+/// `angular_filter = "display"` gives the same views as dense views that `--prefilter` averages.
+/// Views of single slopes differ.
 #[test]
 fn a_displays_prefilter_is_rendered_as_it_is_averaged() {
     let folder = tempfile::tempdir().unwrap();
-    // three bins of slopes behind the layer; of the light field three views, or five for each bin
+    // three bins of slopes behind the layer; the light field has three views, or five per bin
     let job = |name: &str, views: usize, filter: &str, samples: u32| {
         let display = format!("{name}-display.toml");
         let text = format!(
@@ -186,11 +190,13 @@ fn a_displays_prefilter_is_rendered_as_it_is_averaged() {
     };
     let (same, other) = (rms(&averaged, &display), rms(&point, &display));
     println!("averaged against rendered: {same:.4}, single slopes against that: {other:.4}");
-    // both hold the noise of 64 paths, 0.028; were nothing averaged, or nothing spread, the first would be the larger
+    // Both include the noise of 64 paths, 0.028. Without averaging, or without spreading, the first
+    // difference would be the larger one.
     assert!(same < 0.75 * other && other > 0.03, "{same} {other}");
 }
 
-/// The committed tables of the paper's figures have its trends; `lumistack sweep scenes/sweeps/figure-7.toml` and `figure-8.toml` make them.
+/// The committed tables of the paper's figures show its trends. `lumistack sweep
+/// scenes/sweeps/figure-7.toml` and `figure-8.toml` make them.
 #[test]
 fn the_committed_tables_show_the_papers_trends() {
     let table = |name: &str| -> Vec<(String, f64, f64, f64, f64)> {
@@ -207,13 +213,14 @@ fn the_committed_tables_show_the_papers_trends() {
         let found = figure_7.iter().find(|row| row.0 == display && row.1 == layers && row.2 == frames);
         found.unwrap_or_else(|| panic!("{display}, {layers} layers, {frames} frames")).4
     };
-    // what 50 updates from random patterns leave to chance, dB
+    // chance in the result of 50 updates from random patterns, dB
     const CHANCE: f64 = 0.5;
     let frames = [1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0];
     for display in ["fig7-uniform", "fig7-directional"] {
         for layers in 1..=8 {
             let layers = f64::from(layers);
-            // a single layer before a uniform backlight shows one picture to all sides, whatever its frames
+            // a single layer before a uniform backlight shows the same picture in all directions,
+            // for any number of frames
             if display == "fig7-directional" || layers > 1.0 {
                 for pair in frames.windows(2).filter(|pair| at(display, layers, pair[0]) < 40.0) {
                     assert!(
@@ -223,7 +230,7 @@ fn the_committed_tables_show_the_papers_trends() {
                 }
                 assert!(at(display, layers, 12.0) > at(display, layers, 1.0) + 4.0, "{display} {layers}");
             }
-            // the paper's teapot stays below 30 dB up to eight static layers
+            // the paper's teapot stays below 30 dB with up to eight static layers
             let most = if layers <= 4.0 { 30.0 } else { 40.0 };
             assert!(at(display, layers, 1.0) < most, "a static stack of {layers} layers");
         }

@@ -1,20 +1,22 @@
-//! The paper's single panel on a lens array, all the way: a scene becomes emission and a layer, these become the pictures of two panels, and rays that know nothing of
-//! the display model go through layer and lenses to the panel behind them.
+//! The paper's single panel on a lens array, from the scene to the panels.
+//!
+//! A scene becomes emission and a layer, and these become the pictures of two panels. Rays are then
+//! traced through layer and lenses to the rear panel, independently of the display model.
 
 use lumistack_display::{Backlight, Display, LensletBacklight, Projection};
 use lumistack_plugin_panels::{Picture, Shows};
 
 use crate::common::{lumistack, number, report, root, succeed};
 
-/// How far the traced views may be from what the report says of the display.
+/// Largest difference of the traced views from the report's figures, dB.
 const DECIBELS: f64 = 0.5;
-/// A pupil spans this share of a view's bin to either side, in these steps per axis.
+/// Half width of a pupil as a share of a view's bin, and steps per axis.
 const PUPIL: f64 = 0.3;
 const PUPIL_STEPS: i32 = 3;
-/// Of the rays only every such one is traced, others in every view.
+/// One ray of so many is traced, different ones in each view.
 const EVERY: usize = 23;
 
-/// The light of a panel, of red, green and blue, in rows of pixels.
+/// The light of a panel: red, green and blue in rows of pixels.
 struct Panel {
     light: Vec<[f64; 3]>,
     size: [usize; 2],
@@ -22,7 +24,7 @@ struct Panel {
 }
 
 impl Panel {
-    /// Of codes as they are sent: red, green, blue and one more.
+    /// From codes as they are sent: red, green, blue and a fourth byte.
     fn new(codes: &[u8], size: [usize; 2], pitch_mm: f64) -> Self {
         // IEC 61966-2-1, which the display file declares
         let decoded = |code: u8| {
@@ -41,8 +43,11 @@ impl Panel {
     }
 }
 
-/// The point of the rear panel from which a ray comes that leaves the lens array at a place with a slope: back to the lens plane, through a thin lens of this
-/// focal length, and on to its focal plane. None beside the array.
+/// The point of the rear panel from which a ray comes that leaves the lens array at a point with a
+/// slope; `None` beside the array.
+///
+/// The ray goes back to the lens plane, through a thin lens of this focal length, and to its focal
+/// plane.
 fn behind(lenses: &LensletBacklight, focal_mm: f64, place_mm: [f64; 2], slope: [f64; 2]) -> Option<[f64; 2]> {
     let mut on_panel = [0.0; 2];
     for axis in 0..2 {
@@ -53,7 +58,8 @@ fn behind(lenses: &LensletBacklight, focal_mm: f64, place_mm: [f64; 2], slope: [
         }
         let centre = (lens + 0.5 - count / 2.0) * lenses.pitch_mm;
         let height = place_mm[axis] - centre;
-        // a thin lens bends a ray at height h by −h/f: before it the slope was larger by that
+        // a thin lens changes a ray's slope at height h by −h/f, so the slope before it is larger
+        // by h/f
         let before = slope[axis] + height / focal_mm;
         on_panel[axis] = place_mm[axis] - before * focal_mm;
     }
@@ -66,7 +72,7 @@ fn rays_through_lenses_and_layer_see_the_target() {
     let run = folder.path().join("run");
     let job = folder.path().join("job.toml");
     let scene = root().join("scenes/letters/letters.gltf");
-    // the rays stand for the score
+    // the rays replace the score
     let text = format!(
         "scene = {scene:?}\noutputs = []\n[display]\npreset = \"paper-directional\"\nresolution = [84, 52]\nframes = 2\n\
          [render]\nsamples = 3\n[factorize]\niterations = 8\n[report]\nzone_directions = 0\n"
@@ -79,7 +85,7 @@ fn rays_through_lenses_and_layer_see_the_target() {
     let Backlight::Lenslets(lenses) = &display.backlight else { panic!("directional") };
     let rear = &display.layers[0];
     let (size, pitch_mm) = (rear.panel_resolution.unwrap(), rear.panel_pitch_mm.unwrap());
-    // lenses whose pictures fill 48 degrees
+    // lenses with a field of view of 48 degrees
     let focal_mm = 0.5 * lenses.pitch_mm / 24f64.to_radians().tan();
     let panels: Vec<[Panel; 2]> = (0..display.frames)
         .map(|frame| {

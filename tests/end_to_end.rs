@@ -1,4 +1,5 @@
-//! Whole runs of the binary: jobs in `tests/cases`, foreign light fields, resuming, and the same bytes on any number of threads.
+//! Whole runs of the binary: jobs in `tests/cases`, light fields of other projects, resuming, and
+//! equal bytes on any number of threads.
 
 use std::path::Path;
 use std::process::Command;
@@ -6,18 +7,20 @@ use std::time::{Duration, Instant};
 
 use crate::common::{fail, files, light_fields, lumistack, number, python, report, root, succeed, write_test_field};
 
-/// PSNR of the report against an independent forward model, dB.
+/// Largest difference of the report's PSNR from an independent forward model, dB.
 const PSNR_AGREEMENT_DB: f64 = 0.01;
 
-/// What a case may lose against the PSNR in its file, dB: other instruction sets round differently, and noise falls differently.
+/// Largest loss of a case against the PSNR in its file, dB. Other instruction sets round
+/// differently, which also changes noise.
 const MAY_LOSE_DB: f64 = 0.3;
-/// What a case may gain before its file must be renewed, dB: an old figure would hide a loss.
+/// Largest gain of a case before its file must be renewed, dB: an outdated figure would hide a
+/// loss.
 const MAY_GAIN_DB: f64 = 1.0;
 
-/// Each folder of `tests/cases` is a job and `expected.json`: the PSNR that it gives and files that must exist. With LUMISTACK_WRITE=1 the figures are
-/// measured anew.
+/// Each folder of `tests/cases` has a job and `expected.json`: its PSNR, and files that must exist.
+/// LUMISTACK_WRITE=1 measures the figures anew.
 #[test]
-fn every_case_gives_what_it_says() {
+fn every_case_gives_its_expected_psnr() {
     let renew = std::env::var_os("LUMISTACK_WRITE").is_some();
     let (mut count, mut wrong) = (0, Vec::new());
     for entry in std::fs::read_dir(root().join("tests/cases")).unwrap() {
@@ -81,10 +84,11 @@ fn check_with_numpy(python: &Path, field: &Path, run: &Path, geometry: [&str; 4]
     }
 }
 
-/// Rays of the NumPy model, 2000 × 2000 per pixel, against areas.
+/// Largest difference between the NumPy model's rays, 2000 × 2000 per pixel, and our areas, dB.
 const ZONE_AGREEMENT_DB: f64 = 0.02;
 
-/// psnr_zone of three layers, of parallel views and of pinholes, and of a directional backlight.
+/// Compares psnr_zone of three layers, with parallel views and with pinholes, and of a directional
+/// backlight.
 #[test]
 fn a_numpy_model_of_the_seen_picture_gives_the_reports_zone() {
     let Some(python) = python() else { return };
@@ -152,7 +156,7 @@ fn a_directional_backlight_follows_a_foreign_light_field() {
         let backlight = text.split("[backlight]").nth(1).unwrap().split("[[").next().unwrap();
         assert!(backlight.contains("5,\n    5,") || backlight.contains("views = [5, 5]"), "{backlight}");
     }
-    // views through which no backlight can find its way
+    // views that no arrangement of bins can match
     let slopes: Vec<f64> = (0..17).map(|i| f64::from(i) * 1e-3).collect();
     write_array(&field, &[17, 17, 4, 6, 3], std::iter::repeat_n(0.5, 17 * 17 * 4 * 6 * 3));
     let index = serde_json::json!({"projection": "perspective", "distance_mm": 500, "pitch_mm": 60,
@@ -168,7 +172,7 @@ fn a_directional_backlight_follows_a_foreign_light_field() {
 fn one_ray_does_not_decide_a_report_unseen() {
     let folder = tempfile::tempdir().unwrap();
     let (field, run) = (folder.path().join("views.npy"), folder.path().join("run"));
-    // of the middle view's middle row, where every ray meets all layers
+    // a ray in the middle row of the middle view, where every ray hits all layers
     const MIDDLE: usize = (4 * 20 + 10) * 32 * 3 + 48;
     let values = (0..3 * 3 * 20 * 32 * 3).map(|i| if i == MIDDLE { 1e4 } else { 0.3 + 0.2 * (i as f32 * 0.01).sin() });
     write_array(&field, &[3, 3, 20, 32, 3], values);
@@ -200,12 +204,13 @@ fn weights_of_zero_are_an_error() {
     assert!(error.contains("weights.npy") && error.contains("at least one weight above 0"), "{error}");
 }
 
-/// A view that one layer shows exactly: its patterns are β times what was given, not times the half floats next to it.
+/// One layer can show this view exactly: its patterns are β times the input, not times the nearest
+/// half floats.
 #[test]
-fn what_was_given_is_what_is_shown_and_measured() {
+fn a_view_that_one_layer_can_show_is_not_rounded() {
     let folder = tempfile::tempdir().unwrap();
     let [field, display, run] = ["view.npy", "one-layer.toml", "run"].map(|name| folder.path().join(name));
-    // halves near 0.3 are 2.4e-4 apart
+    // half floats near 0.3 are 2.4e-4 apart
     let values: Vec<f32> = (0..20 * 32 * 3).map(|i| 0.3 + 1.7e-5 * (i % 97) as f32).collect();
     write_array(&field, &[1, 1, 20, 32, 3], values.iter().copied());
     let mut one_layer = lumistack_display::Display::uniform([32, 20], 3.0, [1, 1], [20.0, 20.0], &[0.0], 1);
@@ -223,7 +228,7 @@ fn what_was_given_is_what_is_shown_and_measured() {
     assert!(psnr > 110.0, "{psnr} dB");
 }
 
-/// With frames so many that the display's panels would flicker.
+/// Frames so many that the display's panels would flicker.
 const SMALL_RUN: [&str; 10] =
     ["--resolution", "84x52", "--frames", "3", "--samples", "4", "--iterations", "10", "--max-bounces", "3"];
 
@@ -247,7 +252,7 @@ fn the_same_bytes_on_one_and_two_threads() {
     check_views_beyond_the_zone(&report(&one));
 }
 
-/// One view spacing beyond the outermost views on both sides, with figures of their own.
+/// Checks the figures of views one view spacing outside the outermost views, on both sides.
 fn check_views_beyond_the_zone(report: &serde_json::Value) {
     let slopes = |field: &str| -> Vec<f64> {
         report[field]["slope_x"].as_array().unwrap().iter().map(|slope| slope.as_f64().unwrap()).collect()
@@ -279,7 +284,7 @@ fn a_rerun_takes_everything_from_the_cache() {
         assert_eq!(stage["cached"], true, "{name} ran again");
     }
     assert!(before == files(&run.join("layers")));
-    // other settings of a later stage leave the views alone
+    // settings of a later stage do not affect the views
     succeed(small_run(&run).args(["--iterations", "11"]));
     let stages = report(&run)["stages"].clone();
     let cached = |name: &str| stages.as_array().unwrap().iter().find(|s| s["name"] == name).unwrap()["cached"].clone();
@@ -288,7 +293,7 @@ fn a_rerun_takes_everything_from_the_cache() {
 
 #[cfg(unix)]
 #[test]
-fn a_killed_run_goes_on_from_what_is_finished() {
+fn a_killed_run_resumes_from_its_finished_parts() {
     let folder = tempfile::tempdir().unwrap();
     let (killed, whole) = (folder.path().join("killed"), folder.path().join("whole"));
     for signal in ["-KILL", "-INT"] {
@@ -353,7 +358,8 @@ fn simulate_shows_parallax_in_the_right_direction() {
     write_test_field(&field, [3, 5, 31, 50], 20.0, 3.0);
     let flags = ["--fov", "20x20", "--pitch-mm", "3", "--frames", "4", "--iterations", "100"];
     succeed(lumistack().arg("factorize").arg(&field).arg("-o").arg(&run).args(flags));
-    // seen from the outermost target views, 8.03° and 6.70° off the axis; the red card floats 30 mm in front: from the right it is seen further left
+    // Seen from the outermost target views, 8.03° and 6.70° off the axis. The red card is 30 mm in
+    // front: from the right it appears farther left.
     let centre_of_red = |angle: &str| {
         let path = folder.path().join("view.exr");
         succeed(lumistack().arg("simulate").arg(&run).args(["--view", angle]).arg("-o").arg(&path));
@@ -374,7 +380,7 @@ fn simulate_shows_parallax_in_the_right_direction() {
     let (left, right) = (centre_of_red("-8.03,0"), centre_of_red("8.03,0"));
     let expected = 2.0 * 30.0 * 8.03f64.to_radians().tan() / 3.0;
     assert!((left[0] - right[0] - expected).abs() < 1.0, "moved by {} px, expected {expected}", left[0] - right[0]);
-    // from above it is seen further down: at a larger row
+    // from above it appears farther down, at a larger row
     let (above, below) = (centre_of_red("0,6.7"), centre_of_red("0,-6.7"));
     assert!(above[1] > below[1] + 1.0, "{above:?} {below:?}");
 }
@@ -397,17 +403,17 @@ fn one_render_feeds_two_displays_and_five_outputs() {
     let outputs: Vec<&str> = outputs.map(|path| path.as_str().unwrap()).collect();
     assert_eq!(outputs.len(), 5, "{outputs:?}");
     assert!(outputs.iter().all(|path| run.join(path).join("images.json").is_file()), "{outputs:?}");
-    // 3 × 3 views behind pinholes: each is open in one frame of nine
+    // 3 × 3 views behind pinholes: each pinhole is open in one frame of nine
     assert!((number(&nodes[1], "brightness") - 1.0 / 9.0).abs() < 1e-6);
     let views = files(&run.join("target"));
     assert_eq!(views.len(), 1 + 9, "one light field for both");
-    // each node's folder is enough to look at its display
+    // each node's folder is enough to simulate its display
     let picture = folder.path().join("barrier.png");
     succeed(lumistack().arg("simulate").arg(run.join("nodes/barrier")).arg("-o").arg(&picture));
     let picture = image::open(&picture).unwrap().into_rgb8();
     assert!(picture.pixels().any(|pixel| pixel.0[0] > 64), "the barrier shows something");
 
-    // a second run takes everything from the first
+    // a second run reuses everything of the first
     let before = std::fs::metadata(run.join("nodes/barrier/layers/layer_0.npy")).unwrap().modified().unwrap();
     go();
     assert_eq!(std::fs::metadata(run.join("nodes/barrier/layers/layer_0.npy")).unwrap().modified().unwrap(), before);
@@ -474,7 +480,7 @@ fn the_small_commands_answer() {
     succeed(render.args(["--resolution", "42x26", "--views", "5x5", "--samples", "1"]));
     assert!(out.join("lightfield.json").is_file() && out.join("view_04_04.exr").is_file());
     assert!(succeed(lumistack().arg("info").arg(&out)).contains("42"));
-    // what render wrote is what factorize reads
+    // `factorize` reads the light field that `render` wrote
     let run = folder.path().join("run");
     succeed(lumistack().arg("factorize").arg(&out).arg("-o").arg(&run).args(["--iterations", "2", "--frames", "2"]));
     let strip = folder.path().join("strip.png");

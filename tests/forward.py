@@ -1,4 +1,4 @@
-"""An independent forward model: PSNR of a run from its .npy files, with DESIGN's geometry written out.
+"""An independent forward model: PSNR of a run from its .npy files, by the geometry of nearest pixels.
 
 usage: forward.py TARGET.npy LAYERS_DIR D1,D2,... PITCH_MM FOV_X FOV_Y BRIGHTNESS   (uniform backlight, oblique views, nearest, drop)
 """

@@ -1,14 +1,16 @@
-//! The renderer against pictures of itself: a z-test per pixel, per block of pixels and of the whole, so that random numbers may fall otherwise and the mean may not.
+//! Compares the renderer with its own earlier pictures: a z-test per pixel, per block of pixels and
+//! of the whole. Random numbers may change, the mean may not.
 //!
-//! `golden.exr` in a case's folder holds a view of its scene of many samples, linear, and the variance of that mean. A picture x of n samples belongs to
-//! the same scene where
+//! `golden.exr` in a case's folder is a view of its scene with many samples, linear, and the
+//! variance of that mean. For a picture x of n samples of the same scene,
 //!
 //! ```text
 //! z = |x − μ| / √(σ²/n + var μ)        σ² = samples of the golden picture · var μ
 //! ```
 //!
-//! is what chance gives, with Šidák's bound for that many tests. The test per pixel is that of Mitsuba's own suite, some outliers included; sums find what
-//! is small and everywhere.
+//! is within the bounds of chance, with Šidák's correction for the number of tests. The test per
+//! pixel is that of Mitsuba's own suite, some outliers included. Sums detect small differences that
+//! cover large areas.
 
 use std::path::Path;
 
@@ -20,17 +22,18 @@ use lumistack_testkit::statistics::z_limit;
 
 use crate::common::{lumistack, root, succeed};
 
-/// Cases with scenes of their own.
+/// Cases that have scenes of their own.
 const CASES: [&str; 3] = ["glass", "letters", "still-life"];
-/// Columns and rows, whatever the case has.
+/// Columns and rows of the pictures, for all cases.
 const SIZE: [usize; 2] = [84, 52];
-/// Samples of a golden picture, and of the one that is compared.
+/// Samples of a golden picture, and of the picture that is compared with it.
 const SAMPLES: [usize; 2] = [4096, 64];
 /// Pixels of a block's side.
 const BLOCK: usize = 4;
-/// Rate at which all tests of a case together may fail by chance.
+/// Probability that any of a case's tests fails by chance.
 const FALSE_ALARM_RATE: f64 = 1e-2;
-/// Share of pixels that may fail although nothing is wrong: 64 samples of a caustic are not normally distributed.
+/// Share of pixels that may fail in a correct picture: 64 samples of a caustic are not normally
+/// distributed.
 const OUTLIERS: f64 = 0.0025;
 /// Golden pictures are rounded to 11 bits.
 const ROUNDING: f64 = 1.0 / 2048.0;
@@ -68,7 +71,7 @@ impl Picture {
         Self { mean: three(), variance: three() }
     }
 
-    /// With few bits, since the others are noise that does not compress.
+    /// Writes with few bits, since the others are noise that does not compress.
     fn write(&self, path: &Path) {
         let rounded = |values: &Vec<f64>| -> Vec<f32> {
             values
@@ -81,7 +84,8 @@ impl Picture {
         write_exr_channels(path, SIZE, &channels).unwrap();
     }
 
-    /// What is wrong with a picture of `samples[1]` samples if this one, of `samples[0]`, is right.
+    /// Returns the first failed test of a picture of `samples[1]` samples against this one of
+    /// `samples[0]`.
     fn problem(&self, other: &Self, samples: [usize; 2]) -> Option<String> {
         let [cols, rows] = SIZE;
         let share = samples[0] as f64 / samples[1] as f64;
@@ -130,7 +134,7 @@ impl Picture {
     }
 }
 
-/// Every channel of a file with its name, sorted by name as files hold them.
+/// All channels of a file with their names, sorted by name as in the file.
 fn channels(path: &Path) -> Vec<(String, Vec<f64>)> {
     let image = read().no_deep_data().largest_resolution_level().all_channels().first_valid_layer().all_attributes();
     let image = image.from_file(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
@@ -139,9 +143,9 @@ fn channels(path: &Path) -> Vec<(String, Vec<f64>)> {
     list.map(|channel| (channel.name.to_string(), of(&channel.sample_data))).collect()
 }
 
-/// With LUMISTACK_WRITE=1 the golden pictures are rendered anew.
+/// LUMISTACK_WRITE=1 renders the golden pictures anew.
 #[test]
-fn renders_are_what_they_were_but_for_noise() {
+fn renders_differ_from_golden_pictures_only_by_noise() {
     let renew = std::env::var_os("LUMISTACK_WRITE").is_some();
     let mut wrong = Vec::new();
     for name in CASES {
@@ -153,7 +157,7 @@ fn renders_are_what_they_were_but_for_noise() {
         }
         let golden = Picture::read(&golden);
         let now = Picture::render(&case.join("job.toml"), SAMPLES[1], 2, &folder.path().join("now"));
-        // a test that lets this pass is none
+        // the tests must detect this change
         let brighter = Picture { mean: now.mean.clone().map(|c| c.iter().map(|v| 1.02 * v).collect()), ..now.clone() };
         assert!(golden.problem(&brighter, SAMPLES).is_some(), "{name}: 2 % more light is not found");
         if let Some(problem) = golden.problem(&now, SAMPLES) {
@@ -161,7 +165,7 @@ fn renders_are_what_they_were_but_for_noise() {
             std::fs::create_dir_all(&left).unwrap();
             Picture::save_png(|c, i| now.mean[c][i], &left.join("picture.png"));
             Picture::save_png(|c, i| golden.mean[c][i], &left.join("reference.png"));
-            // grey where they agree, in standard errors
+            // grey for equal values; the unit is the standard error
             let error = |c: usize, i: usize| (golden.variance[c][i] * (SAMPLES[0] / SAMPLES[1] + 1) as f64).sqrt();
             let off = |c: usize, i: usize| 0.2 + 0.04 * (now.mean[c][i] - golden.mean[c][i]) / (error(c, i) + 1e-9);
             Picture::save_png(off, &left.join("difference.png"));

@@ -1,4 +1,4 @@
-//! What makes a scene look right: tone curves, depth budget, depth that fits the display.
+//! The appearance of a scene: tone curves, depth of field, and depth that fits the display.
 
 use std::path::Path;
 use std::process::Command;
@@ -26,7 +26,7 @@ fn info(folder: &Path, key: &str) -> Value {
 }
 
 #[test]
-fn the_curve_is_stated_and_another_one_renders_nothing_again() {
+fn the_tone_curve_is_reported_and_another_one_renders_nothing_again() {
     let folder = tempfile::tempdir().unwrap();
     let views = folder.path().join("views");
     let small = ["--resolution", "42x26", "--samples", "2", "--max-bounces", "2"];
@@ -46,7 +46,7 @@ fn the_curve_is_stated_and_another_one_renders_nothing_again() {
     assert!(fail(lumistack().args(["run", "nothing.gltf"])).contains("nothing.gltf"));
 }
 
-/// When the last picture below a folder was written.
+/// Time of the newest picture below a folder.
 fn newest(folder: &Path) -> std::time::SystemTime {
     let mut last = std::time::SystemTime::UNIX_EPOCH;
     for entry in std::fs::read_dir(folder).unwrap() {
@@ -60,14 +60,15 @@ fn newest(folder: &Path) -> std::time::SystemTime {
     last
 }
 
-/// A window that stands far before the scene: nothing of it lies in the depth of field. Moved, some does; compressed, nearly all, and the patterns come closer to
-/// what they should show.
+/// A window far in front of the scene: none of it lies in the depth of field. With the window
+/// moved, some does. With compressed depth, nearly all does, and the patterns match their target
+/// better.
 #[test]
-fn depth_that_is_fitted_is_shown_better() {
+fn fitted_depth_raises_the_quality() {
     let folder = tempfile::tempdir().unwrap();
     let scene = root().join("scenes/still-life/still-life.gltf");
     let job = folder.path().join("job.toml");
-    // its own camera's window, 350 mm nearer to the viewer
+    // the window of the scene's camera, moved 350 mm towards the viewer
     let place = "centre = [0.0, 0.142, 0.32]\nforward = [0.0, -0.4067, -0.9135]\nup = [0.0, 1.0, 0.0]\nwidth = 0.475";
     let window = format!("from = \"given\"\n{place}");
     let text = format!(
@@ -104,27 +105,27 @@ fn depth_that_is_fitted_is_shown_better() {
     assert!(warned(&off) && !warned(&compressed));
 }
 
-/// Told before anything is rendered, and the same as after.
+/// Reported before rendering, and equal to the figures after it.
 #[test]
-fn info_tells_how_deep_a_scene_is_for_a_display() {
+fn info_reports_the_depth_of_a_scene_for_a_display() {
     let folder = tempfile::tempdir().unwrap();
     let scene = root().join("scenes/still-life/still-life.gltf");
     let job = folder.path().join("job.toml");
     let display = "[display]\npreset = \"paper-three-layer\"\nresolution = [84, 52]";
     std::fs::write(&job, format!("scene = {scene:?}\n{display}\n[render]\nsamples = 1\nmax_bounces = 0\n")).unwrap();
-    let told = |flags: &[&str]| -> Value {
+    let reported = |flags: &[&str]| -> Value {
         let mut info = lumistack();
         info.arg("--json").arg("info").arg(&job).args(["--display", "paper-three-layer"]).args(flags);
         serde_json::from_str::<Value>(&succeed(&mut info)).unwrap()["on the display"].clone()
     };
-    let plain = told(&[]);
+    let plain = reported(&[]);
     let rendered = succeed(lumistack().arg("render").arg(&job).arg("-o").arg(folder.path().join("views")));
     assert!(rendered.contains(plain["depth budget"].as_str().unwrap()), "{rendered}\n{plain}");
-    let inside = |told: &Value| number(&told["depth"], "inside");
+    let inside = |reported: &Value| number(&reported["depth"], "inside");
     assert!((0.0..=1.0).contains(&inside(&plain)) && number(&plain, "covered share of the window") > 0.25);
-    let unfitted = told(&["--fit-depth=off"]);
-    assert!(inside(&plain) > inside(&unfitted).max(0.9), "depth is fitted unless told otherwise");
-    assert!(inside(&told(&["--fit-depth=compress"])) > inside(&unfitted).max(0.9));
+    let unfitted = reported(&["--fit-depth=off"]);
+    assert!(inside(&plain) > inside(&unfitted).max(0.9), "depth is fitted by default");
+    assert!(inside(&reported(&["--fit-depth=compress"])) > inside(&unfitted).max(0.9));
     assert!(plain["memory"]["in all"].as_str().unwrap().ends_with(" MB"));
     let text = succeed(lumistack().arg("info").arg(&scene).args(["--display", "paper-three-layer"]));
     assert!(text.contains("depth of field") && text.contains("coarser levels of images"), "{text}");

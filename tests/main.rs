@@ -1,5 +1,8 @@
-//! End-to-end tests: whole runs of the binary, of the repository's own jobs and of other people's files. One program for all, so that one is linked and its tests
-//! share the processors; `cargo test -p lumistack-cli --test end_to_end store::` runs those of one file.
+//! End-to-end tests: whole runs of the binary, on the repository's own jobs and on files of other
+//! projects.
+//!
+//! All tests are one program, so that only one is linked and its tests share the processors. `cargo
+//! test -p lumistack-cli --test end_to_end store::` runs those of one file.
 
 mod common;
 

@@ -2,7 +2,7 @@
 
 usage: metrics_reference.py [MAPS_DIR]     prints tests/metrics_reference.json; with a folder, writes every FLIP map there as raw float32
 
-Pictures are integer formulas of row, column and channel, so that other languages make the same code values. Values are code/255, sRGB-encoded.
+Pictures are integer formulas of row, column and channel, so that other languages compute the same code values. Values are code/255, sRGB-encoded.
 SSIM is per channel, then the mean; pictures smaller than its window are mirrored at the edges and all their pixels count (win_size=1).
 """
 import json
@@ -28,7 +28,7 @@ def noise(seed, rows, cols):
 
 
 def smooth(seed, rows, cols):
-    """Bilinear between noise at every eighth pixel."""
+    """Bilinear interpolation of noise at every eighth pixel."""
     rows, cols = np.array(rows), np.array(cols)
     fr, fc = (rows % 8)[:, None, None], (cols % 8)[None, :, None]
     corner = lambda dr, dc: noise(seed, rows // 8 + dr, cols // 8 + dc)

@@ -1,11 +1,12 @@
-//! What leaves a run: outputs read by other people's software, light fields from source plugins, files in parameters.
+//! Outputs of runs, read by independent software; light fields from source plugins; files in
+//! parameters.
 
 use std::path::Path;
 use std::process::Command;
 
 use crate::common::{fail, files, lumistack, number, report, root, succeed};
 
-/// Whether a stage of a report came from the run before.
+/// True if a stage was cached by an earlier run.
 fn cached(run: &Path, name: &str) -> bool {
     let report = report(run);
     let stages = report["stages"].as_array().unwrap();
@@ -18,7 +19,7 @@ fn run_job(job: &Path, run: &Path) -> String {
 }
 
 #[test]
-fn other_peoples_software_reads_every_output() {
+fn independent_software_reads_every_output() {
     let Some(python) = lumistack_testkit::skip::python_with("numpy, PIL, OpenEXR") else { return };
     let folder = tempfile::tempdir().unwrap();
     let run = folder.path().join("run");
@@ -52,14 +53,14 @@ fn a_source_makes_the_light_field_once() {
     assert!(number(&report(&run), "psnr_view") > 10.0);
     run_job(&job, &run);
     assert!(cached(&run, "test_views") && cached(&run, "factorize") && cached(&run, "output-images"));
-    // what stands in the folder is not what the source made any more
+    // the folder no longer contains the source's light field
     std::fs::copy(run.join("target/view_00_00.exr"), run.join("target/view_00_02.exr")).unwrap();
     run_job(&job, &run);
     assert!(!cached(&run, "test_views"));
     std::fs::write(&job, NUMBERS.replace("12 }", "6 }")).unwrap();
     run_job(&job, &run);
     assert!(!cached(&run, "test_views") && made != files(&run.join("target")));
-    // the job in the run's folder stands for the same run
+    // the job in the run's folder describes the same run
     run_job(&run.join("job.toml"), &run);
     assert!(cached(&run, "test_views"));
 }
@@ -105,7 +106,7 @@ fn files_in_parameters_are_the_jobs_own() {
     std::fs::create_dir(folder.path().join("sub")).unwrap();
     let output = "[[outputs]]\nplugin = \"quilt\"\nparams = { columns = 3, rows = 1, calibration = \"screen.json\" }\n";
     std::fs::write(&job, format!("{NUMBERS}{output}")).unwrap();
-    // told before any work begins
+    // refused before any work begins
     let error = fail(lumistack().arg("run").arg(&job).arg("-o").arg(&run));
     assert!(error.contains("outputs[0].params.calibration: expected a readable file"), "{error}");
     assert!(error.contains("screen.json") && !run.exists(), "{error}");
@@ -121,11 +122,11 @@ fn files_in_parameters_are_the_jobs_own() {
     let before = native();
     run_job(&job, &run);
     assert!(cached(&run, "output-quilt"));
-    // another calibration of the same length under the same name
+    // a different calibration of the same length and name
     screen(0.75);
     run_job(&job, &run);
     assert!(!cached(&run, "output-quilt") && cached(&run, "factorize") && before != native());
-    // from another folder the run's own job finds the file
+    // the run's own job finds the file from another folder
     succeed(lumistack().arg("run").arg(run.join("job.toml")).arg("-o").arg(&run).current_dir(folder.path()));
     assert!(cached(&run, "output-quilt"));
 }

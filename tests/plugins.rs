@@ -1,4 +1,4 @@
-//! Plugins in libraries, as the program runs them: in processes of their own, which may end as they like.
+//! Plugins in libraries, which the program runs in child processes: these may end in any way.
 
 #![cfg(unix)]
 
@@ -8,12 +8,12 @@ use std::time::{Duration, Instant};
 
 use crate::common::{fail, lumistack, root, succeed};
 
-/// A name of a library.
+/// File name of a plugin's library.
 fn file_name(id: &str) -> String {
     format!("{}lumistack_plugin_{id}{}", std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX)
 }
 
-/// Builds the plugin that ends its process as told.
+/// Builds the plugin that ends its process on request.
 fn hostile(folder: &Path, id: &str, in_entry: &str) {
     let mut cc = Command::new(std::env::var_os("CC").unwrap_or_else(|| "cc".into()));
     cc.args(["-std=c11", "-O0", "-shared", "-fPIC", "-I"]).arg(root().join("crates/plugin-abi/include"));
@@ -22,7 +22,7 @@ fn hostile(folder: &Path, id: &str, in_entry: &str) {
     assert!(cc.status().expect("a C compiler").success());
 }
 
-/// A small job with two outputs, one of which has this fault.
+/// A small job with two outputs, of which one has this fault.
 fn job(folder: &Path, fault: &str) -> PathBuf {
     let text = format!(
         "[source]\nplugin = \"test_views\"\nparams = {{ pattern = \"cards\", depth_mm = 12 }}\n\n\
@@ -55,7 +55,7 @@ fn a_plugin_that_crashes_costs_its_own_output_alone() {
         assert!(text.contains(&expected), "{text}");
         assert!(outputs.join("images").is_dir() && !outputs.join("hostile").exists(), "{fault}");
     }
-    // the program's own output is not the plugin's
+    // the program's own output is unaffected
     let text = succeed(&mut run(folder.path(), "submit:print"));
     assert!(!text.contains("printed by a plugin"), "{text}");
     assert_eq!(std::fs::read_to_string(outputs.join("hostile/a.txt")).unwrap(), "written");
@@ -82,7 +82,7 @@ fn libraries_that_end_their_process_are_listed_with_the_cause() {
     assert!(text.contains("sound 1.0.0 (output, "), "{text}");
     let cause = format!("its process ({}) ended itself with exit code 0 while it was loaded", file_name("exits"));
     assert!(text.contains(&cause) && text.contains("images "), "{text}");
-    // no other command loads what nobody names
+    // no other command loads a plugin that is not named
     let marks = folder.path().join("marks");
     std::fs::create_dir(&marks).unwrap();
     let mut render = lumistack();

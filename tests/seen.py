@@ -1,8 +1,8 @@
-"""An independent model of the seen picture and of psnr_zone: DESIGN's geometry written out for single rays, many of them per pixel.
+"""An independent model of the seen picture and of psnr_zone: many single rays per pixel, through nearest pixels of the layers.
 
 usage: seen.py RUN [RAYS_PER_PIXEL_AND_AXIS]   (a run of a scene with tone = "linear"; nearest, drop; any pitch, offset, projection and backlight)
 
-Prints psnr_zone and psnr_zone_worst_tenth as this model finds them.
+Prints psnr_zone and psnr_zone_worst_tenth of this model.
 """
 import glob
 import json
@@ -37,7 +37,7 @@ def picture(direction, half):
 def runs(slope, side):
     """Along one axis (0: x), `many` rays through every pixel, and of those that read the same everywhere one, with their share of the pixel's width.
 
-    Gives places[part][run, pixel], bins[run, pixel], shares[run, pixel] and whether the run meets all parts.
+    Gives places[part][run, pixel], bins[run, pixel], shares[run, pixel] and whether the run crosses all parts.
     """
     count, sign = ((cols, 1), (rows, -1))[side]
     offset = ((np.arange(many) + 0.5) / many - 0.5)[:, None]

@@ -1,4 +1,4 @@
-//! Sequences: warm start from time to time, flicker, resuming, and one error for light fields that do not belong together.
+//! Sequences: warm starts, flicker, resuming, and one error for light fields that do not match.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -8,18 +8,20 @@ use serde_json::Value;
 
 use crate::common::{fail, files, lumistack, number, report, root, succeed, write_test_field};
 
-/// How much 5 iterations from the patterns of the time before may be worse than 30 from nothing, dB, with the paper's rule.
+/// Largest deficit of 5 iterations from a warm start against 30 from a fresh start, dB, with the
+/// paper's rule.
 const WARM_LOSS_DB: f64 = 1.0;
-/// How much better they are at least than 5 from nothing, dB, with any solver.
+/// Least gain over 5 iterations from a fresh start, dB, with any solver.
 const WARM_GAIN_DB: f64 = 1.0;
-/// Exposures of one sequence, relative.
+/// Largest relative difference of exposures within a sequence.
 const SAME_EXPOSURE: f64 = 1e-9;
 
 const FLAGS: [&str; 6] = ["--fov", "20x20", "--pitch-mm", "3", "--frames", "4"];
 const VIEWS: [usize; 2] = [3, 5];
 const SIZE: [usize; 2] = [40, 64];
 
-/// A light field as `.npy`: a textured plane 30 mm behind the display, `shift` pixels to the right.
+/// Writes a light field as `.npy`: a textured plane 30 mm behind the display, `shift` pixels to the
+/// right.
 fn write_moving_field(path: &Path, shift: f64, [rows, cols]: [usize; 2]) {
     use npyz::WriterBuilder;
     let [views_y, views_x] = VIEWS;
@@ -45,11 +47,11 @@ fn write_moving_field(path: &Path, shift: f64, [rows, cols]: [usize; 2]) {
     writer.finish().unwrap();
 }
 
-/// `count` times in which the plane moves by `step` pixels each.
+/// Writes `count` time steps; the plane moves by `step` pixels per time step.
 fn moving(folder: &Path, count: usize, step: f64) -> PathBuf {
     let times = folder.join("times");
     std::fs::create_dir(&times).unwrap();
-    // names whose order as texts is not that of their numbers
+    // names whose alphabetical order differs from that of their numbers
     (0..count).for_each(|time| write_moving_field(&times.join(format!("f{}.npy", time + 8)), step * time as f64, SIZE));
     times
 }
@@ -87,12 +89,14 @@ fn a_warm_start_saves_iterations() {
         if solver == "multiplicative" {
             assert!(warm > many - WARM_LOSS_DB, "{warm} dB, 30 from nothing {many} dB");
         }
-        // every time started where the one before ended: better than nothing at all, and worse than where it ended
+        // every time step starts from the result of the previous one: better than a fresh start,
+        // and worse than that result
         assert!(times[1..].iter().all(|time| number(time, "psnr_start") < number(time, "psnr_view")));
     }
 }
 
-/// In the middle of a sequence the picture cuts to another: there the patterns of the time before are no start.
+/// A cut in the middle of a sequence: the patterns of the previous time step are not a good start
+/// there.
 #[test]
 fn a_cut_starts_fresh() {
     let folder = tempfile::tempdir().unwrap();
@@ -110,7 +114,7 @@ fn a_cut_starts_fresh() {
     succeed(factorize(&shot(2), &alone).args(["--iterations", "5"]));
     let (cut, fresh) = (number(&times[2], "psnr_view"), number(&report(&alone), "psnr_view"));
     assert!(cut > fresh - 1e-6, "{cut} dB at the cut, {fresh} dB from a fresh start");
-    // the time's own job says what was done, and does it again
+    // the time step's own job states its start, and repeats it
     let patterns = files(&run.join("t0003/layers"));
     let again = folder.path().join("again");
     succeed(lumistack().arg("run").arg(run.join("t0003/job.toml")).arg("-o").arg(&again));
@@ -118,7 +122,7 @@ fn a_cut_starts_fresh() {
 }
 
 #[test]
-fn what_stands_still_does_not_flicker() {
+fn static_content_does_not_flicker() {
     let folder = tempfile::tempdir().unwrap();
     let input = moving(folder.path(), 3, 0.0);
     let run = folder.path().join("run");
@@ -128,7 +132,7 @@ fn what_stands_still_does_not_flicker() {
     assert_eq!((&frozen[0]["psnr_change"], &frozen[1]["psnr_change"]), (&Value::Null, &"Infinity".into()));
     assert_eq!((number(&frozen[2], "still_share"), number(&frozen[2], "psnr_still")), (1.0, f64::INFINITY));
     assert!(files(&run.join("t0001/layers")) == files(&run.join("t0003/layers")));
-    // a solver that goes on changes little, and less and less
+    // a solver that continues changes little, and less with each time step
     succeed(factorize(&input, &run).args(flags).arg("5"));
     let settling = times(&run);
     let change = [1, 2].map(|time| number(&settling[time], "psnr_change"));
@@ -136,7 +140,7 @@ fn what_stands_still_does_not_flicker() {
         change[0] > number(&settling[0], "psnr_view") && change[1] > change[0] && change[1].is_finite(),
         "{change:?}"
     );
-    // what moves flickers more
+    // moving content flickers more
     let other = folder.path().join("other");
     std::fs::create_dir(&other).unwrap();
     succeed(factorize(&moving(&other, 3, 2.0), &run).args(flags).arg("5"));
@@ -145,7 +149,7 @@ fn what_stands_still_does_not_flicker() {
 }
 
 #[test]
-fn a_light_field_that_does_not_belong_stops_a_sequence_and_nothing_is_done_twice() {
+fn a_mismatched_light_field_stops_a_sequence_and_finished_time_steps_are_kept() {
     let folder = tempfile::tempdir().unwrap();
     let input = moving(folder.path(), 4, 2.0);
     let run = folder.path().join("run");
@@ -164,7 +168,7 @@ fn a_light_field_that_does_not_belong_stops_a_sequence_and_nothing_is_done_twice
     let cached = |run: &Path| times(run).iter().map(|time| time["cached"].as_bool().unwrap()).collect::<Vec<_>>();
     assert_eq!(cached(&run), [true, true, false, false]);
     let parts = |list: &[(PathBuf, std::time::SystemTime)]| {
-        // settings are written by every run
+        // every run writes its settings
         list.iter().filter(|(path, _)| path.extension().is_none_or(|e| e != "toml")).cloned().collect::<Vec<_>>()
     };
     for (time, before) in ["t0001", "t0002"].iter().zip(&before) {
@@ -172,7 +176,7 @@ fn a_light_field_that_does_not_belong_stops_a_sequence_and_nothing_is_done_twice
     }
 }
 
-/// Every file below a folder and when it was written.
+/// All files below a folder with their times.
 fn written(folder: &Path) -> Vec<(PathBuf, std::time::SystemTime)> {
     let mut list = Vec::new();
     for (path, _) in files(folder) {
@@ -184,7 +188,7 @@ fn written(folder: &Path) -> Vec<(PathBuf, std::time::SystemTime)> {
 
 #[cfg(unix)]
 #[test]
-fn an_interrupted_sequence_goes_on_from_the_times_that_are_finished() {
+fn an_interrupted_sequence_resumes_after_its_finished_time_steps() {
     let folder = tempfile::tempdir().unwrap();
     let input = moving(folder.path(), 6, 2.0);
     let (stopped, whole) = (folder.path().join("stopped"), folder.path().join("whole"));
@@ -228,7 +232,7 @@ fn a_window_moves_through_a_scene() {
     assert!(files(&run.join("t0001/target")) != files(&run.join("t0002/target")));
     assert!(times(&run)[1]["source"].as_str().unwrap().contains("turned by 15.0°, moved by (10.0, 0.0, 0.0) mm"));
     assert!(!run.join("t0002/report.html").exists());
-    // every time is a job of its own
+    // every time step is a job of its own
     let patterns = files(&run.join("t0002/layers"));
     succeed(lumistack().arg("run").arg(run.join("t0002/job.toml")).arg("-o").arg(run.join("t0002")));
     let stages = report(&run.join("t0002"))["stages"].clone();
@@ -237,7 +241,7 @@ fn a_window_moves_through_a_scene() {
     assert!(patterns == files(&run.join("t0002/layers")));
 }
 
-/// A square that glides by half of its width in one second, red or blue.
+/// A red or blue square that moves by half of its width in one second.
 fn write_gliding_square(path: &Path) {
     use base64::Engine;
     let mut bin: Vec<u8> = Vec::new();
@@ -287,7 +291,8 @@ fn an_animated_scene_plays() {
     let target = |run: &Path| files(&run.join("target"));
     assert!(target(&run.join("t0001")) != target(&run.join("t0002")));
     assert!(target(&run.join("t0002")) != target(&run.join("t0003")));
-    // the last time is a job of its own, which knows its pose; another pose in the same folder is not taken from the cache
+    // The last time step is a job of its own, with its pose. Another pose in the same folder is not
+    // taken from the cache.
     let last = run.join("t0003");
     let before = target(&last);
     succeed(lumistack().arg("run").arg(last.join("job.toml")).arg("-o").arg(&last));

@@ -1,4 +1,5 @@
-//! Panels on real compositors: what every output shows, in which order, and what happens when something changes or goes away.
+//! Panels on real compositors: the content and order of frames on every output, and the reaction to
+//! changes and losses of outputs.
 
 #![cfg(feature = "panels")]
 
@@ -15,7 +16,8 @@ use crate::common::{self, poke};
 
 const FRAMES: usize = 4;
 
-/// Three layers for the three outputs: one pixel for pixel; one upside down with a gamma of its own; one whose mask pixels are 2 × 2 panel pixels, mirrored.
+/// Three layers for the three outputs. One is pixel for pixel; one is upside down with a gamma of
+/// its own; one is mirrored, and its mask pixels are 2 × 2 panel pixels.
 fn display(outputs: &[Screen]) -> Display {
     let mut display = Display::uniform([320, 180], 0.5, [3, 3], [10.0, 10.0], &[-10.0, 0.0, 10.0], FRAMES);
     display.brightness = 0.5;
@@ -32,13 +34,14 @@ fn display(outputs: &[Screen]) -> Display {
     display
 }
 
-/// Codes of a mask, `[row][col][rgb]`: noise that tells frames and stacks apart, under a strip that names the frame.
+/// Codes of a mask, `[row][col][rgb]`: noise that differs by frame and stack, under a strip that
+/// identifies the frame.
 fn codes(seed: u64, layer: usize, frame: usize, [cols, rows]: [usize; 2]) -> Vec<u8> {
     let mut random = Stream::new(1000 * seed + 100 * layer as u64 + frame as u64);
     let noise = (0..rows * cols * 3).map(|_| (random.next_u64() & 255) as u8);
     let mut codes: Vec<u8> = noise.collect();
     for (i, pixel) in codes.chunks_exact_mut(3).enumerate().take(20 * cols) {
-        // one stripe per frame, bright where it is this one
+        // one stripe per frame, bright for the current one
         let lit = i % cols * FRAMES / cols == frame;
         pixel.fill(if lit { 255 } else { 20 });
     }
@@ -51,7 +54,7 @@ fn write_run(folder: &Path, display: &Display, seed: u64) {
     for (n, layer) in stack.layers.iter_mut().enumerate() {
         for frame in 0..FRAMES {
             let codes = codes(seed, n, frame, display.layers[n].resolution);
-            // the light whose code this is
+            // the light that has this code
             let light = |code: u8| {
                 let code = f32::from(code) / 255.0;
                 if n == 1 { code * code } else { code }
@@ -63,7 +66,8 @@ fn write_run(folder: &Path, display: &Display, seed: u64) {
     lumistack_field_io::write_stack(&folder.join("layers"), display, &stack).unwrap();
 }
 
-/// What an output must show, worked out pixel by pixel from the codes and how the panels are mounted.
+/// The expected picture of an output, computed pixel by pixel from the codes and the mounting of
+/// the panel.
 fn expected(seed: u64, n: usize, frame: usize, [cols, rows]: [usize; 2]) -> Picture {
     let mask = if n == 2 { [cols / 2, rows / 2] } else { [cols, rows] };
     let codes = codes(seed, n, frame, mask);
@@ -79,7 +83,7 @@ fn expected(seed: u64, n: usize, frame: usize, [cols, rows]: [usize; 2]) -> Pict
     Picture { size: [cols, rows], rgb }
 }
 
-/// Which frame of which stack a picture is, exactly.
+/// The seed of the stack and the frame that equal a picture exactly.
 fn frame_of(picture: &Picture, n: usize, seeds: &[u64]) -> Option<(u64, usize)> {
     let all = seeds.iter().flat_map(|seed| (0..FRAMES).map(move |frame| (*seed, frame)));
     all.into_iter().find(|(seed, frame)| *picture == expected(*seed, n, *frame, picture.size))
@@ -99,7 +103,7 @@ fn every_output_shows_its_layer_pixel_for_pixel() {
             wait_for(&format!("frame {frame} on {name}"), || session.grim(name).filter(|shown| *shown == wanted));
         }
     }
-    // a nudge moves the picture at once, and is kept in the file
+    // a nudge moves the picture at once, and is saved in the file
     show.tell("nudge 0 3 -2");
     let plain = expected(1, 0, 0, SWAY[0].1);
     let moved = wait_for("the nudge", || session.grim(SWAY[0].0).filter(|shown| *shown != plain));
@@ -114,7 +118,7 @@ fn every_output_shows_its_layer_pixel_for_pixel() {
 }
 
 #[test]
-fn frames_run_in_order_and_what_is_late_is_counted() {
+fn frames_run_in_order_and_late_ones_are_counted() {
     let Some(session) = Session::sway(&SWAY) else { return };
     let folder = tempfile::tempdir().unwrap();
     write_run(folder.path(), &display(&SWAY), 1);
@@ -127,7 +131,7 @@ fn frames_run_in_order_and_what_is_late_is_counted() {
     let rows: Vec<Vec<f64>> =
         text.lines().skip(1).map(|line| line.split(',').map(|number| number.parse().unwrap()).collect()).collect();
     assert_eq!(rows.len() as u64, report["refreshes"].as_u64().unwrap());
-    // a loaded machine may be slow; what it shows must be in order
+    // a busy machine may be slow, but the order must be right
     assert!(rows.len() > 100, "{} refreshes in 10 s", rows.len());
     for (i, row) in rows.iter().enumerate() {
         assert_eq!((row[0] as usize, row[1] as usize), (i, i % FRAMES));
@@ -136,7 +140,7 @@ fn frames_run_in_order_and_what_is_late_is_counted() {
     let late = rows.windows(2).filter(|pair| pair[1][3] - pair[0][3] > 1.5 * interval).count() as i64;
     // the log has microseconds
     assert!((report["submitted"]["late"].as_i64().unwrap() - late).abs() <= 1, "{late} gaps in the log");
-    // where the compositor tells when pictures were shown, they came in order, and the skew is known
+    // if the compositor reports presentation times, they rise, and the skew is known
     if report["presented"].as_object().is_some_and(|presented| !presented.is_empty()) {
         for (name, ..) in SWAY {
             assert_eq!(report["presented"][name]["out_of_order"], 0, "{report}");
@@ -167,7 +171,7 @@ fn a_stack_that_is_written_anew_replaces_the_old_one() {
     assert!(show.quit()["swaps"].as_u64().unwrap() >= 3);
 }
 
-/// Every capture of the whole layout must be one frame of one stack, on every output the same.
+/// Every screenshot of the whole layout must be one frame of one stack, the same on every output.
 fn one_frame_per_capture(
     capture: impl Fn() -> Option<Picture>,
     outputs: &[Screen],
@@ -207,7 +211,7 @@ fn one_frame_per_capture(
         frames.insert(last.1);
         captures += 1;
     }
-    // the last stack is the one that stays
+    // the last stack remains
     wait_for("the last stack", || capture().and_then(|whole| seen(&whole)).filter(|parts| parts[0].0 == 3));
     println!("{captures} captures, frames {frames:?}, stacks {seeds:?}: one frame index each; {}", show.quit());
     assert!(captures >= 50 && frames.len() >= 2);
@@ -219,7 +223,8 @@ fn one_surface_across_all_outputs_never_mixes_frames_on_x11() {
     one_frame_per_capture(|| session.import(), &XORG, &session, [0, 0]);
 }
 
-/// Captures of several outputs of sway are taken one after the other, so only frames that are kept can be compared.
+/// Screenshots of several outputs of sway are taken one after another, so only held frames can be
+/// compared.
 #[test]
 fn one_surface_reaches_across_the_outputs_of_sway() {
     let Some(session) = Session::sway(&SWAY) else { return };
@@ -280,7 +285,8 @@ fn outputs_that_are_missing_are_named() {
     assert!(text.contains(expected), "{text}");
 }
 
-/// What happens when an output goes or changes: the message, exit code 1, the display file as it was, what was shown so far.
+/// Checks the end after the loss or change of an output: the message, exit code 1, the unchanged
+/// display file, and the report until then.
 fn must_end(mut show: Show, folder: &Path, file: &str, expected: &str) {
     let report = show.event("report");
     assert!(report["refreshes"].as_u64().unwrap() > 0, "{report}");
@@ -381,9 +387,9 @@ fn a_session_that_ends_ends_the_presentation() {
     }
 }
 
-/// sway on Xorg passes on when the X server showed a picture.
+/// sway on Xorg reports the X server's presentation times.
 #[test]
-fn where_the_platform_tells_late_frames_and_skew_come_from_it() {
+fn late_frames_and_skew_follow_from_reported_presentation_times() {
     let Some(session) = Session::sway_on_x(&ON_X) else { return };
     let folder = tempfile::tempdir().unwrap();
     write_run(folder.path(), &display(&ON_X), 1);
@@ -396,22 +402,22 @@ fn where_the_platform_tells_late_frames_and_skew_come_from_it() {
         assert!(shown["shown"].as_u64().unwrap() > 20, "{report}");
         assert_eq!(shown["out_of_order"], 0, "{report}");
     }
-    // outputs of one server on a busy machine: more than nothing, less than a second
+    // outputs of one server on a busy machine: above 0, below a second
     let skew = report["skew_mean_s"].as_f64().unwrap();
     assert!((0.0..1.0).contains(&skew), "{report}");
 }
 
-/// Without a window manager a single press of a key arrives, whoever had the keys before.
+/// Without a window manager a key press arrives, independent of the earlier focus.
 #[test]
 fn a_bare_x_server_sends_keys_to_the_presentation() {
     let Some(session) = Session::xorg(&XORG) else { return };
     let folder = tempfile::tempdir().unwrap();
     write_run(folder.path(), &display(&XORG), 1);
     let mut poke = poke::Poke::new(session.x_display());
-    // outside of the rehearsal's window, so that no key comes to it by way of the pointer
+    // outside the preview window, so that no key arrives by way of the pointer
     poke.point([1300, 300]);
     let (root, other) = (poke.root, poke.window());
-    for options in [&["--hold", "1"][..], &["--span"], &["--rehearse"]] {
+    for options in [&["--hold", "1"][..], &["--span"], &["--preview"]] {
         for before in [poke::NOBODY, poke::POINTER_ROOT, root, other] {
             poke.focus(before);
             let mut show = Show::start(&session, folder.path(), options);
@@ -423,13 +429,13 @@ fn a_bare_x_server_sends_keys_to_the_presentation() {
     }
     let mut show = Show::start(&session, folder.path(), &["--hold", "0"]);
     show.event("swapped");
-    // a window manager does as it likes
+    // a window manager decides about the focus
     poke.manage(true);
     poke.focus(root);
     std::thread::sleep(Duration::from_millis(300));
     assert_eq!(poke.focused(), root);
     poke.manage(false);
-    // who takes the keys keeps them, and when it goes they come back
+    // a window that takes the focus keeps it, and when it closes the focus returns
     poke.focus(other);
     std::thread::sleep(Duration::from_millis(300));
     assert_eq!(poke.focused(), other);
@@ -437,7 +443,7 @@ fn a_bare_x_server_sends_keys_to_the_presentation() {
     wait_for("the keys", || (poke.focused() > 1).then_some(()));
     let (name, size, at) = XORG[0];
     wait_for("frame 0", || session.import().filter(|all| all.part(at, size) == expected(1, 0, 0, size)));
-    // Tab chooses the next panel
+    // Tab selects the next panel
     for key in [poke::RIGHT, poke::UP, poke::RIGHT, poke::UP, poke::RIGHT, poke::TAB, poke::DOWN] {
         poke.key(key);
     }
@@ -454,7 +460,8 @@ fn a_bare_x_server_sends_keys_to_the_presentation() {
     assert!(show.ended().0.success());
 }
 
-/// Presentations that end at any moment, in every way, do so quickly and without a crash: some before they have begun. `LUMISTACK_PANELS_TURNS` is how many.
+/// Presentations that are ended at any time, in every way, end quickly and without a crash, some
+/// before they have begun. `LUMISTACK_PANELS_TURNS` is their number.
 fn starts_and_stops(session: &Session, name: &str, turns: usize, key: &mut dyn FnMut(u32)) {
     let turns = std::env::var("LUMISTACK_PANELS_TURNS").ok().and_then(|turns| turns.parse().ok()).unwrap_or(turns);
     let folder = tempfile::tempdir().unwrap();
@@ -462,11 +469,11 @@ fn starts_and_stops(session: &Session, name: &str, turns: usize, key: &mut dyn F
     let mut random = Stream::new(7);
     let mut ended = std::collections::BTreeMap::<String, usize>::new();
     for turn in 0..turns {
-        let options = [&[][..], &["--hold", "1"], &["--span"], &["--rehearse"]][turn % 4];
+        let options = [&[][..], &["--hold", "1"], &["--span"], &["--preview"]][turn % 4];
         let mut show = Show::start(session, folder.path(), options);
         std::thread::sleep(Duration::from_secs_f32(1.5 * random.next_f32()));
         let way = ["quit", "interrupt", "terminate", "escape", "close"][(random.next_u64() % 5) as usize];
-        // without a window manager nobody asks windows to close
+        // without a window manager no client requests windows to close
         let way = if name == "Xorg" && way == "close" { "escape" } else { way };
         let signal = |name: &str, show: &Show| {
             assert!(session.command("kill").args([name, &show.child.id().to_string()]).status().unwrap().success());
@@ -481,7 +488,7 @@ fn starts_and_stops(session: &Session, name: &str, turns: usize, key: &mut dyn F
                     show.child.try_wait().unwrap()
                 });
             }
-            // a window may not be there yet
+            // a window may not exist yet
             _ => {
                 wait_for("the end by a key", || {
                     key(poke::ESCAPE);
@@ -490,7 +497,7 @@ fn starts_and_stops(session: &Session, name: &str, turns: usize, key: &mut dyn F
             }
         }
         let (status, errors) = show.ended();
-        // nobody catches a termination, and an interruption before the program is ready ends it itself
+        // the program does not handle SIGTERM; SIGINT before it is ready also ends it
         let fine = match way {
             "interrupt" => matches!((status.code(), status.signal()), (Some(0 | 130), _) | (_, Some(2))),
             "terminate" => status.signal() == Some(15),
@@ -516,7 +523,7 @@ fn presentations_end_at_any_moment_without_a_crash() {
 }
 
 #[test]
-fn without_a_session_it_says_so() {
+fn without_a_session_there_is_one_error() {
     let mut command = common::lumistack();
     for key in ["DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"] {
         command.env_remove(key);

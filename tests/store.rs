@@ -1,5 +1,7 @@
-//! What is kept: damaged and stale results are made again, a folder has one owner, nothing foreign is replaced, outputs that would fail do so before the work or
-//! cost nothing but themselves, and what is in the way is swept.
+//! Stored results: damaged and stale results are made again, and `clean` removes unneeded ones.
+//!
+//! A folder has one owner, and no foreign file is replaced. Outputs that would fail do so before
+//! the work, or affect only themselves.
 
 use std::fs::{self, File};
 use std::io::{BufRead, BufReader};
@@ -14,7 +16,7 @@ use crate::common::{fail, files, lumistack, report, root, succeed, write_test_fi
 const FIELD: [&str; 4] = ["--fov", "20x20", "--pitch-mm", "3"];
 const SMALL: [&str; 8] = ["--resolution", "24x16", "--samples", "1", "--iterations", "2", "--frames", "2"];
 
-/// A light field in a folder, and the command that factorizes it.
+/// A light field in a folder.
 fn field(folder: &Path) -> PathBuf {
     let path = folder.join("views.npy");
     write_test_field(&path, [3, 3, 16, 24], 20.0, 3.0);
@@ -49,10 +51,10 @@ fn job(folder: &Path, frames: usize, outputs: &str) -> PathBuf {
 fn cached(run: &Path, stage: &str) -> bool {
     let report = report(run);
     let stage = report["stages"].as_array().unwrap().iter().find(|found| found["name"] == stage);
-    stage.expect("the stage is told")["cached"].as_bool().unwrap()
+    stage.expect("the stage is reported")["cached"].as_bool().unwrap()
 }
 
-/// Changes the last byte of a file, which keeps its size and its time.
+/// Changes the last byte of a file, with its size and time unchanged.
 fn damage(path: &Path) {
     let time = fs::metadata(path).unwrap().modified().unwrap();
     let mut bytes = fs::read(path).unwrap();
@@ -65,7 +67,7 @@ fn set_time(path: &Path, time: SystemTime) {
     File::options().write(true).open(path).unwrap().set_modified(time).unwrap();
 }
 
-/// Everything that a run is for.
+/// The results of a run.
 fn results(run: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     let all = files(run).into_iter();
     all.filter(|(path, _)| !path.starts_with("cache") && !path.to_string_lossy().contains("report")).collect()
@@ -102,7 +104,7 @@ fn views_that_were_damaged_or_exchanged_are_traced_again() {
     let target = views.into_iter().find(|path| path.to_string_lossy().contains("target-")).unwrap();
     succeed(render(&run).args(["--views", "5x5"]));
     assert!(cached(&run, "render"));
-    // a view of the same size that is another's
+    // the view of another run, with the same size
     fs::copy(target.join("view_00_00.exr"), target.join("view_02_02.exr")).unwrap();
     succeed(render(&run).args(["--views", "5x5"]));
     assert!(!cached(&run, "render") && results(&run) == whole);
@@ -111,7 +113,7 @@ fn views_that_were_damaged_or_exchanged_are_traced_again() {
     assert!(!cached(&run, "render") && results(&run) == whole);
 }
 
-/// `lumistack preview` until it serves.
+/// Starts `lumistack preview`, waits until it serves, and ends it.
 fn preview(run: &Path) {
     let mut child =
         lumistack().args(["--json", "preview", "--no-open"]).arg(run).stdout(Stdio::piped()).spawn().unwrap();
@@ -122,7 +124,8 @@ fn preview(run: &Path) {
     assert!(serves);
 }
 
-/// Light that views share is shared again where one of them was damaged, and what it was shared from is gone by then.
+/// Views that share light are traced together again if one of them is damaged, since the shared
+/// samples are deleted by then.
 #[test]
 fn views_that_share_light_are_made_again_together() {
     let folder = tempfile::tempdir().unwrap();
@@ -147,7 +150,7 @@ fn views_that_share_light_are_made_again_together() {
 }
 
 #[test]
-fn a_preview_of_other_patterns_is_made_anew_whatever_its_time() {
+fn a_preview_of_other_patterns_is_made_anew_for_any_time() {
     let folder = tempfile::tempdir().unwrap();
     let (field, run) = (field(folder.path()), folder.path().join("run"));
     succeed(&mut factorize(&field, &run, 2));
@@ -166,10 +169,10 @@ fn a_preview_of_other_patterns_is_made_anew_whatever_its_time() {
     assert!(image::open(&shown).is_ok());
 }
 
-/// Key of `lumistack info`.
+/// A key of `lumistack info`.
 const WOULD_REFUSE: &str = "outputs that a run would refuse";
 
-/// A quilt of so many views of the light field, all of which it must have.
+/// An output of a quilt that needs this many columns of views.
 fn quilt(columns: usize) -> String {
     format!(
         "[[outputs]]\nplugin = \"quilt\"\nfrom = \"light_field\"\n\
@@ -182,14 +185,14 @@ fn outputs_that_refuse_the_display_do_so_before_the_work() {
     let folder = tempfile::tempdir().unwrap();
     let run = folder.path().join("run");
     let transparencies = "[[outputs]]\nplugin = \"transparencies\"\n";
-    // a light field, to which the display adapts
+    // a light field, to which the display is adapted
     let path = job(folder.path(), 12, transparencies);
     let error = fail(lumistack().arg("run").arg(&path).arg("-o").arg(&run));
     assert!(error.contains("transparencies") && error.contains("12"), "{error}");
     assert!(!run.join("layers").exists(), "it was factorized first");
     let info = succeed(lumistack().arg("info").arg(&path));
     assert!(info.contains(WOULD_REFUSE) && info.contains("transparencies") && info.contains("frames = 1"), "{info}");
-    // a scene: nothing is traced
+    // a scene: the refusal comes before tracing
     let scene = root().join("scenes/glass/glass.gltf");
     fs::write(folder.path().join("bad.json"), "{}").unwrap();
     for (outputs, reason) in [
@@ -208,12 +211,12 @@ fn outputs_that_refuse_the_display_do_so_before_the_work() {
         );
         fs::write(&path, text).unwrap();
         let output = lumistack().args(["--json", "run"]).arg(&path).arg("-o").arg(&run).output().unwrap();
-        let (told, error) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+        let (printed, error) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
         assert_eq!(output.status.code(), Some(1));
-        assert!(error.contains(reason) && !told.contains("\"begin\""), "{error}{told}");
+        assert!(error.contains(reason) && !printed.contains("\"begin\""), "{error}{printed}");
         assert!(succeed(lumistack().arg("info").arg(&path)).contains(WOULD_REFUSE));
     }
-    // a node's output is opened against the node's display
+    // a node's output is checked with the node's display
     let nodes = "[[nodes]]\nid = \"a\"\n[[nodes]]\nid = \"b\"\n[nodes.display]\npreset = \"fig7-uniform\"\nframes = 7\n\
                  [[outputs]]\nplugin = \"images\"\nfrom = \"a\"\n[[outputs]]\nplugin = \"transparencies\"\nfrom = \"b\"\n";
     let error = fail(lumistack().arg("run").arg(job(folder.path(), 1, nodes)).arg("-o").arg(&run));
@@ -250,7 +253,7 @@ fn outputs_of_a_sequence_are_checked_on_the_light_fields_of_its_times() {
 fn an_output_that_fails_costs_neither_report_nor_other_outputs() {
     let folder = tempfile::tempdir().unwrap();
     let run = folder.path().join("run");
-    // a file where the output's folder should be is found when there is something to write
+    // a file in place of the output's folder is found only at the first write
     succeed(
         lumistack().arg("run").arg(job(folder.path(), 2, "[[outputs]]\nplugin = \"images\"\n")).arg("-o").arg(&run),
     );
@@ -265,9 +268,9 @@ fn an_output_that_fails_costs_neither_report_nor_other_outputs() {
     for finished in ["outputs/tensor-display/images/images.json", "outputs/light_field/images/images.json"] {
         assert!(run.join(finished).is_file(), "{finished} is missing");
     }
-    let told = report(&run);
+    let printed = report(&run);
     let failed: Vec<&Value> =
-        told["outputs"].as_array().unwrap().iter().filter(|output| !output["failed"].is_null()).collect();
+        printed["outputs"].as_array().unwrap().iter().filter(|output| !output["failed"].is_null()).collect();
     assert!(failed.len() == 1 && failed[0]["failed"].as_str().unwrap().contains(reason), "{failed:?}");
     let html = fs::read_to_string(run.join("report.html")).unwrap();
     assert!(html.contains("quilt was not written") && html.contains(reason));
@@ -333,19 +336,19 @@ fn neither_foreign_files_nor_inputs_are_written_over() {
     let text = fs::read_to_string(&own).unwrap();
     let error = fail(lumistack().current_dir(here).args(["run", "job.toml", "-o", "."]));
     assert!(error.contains("job.toml") && error.contains("job file"), "{error}");
-    // of somebody who runs something else beside it
+    // files of another program beside it
     let error = fail(factorize(&here.join("views.npy"), Path::new("."), 2).current_dir(here));
     assert!(error.contains("job.toml") && error.contains("something else"), "{error}");
     assert_eq!(fs::read_to_string(&own).unwrap(), text);
     let mut names: Vec<_> = fs::read_dir(here).unwrap().map(|entry| entry.unwrap().file_name()).collect();
     names.sort();
     assert_eq!(names, ["job.toml", "views.npy"], "nothing was written");
-    // a run's own job may be run again where it lies, with other settings too
+    // a run's own job may be run again in its folder, also with other settings
     let run = here.join("run");
     succeed(lumistack().arg("run").arg(&own).arg("-o").arg(&run));
     succeed(lumistack().arg("run").arg(run.join("job.toml")).arg("-o").arg(&run).args(["--iterations", "3"]));
     assert!(fs::read_to_string(run.join("job.toml")).unwrap().contains("iterations = 3"));
-    // until somebody changes it by hand
+    // until a user changes it by hand
     let changed = fs::read_to_string(run.join("job.toml")).unwrap().replace("iterations = 3", "iterations = 4");
     fs::write(run.join("job.toml"), &changed).unwrap();
     let error = fail(lumistack().arg("run").arg(&own).arg("-o").arg(&run));
@@ -357,15 +360,15 @@ fn neither_foreign_files_nor_inputs_are_written_over() {
     assert!(error.contains("warm start") && error.contains("layers"), "{error}");
 }
 
-/// `lumistack --json clean`: freed bytes by kind, what stays.
+/// Runs `lumistack --json clean`; returns the freed bytes by kind, and the bytes that remain.
 fn clean(dir: &Path, flags: &[&str]) -> (Vec<(String, u64)>, u64) {
-    let told = succeed(lumistack().args(["--json", "clean"]).arg(dir).args(flags));
-    let told: Value = serde_json::from_str(told.trim()).unwrap();
-    let freed = told["freed"].as_array().unwrap().iter();
+    let printed = succeed(lumistack().args(["--json", "clean"]).arg(dir).args(flags));
+    let printed: Value = serde_json::from_str(printed.trim()).unwrap();
+    let freed = printed["freed"].as_array().unwrap().iter();
     let freed: Vec<_> =
         freed.map(|kind| (kind["kind"].as_str().unwrap().to_owned(), kind["bytes"].as_u64().unwrap())).collect();
-    assert_eq!(told["freed_bytes"].as_u64().unwrap(), freed.iter().map(|kind| kind.1).sum::<u64>());
-    (freed, told["kept_bytes"].as_u64().unwrap())
+    assert_eq!(printed["freed_bytes"].as_u64().unwrap(), freed.iter().map(|kind| kind.1).sum::<u64>());
+    (freed, printed["kept_bytes"].as_u64().unwrap())
 }
 
 fn views_of(run: &Path) -> Vec<String> {
@@ -378,12 +381,12 @@ fn views_of(run: &Path) -> Vec<String> {
 }
 
 #[test]
-fn what_is_in_the_way_is_swept_and_told() {
+fn unneeded_files_are_removed_and_reported() {
     let folder = tempfile::tempdir().unwrap();
     let run = folder.path().join("run");
     succeed(&mut render(&run));
     let first = views_of(&run);
-    // what a killed run leaves
+    // files of a killed run
     let old = SystemTime::now() - Duration::from_secs(3600);
     let left = [".lumistack-abc123.tmp", "cache/.lumistack-abc124.tmp", "layers/.lumistack-abc125.tmp"];
     let leave = || {
@@ -396,7 +399,7 @@ fn what_is_in_the_way_is_swept_and_told() {
     };
     let is_left = || left.iter().any(|name| run.join(name).exists());
     leave();
-    // another run sweeps it, and the views of the settings before
+    // another run removes them, and the views of the earlier settings
     succeed(render(&run).args(["--seed", "5"]));
     assert!(!is_left() && !run.join("outputs/tensor-display/.images.partial").exists());
     let second = views_of(&run);
@@ -430,7 +433,7 @@ fn what_is_in_the_way_is_swept_and_told() {
 fn sequences_sweeps_nodes_and_views_are_cleaned_too() {
     let folder = tempfile::tempdir().unwrap();
     let out = |name: &str| folder.path().join(name);
-    // times of a scene, each with views of its own
+    // time steps of a scene, each with views of its own
     let sequence = out("sequence");
     let times = |seed: &str| {
         let mut command = render(&sequence);
@@ -453,7 +456,7 @@ fn sequences_sweeps_nodes_and_views_are_cleaned_too() {
             == *bytes)
     );
 
-    // light fields of a sweep
+    // the light fields of a sweep
     let sweep = out("sweep");
     let designs = |fov: &str| {
         let mut command = lumistack();
@@ -473,7 +476,7 @@ fn sequences_sweeps_nodes_and_views_are_cleaned_too() {
     designs("20x20");
     assert_eq!(fs::read(sweep.join("sweep.csv")).unwrap(), table);
 
-    // views alone
+    // a folder of views
     let views = out("views");
     let render_views = || {
         let mut command = lumistack();
@@ -488,7 +491,7 @@ fn sequences_sweeps_nodes_and_views_are_cleaned_too() {
     render_views();
     assert!(results(&views) == whole);
 
-    // nodes
+    // a job with several nodes
     let nodes = "[[nodes]]\nid = \"a\"\n[[nodes]]\nid = \"b\"\nplugin = \"log_tomography\"\n[[outputs]]\nplugin = \"images\"\nfrom = \"a\"\n";
     let (path, run) = (job(folder.path(), 9, nodes), out("nodes"));
     succeed(lumistack().arg("run").arg(&path).arg("-o").arg(&run));

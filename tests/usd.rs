@@ -1,4 +1,4 @@
-//! USD on the command line, as far as it can be tested without OpenUSD: what is said where it is missing.
+//! USD on the command line, without OpenUSD: the messages if it is missing.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ fn file(folder: &Path) -> std::path::PathBuf {
 }
 
 #[test]
-fn without_python_gltf_works_and_usd_says_what_to_type() {
+fn without_python_gltf_works_and_usd_names_the_remedy() {
     let folder = tempfile::tempdir().unwrap();
     let alone = |command: &mut std::process::Command| {
         command.env_clear().env("PATH", folder.path()).env("HOME", folder.path()).current_dir(folder.path());
@@ -36,7 +36,7 @@ fn without_python_gltf_works_and_usd_says_what_to_type() {
 }
 
 #[test]
-fn a_python_that_is_named_is_the_only_one_asked() {
+fn a_python_that_is_named_is_the_only_one_tried() {
     let folder = tempfile::tempdir().unwrap();
     let mut usd = lumistack();
     let text = fail(usd.args(["info"]).arg(file(folder.path())).env("LUMISTACK_PYTHON", "/no/such/python"));

@@ -1,4 +1,5 @@
-//! `lumistack render` for other purposes than a display: scene-linear views, layers, some views only, the environment turned, and a background.
+//! `lumistack render` for uses besides a display: scene-linear views, layers, selected views, a
+//! rotated environment, and a background.
 
 use std::path::Path;
 use std::process::Command;
@@ -44,7 +45,7 @@ fn channel(file: &Path, name: &str) -> Vec<f32> {
 }
 
 #[test]
-fn linear_views_are_what_exposed_views_are_made_of() {
+fn exposed_views_follow_from_linear_views() {
     let folder = tempfile::tempdir().unwrap();
     let (shown, linear) = (folder.path().join("shown"), folder.path().join("linear"));
     succeed(&mut still_life(&shown, &["--tone", "linear", "--exposure-ev", "1"]));
@@ -70,7 +71,7 @@ fn linear_views_are_what_exposed_views_are_made_of() {
 }
 
 #[test]
-fn layers_say_what_views_see() {
+fn layers_agree_with_views() {
     let folder = tempfile::tempdir().unwrap();
     let scene = write_triangle(folder.path());
     let views = folder.path().join("views");
@@ -84,11 +85,12 @@ fn layers_say_what_views_see() {
     let (coverage, depth, normal) = (of("coverage.A"), of("depth.Z"), of("normal.Z"));
     let full = |i: &usize| coverage[*i] == 1.0;
     assert!((0..coverage.len()).filter(full).count() > 20 && coverage.contains(&0.0));
-    // depth is that of central rays, and every layer has samples of its own: on the rim they may differ
+    // Depth is that of central rays, and every layer has samples of its own, so they may differ at
+    // edges.
     let (mut past, mut absent) = (0, 0);
     for i in 0..coverage.len() {
         if coverage[i] == 1.0 {
-            // the window stands in the triangle's plane or parallel to it
+            // the window is in the triangle's plane or parallel to it
             assert!(depth[i].is_finite() && (normal[i] - 1.0).abs() < 1e-5, "{} {}", depth[i], normal[i]);
             assert!((of("albedo.G")[i] - 1.0).abs() < 1e-5);
         } else if coverage[i] == 0.0 {
@@ -101,7 +103,7 @@ fn layers_say_what_views_see() {
     assert!(flat.iter().all(|z| (z - flat[0]).abs() < 0.1), "the triangle faces the display");
     let variance = of("variance.R");
     assert!(variance.iter().all(|value| *value >= 0.0) && variance.iter().any(|value| *value > 0.0));
-    // more samples, less variance: a fourth of the first at four times as many
+    // four times as many samples give a fourth of the variance
     let mean = |folder: &Path| -> f64 {
         let values = channel(&folder.join("layers_01_03.exr"), "variance.R");
         values.iter().map(|value| f64::from(*value)).sum()
@@ -128,18 +130,18 @@ fn some_views_are_those_of_the_whole() {
     for name in list("row") {
         assert!(view(&at("row"), &name) == view(&at("all"), &name), "{name} is another picture");
     }
-    // whole rows are a light field of their own
+    // whole rows form a light field
     let row = index(&at("row"));
     assert_eq!((&row["slope_x"], row["slope_y"].as_array().unwrap().len()), (&index(&at("all"))["slope_x"], 1));
     assert_eq!(row["info"]["part_of"]["rows"], serde_json::json!([2]));
     let text = succeed(lumistack().arg("info").arg(at("row")));
     assert!(text.contains("views: [5, 1]"), "{text}");
-    // others say that they are none
+    // other selections are marked as incomplete
     succeed(&mut still_life(&at("two"), &["--linear", "--only-views", "0,0", "--only-views", "2,3..4"]));
     assert_eq!((list("two").len(), index(&at("two"))["partial"].as_bool()), (3, Some(true)));
     let text = fail(lumistack().arg("factorize").arg(at("two")).arg("-o").arg(at("run")));
     assert!(text.contains("expected all views of a light field") && text.contains("found 3 of 25"), "{text}");
-    // and become one when the rest is rendered
+    // rendering the rest completes them
     succeed(&mut still_life(&at("two"), &["--linear"]));
     assert!(files(&at("two")) == files(&at("all")));
     let text = fail(&mut still_life(&at("two"), &["--only-views", "5,0"]));
@@ -164,7 +166,7 @@ fn the_environment_turns_and_hides() {
     let straight = of("straight", &["--linear"]);
     let dim = of("dim", &["--environment-strength", "0.5", "--linear"]);
     assert!(turned.0 != straight.0, "the studio light turns");
-    // on the surface; what is seen beside it need not be the environment
+    // on the surface; the background need not show the environment
     for i in (0..straight.0.len()).filter(|i| straight.1[i / 3] == 1.0) {
         let (dim, straight) = (dim.0[i], straight.0[i]);
         assert!((dim - 0.5 * straight).abs() < 1e-5 * straight.max(1.0), "{dim} is not half of {straight}");

@@ -1,4 +1,5 @@
-//! What the command says: hints that work, warnings about flags that replace or leave something, errors in units, progress, and closed pipes.
+//! Messages of the command: hints that work, warnings about flags that replace or omit something,
+//! errors with units, progress, and closed pipes.
 
 use std::io::Read;
 use std::path::Path;
@@ -8,11 +9,11 @@ use crate::common;
 use crate::common::triangle::write_triangle;
 use crate::common::{fail, lumistack, report, succeed};
 
-/// With frames so many that the display's panels would flicker.
+/// Frames so many that the display's panels would flicker.
 const SMALL: [&str; 10] =
     ["--resolution", "24x15", "--samples", "2", "--max-bounces", "2", "--frames", "3", "--iterations", "3"];
 
-/// What a command that succeeds says on standard error.
+/// Runs a command that must succeed; returns its standard error.
 fn said(command: &mut Command) -> String {
     let output = command.output().unwrap();
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -22,7 +23,7 @@ fn said(command: &mut Command) -> String {
 
 fn run(scene: &Path, folder: &Path) -> Command {
     let mut command = lumistack();
-    // cargo tells tests about their package as it tells programs that it runs
+    // cargo sets variables for tests as for programs that it runs
     command.env_remove("CARGO").arg("run").arg(scene).arg("-o").arg(folder).args(SMALL);
     command
 }
@@ -33,14 +34,14 @@ fn a_scene_alone_becomes_a_preview_and_the_hint_works() {
     let scene = write_triangle(folder.path());
     let out = folder.path().join("run");
     let text = succeed(&mut run(&scene, &out));
-    // as the test started it: by its path
+    // the hint names the program as the test started it, by its path
     let program = env!("CARGO_BIN_EXE_lumistack");
     assert!(text.contains(&format!("Look into the display: {program} preview {}", out.display())), "{text}");
     let single = out.join("outputs/tensor-display/preview/preview.html");
     assert!(single.is_file() && text.contains(&format!("or open {} by a double click", single.display())), "{text}");
     let messages = report(&out)["warnings"].to_string();
-    assert!(!messages.contains("flicker"), "nobody chose these frames for panels: {messages}");
-    // cargo runs the program by the alias of the repository
+    assert!(!messages.contains("flicker"), "these frames are not chosen for panels: {messages}");
+    // through cargo, the hint names the repository's alias
     let by_cargo = |command: &mut Command| {
         command.env("CARGO", "cargo").env("CARGO_PKG_NAME", "lumistack-cli");
         String::from_utf8(command.output().unwrap().stdout).unwrap()
@@ -62,7 +63,7 @@ fn a_scene_alone_becomes_a_preview_and_the_hint_works() {
 }
 
 #[test]
-fn the_pair_of_the_readme_works_and_replaces_nothing_unsaid() {
+fn the_commands_of_the_readme_work_and_report_replaced_files() {
     let readme = std::fs::read_to_string(common::root().join("README.md")).unwrap();
     let line = |start: &str| {
         let line = readme.lines().find(|line| line.starts_with(start)).unwrap_or_else(|| panic!("no {start}"));
@@ -85,7 +86,7 @@ fn the_pair_of_the_readme_works_and_replaces_nothing_unsaid() {
     ] {
         assert!(text.contains(expected), "{expected}: {text}");
     }
-    // the same values replace nothing
+    // equal values replace nothing
     let text = said(lumistack().current_dir(&folder).args(&factorize).args(&SMALL[6..]).args(["--fov", "20x20"]));
     assert!(!text.contains("replaced"), "{text}");
 }
@@ -112,7 +113,7 @@ fn viewpoints_outside_the_zone_say_so() {
 }
 
 #[test]
-fn types_and_places_are_told_in_the_words_of_the_file() {
+fn errors_name_types_and_places_as_the_file_does() {
     let folder = tempfile::tempdir().unwrap();
     write_triangle(folder.path());
     let job = folder.path().join("a.toml");
@@ -178,14 +179,14 @@ fn every_part_of_a_run_shows_progress() {
     }
     let ended = events.iter().filter(|event| event["event"] == "end").count();
     assert_eq!(ended, begun.len(), "stages follow one another");
-    // what is kept is read, too
+    // cached results are read, with progress
     let text =
         succeed(run(&write_triangle(folder.path()), &out).args(["--denoise", "guided", "--samples", "4", "--json"]));
     let kept = text.lines().filter(|line| line.contains("\"begin\"") && line.contains("\"kept views\"")).count();
     assert_eq!(kept, 2, "views and pictures of the score: {text}");
 }
 
-/// Nobody reads any more: no panic, no word.
+/// The reader has closed the pipe: no panic and no message.
 #[test]
 fn a_closed_pipe_ends_quietly() {
     for arguments in
@@ -198,21 +199,21 @@ fn a_closed_pipe_ends_quietly() {
         let status = child.wait().unwrap();
         assert!(said.is_empty() && status.success(), "{arguments:?}: {status} {said}");
     }
-    // a run whose messages nobody reads goes on
+    // a run continues if its messages are not read
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
     let mut child =
         run(&write_triangle(folder.path()), &out).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     drop(child.stderr.take());
     assert!(child.wait().unwrap().success() && out.join("report.html").is_file());
-    // and wrong usage ends with its own code
+    // wrong usage still ends with its exit code
     let mut child = lumistack().arg("rum").stderr(Stdio::piped()).spawn().unwrap();
     drop(child.stderr.take());
     assert_eq!(child.wait().unwrap().code(), Some(2));
 }
 
 #[test]
-fn a_plan_is_told_and_nothing_is_done() {
+fn a_plan_is_printed_and_no_work_is_done() {
     let folder = tempfile::tempdir().unwrap();
     let scene = write_triangle(folder.path());
     let out = folder.path().join("run");
@@ -234,17 +235,17 @@ fn a_plan_is_told_and_nothing_is_done() {
     let same = planned(&[]);
     assert_eq!(cached(&same), ["trace", "denoise", "expose", "score", "factorize", "output-images", "output-preview"]);
     assert!(same["steps"].as_array().unwrap().iter().all(|step| step["key"].as_str().unwrap().len() == 16), "{same}");
-    // other patterns of the same views
+    // different patterns from the same views
     assert_eq!(cached(&planned(&["--iterations", "4"])), ["trace", "denoise", "expose", "score"]);
     assert!(cached(&planned(&["--samples", "3"])).is_empty());
-    // the scene is another
+    // a different scene
     let text = std::fs::read_to_string(&scene).unwrap();
     std::fs::write(&scene, text + " ").unwrap();
     assert!(cached(&planned(&[])).is_empty());
 }
 
 #[test]
-fn the_doctor_says_what_is_there_and_how_to_get_the_rest() {
+fn the_doctor_lists_present_and_missing_parts() {
     let folder = tempfile::tempdir().unwrap();
     let python = folder.path().join("no-python");
     let mut doctor = lumistack();

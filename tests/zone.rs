@@ -1,4 +1,4 @@
-//! The score of the zone, wherever it is told: in sweeps, in comparisons, and of light fields that were given.
+//! The zone score in sweeps, in comparisons, and for given light fields.
 
 use std::path::{Path, PathBuf};
 
@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use crate::common::{lumistack, report, root, succeed};
 
-/// A small job of the letters that keeps `views`, with more of its text behind.
+/// A small job of the scene `letters` with `views`, and with `rest` appended.
 fn job(folder: &Path, rest: &str) -> PathBuf {
     let path = folder.join("job.toml");
     let scene = root().join("scenes/letters/letters.gltf");
@@ -22,9 +22,10 @@ fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
 }
 
-/// A sweep judges a design as the report of its own run does, ranks by that, and comparisons tell the same.
+/// A sweep scores a design like the report of its own run, and ranks by that score. Comparisons
+/// report the same.
 #[test]
-fn sweeps_reports_and_comparisons_tell_one_score() {
+fn sweeps_reports_and_comparisons_give_one_score() {
     let folder = tempfile::tempdir().unwrap();
     let run = |frames: usize| {
         let text = std::fs::read_to_string(job(folder.path(), "")).unwrap();
@@ -66,7 +67,7 @@ fn sweeps_reports_and_comparisons_tell_one_score() {
     assert!(said.contains("Second against the first:      equal"), "{said}");
 }
 
-/// Of a light field that was given the zone is known by the views that the solver left out, and not without.
+/// For a given light field, the zone score comes from held-out views; without any there is none.
 #[test]
 fn a_given_light_field_is_judged_by_the_views_that_are_left_out() {
     let folder = tempfile::tempdir().unwrap();
@@ -85,7 +86,7 @@ fn a_given_light_field_is_judged_by_the_views_that_are_left_out() {
     let of_some = report(&some);
     assert!(said.contains("dB over the zone"), "{said}");
     assert_eq!(of_some["zone"]["directions"].as_array().unwrap().len(), 25 - 9);
-    // none is a view that the solver saw, and all lie between them
+    // no held-out view is used by the solver, and all lie between its views
     let kept = &of_some["views"]["slope_x"];
     let (low, high) = (number(&kept[0]), number(&kept[2]));
     for direction in of_some["zone"]["directions"].as_array().unwrap() {
@@ -99,7 +100,8 @@ fn a_given_light_field_is_judged_by_the_views_that_are_left_out() {
     assert!(number(&of_some["psnr_zone"]) < number(&of_some["psnr_view"]), "views that were solved for are shown best");
 }
 
-/// A display of 7 × 7 native views: three layers 40 mm apart of 48 × 30 pixels of 2 mm, with lines for all layers and for the front one.
+/// A display of 7 × 7 native views: three layers, 40 mm apart, of 48 × 30 pixels of 2 mm. Arguments
+/// add lines for all layers and for the front one.
 fn display(head: &str, every_layer: &str, front: &str, backlight: &str, layers: &[f64]) -> String {
     let mut text = format!(
         "name = \"test\"\nframes = 4\nbrightness = 0.2\n{head}\n[field]\nresolution = [48, 30]\npitch_mm = 2.0\nviews = \"auto\"\nfov_deg = [20.0, 20.0]\n\
@@ -112,7 +114,8 @@ fn display(head: &str, every_layer: &str, front: &str, backlight: &str, layers: 
     text
 }
 
-/// A display that is solved for its native views is better all over its zone than for 3 × 3, whatever its hardware, light and frames are.
+/// A display that is solved for its native views scores higher over its zone than one solved for 3
+/// × 3. This holds for any hardware, brightness and number of frames.
 #[test]
 fn native_views_pay_with_any_hardware() {
     let three = [-40.0, 0.0, 40.0];
@@ -120,7 +123,7 @@ fn native_views_pay_with_any_hardware() {
     let lenslets = "kind = \"lenslets\"\nd_mm = -12.0\nlenslets = [24, 15]\npitch_mm = 6.0\nfov_deg = [20.0, 20.0]\nviews = [3, 3]\noutside_bins = \"dark\"";
     let eyes = "[[factorize.eyes]]\neye_mm = [-35.0, 0.0, 700.0]\nsigma_mm = 15.0\n[[factorize.eyes]]\neye_mm = [35.0, 0.0, 700.0]\nsigma_mm = 15.0\n";
     let crosstalk = "crosstalk = [[0.9, 0.05, 0.0], [0.04, 0.9, 0.04], [0.0, 0.05, 0.9]]";
-    // name, display, more of the job
+    // name, display, further keys of the job
     let cases = [
         ("plain", display("", "", "", uniform, &three), ""),
         ("contrast 50:1", display("", "black_level = 0.02", "", uniform, &three), ""),
@@ -164,7 +167,7 @@ fn native_views_pay_with_any_hardware() {
     assert!(lost.is_empty(), "no better for native views: {lost:?}");
 }
 
-/// Every time of a sequence is solved for the native views.
+/// Every time step of a sequence is solved for the native views.
 #[test]
 fn sequences_are_solved_for_the_whole_zone() {
     let folder = tempfile::tempdir().unwrap();

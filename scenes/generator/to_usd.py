@@ -1,7 +1,8 @@
-"""Writes one of our glTF scenes as USD: `python to_usd.py still-life.gltf` makes still-life.usda beside it, with its meshes in still-life.usdc,
-and still-life.usdz, which holds all of it and the pictures.
+"""Writes one of our glTF scenes as USD.
 
-Needs usd-core. Both formats must render to the same picture, so every value goes over as it is; what our glTF scenes do not have is not converted.
+`python to_usd.py still-life.gltf` makes still-life.usda beside it, with its meshes in still-life.usdc. It also makes still-life.usdz, which contains both and the pictures.
+
+Needs usd-core. Both formats must render to the same picture, so every value is copied unchanged. Features that our glTF scenes do not use are not converted.
 """
 
 import json
@@ -44,7 +45,7 @@ def main(path):
         dome = UsdLux.DomeLight.Define(stage, root + "/sky")
         dome.CreateTextureFileAttr("./" + environment["image"])
         dome.CreateTextureFormatAttr(UsdLux.Tokens.latlong)
-        # the middle of USD's pictures lies towards +z, that of ours towards -z
+        # the centre of USD's pictures is towards +z, that of ours towards -z
         dome.AddRotateYOp().Set(180.0)
         dome.CreateIntensityAttr(float(environment.get("strength", 1.0)))
     stage.GetRootLayer().Save()
@@ -80,7 +81,7 @@ def write_mesh(stage, path, primitive, read):
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(mesh.GetPointsAttr().Get()))
     if "TEXCOORD_0" in primitive["attributes"]:
-        # v of glTF points down
+        # v of glTF increases downwards
         st = [(u, 1.0 - v) for u, v in read(primitive["attributes"]["TEXCOORD_0"])]
         primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
         primvar.Set(Vt.Vec2fArray(st))
@@ -114,7 +115,7 @@ def write_material(stage, root, document, entry):
 
 
 def texture(stage, path, document, use, name, color_space):
-    """A texture read at `st`; returns what makes its outputs."""
+    """A texture read at `st`; returns a function that creates its outputs."""
     reader = UsdShade.Shader.Define(stage, path + "/st")
     reader.CreateIdAttr("UsdPrimvarReader_float2")
     reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")

@@ -1,13 +1,16 @@
-//! Rendered photographs: a camera somewhere in front of a display, turned a little, whose lens bends lines, darkens the edges and adds noise. Only rays and
-//! planes, no homography and nothing of the code that photographs are for.
+//! Renders photographs of a display by a camera in front of it, with rotation, lens distortion,
+//! vignetting and noise.
+//!
+//! The model has only rays and planes: no homography, and no code of the calibration that reads the
+//! photographs.
 
 use image::{GrayImage, Luma};
 
 /// A camera in space.
 pub struct Camera {
-    /// Its place, millimetres in display space.
+    /// Position in display space, millimetres.
     pub eye_mm: [f64; 3],
-    /// Turns about x, y and z, radians, from the view straight at the display.
+    /// Rotations about x, y and z, radians; 0 looks straight at the display.
     pub turn: [f64; 3],
     /// Focal length, pixels.
     pub focal_px: f64,
@@ -18,12 +21,12 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// The direction in which the display's space is seen at a place of the photograph.
+    /// Direction in display space of a point of the photograph.
     fn ray(&self, px: [f64; 2]) -> [f64; 3] {
         let centre = self.size.map(|count| (f64::from(count) - 1.0) / 2.0);
         let unit = 0.5 * f64::from(self.size[0]).hypot(f64::from(self.size[1]));
         let bent = [0, 1].map(|axis| (px[axis] - centre[axis]) / unit);
-        // Newton's steps on the radius
+        // Newton's method for the undistorted radius
         let wanted = bent[0].hypot(bent[1]);
         let mut r = wanted;
         for _ in 0..5 {
@@ -35,7 +38,7 @@ impl Camera {
         }
         let factor = if wanted > 0.0 { r / wanted } else { 1.0 };
         let [x, y] = bent.map(|value| value * factor * unit / self.focal_px);
-        // looks along −z; rows go down
+        // the camera looks along −z, and rows increase downwards
         let mut v = [x, -y, -1.0];
         for (axis, angle) in self.turn.iter().enumerate() {
             let (sin, cos) = angle.sin_cos();
@@ -45,8 +48,9 @@ impl Camera {
         v
     }
 
-    /// A photograph of the plane at `d_mm`, whose light (0 to 255) at a place in millimetres is `light`. `noise` codes of standard deviation are made of
-    /// `uniform` numbers 0..1.
+    /// Renders a photograph of the plane at `d_mm`. `light` returns its light (0 to 255) at a point
+    /// in millimetres. Noise has a standard deviation of `noise` codes and uses `uniform` numbers
+    /// of 0..1.
     pub fn photograph(
         &self,
         d_mm: f64,
@@ -65,9 +69,9 @@ impl Camera {
             let points = (0..SAMPLES * SAMPLES)
                 .map(|i| seen([f64::from(x) + offset(i % SAMPLES), f64::from(y) + offset(i / SAMPLES)]));
             let mean = points.sum::<f64>() / f64::from(SAMPLES * SAMPLES);
-            // twelve uniform numbers make a normal one
+            // the sum of twelve uniform numbers is nearly normal
             let normal = (0..12).map(|_| f64::from(uniform())).sum::<f64>() - 6.0;
-            // the edge of the picture is darker, as lenses have it
+            // vignetting: lenses darken the edges
             let r = (f64::from(x) / f64::from(self.size[0]) - 0.5).hypot(f64::from(y) / f64::from(self.size[1]) - 0.5);
             Luma([(20.0 + 0.8 * mean * (1.0 - 0.4 * r * r) + noise * normal).clamp(0.0, 255.0).round() as u8])
         })

@@ -1,4 +1,4 @@
-//! Running the `lumistack` binary and reading what it wrote.
+//! Runs the `lumistack` binary and reads its files.
 
 #[cfg(feature = "panels")]
 pub mod camera;
@@ -23,7 +23,7 @@ pub fn lumistack() -> Command {
     Command::new(env!("CARGO_BIN_EXE_lumistack"))
 }
 
-/// Runs a command line and shows what it printed when it fails.
+/// Runs a command line that must succeed; a failure prints its messages.
 pub fn succeed(command: &mut Command) -> String {
     let output = command.output().expect("lumistack starts");
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
@@ -52,7 +52,7 @@ pub fn number(value: &serde_json::Value, key: &str) -> f64 {
     value[key].as_f64().or_else(|| value[key].as_str()?.parse().ok()).unwrap_or_else(|| panic!("{key} of {value}"))
 }
 
-/// Every file below a folder with its bytes, sorted, `cache` left out.
+/// All files below a folder with their bytes, sorted, without `cache`.
 pub fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     fn walk(folder: &Path, base: &Path, list: &mut Vec<(PathBuf, Vec<u8>)>) {
         for entry in std::fs::read_dir(folder).expect("the folder is there") {
@@ -71,22 +71,23 @@ pub fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     list
 }
 
-/// The third-party scenes, or `None` with a message where they are missing.
+/// The third-party scenes; `None`, with a message, if they are missing.
 pub fn assets() -> Option<PathBuf> {
     lumistack_testkit::skip::folder("LUMISTACK_ASSETS", "../shared/scenes")
 }
 
-/// The reference light fields, or `None` with a message where they are missing.
+/// The reference light fields; `None`, with a message, if they are missing.
 pub fn light_fields() -> Option<PathBuf> {
     lumistack_testkit::skip::folder("LUMISTACK_LIGHTFIELDS", "../shared/lightfields")
 }
 
-/// A Python with NumPy: the one that `cargo xtask ci` made, or any that has it.
+/// A Python with NumPy: that of `cargo xtask ci`, or another that has it.
 pub fn python() -> Option<PathBuf> {
     lumistack_testkit::skip::python_with("numpy")
 }
 
-/// A light field `[view_y][view_x][row][col][rgb]` as `.npy`: a textured plane behind the display and a bright card in front of it.
+/// Writes a light field `[view_y][view_x][row][col][rgb]` as `.npy`: a textured plane behind the
+/// display and a bright card in front of it.
 pub fn write_test_field(path: &Path, [views_y, views_x, rows, cols]: [usize; 4], fov_deg: f64, pitch_mm: f64) {
     use npyz::WriterBuilder;
     let half_width = (fov_deg / 2.0).to_radians().tan();

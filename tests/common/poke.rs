@@ -1,4 +1,5 @@
-//! Keys and a pointer for an X server that has none: what of the X protocol and its extension XTEST is needed for that, written out.
+//! Keyboard and pointer events for an X server without input devices. It implements the needed
+//! parts of the X protocol and of its extension XTEST.
 //!
 //! Source: X Window System Protocol, version 11, encoding; X Test Extension Protocol.
 
@@ -7,7 +8,7 @@
 use std::io::{Read, Write};
 use std::os::unix::net::UnixStream;
 
-/// What is written on a key: a keysym, of which every server has its own keycode.
+/// A key by its keysym; its keycode depends on the server.
 pub const ESCAPE: u32 = 0xff1b;
 pub const TAB: u32 = 0xff09;
 pub const S: u32 = 0x73;
@@ -15,24 +16,24 @@ pub const UP: u32 = 0xff52;
 pub const RIGHT: u32 = 0xff53;
 pub const DOWN: u32 = 0xff54;
 
-/// The window that has the keys where none has them.
+/// Focus value: no window has the keyboard focus.
 pub const NOBODY: u32 = 0;
-/// The same where the one under the pointer gets them.
+/// Focus value: the window under the pointer has the keyboard focus.
 pub const POINTER_ROOT: u32 = 1;
 
-/// A connection whose requests look like a person.
+/// A connection whose requests act like a user's input.
 pub struct Poke {
     stream: UnixStream,
     pub root: u32,
-    /// Number of the first resource that this connection may make.
+    /// First identifier of this connection's resources.
     first: u32,
     xtest: u8,
-    /// The keysym of every keycode from 8 on.
+    /// The keysyms of the keycodes from 8 on.
     keys: Vec<u32>,
 }
 
 impl Poke {
-    /// Connects to a server, by its number.
+    /// Connects to the server of a display number.
     pub fn new(display: u32) -> Self {
         let mut stream = UnixStream::connect(format!("/tmp/.X11-unix/X{display}")).unwrap();
         // little endian, protocol 11.0, no authorization
@@ -43,7 +44,8 @@ impl Poke {
         let mut setup = vec![0; 4 * usize::from(u16::from_le_bytes([head[6], head[7]]))];
         stream.read_exact(&mut setup).unwrap();
         let vendor = usize::from(u16::from_le_bytes([setup[16], setup[17]])).next_multiple_of(4);
-        // after the vendor's name and the pixmap formats comes the first screen, and its root first
+        // the vendor's name and the pixmap formats precede the first screen, which begins with its
+        // root
         let at = 32 + vendor + 8 * usize::from(setup[21]);
         let number = |at: usize| u32::from_le_bytes(setup[at..at + 4].try_into().unwrap());
         let (root, first) = (number(at), number(4));
@@ -61,31 +63,32 @@ impl Poke {
         poke
     }
 
-    /// Puts the pointer somewhere on the screen.
+    /// Moves the pointer to a point of the screen.
     pub fn point(&mut self, [x, y]: [i16; 2]) {
         self.fake(6, 0, [x, y]);
     }
 
-    /// Presses a key and lets it go.
+    /// Presses and releases a key.
     pub fn key(&mut self, keysym: u32) {
         let code = 8 + self.keys.iter().position(|known| *known == keysym).expect("a key on the keyboard") as u8;
         self.fake(2, code, [0, 0]);
         self.fake(3, code, [0, 0]);
     }
 
-    /// Gives the keys to a window; when that one goes, nobody has them.
+    /// Sets the keyboard focus to a window; when it closes, no window has the focus.
     pub fn focus(&mut self, window: u32) {
         self.say(42, 0, &[window, 0]);
     }
 
-    /// Which window has the keys.
+    /// The window with the keyboard focus.
     pub fn focused(&mut self) -> u32 {
         // GetInputFocus
         let answer = self.ask(&[43, 0, 1, 0]);
         u32::from_le_bytes(answer[8..12].try_into().unwrap())
     }
 
-    /// Becomes the window manager, or ceases to be: a client that decides about the root window's children.
+    /// Becomes the window manager, or stops: the client that receives requests for the root
+    /// window's children.
     pub fn manage(&mut self, is: bool) {
         // ChangeWindowAttributes: the event mask, with or without SubstructureRedirect
         self.say(2, 0, &[self.root, 1 << 11, u32::from(is) << 20]);
@@ -99,12 +102,13 @@ impl Poke {
         self.first
     }
 
-    /// Closes it.
+    /// Closes a window.
     pub fn close(&mut self, window: u32) {
         self.say(4, 0, &[window]);
     }
 
-    /// A request of whole words that has no answer; when this returns it was carried out.
+    /// Sends a request of 32-bit words that has no reply; returns after the server has processed
+    /// it.
     fn say(&mut self, code: u8, detail: u8, words: &[u32]) {
         let mut request = vec![code, detail, words.len() as u8 + 1, 0];
         request.extend(words.iter().flat_map(|word| word.to_le_bytes()));
@@ -112,7 +116,7 @@ impl Poke {
         self.focused();
     }
 
-    /// FakeInput, and a question behind it: when its answer is there, the input has come.
+    /// Sends FakeInput and a request with a reply: once that arrives, the input has been processed.
     fn fake(&mut self, kind: u8, detail: u8, [x, y]: [i16; 2]) {
         let mut request = vec![self.xtest, 2, 9, 0, kind, detail, 0, 0, 0, 0, 0, 0];
         request.extend_from_slice(&self.root.to_le_bytes());
@@ -127,7 +131,7 @@ impl Poke {
         self.stream.write_all(request).unwrap();
         let mut answer = [0; 32];
         self.stream.read_exact(&mut answer).unwrap();
-        // events that every client gets, such as another map of keys
+        // events that every client receives, such as a new keyboard mapping
         while answer[0] > 1 {
             self.stream.read_exact(&mut answer).unwrap();
         }

@@ -1,5 +1,5 @@
-//! Windowing sessions without hardware: sway with headless outputs, Xorg's dummy driver, and sway whose outputs are windows of one of these. Each is a child
-//! of the test and ends with it.
+//! Windowing sessions without hardware: sway with headless outputs, Xorg's dummy driver, and sway
+//! whose outputs are windows of one of these. Each is a child process of the test and ends with it.
 
 #![allow(dead_code, reason = "every test file uses a part of this")]
 
@@ -14,19 +14,20 @@ pub type Screen = (&'static str, [usize; 2], [i32; 2]);
 pub const SWAY: [Screen; 3] =
     [("HEADLESS-1", [320, 240], [0, 0]), ("HEADLESS-2", [400, 300], [320, 0]), ("HEADLESS-3", [640, 360], [720, 0])];
 
-/// The same on Xorg.
+/// The outputs on Xorg.
 pub const XORG: [Screen; 3] =
     [("DUMMY0", [320, 240], [0, 0]), ("DUMMY1", [400, 300], [320, 0]), ("DUMMY2", [640, 360], [720, 0])];
 
-/// The same on a sway in sway, where outputs can be unplugged: each is a window that can be closed.
+/// The outputs on a sway in sway, which can be unplugged: each is a window that can be closed.
 pub const NESTED: [Screen; 3] =
     [("WL-1", [320, 240], [0, 0]), ("WL-2", [400, 300], [320, 0]), ("WL-3", [640, 360], [720, 0])];
 
-/// The same on a sway on Xorg, which tells when pictures were shown, and has keys and a pointer.
+/// The outputs on a sway on Xorg, which reports presentation times and has a keyboard and a
+/// pointer.
 pub const ON_X: [Screen; 3] =
     [("X11-1", [320, 240], [0, 0]), ("X11-2", [400, 300], [320, 0]), ("X11-3", [640, 360], [720, 0])];
 
-/// How long anything may take.
+/// Limit of every wait.
 const PATIENCE: Duration = Duration::from_secs(20);
 
 /// A running session.
@@ -34,7 +35,7 @@ pub struct Session {
     server: Child,
     folder: tempfile::TempDir,
     env: Vec<(&'static str, String)>,
-    /// The session in which this one's outputs are windows.
+    /// The session whose windows are this one's outputs.
     outer: Option<Box<Session>>,
 }
 
@@ -60,7 +61,7 @@ impl Session {
     }
 }
 
-/// Whether a session can and may be started: it needs the machine for itself.
+/// True if a session can be started. It needs the machine for itself, so a variable must permit it.
 fn has(program: &str) -> bool {
     if std::env::var_os("LUMISTACK_SESSIONS").is_none() {
         lumistack_testkit::skip::runs_in("panels");
@@ -74,7 +75,7 @@ fn has(program: &str) -> bool {
     found
 }
 
-/// Waits until something is there.
+/// Waits until `look` returns a value.
 pub fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     let end = Instant::now() + PATIENCE;
     loop {
@@ -91,7 +92,7 @@ fn is_root() -> bool {
 }
 
 impl Session {
-    /// sway with headless outputs; none where it is not installed.
+    /// sway with headless outputs; `None` if it is not installed.
     pub fn sway(outputs: &[Screen]) -> Option<Self> {
         let backend = [("WLR_BACKENDS", "headless".into()), ("WLR_HEADLESS_OUTPUTS", outputs.len().to_string())];
         Self::start_sway(outputs, &backend, None)
@@ -100,9 +101,9 @@ impl Session {
     /// sway with outputs that can be unplugged, see [`NESTED`].
     pub fn nested(outputs: &[Screen]) -> Option<Self> {
         let outer = Self::sway(&[("HEADLESS-1", [1600, 900], [0, 0])])?;
-        // a tiled window would give its output another size
+        // a tiled window would change its output's size
         assert!(outer.command("swaymsg").arg("for_window [app_id=\".*\"] floating enable").status().unwrap().success());
-        // relative to the outer one's folder it would not be found
+        // an absolute path, since a relative one would refer to the outer session's folder
         let display = format!("{}/{}", outer.env("XDG_RUNTIME_DIR"), outer.env("WAYLAND_DISPLAY"));
         let backend = [
             ("WLR_BACKENDS", "wayland".into()),
@@ -176,7 +177,7 @@ impl Session {
         Some(session)
     }
 
-    /// Takes an output of a nested sway away for good.
+    /// Removes an output of a nested sway for good.
     pub fn unplug(&self, output: &str) {
         let window = format!("[title=\"{output}$\"] kill");
         assert!(self.outer().command("swaymsg").arg(window).status().unwrap().success());
@@ -196,7 +197,7 @@ impl Session {
         self.env.iter().find(|(name, _)| *name == key).expect("part of every session").1.clone()
     }
 
-    /// Xorg with the dummy driver; none where it is not installed or may not run.
+    /// Xorg with the dummy driver; `None` if it is not installed or not permitted.
     pub fn xorg(outputs: &[Screen]) -> Option<Self> {
         if !has("Xorg") || !has("xrandr") || !has("import") {
             return None;
@@ -212,7 +213,7 @@ Section \"Device\"\nIdentifier \"d\"\nDriver \"dummy\"\nVideoRam 256000\nEndSect
 Section \"Monitor\"\nIdentifier \"m\"\nHorizSync 5.0-1000.0\nVertRefresh 5.0-200.0\nEndSection\n\
 Section \"Screen\"\nIdentifier \"s\"\nDevice \"d\"\nMonitor \"m\"\nDefaultDepth 24\nSubSection \"Display\"\nDepth 24\nVirtual 3840 2160\nEndSubSection\nEndSection\n";
         std::fs::write(folder.path().join("xorg.conf"), config).unwrap();
-        // the server chooses a free display and says which
+        // the server chooses a free display and writes its number
         let mut server = Command::new("Xorg");
         server
             .args(["-displayfd", "1", "-noreset", "-nolisten", "tcp", "-config"])
@@ -253,18 +254,18 @@ Section \"Screen\"\nIdentifier \"s\"\nDevice \"d\"\nMonitor \"m\"\nDefaultDepth 
         command
     }
 
-    /// What an output of sway shows now: [columns, rows] and `[row][col][rgb]`.
+    /// A screenshot of an output of sway: [columns, rows] and `[row][col][rgb]`.
     pub fn grim(&self, output: &str) -> Option<Picture> {
         let shot = self.command("grim").args(["-t", "ppm", "-o", output, "-"]).output().ok()?;
         Picture::from_ppm(&shot.stdout)
     }
 
-    /// What all outputs of sway show now.
+    /// A screenshot of all outputs of sway.
     pub fn grim_all(&self) -> Option<Picture> {
         Picture::from_ppm(&self.command("grim").args(["-t", "ppm", "-"]).output().ok()?.stdout)
     }
 
-    /// What all outputs of an X server show now.
+    /// A screenshot of all outputs of an X server.
     pub fn import(&self) -> Option<Picture> {
         let shot = self.command("import").args(["-silent", "-window", "root", "-depth", "8", "ppm:-"]).output().ok()?;
         Picture::from_ppm(&shot.stdout)
@@ -279,7 +280,7 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// A binary PPM of 8 bits.
+    /// Parses a binary PPM of 8 bits.
     fn from_ppm(bytes: &[u8]) -> Option<Self> {
         let mut numbers = Vec::new();
         let mut at = bytes.strip_prefix(b"P6").map(|_| 2)?;
@@ -294,7 +295,7 @@ impl Picture {
         (numbers[2] == 255 && rgb.len() == 3 * size[0] * size[1]).then_some(Self { size, rgb })
     }
 
-    /// A part of it.
+    /// A part of the picture.
     pub fn part(&self, [x, y]: [i32; 2], [cols, rows]: [usize; 2]) -> Self {
         let lines = (y as usize..y as usize + rows).flat_map(|row| {
             let start = 3 * (row * self.size[0] + x as usize);
@@ -303,7 +304,7 @@ impl Picture {
         Self { size: [cols, rows], rgb: lines.collect() }
     }
 
-    /// Writes it beside other test files, for people.
+    /// Saves the picture beside other test files, for people.
     pub fn save(&self, path: &std::path::Path) {
         let image = image::RgbImage::from_raw(self.size[0] as u32, self.size[1] as u32, self.rgb.clone()).unwrap();
         image.save(path).unwrap();

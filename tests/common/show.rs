@@ -1,4 +1,4 @@
-//! `lumistack show` as a child that is told and asked.
+//! `lumistack show` as a child process that receives commands and reports events.
 
 #![allow(dead_code, reason = "every test file uses a part of this")]
 
@@ -65,13 +65,13 @@ impl Show {
         text
     }
 
-    /// Waits until it has ended by itself, and gives what it wrote to standard error.
+    /// Waits until it has ended by itself; returns its exit status and its standard error.
     pub fn ended(&mut self) -> (ExitStatus, String) {
         let status = wait_for("the end", || self.child.try_wait().unwrap());
         (status, self.errors())
     }
 
-    /// Ends it, and gives its report.
+    /// Ends it and returns its report.
     pub fn quit(mut self) -> Value {
         self.tell("quit");
         let report = self.event("report");

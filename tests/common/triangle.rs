@@ -1,8 +1,8 @@
-//! A scene of one triangle before nothing.
+//! A scene of one triangle without a background.
 
 use std::path::{Path, PathBuf};
 
-/// Writes `triangle.gltf` into a folder: a white triangle of 1 × 1 facing the viewer.
+/// Writes `triangle.gltf` into a folder: a white triangle of 1 × 1 that faces the viewer.
 pub fn write_triangle(folder: &Path) -> PathBuf {
     use base64::Engine as _;
     let corners = [0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0];

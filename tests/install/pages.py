@@ -1,4 +1,4 @@
-"""Runs every command of the first pages in order, page by page in a folder of its own: pages.py FOLDER. Runs get few pixels and paths."""
+"""Runs every command of the first pages in order, each page in a folder of its own: pages.py FOLDER. Runs have few pixels and paths."""
 
 import re
 import shlex
@@ -10,13 +10,13 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ["docs/FIRST_HOUR.md", *sorted(str(path.relative_to(ROOT)) for path in (ROOT / "docs/start").glob("*.md"))]
-#: Added to commands that render; a flag that is given twice counts the last time.
+#: Added to commands that render; the last of repeated flags counts.
 SMALL = ["--resolution", "64x40", "--views", "3x3", "--zone-samples", "20", "--iterations", "3"]
 FENCE = re.compile(r"^```(sh|python)\n(.*?)^```$", re.M | re.S)
 
 
 def serves(words: list[str], folder: Path) -> None:
-    """A server, which ends when it is told to: it must say its address."""
+    """Starts a server, which must print its address, and ends it."""
     with subprocess.Popen(words, cwd=folder, stdout=subprocess.PIPE, text=True) as server:
         assert server.stdout
         line = server.stdout.readline()
@@ -27,7 +27,7 @@ def serves(words: list[str], folder: Path) -> None:
 def page(path: str, folder: Path) -> int:
     folder.mkdir(parents=True)
     shutil.copytree(ROOT / "scenes/letters", folder, dirs_exist_ok=True)
-    # the reader's model, of any name
+    # a model of the reader, with any name
     (folder / "letters.gltf").rename(folder / "model.gltf")
     (folder / "job.toml").unlink()
     count = 0

@@ -33,7 +33,7 @@ cargo xtask <task>
   ci [--full]   format, lints, docs, layer check, wasm32 check, tests, end-to-end cases;
                 --full adds the slow ones; with CI=true a check that is skipped is a failure, here and in every other task
   layers        the layer and forbidden-edge check alone
-  words [--all] banned words, long sentences and wide comments in the folders that are clean; --all reports every folder
+  words [--all] banned words, long sentences and wide comments; --all also reports the folders that are exceptions
   deny          licences, bans, sources and, where their database can be fetched, advisories of all dependencies; installs cargo-deny
   machines      the vector kernels of ARM under emulation and of WebAssembly in Node.js, against their oracles
   panels [--full]

@@ -146,7 +146,11 @@ fn page(plugin: &Value) -> String {
             "choice" => {
                 let options = || param["options"].as_array().into_iter().flatten();
                 let values = options().map(|option| format!("`{}`", text(option, "value"))).collect::<Vec<_>>();
-                let helps = options().map(|option| format!("`{}`: {}", text(option, "value"), text(option, "help")));
+                // each help is a sentence, also if it is only a name
+                let helps = options().map(|option| {
+                    let help = text(option, "help").trim_end_matches('.');
+                    format!("`{}`: {help}.", text(option, "value"))
+                });
                 (values.join(", "), helps.map(|help| format!(" {help}")).collect())
             }
             "int" => (format!("{} to {}{unit}, whole", param["min"], param["max"]), String::new()),

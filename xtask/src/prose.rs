@@ -1,7 +1,8 @@
 //! Prose in files: comments of sources, text of Markdown, messages of errors.
 //!
-//! A block is one paragraph, list item, table cell, trailing comment or message. Code is no prose:
-//! fenced and indented code is left out, and a span in backticks counts as one word.
+//! A block is one paragraph, list item, table cell, picture, trailing comment or message. Code is
+//! no prose: fenced code, indented code and doctests are left out, and a span in backticks counts
+//! as one word.
 
 /// One paragraph with its first line, counted from 1. Its lines are joined by `\n`.
 #[derive(Debug, PartialEq)]
@@ -113,10 +114,17 @@ impl Collector {
 /// Splits lines of Markdown into paragraphs, items and cells, and drops code.
 fn paragraphs(lines: Vec<(usize, String)>) -> Vec<Block> {
     let (mut blocks, mut open, mut fenced, mut in_list) = (Vec::<Block>::new(), false, false, false);
+    let mut in_doctest = false;
     for (number, text) in lines {
         let trimmed = text.trim();
         if trimmed.starts_with("```") {
             (fenced, open) = (!fenced, false);
+            continue;
+        }
+        // a doctest of Python ends with its output, at an empty line
+        in_doctest = trimmed.starts_with(">>>") || (in_doctest && !trimmed.is_empty());
+        if in_doctest {
+            open = false;
             continue;
         }
         let indent = text.len() - text.trim_start().len();
@@ -133,17 +141,17 @@ fn paragraphs(lines: Vec<(usize, String)>) -> Vec<Block> {
         let number_ends = trimmed.trim_start_matches(|c: char| c.is_ascii_digit());
         let numbered = number_ends.len() < trimmed.len() && number_ends.starts_with(". ");
         let item = trimmed.starts_with("- ") || trimmed.starts_with("* ") || numbered;
-        let heading = trimmed.starts_with('#');
+        let alone = trimmed.starts_with('#') || trimmed.starts_with("![");
         in_list = item || (in_list && indent > 0);
         let text = if item { trimmed.split_once(' ').map_or("", |(_, rest)| rest) } else { trimmed };
         match blocks.last_mut() {
-            Some(block) if open && !item && !heading => {
+            Some(block) if open && !item && !alone => {
                 block.text.push('\n');
                 block.text.push_str(text);
             }
             _ => blocks.push(Block { line: number, text: text.trim_start_matches('#').trim().to_owned() }),
         }
-        open = !heading;
+        open = !alone;
     }
     blocks
 }
@@ -362,6 +370,17 @@ mod tests {
     fn docstrings_and_comments_of_python_are_found() {
         let text = "def f():\n    \"\"\"Returns x.\n\n    More:\n        code()\n    \"\"\"\n    y = '# no'  # why\n    z = \"\"\"no\"\"\"\n";
         assert_eq!(found("a.py", text), [block(2, "Returns x."), block(4, "More:\ncode()"), block(7, "why")]);
+    }
+
+    #[test]
+    fn doctests_are_no_prose() {
+        let text = "def f():\n    \"\"\"Returns x.\n\n    >>> what()\n    1\n\n    After.\n    \"\"\"\n";
+        assert_eq!(found("a.py", text), [block(2, "Returns x."), block(7, "After.")]);
+    }
+
+    #[test]
+    fn pictures_are_blocks_of_their_own() {
+        assert_eq!(found("a.md", "![One](a)\n![Two](b)\n"), [block(1, "![One](a)"), block(2, "![Two](b)")]);
     }
 
     #[test]

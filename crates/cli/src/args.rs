@@ -81,7 +81,7 @@ pub(crate) enum Command {
     Compare(crate::compare::Compare),
     /// Drives physical panels: every layer on its output, frame after frame
     #[command(
-        after_help = "Examples:\n  lumistack show --list                                          outputs and their names\n  lumistack show runs/still-life                                 one surface per output; keys: space, comma, full stop, Tab, arrows, s, r, q\n  lumistack show my-display.toml --pattern crosshairs --only 1   to align a stack by\n  lumistack show runs/still-life --rehearse                      no panels: a window, the mouse moves the viewer\n\nPatterns that are written anew are shown from the next period on. docs/PANELS.md says how to build and calibrate a stack."
+        after_help = "Examples:\n  lumistack show --list                                          outputs and their names\n  lumistack show runs/still-life                                 one surface per output; keys: space, comma, full stop, Tab, arrows, s, r, q\n  lumistack show my-display.toml --pattern crosshairs --only 1   to align a stack by\n  lumistack show runs/still-life --preview                       no panels: a preview in a window, the mouse moves the viewer\n\nPatterns that are written anew are shown from the next period on. docs/PANELS.md says how to build and calibrate a stack."
     )]
     Show(Box<crate::show::Show>),
     /// A display that follows its scene while settings, files, time and viewers change

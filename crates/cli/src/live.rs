@@ -23,7 +23,9 @@ use std::time::Duration;
 
 use clap::Args as ClapArgs;
 use lumistack_core::{Cancel, NoProgress, Task};
-use lumistack_pipeline::{Asked, Job, LiveFolder, PipelineError, PresentContext, Registry, Studio, Told, present};
+use lumistack_pipeline::{
+    Job, LiveFolder, PipelineError, PresentContext, PresenterInput, PresenterOutput, Registry, Studio, present,
+};
 use serde_json::json;
 
 use self::control::{read_commands, read_packets};
@@ -272,7 +274,7 @@ fn show(mode: &str, shared: &Shared, registry: &Registry, task: Task<'_>) -> Res
     };
     let (mut seen, state) = first;
     // a channel of one state: newer states replace each other in the mailbox
-    let (send, asked) = sync_channel(1);
+    let (send, input) = sync_channel(1);
     let stop = Cancel::default();
     let (display, stop_of_thread) = (&*state.target.display, &stop);
     std::thread::scope(|scope| {
@@ -285,20 +287,20 @@ fn show(mode: &str, shared: &Shared, registry: &Registry, task: Task<'_>) -> Res
                         "show",
                         "panels cannot change their size or frames while they are shown: restart `lumistack live`",
                     );
-                } else if send.send(Asked::Stack(state.stack.clone())).is_err() {
+                } else if send.send(PresenterInput::Stack(state.stack.clone())).is_err() {
                     return;
                 }
             }
             // a stop by command also closes the panels
-            let _ = send.send(Asked::Command(json!(lumistack_plugin_panels::presentation::Command::Quit)));
+            let _ = send.send(PresenterInput::Command(json!(lumistack_plugin_panels::presentation::Command::Quit)));
         });
-        let told = |told: Told<'_>| {
-            if let Told::Warning(text) = told {
+        let on_output = |output: PresenterOutput<'_>| {
+            if let PresenterOutput::Warning(text) = output {
                 tell!("warning: {text}");
             }
         };
         let params = json!({"mode": mode});
-        let context = PresentContext { display, first: Some(&state.stack), asked, told: &told, task };
+        let context = PresentContext { display, first: Some(&state.stack), input, on_output: &on_output, task };
         let shown = present(registry, "panels", &params, context).map_err(PipelineError::Output);
         stop.cancel();
         shown

@@ -1,4 +1,4 @@
-//! `lumistack show`: drives panels, or rehearses them in a window.
+//! `lumistack show`: drives panels, or shows a preview in a window.
 
 use std::fmt::Write as _;
 use std::io::BufRead;
@@ -10,7 +10,9 @@ use std::time::{Duration, SystemTime};
 use clap::Args as ClapArgs;
 use lumistack_core::Task;
 use lumistack_display::{Display, LayerStack};
-use lumistack_pipeline::{Asked, PipelineError, PresentContext, Registry, RunFolder, Told, present, presets, resealed};
+use lumistack_pipeline::{
+    PipelineError, PresentContext, PresenterInput, PresenterOutput, Registry, RunFolder, present, presets, resealed,
+};
 use lumistack_plugin_panels::assign::Output;
 use lumistack_plugin_panels::presentation::{Command, Event, Report};
 use lumistack_plugin_panels::{keep_panels, window};
@@ -35,14 +37,14 @@ pub(crate) struct Show {
     /// Use one surface across all outputs, so that all layers change together (X11, or sway)
     #[arg(long)]
     pub(crate) span: bool,
-    /// Show the seen picture in an ordinary window; the mouse moves the viewer
-    #[arg(long, conflicts_with_all = ["span", "pattern", "full_resolution_2d", "hold"])]
-    pub(crate) rehearse: bool,
-    /// First viewing angles of the rehearsal, degrees to the right and up
-    #[arg(long, value_name = "X,Y", allow_hyphen_values = true, requires = "rehearse")]
+    /// Show a preview of the display in an ordinary window; the mouse moves the viewer
+    #[arg(long, alias = "rehearse", conflicts_with_all = ["span", "pattern", "full_resolution_2d", "hold"])]
+    pub(crate) preview: bool,
+    /// Initial direction of the preview's viewer, degrees to the right and up
+    #[arg(long, value_name = "X,Y", allow_hyphen_values = true, requires = "preview")]
     pub(crate) from: Option<Numbers<2>>,
     /// Scale to the panels, for a run that was made for other panels; its distances are then wrong
-    #[arg(long, conflicts_with_all = ["rehearse", "pattern"])]
+    #[arg(long, conflicts_with_all = ["preview", "pattern"])]
     pub(crate) fit: bool,
     /// Show a picture (PNG, JPEG, WebP) on one layer at the panel's full resolution; the other
     /// layers are clear
@@ -91,7 +93,7 @@ pub(crate) fn show_command(args: &Show, registry: &Registry, json: bool, task: T
     let params = params(args)?;
     // a test pattern or a picture does not follow the run
     let first = stack.filter(|_| args.pattern.is_none() && args.full_resolution_2d.is_none());
-    let (send, asked) = channel();
+    let (send, input) = channel();
     if first.is_some() {
         let (send, dir) = (send.clone(), dir.to_owned());
         std::thread::spawn(move || watch(&dir, &send));
@@ -101,15 +103,15 @@ pub(crate) fn show_command(args: &Show, registry: &Registry, json: bool, task: T
     }
     // The event's callback cannot return an error, so the last one is kept.
     let failed = Mutex::new(None);
-    let told = |told: Told<'_>| match told {
-        Told::Warning(text) => warn("show", text, json),
-        Told::Event(event) => {
+    let on_output = |output: PresenterOutput<'_>| match output {
+        PresenterOutput::Warning(text) => warn("show", text, json),
+        PresenterOutput::Event(event) => {
             if let Err(error) = happened(event, json, file.as_deref(), args.log.as_deref()) {
                 *failed.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
             }
         }
     };
-    let context = PresentContext { display: &display, first: first.as_ref(), asked, told: &told, task };
+    let context = PresentContext { display: &display, first: first.as_ref(), input, on_output: &on_output, task };
     present(registry, PRESENTER, &params, context).map_err(PipelineError::Output)?;
     failed.into_inner().unwrap_or_else(PoisonError::into_inner).map_or(Ok(()), Err)
 }
@@ -186,7 +188,7 @@ fn calibrated(display: &Display, measured: &Display, path: &Path) -> Result<Disp
 
 /// Makes the presenter's parameters from the options.
 fn params(args: &Show) -> Result<Value, PipelineError> {
-    let mode = match (args.rehearse, args.span) {
+    let mode = match (args.preview, args.span) {
         (true, _) => "window",
         (_, true) => "span",
         _ => "outputs",
@@ -247,7 +249,7 @@ fn describe(output: &Output, json: bool) -> String {
 }
 
 /// Sends the patterns of a run whenever the run is written again.
-fn watch(dir: &Path, send: &Sender<Asked>) {
+fn watch(dir: &Path, send: &Sender<PresenterInput>) {
     let (layers, index) = (dir.join("layers"), dir.join("layers/stack.json"));
     let stamp = || std::fs::metadata(&index).and_then(|data| data.modified()).ok();
     let mut shown: Option<SystemTime> = stamp();
@@ -264,18 +266,18 @@ fn watch(dir: &Path, send: &Sender<Asked>) {
             continue;
         }
         shown = before;
-        if send.send(Asked::Stack(stack)).is_err() {
+        if send.send(PresenterInput::Stack(stack)).is_err() {
             return;
         }
     }
 }
 
 /// Reads commands from standard input.
-fn control(send: &Sender<Asked>) {
+fn control(send: &Sender<PresenterInput>) {
     for line in std::io::stdin().lock().lines().map_while(Result::ok) {
         match command_of(&line) {
             Ok(command) => {
-                if send.send(Asked::Command(json!(command))).is_err() {
+                if send.send(PresenterInput::Command(json!(command))).is_err() {
                     return;
                 }
             }

@@ -329,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn the_prototypes_gap_is_told() {
+    fn the_prototypes_gap_is_reported() {
         let analysis = Analysis::of(&directional(), None, None);
         let closed = analysis.axes[0].closed.as_ref().unwrap();
         assert_eq!((closed.equation, closed.broken.len()), (26, 1));

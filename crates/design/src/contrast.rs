@@ -423,7 +423,7 @@ mod tests {
     }
 
     /// The paper's Figure 11, over the whole emission: a layer in front of integral imaging
-    /// improves the screen plane at once. Off the screen it needs more than one frame.
+    /// improves the display plane at once. Off that plane it needs more than one frame.
     #[test]
     fn a_layer_helps_integral_imaging_on_the_screen_and_off_it_only_with_frames() {
         let bin = 0.4 * 10f64.to_radians().tan();
@@ -460,12 +460,12 @@ mod tests {
                 let alike = HALF_SINC / (zone * z.abs()) / (0.5 / display.field.pitch_mm);
                 let most = bound + alike + BETWEEN_FREQUENCIES;
                 let [at_views, between, dense] = [0, 1, 2].map(|k| cutoffs[k][i][1]);
-                let told =
+                let measures =
                     format!("{} layers, {z} mm: {at_views} {between} {dense}, bound {bound}", display.layers.len());
-                println!("{told}");
-                assert!(between < most && dense < most, "{told}");
-                assert!(at_views > most, "views that see all this say nothing: {told}");
-                assert!(dense > 0.25 * bound, "little is achieved: {told}");
+                println!("{measures}");
+                assert!(between < most && dense < most, "{measures}");
+                assert!(at_views > most, "views that see all this say nothing: {measures}");
+                assert!(dense > 0.25 * bound, "little is achieved: {measures}");
             }
         }
     }

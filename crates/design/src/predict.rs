@@ -2,8 +2,8 @@
 //!
 //! Three properties of a display explain most of the quality on a light field that suits it. They
 //! are degrees of freedom per ray, brightness, and the detail that the bound allows over the
-//! display's useful depths. These reach to z_1 = p/Δs, a disparity of one pixel between neighbouring
-//! views:
+//! display's useful depths. These reach to z_1 = p/Δs, a disparity of one pixel between
+//! neighbouring views:
 //!
 //! ```text
 //! PSNR ≈ c_0 + c_1 log2 ρ + c_2 log2 1/β + c_3 mean of min(1, ω(z) 2p) over |z| ≤ z_1

@@ -131,6 +131,7 @@ pub fn csv(rows: &[Row]) -> String {
         "display,layers,frames,brightness,gap_mm,fov_x_deg,fov_y_deg,lenslets_x,lenslets_y,thickness_mm,panels,refresh_hz,values_per_ray,\
          psnr_zone_db,psnr_zone_worst_tenth_db,psnr_view_db,psnr_raw_db,psnr_between_db",
     );
+    // Sequences and further nodes add columns to the heading.
     let has_times = rows.iter().any(|row| row.psnr_worst_db.is_some());
     if has_times {
         text.push_str(",psnr_worst_db");
@@ -142,6 +143,7 @@ pub fn csv(rows: &[Row]) -> String {
         }
     }
     text.push('\n');
+    // Only names may need quotes; a missing score is an empty cell.
     for row in rows {
         let d = &row.design;
         let name = if d.display.contains([',', '"', '\n']) {
@@ -164,13 +166,13 @@ pub fn csv(rows: &[Row]) -> String {
         ];
         let mut cells: Vec<String> = std::iter::once(name).chain(numbers.map(|n| rounded(n, 6))).collect();
         cells.push(rounded(d.values_per_ray, 4));
-        let told = |psnr: Option<f64>| psnr.map_or(String::new(), |psnr| format!("{psnr:.3}"));
-        cells.extend([row.psnr_zone_db, row.psnr_zone_worst_tenth_db].map(told));
-        cells.extend([Some(row.psnr_view_db), Some(row.psnr_raw_db), row.psnr_between_db].map(told));
-        cells.extend(has_times.then(|| told(row.psnr_worst_db)));
+        let cell = |psnr: Option<f64>| psnr.map_or(String::new(), |psnr| format!("{psnr:.3}"));
+        cells.extend([row.psnr_zone_db, row.psnr_zone_worst_tenth_db].map(cell));
+        cells.extend([Some(row.psnr_view_db), Some(row.psnr_raw_db), row.psnr_between_db].map(cell));
+        cells.extend(has_times.then(|| cell(row.psnr_worst_db)));
         for node in &row.nodes {
-            cells.extend([node.psnr_zone_db, Some(node.psnr_view_db)].map(told));
-            cells.extend(has_times.then(|| told(node.psnr_worst_db)));
+            cells.extend([node.psnr_zone_db, Some(node.psnr_view_db)].map(cell));
+            cells.extend(has_times.then(|| cell(node.psnr_worst_db)));
         }
         text.push_str(&cells.join(","));
         text.push('\n');
@@ -248,7 +250,7 @@ impl Axis {
     }
 
     /// The value with its name, for titles.
-    fn told(self, design: &Design) -> String {
+    fn with_value(self, design: &Design) -> String {
         let value = self.name(design);
         match self {
             Self::Display => value,
@@ -409,9 +411,9 @@ fn value_label(rows: &[Row]) -> String {
 }
 
 fn title(part: &[Row], others: &[Axis]) -> String {
-    let told: Vec<String> =
-        part.first().map_or(Vec::new(), |row| others.iter().map(|axis| axis.told(&row.design)).collect());
-    if told.is_empty() { "All designs".into() } else { told.join(", ") }
+    let labels: Vec<String> =
+        part.first().map_or(Vec::new(), |row| others.iter().map(|axis| axis.with_value(&row.design)).collect());
+    if labels.is_empty() { "All designs".into() } else { labels.join(", ") }
 }
 
 fn map_of(all: &[Row], part: &[Row], x: Axis, y: Axis, others: &[Axis]) -> Result<String, PlotError> {
@@ -445,7 +447,7 @@ fn curves_of(all: &[Row], part: &[Row], x: Axis, by: Option<Axis>, others: &[Axi
             own.clone().map(|row| [x.number(&row.design), row.quality_db().min(plot::CAP_DB)]).collect();
         points.sort_by(|a, b| a[0].total_cmp(&b[0]));
         let first = own.clone().next();
-        let name = by.zip(first).map_or(String::new(), |(by, row)| by.told(&row.design));
+        let name = by.zip(first).map_or(String::new(), |(by, row)| by.with_value(&row.design));
         Curve { name, points, colour: place % COLOURS.len(), dashed: place >= COLOURS.len(), dots: true }
     });
     let lowest = all.iter().map(|row| row.quality_db()).fold(f64::MAX, f64::min);
@@ -488,7 +490,7 @@ mod tests {
     }
 
     #[test]
-    fn a_design_says_what_it_takes() {
+    fn a_design_lists_its_cost() {
         let mut display = Display::uniform([16, 10], 1.0, [3, 3], [20.0, 20.0], &[-12.0, 0.0, 12.0], 6);
         let design = Design::of("x", &display);
         assert_eq!((design.gap_mm, design.thickness_mm, design.panels, design.refresh_hz), (12.0, 24.0, 3, 360.0));
@@ -512,7 +514,7 @@ mod tests {
     }
 
     #[test]
-    fn what_varies_is_plotted() {
+    fn axes_with_several_values_are_plotted() {
         let stems =
             |which: Plots| -> Vec<String> { plots(&rows(), which).unwrap().0.into_iter().map(|plot| plot.0).collect() };
         let all = stems(Plots::All);
@@ -528,7 +530,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_gets_dozens_of_plots_unasked() {
+    fn the_default_has_few_plots() {
         let base = Display::uniform([16, 10], 1.0, [3, 3], [20.0, 20.0], &[-12.0, 12.0], 2);
         let mut rows = Vec::new();
         for (layers, frames, tenths) in (2..6).flat_map(|n| (1..4).flat_map(move |m| (1..11).map(move |b| (n, m, b)))) {

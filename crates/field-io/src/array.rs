@@ -35,6 +35,7 @@ pub(crate) fn source(path: &Path, task: Task<'_>) -> Result<Source, FieldError> 
             format!("{:?}", array.shape()),
         ));
     }
+    // A JSON of the same name describes the geometry and the encoding.
     let views = [rows, cols];
     let json = path.with_extension("json");
     let mut linear = None;
@@ -45,6 +46,7 @@ pub(crate) fn source(path: &Path, task: Task<'_>) -> Result<Source, FieldError> 
         linear = geometry.linear;
         hints = geometry.into_hints(&json, views)?;
     }
+    // Without it, integers are sRGB codes and floats are linear.
     let encoded = !linear.unwrap_or(!array.scalar().is_code());
     if encoded && linear.is_none() {
         task.warn(

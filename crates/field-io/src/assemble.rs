@@ -1,10 +1,10 @@
 //! Assembles a light field in memory from a source: selects views, focuses, crops and reduces,
 //! checks values.
 //!
-//! A camera at position p (in steps, right and up) has content of disparity k (pixels a step) k·p
-//! pixels to the left of and below its position in the central camera. Reading view p from column c
-//! − k·p and row r + k·p moves that content to z = 0. The result is the part that all views have in
-//! common.
+//! A camera at position p (in steps, right and up) sees content of disparity k (pixels a step)
+//! shifted. The shift is k·p pixels to the left and downwards, relative to the central camera.
+//! Reading view p from column c − k·p and row r + k·p moves that content to z = 0. The result is
+//! the part that all views have in common.
 
 use std::path::Path;
 

@@ -101,7 +101,7 @@ pub fn is_abandoned(path: &Path) -> bool {
     is_old && File::options().write(true).open(path).is_ok_and(|file| file.try_lock().is_ok())
 }
 
-/// A temporary file of [`fn@write`], for whoever writes it piece by piece.
+/// A temporary file of [`fn@write`], for callers that write it piece by piece.
 pub(crate) fn temporary_beside(folder: &Path) -> io::Result<tempfile::NamedTempFile> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(PREFIX).suffix(SUFFIX);

@@ -56,6 +56,7 @@ pub struct Description {
 pub fn describe(path: &Path, flags: &GeometryFlags, task: Task<'_>) -> Result<Description, FieldError> {
     let mut source = detect::detect(path, flags, task)?;
     let [rows, cols] = source.views;
+    // Statistics of all values need every view once.
     let (mut minimum, mut maximum) = (f32::INFINITY, f32::NEG_INFINITY);
     let (mut sum, mut finite, mut not_finite) = (0.0, 0u64, 0);
     task.progress.begin("read views", (rows * cols) as u64, "views");
@@ -73,6 +74,7 @@ pub fn describe(path: &Path, flags: &GeometryFlags, task: Task<'_>) -> Result<De
         task.progress.advance(1, "");
     }
     task.progress.end();
+    // Flags override the geometry of the files.
     let hints = source.hints;
     let [slope_x, slope_y] = hints.slopes;
     let from_slopes = slope_x.as_ref().zip(slope_y.as_ref()).map(|(x, y)| [full_angle_deg(x), full_angle_deg(y)]);

@@ -160,6 +160,7 @@ pub fn write_views(
 ) -> Result<(), FieldError> {
     let geometry = field.geometry();
     atomic::create_folder(folder)?;
+    // Without an index, an interrupted write is not taken for a light field.
     atomic::remove(&folder.join(INDEX))?;
     for &view in views {
         write_view_as(folder, geometry, view, field.view(view), precision)?;
@@ -168,6 +169,7 @@ pub fn write_views(
     if views.len() == all[0] * all[1] {
         return write_index(folder, geometry, info);
     }
+    // Whole rows and columns form a light field of their own; other selections are marked partial.
     let of_axis = |axis: usize| views.iter().map(|view| view[axis]).collect::<BTreeSet<_>>().into_iter().collect();
     let [rows, cols]: [Vec<usize>; 2] = [of_axis(0), of_axis(1)];
     let is_grid = rows.len() * cols.len() == views.len();
@@ -209,6 +211,7 @@ fn write_index_of(
         Projection::Oblique => None,
         Projection::Perspective { distance_mm } => Some(distance_mm),
     };
+    // Entries repeat slopes and eyes for readers that know no grids.
     let entry = |(view, file): ([usize; 2], String)| {
         let slope = [grid.slope_x[view[1]], grid.slope_y[view[0]]];
         ViewEntry {
@@ -250,10 +253,10 @@ pub fn read_field_folder(folder: &Path) -> Result<(LightField, Map<String, Value
     Ok((field, info))
 }
 
-/// Some rows and columns of all views of a light field's folder, as a light field of this geometry; one view is in memory at a time.
+/// Reads some rows and columns of all views of a light field's folder, as a light field of this
+/// geometry. One view is in memory at a time.
 ///
-/// # Errors
-/// As [`read_field_folder`], and if the folder has other views or fewer pixels.
+/// Errors of [`read_field_folder`], and if the folder has other views or fewer pixels.
 pub fn read_field_region(
     folder: &Path,
     geometry: FieldGeometry,

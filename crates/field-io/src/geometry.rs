@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::FieldError;
 
-/// What a user says about a light field. Everything is optional and wins over the files.
+/// The user's description of a light field. Each value is optional and overrides the files.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct GeometryFlags {

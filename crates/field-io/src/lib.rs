@@ -3,8 +3,10 @@
 //! ```text
 //! lightfield.json + EXR ─┐
 //! .npy + .json ──────────┤
-//! camera folders ────────┼──▶ open() ──▶ LightField ──▶ write_field() ──▶ lightfield.json, view_YY_XX.exr
-//! quilts, tiles ─────────┘         LayerStack ──▶ write_stack() ──▶ stack.json, layer_L.npy, emission.npy
+//! camera folders ────────┼─▶ open() ─▶ LightField ─▶ write_field() ─▶ lightfield.json,
+//! quilts, tiles ─────────┘                                            view_YY_XX.exr
+//!                                     LayerStack ─▶ write_stack() ─▶ stack.json, layer_L.npy,
+//!                                                                    emission.npy
 //! ```
 //!
 //! All sources have one order of views: view (0, 0) is the leftmost and topmost viewpoint. Values

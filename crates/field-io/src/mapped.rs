@@ -1,4 +1,5 @@
-//! Arrays that are larger than memory may be: their values stay in the file, of which the system holds the pages that are read.
+//! Arrays that may exceed memory: their values stay in the file, and the system keeps pages that
+//! are read.
 
 use std::fs::File;
 use std::sync::Arc;
@@ -6,7 +7,7 @@ use std::sync::Arc;
 use lumistack_core::Lender;
 use memmap2::Mmap;
 
-/// Bytes from which on an array stays in its file.
+/// Least size in bytes of an array that stays in its file.
 pub(crate) const FROM: u64 = 1 << 30;
 
 /// `float32` values in a mapped file.
@@ -18,17 +19,20 @@ struct Mapped {
 
 impl AsRef<[f32]> for Mapped {
     fn as_ref(&self) -> &[f32] {
-        // SAFETY: any bytes are valid numbers; a map begins at a page, and `lend` looked for the alignment of the first value
+        // SAFETY: all bytes are valid numbers. A map begins at a page, and `lend` checked the
+        // alignment of the first value.
         unsafe { self.file[self.first..][..4 * self.count].align_to::<f32>().1 }
     }
 }
 
-/// The values of a file of little-endian `float32` that begin at a byte; `None` where this machine cannot take them as they lie.
+/// Maps `count` little-endian `float32` values from byte `first` on.
+///
+/// `None` if this machine cannot use the bytes in place, or the file is too short.
 pub(crate) fn lend(file: &File, first: u64, count: usize) -> Option<Lender> {
     if !(cfg!(target_endian = "little") && cfg!(target_pointer_width = "64") && first.is_multiple_of(4)) {
         return None;
     }
-    // SAFETY: files of results are replaced, never changed in their place
+    // SAFETY: files of results are replaced, never changed in place
     let file = unsafe { Mmap::map(file) }.ok()?;
     (file.len() as u64 >= first + 4 * count as u64)
         .then(|| Arc::new(Mapped { file, first: first as usize, count }) as Lender)

@@ -11,9 +11,11 @@ use crate::detect::detect;
 use crate::geometry::{GeometryDefaults, GeometryFlags};
 use crate::prefilter::Footprint;
 
-/// Reads a light field of any kind: a folder with `lightfield.json` (or a run's folder), `.npy`
-/// with or without a `.json` beside it, a folder of pictures as in the Stanford archive, the HCI
-/// benchmark or `RR_CC.png`, a quilt, a picture of tiles.
+/// Reads a light field of any kind.
+///
+/// A path is a folder with `lightfield.json` (or a run's folder), or `.npy` with or without a
+/// `.json` beside it. It may also be a quilt, a picture of tiles, or a folder of pictures. Pictures
+/// are named as in the Stanford archive, the HCI benchmark, or `RR_CC.png`.
 ///
 /// # Errors
 /// If the path is none of these, a file is damaged, views differ in size, values are not finite, or

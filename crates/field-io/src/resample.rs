@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn pixels_are_means_of_what_they_cover() {
+    fn pixels_are_means_over_their_areas() {
         let row = [0.0, 1.0, 2.0, 3.0];
         for (corner, span, count, expected) in [
             (0.0, 4.0, 2, vec![0.5, 2.5]),

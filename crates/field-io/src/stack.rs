@@ -72,8 +72,10 @@ pub fn read_stack_index(folder: &Path) -> Result<StackIndex, FieldError> {
     Ok(index)
 }
 
-/// Reads a stack. Arrays of a gigabyte and more stay in their files, which the system reads where values are asked for; such a file must not be changed in its
-/// place meanwhile, only replaced.
+/// Reads a stack.
+///
+/// Arrays of a gigabyte and more stay in their files, and the system reads the parts in use. Until
+/// the stack is dropped such a file may be replaced, but not changed in place.
 ///
 /// # Errors
 /// If a file is missing, damaged or of another shape than the index declares, or a value is not in

@@ -9,7 +9,8 @@ use tempfile::NamedTempFile;
 use crate::index::write_json;
 use crate::{FieldError, atomic, npy};
 
-/// A stack that is being written. Its files appear once it is finished; one that is dropped before leaves nothing.
+/// A stack that is being written. Its files appear at [`finish`](Self::finish); a writer that is
+/// dropped before leaves none.
 #[derive(Debug)]
 pub struct StackWriter {
     folder: PathBuf,
@@ -18,7 +19,7 @@ pub struct StackWriter {
     arrays: Vec<Array>,
 }
 
-/// An array `[plane...][row][col][rgb]` under way.
+/// An array `[plane...][row][col][rgb]` that is being written.
 #[derive(Debug)]
 struct Array {
     path: PathBuf,
@@ -30,10 +31,10 @@ struct Array {
 }
 
 impl StackWriter {
-    /// Begins a stack of a display in a folder, which is made where it is missing. What no part covers is 0.
+    /// Begins a display's stack in a folder, which is created if missing. Pixels that no part
+    /// covers are 0.
     ///
-    /// # Errors
-    /// If the folder or a file cannot be made.
+    /// If the folder or a file cannot be created.
     pub fn begin(folder: &Path, display: &Display) -> Result<Self, FieldError> {
         let index = StackIndex::of_display(display);
         atomic::create_folder(folder)?;
@@ -47,7 +48,7 @@ impl StackWriter {
         Ok(Self { folder: folder.to_owned(), index, arrays })
     }
 
-    /// Writes a part: `regions` say which pixels of each layer, and of the lenslets, it holds.
+    /// Writes a part. `regions` are its pixels in each layer, and in the lenslets if there are any.
     ///
     /// # Errors
     /// If the disk is full or fails.
@@ -80,7 +81,7 @@ impl Array {
     fn begin(path: PathBuf, shape: &[usize]) -> Result<Self, FieldError> {
         let begin = || {
             let mut file = atomic::temporary_beside(path.parent().unwrap_or(Path::new(".")))?;
-            // says that somebody writes it
+            // the lock marks the file as in use, see `atomic::is_abandoned`
             let _ = file.as_file().try_lock();
             npy::write_header(file.as_file_mut(), shape)?;
             let header = file.as_file_mut().stream_position()?;

@@ -45,9 +45,9 @@ pub use job::{
 pub use live::{LiveFolder, Studio};
 #[cfg(feature = "gpu")]
 pub use lumistack_factorizer_gpu::{Adapter as GpuAdapter, adapters as gpu_adapters};
-pub use lumistack_plugin_host::{Asked, OutputData, PresentContext, Registry, Told, present};
 #[cfg(feature = "dynamic")]
 pub use lumistack_plugin_host::{Launcher, plugin_child};
+pub use lumistack_plugin_host::{OutputData, PresentContext, PresenterInput, PresenterOutput, Registry, present};
 pub use lumistack_shot::automatic_look;
 pub use only_views::render_only;
 pub use outlook::{Outlook, outlook, outlook_on};

@@ -1,5 +1,8 @@
-//! A film of a printed display that is larger than memory: patterns are written tile by tile, and `transparencies` makes a PDF of them, each in a process whose
-//! memory is limited to a gigabyte, pages of files among it, where this system lets the bench do so.
+//! A film of a printed display that exceeds memory.
+//!
+//! Patterns are written tile by tile, and `transparencies` makes a PDF of them. Each step is a
+//! process whose memory, pages of files included, is limited to a gigabyte if the system permits
+//! it.
 //!
 //! `bench_film [COLUMNS ROWS] [FOLDER]`
 
@@ -16,9 +19,10 @@ use serde_json::json;
 
 type Outcome = Result<(), Box<dyn Error>>;
 
-/// Memory of a worker, pages of files among it: below a gigabyte with those that it shares with other processes.
+/// Memory of a process in bytes, pages of files included. With pages that it shares with other
+/// processes, it stays below a gigabyte.
 const LIMIT: u64 = 900 << 20;
-/// Pixels of a tile to a side.
+/// Pixels per side of a tile.
 const TILE: usize = 2048;
 const PITCH_MM: f64 = 25.4 / 1200.0;
 
@@ -34,7 +38,7 @@ fn main() -> Outcome {
     }
 }
 
-/// Two films; that in front is small, since one shows all.
+/// Two films. The one in front is small, since one large film is enough for the measurement.
 fn display(size: &[&str]) -> Result<Display, Box<dyn Error>> {
     let [cols, rows] = size else { return Err("expected columns and rows".into()) };
     let resolution = [cols.parse()?, rows.parse()?];
@@ -45,7 +49,7 @@ fn display(size: &[&str]) -> Result<Display, Box<dyn Error>> {
     Ok(display)
 }
 
-/// Stripes that slowly turn and noise beside them: what neither compression nor a cache makes short work of.
+/// Stripes that slowly turn, with noise. Neither compression nor a cache makes this content cheap.
 fn value(row: usize, col: usize, channel: usize) -> f32 {
     let noise = lumistack_core::seed::unit_f32(lumistack_core::seed::mix((row * 131_071 + col * 3 + channel) as u64));
     let stripe = ((row * row / 9973 + 7 * col) % 512) as f32 / 512.0;
@@ -90,7 +94,7 @@ fn bench(size: [&str; 2], folder: &Path) -> Outcome {
     println!("a film of {} × {} pixels, {} dots per inch", size[0], size[1], (25.4 / PITCH_MM).round());
     let group = Group::new();
     if group.is_none() {
-        println!("memory of files is not limited: no control group of memory can be made here");
+        println!("pages of files are not limited: this system permits no control group of memory");
     }
     for step in ["patterns", "film"] {
         let begun = Instant::now();
@@ -118,7 +122,8 @@ fn bench(size: [&str; 2], folder: &Path) -> Outcome {
     Ok(())
 }
 
-/// Whether a process succeeded, and the most memory that was its own: not of files, whose pages the system takes back when it likes.
+/// Waits for a process. Returns true if it succeeded, and its peak of anonymous memory in bytes,
+/// which excludes pages of files.
 fn watch(child: &mut Child) -> Result<(bool, u64), Box<dyn Error>> {
     let path = format!("/proc/{}/status", child.id());
     let mut most = 0;
@@ -140,12 +145,12 @@ struct Group(PathBuf);
 impl Group {
     fn new() -> Option<Self> {
         let name = format!("lumistack-film-{}", std::process::id());
-        // of the second kind, and of the first
+        // version 2 of control groups, and version 1
         let kinds = [("/sys/fs/cgroup", "memory.max"), ("/sys/fs/cgroup/memory", "memory.limit_in_bytes")];
         kinds.into_iter().find_map(|(root, limit)| {
             let group = Self(Path::new(root).join(&name));
             std::fs::create_dir(&group.0).ok()?;
-            // where the folder is no control group, the file is not there
+            // in a folder that is no control group, the file is missing
             let file = std::fs::OpenOptions::new().write(true).open(group.0.join(limit));
             std::io::Write::write_all(&mut file.ok()?, LIMIT.to_string().as_bytes()).ok()?;
             Some(group)

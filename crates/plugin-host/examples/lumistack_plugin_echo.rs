@@ -59,7 +59,7 @@ impl OutputPlugin for Echo {
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
             }
         }
-        self.host.warn("nobody listens any more");
+        self.host.warn("the presentation has ended");
         Ok(())
     }
 

@@ -32,13 +32,13 @@ impl Drop for Grenade {
 }
 
 impl OutputPlugin for Faulty {
-    const DOC: &'static str = "Misbehaves as told.";
+    const DOC: &'static str = "Fails as its parameter demands.";
     const PORTS: &'static [Port] = &[Port::LayerStack];
     type Params = Params;
 
     fn schema() -> Schema {
         Schema::new([
-            Param::text("fault", "", "What to do wrong."),
+            Param::text("fault", "", "Fault to commit."),
             Param::int("files", 3, 0..=9, "How many files to write.").unit("files"),
             Param::text("path", "", "One more file, with this name."),
         ])

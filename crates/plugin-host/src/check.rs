@@ -60,7 +60,7 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn what_an_output_refuses_is_known_without_data() {
+    fn refusals_of_outputs_need_no_data() {
         let registry = Registry::built_in().unwrap();
         let (warnings, cancel) = (Collector::default(), Cancel::default());
         let task = Task::quiet(&warnings, &cancel);

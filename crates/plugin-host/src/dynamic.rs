@@ -152,7 +152,7 @@ pub(crate) fn open(path: &Path, id: &str) -> Result<Plugin, LoadError> {
     // preconditions.
     let library = unsafe { Shared::new(path) }
         .map_err(|error| LoadError::Open { path: path.into(), reason: loader_message(&error) })?;
-    // never unloaded, whatever follows
+    // never unloaded, also after an error
     let library: &'static Shared = Box::leak(Box::new(library));
     let symbol = format!("{ENTRY_PREFIX}{id}");
     // SAFETY: a function of this name is a plugin's entry, by the convention of the interface.

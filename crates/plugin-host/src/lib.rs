@@ -43,7 +43,7 @@ pub use dynamic::PluginPaths;
 pub use error::{HostError, LoadError};
 pub use make::{import_scene, make_field, make_stack};
 pub use origin::Origin;
-pub use present::{Asked, PresentContext, Told, present};
+pub use present::{PresentContext, PresenterInput, PresenterOutput, present};
 pub use registry::Registry;
 pub use run::{OpenOutput, OutputContext, run_output, with_output};
 

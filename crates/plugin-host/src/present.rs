@@ -14,7 +14,7 @@ use crate::{HostError, Registry};
 
 /// Input of a running presenter.
 #[derive(Clone, Debug)]
-pub enum Asked {
+pub enum PresenterInput {
     /// A new layer stack, which replaces the previous one.
     Stack(LayerStack),
     /// A command, in the plugin's JSON.
@@ -23,7 +23,7 @@ pub enum Asked {
 
 /// Output of a presenter, from any thread.
 #[derive(Clone, Copy, Debug)]
-pub enum Told<'a> {
+pub enum PresenterOutput<'a> {
     /// A warning for the user.
     Warning(&'a str),
     /// An event, in the plugin's JSON.
@@ -37,9 +37,9 @@ pub struct PresentContext<'a> {
     /// The layer stack submitted before it runs; none if the parameters set the content.
     pub first: Option<&'a LayerStack>,
     /// Receives input while it runs.
-    pub asked: Receiver<Asked>,
+    pub input: Receiver<PresenterInput>,
     /// Called with its output. Refused input is reported as a warning.
-    pub told: &'a (dyn Fn(Told<'_>) + Sync),
+    pub on_output: &'a (dyn Fn(PresenterOutput<'_>) + Sync),
     /// Progress and cancellation.
     pub task: Task<'a>,
 }
@@ -53,18 +53,18 @@ const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// # Errors
 /// If there is no such presenter, it refuses parameters, display or layer stacks, or it fails.
 pub fn present(registry: &Registry, id: &str, params: &Value, context: PresentContext<'_>) -> Result<(), HostError> {
-    let PresentContext { display, first, asked, told, task } = context;
+    let PresentContext { display, first, input, on_output, task } = context;
     let plugin = registry.output(id, true)?;
     let resolved = registry.check_params(id, params)?;
     let of_plugin = |error| HostError::of_plugin(PluginKind::Output, id, error);
-    let host = ForwardingHost { told, task };
+    let host = ForwardingHost { on_output, task };
     let output = Output::open(plugin, &host, &Value::Object(resolved), display).map_err(of_plugin)?;
     if let Some(stack) = first {
         output.submit(Time::default(), OutputData::LayerStack(stack, None)).map_err(of_plugin)?;
     }
     let ended = AtomicBool::new(false);
     let ran = std::thread::scope(|scope| {
-        scope.spawn(|| forward_input(&output, asked, told, &ended));
+        scope.spawn(|| forward_input(&output, input, on_output, &ended));
         let ran = output.run();
         ended.store(true, Ordering::SeqCst);
         ran
@@ -73,28 +73,33 @@ pub fn present(registry: &Registry, id: &str, params: &Value, context: PresentCo
 }
 
 /// Forwards input until the presentation has ended.
-fn forward_input(output: &Output<'_>, asked: Receiver<Asked>, told: &(dyn Fn(Told<'_>) + Sync), ended: &AtomicBool) {
+fn forward_input(
+    output: &Output<'_>,
+    input: Receiver<PresenterInput>,
+    on_output: &(dyn Fn(PresenterOutput<'_>) + Sync),
+    ended: &AtomicBool,
+) {
     let mut time = Time::default();
     while !ended.load(Ordering::SeqCst) {
-        let done = match asked.recv_timeout(POLL_INTERVAL) {
-            Ok(Asked::Stack(stack)) => {
+        let done = match input.recv_timeout(POLL_INTERVAL) {
+            Ok(PresenterInput::Stack(stack)) => {
                 time.index += 1;
                 output.submit(time, OutputData::LayerStack(&stack, None))
             }
-            Ok(Asked::Command(command)) => output.command(&command),
+            Ok(PresenterInput::Command(command)) => output.command(&command),
             Err(RecvTimeoutError::Timeout) => Ok(()),
             Err(RecvTimeoutError::Disconnected) => return,
         };
         match done {
             Ok(()) | Err(PluginError::Cancelled) => {}
-            Err(error) => told(Told::Warning(&error.to_string())),
+            Err(error) => on_output(PresenterOutput::Warning(&error.to_string())),
         }
     }
 }
 
 /// A host without files, which forwards events and warnings.
 struct ForwardingHost<'a> {
-    told: &'a (dyn Fn(Told<'_>) + Sync),
+    on_output: &'a (dyn Fn(PresenterOutput<'_>) + Sync),
     task: Task<'a>,
 }
 
@@ -104,11 +109,11 @@ impl Services for ForwardingHost<'_> {
     }
 
     fn warn(&self, message: &str) {
-        (self.told)(Told::Warning(message));
+        (self.on_output)(PresenterOutput::Warning(message));
     }
 
     fn tell(&self, event: &Value) {
-        (self.told)(Told::Event(event));
+        (self.on_output)(PresenterOutput::Event(event));
     }
 
     fn no_files(&self) -> PluginError {

@@ -57,7 +57,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_refused_is_named() {
+    fn refusals_name_their_cause() {
         let mut display = Display::uniform([8, 6], 1.0, [3, 2], [20.0, 14.0], &[-3.0, 3.0], 4);
         display.name = "bench".into();
         assert_eq!((layers(&display, 2), attenuating(&display), uniform_backlight(&display)), (Ok(()), Ok(()), Ok(())));

@@ -176,7 +176,7 @@ mod tests {
     /// thin lens to the panel. The pixel there must show the display model's value of that ray. The
     /// lens array is an explicit list of rotated axes.
     #[test]
-    fn a_traced_ray_carries_what_the_display_model_says() {
+    fn traced_rays_agree_with_the_display_model() {
         let display = display();
         for (rotation_deg, offset_mm, pitch_factor, focal_factor) in
             [(0.0, [0.0, 0.0], 1.0, 1.0), (0.7, [0.0, 0.0], 1.0, 1.0), (-1.3, [0.31, -0.77], 1.002, 0.97)]

@@ -4,7 +4,8 @@
 //! An output plugin is a type that implements [`OutputPlugin`] and one line at the end of the file:
 //!
 //! ```
-//! use lumistack_plugin::{Display, Host, Input, OutputPlugin, Param, PluginError, Port, Schema, Time, export_plugin};
+//! use lumistack_plugin::{Display, Host, Input, OutputPlugin, Param, PluginError, Port, Schema};
+//! use lumistack_plugin::{Time, export_plugin};
 //! use lumistack_plugin::serde::Deserialize;
 //!
 //! /// Writes the mean transmittance of every layer and frame as text.

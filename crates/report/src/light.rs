@@ -65,6 +65,7 @@ impl Light {
             format::number(self.wanted),
             format::number(input.stack.brightness),
         );
+        // Light that no pattern recovers, then a brightness that the display cannot reach.
         let peaks: Vec<f64> = display.layers.iter().map(|layer| layer.peak).collect();
         if display.formation == Formation::Attenuating && self.open.is_finite() {
             text += &if self.open > 1.0 - 1e-6 {

@@ -126,6 +126,7 @@ fn encode_sheet(
     task: Task,
 ) -> Result<Sheet, ReportError> {
     let [frames, rows, cols, _] = layer.shape();
+    // One pass over the frames gives their pictures, the mean and the standard deviation.
     let (mut sum, mut squares) = (vec![0.0f32; rows * cols * 3], vec![0.0f32; rows * cols * 3]);
     let mut pictures = Vec::with_capacity(frames);
     for frame in 0..frames {

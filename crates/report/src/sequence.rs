@@ -1,9 +1,9 @@
 //! The report of a sequence: error, flicker and cost of every time step, on one page.
 //!
-//! Flicker is the unwanted change between time steps: with e_t = L̃_t/β − L_t the error of a ray at
-//! time t, it is the rms of e_t − e_(t−1) over rays and channels. `psnr_change` is −20·log10 of
-//! that rms, in dB: the PSNR of the displayed change against the target's change. `psnr_still`
-//! covers only rays with a constant target.
+//! Flicker is the unwanted change between time steps. The error of a ray at time t is e_t = L̃_t/β
+//! − L_t. Flicker is the rms of e_t − e_(t−1) over rays and channels. `psnr_change` is
+//! −20·log10 of that rms, in dB: the PSNR of the displayed change against the target's change.
+//! `psnr_still` covers only rays with a constant target.
 //!
 //! # report.json
 //!
@@ -13,7 +13,7 @@
 //! | `title`, `lumistack_version`, `command` | texts; `command` may be null |
 //! | `psnr_view`, `psnr_raw`, `psnr_change`, `psnr_still` | dB over all time steps; null without compared rays |
 //! | `brightness` | β |
-//! | `times` | list of `name` (its folder), `source`, `psnr_view`, `start` (`"warm"` from the stack of the previous time step, else the name of the fresh start), `psnr_start` (before the first iteration), `psnr_change`, `psnr_still`, `still_share` (fraction of rays with a constant target; these three null at the first time step), `iterations`, `seconds` of the solver, `cached` |
+//! | `times` | list of `name` (its folder), `source`, `psnr_view`, `start`, `psnr_start` (before the first iteration), `psnr_change`, `psnr_still`, `still_share` (fraction of rays with a constant target), `iterations`, `seconds` of the solver, `cached`. `start` is `"warm"` from the stack of the previous time step, else the name of the fresh start. `psnr_change`, `psnr_still` and `still_share` are null at the first time step |
 //! | `nodes` | for a job with several nodes: list of `id` and the keys from `psnr_view` to `times` per node; those above are the first node's |
 //! | `settings`, `warnings` | the resolved job; list of `place`, `message` |
 

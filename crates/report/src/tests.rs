@@ -208,7 +208,7 @@ fn an_exact_display_is_infinitely_good_and_says_so() {
 }
 
 #[test]
-fn a_display_that_no_ray_meets_has_no_figure() {
+fn a_display_without_hits_has_no_figure() {
     let mut display = display(2, 1, [1, 1], [4, 4], "");
     display.layers[1].offset_mm = [100.0, 0.0];
     let (stack, target) = (noisy_stack(&display), noisy_field(&display, None));
@@ -329,7 +329,7 @@ fn the_simulated_view_is_divided_by_the_brightness() {
 }
 
 #[test]
-fn a_denoised_target_is_told_of() {
+fn a_denoised_target_is_reported() {
     let display = display(2, 2, [3, 2], [16, 8], "");
     let (stack, target) = (noisy_stack(&display), noisy_field(&display, None));
     let plain = plain(&display, &stack, &target);
@@ -348,7 +348,7 @@ fn a_denoised_target_is_told_of() {
     let report = built(&ReportInput { denoising: Some(&denoising), ..plain }).unwrap();
     check_page(&report.html);
     for text in [
-        "Every view went through a filter",
+        "Every view was filtered by a filter",
         "2.00e-3 ± 1e-5 before, 3.00e-4 ± 2e-5 after",
         "+0.200 %",
         "href=\"#denoising\"",

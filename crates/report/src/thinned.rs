@@ -15,6 +15,7 @@ pub(crate) fn thinned(field: &LightField, weights: &Weights) -> Option<(LightFie
     if views.iter().all(|count| *count <= MOST) {
         return None;
     }
+    // Keep views that are spread over the grid, with their depth and weights.
     let [rows, cols] = views.map(|count| spread(count, MOST));
     let pick = |slopes: &[f64], places: &[usize]| places.iter().map(|&place| slopes[place]).collect();
     let grid = ViewGrid {

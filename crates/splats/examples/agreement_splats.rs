@@ -1,11 +1,13 @@
-//! Clouds and views for `xtask/bench/splats_mitsuba.py`, which traces the same rays through the same Gaussians with Mitsuba 3.
+//! Writes clouds and views for `xtask/bench/splats_mitsuba.py`, which traces the same rays through
+//! the same Gaussians with Mitsuba 3.
 //!
 //! ```text
 //! cargo run --release -p lumistack-splats --example agreement_splats FOLDER
 //! ```
 //!
-//! Everything is in millimetres of display space. `apart` holds few wide splats one behind another: any order of them is the same, and none is narrower
-//! than a pixel. `capture` holds thousands that overlap, as captures have them.
+//! Lengths are in millimetres of display space. `apart` has few wide splats one behind another; all
+//! orders of them are alike, and none is narrower than a pixel. `capture` has thousands of
+//! overlapping splats, as captures do.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -35,7 +37,7 @@ fn main() {
     std::fs::write(folder.join("cases.json"), Value::from(cases).to_string()).expect("a file");
 }
 
-/// Renders the views of a cloud, and writes them beside it.
+/// Renders the views of a cloud, and writes both to files.
 fn write(folder: &Path, name: &str, cloud: &Cloud, projection: Projection) -> Value {
     let geometry = FieldGeometry { rows: 100, cols: 150, pitch_mm: 1.0, grid: ViewGrid::single(projection, [0.0; 2]) };
     let map = Similarity { rotation: DQuat::IDENTITY, scale: 1.0, translation: DVec3::ZERO };
@@ -51,6 +53,7 @@ fn write(folder: &Path, name: &str, cloud: &Cloud, projection: Projection) -> Va
         std::fs::write(folder.join(&name), bytes).expect("a file");
         name
     };
+    // Attributes of each splat in one row, as the script reads them.
     let cloud = &scene.clouds[0];
     let mut rows = Vec::new();
     for i in 0..cloud.len() {
@@ -91,7 +94,7 @@ fn push(cloud: &mut Cloud, at: Vec3, turn: Quat, scale: Vec3, opacity: f32, harm
     cloud.harmonics.extend(harmonics);
 }
 
-/// Discs that face the viewer, six millimetres one behind another.
+/// Discs that face the viewer, with distances of 6 mm.
 fn apart() -> Cloud {
     let mut next = random(3);
     let mut cloud = Cloud { degree: 1, ..Cloud::default() };
@@ -105,7 +108,7 @@ fn apart() -> Cloud {
     cloud
 }
 
-/// Flat splats on three bumpy shells, as large as their spacing.
+/// Flat splats on three bumpy shells, about as large as their spacing.
 fn capture(count: usize) -> Cloud {
     let mut next = random(7);
     let mut cloud = Cloud { degree: 1, ..Cloud::default() };

@@ -1,7 +1,9 @@
-//! Time and memory of many views of a million splats: all at once, one by one, and by a naive renderer.
+//! Time and memory of many views of a million splats: all at once, one by one, and by a naive
+//! renderer.
 //!
 //! ```text
-//! cargo run --release -p lumistack-splats --example bench_splats [SPLATS] [VIEWS per axis] [DEGREE]
+//! cargo run --release -p lumistack-splats --example bench_splats \
+//!     [SPLATS] [VIEWS per axis] [DEGREE]
 //! ```
 
 use std::sync::Arc;
@@ -14,7 +16,7 @@ use lumistack_scene::{Cloud, PlacedCloud, Scene, SceneParts, Similarity, Window}
 use lumistack_splats::{Renderer, SplatView, Wanted};
 use rayon::prelude::*;
 
-/// Views that are rendered one by one, of which the others are extrapolated.
+/// Views that are rendered one by one; times of all views are extrapolated from them.
 const SAMPLED: usize = 5;
 
 fn main() {
@@ -48,6 +50,7 @@ fn main() {
         renderer.render(&window, &geometry, slopes, &none, wanted, task, done).expect("views");
         (start.elapsed().as_secs_f64(), processor_s() - used, sum)
     };
+    // One render to warm up, then all views together, some of them alone, and the naive renderer.
     render(&slopes[..1], Wanted::Light);
     let (together, of_together, _) = render(&slopes, Wanted::Light);
     let (depth, of_depth, _) = render(&slopes, Wanted::Depth);
@@ -89,7 +92,8 @@ fn main() {
     println!("peak memory {peak:.0} MB, agreement {:.1} dB", -10.0 * error.log10());
 }
 
-/// Splats on bumpy closed surfaces, as captures of things are: flat, about as large as their spacing, with faint ones in between.
+/// Splats on bumpy closed surfaces, similar to captures: flat, about as large as their spacing,
+/// with faint ones in between.
 fn scene(count: usize, degree: usize) -> Arc<Scene> {
     let mut state = 7u64;
     let mut next = || {
@@ -120,8 +124,10 @@ fn scene(count: usize, degree: usize) -> Arc<Scene> {
     Arc::new(parts.validate(Task::quiet(&warnings, &cancel)).expect("a scene"))
 }
 
-/// A renderer as one writes it for a single picture: all splats are projected, shaded and sorted, then each tile blends those that touch it until its pixels
-/// are full. On all threads.
+/// A renderer as written for a single picture, on all threads.
+///
+/// It projects, shades and sorts all splats. Then each tile blends the splats that touch it, until
+/// its pixels are opaque.
 fn naive(scene: &Scene, window: &Window, geometry: &FieldGeometry, slope: [f64; 2]) -> Vec<[f32; 3]> {
     const TILE: usize = 16;
     struct Flat {
@@ -137,6 +143,7 @@ fn naive(scene: &Scene, window: &Window, geometry: &FieldGeometry, slope: [f64; 
     let pixel = (map.scale * geometry.pitch_mm) as f32;
     let [sx, sy] = [slope[0] as f32, -slope[1] as f32];
     let direction = Vec3::new(-sx, sy, -1.0).normalize();
+    // Project and shade every splat.
     let mut flat: Vec<Flat> = (0..cloud.len())
         .into_par_iter()
         .map(|i| {
@@ -165,6 +172,7 @@ fn naive(scene: &Scene, window: &Window, geometry: &FieldGeometry, slope: [f64; 
             }
         })
         .collect();
+    // Sort, list the splats per tile, blend each tile.
     flat.par_sort_unstable_by(|a, b| a.distance.total_cmp(&b.distance));
     let tiles = [geometry.cols.div_ceil(TILE), geometry.rows.div_ceil(TILE)];
     let mut lists = vec![Vec::new(); tiles[0] * tiles[1]];
@@ -243,15 +251,16 @@ fn basis(d: Vec3) -> [f32; 16] {
     ]
 }
 
-/// Processor time of all threads so far, seconds; on a busy machine a better measure than the clock.
+/// Processor time of all threads so far, in seconds; less disturbed by other programs than the
+/// clock.
 fn processor_s() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let fields = stat.rsplit(')').next().unwrap_or("").split_whitespace().skip(11).take(2);
-    // ticks of a hundredth
+    // the unit is 1/100 s
     fields.flat_map(str::parse::<f64>).sum::<f64>() / 100.0
 }
 
-/// Peak resident memory so far, MB; 0 where the system does not say.
+/// Peak resident memory so far, in MB; 0 if the system does not report it.
 fn peak_mb() -> f64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find(|line| line.starts_with("VmHWM"));

@@ -6,12 +6,15 @@ use serde_json::{Map, Value, json};
 const FLOAT: u32 = 5126;
 const POINTS: u32 = 0;
 
-/// A `.glb` file that shows a cloud, turned by `rotation` (x, y, z, w) and scaled. `None` where the cloud is too large for the container's 32-bit lengths.
+/// A `.glb` file with one cloud in a node that has `rotation` (x, y, z, w) and a uniform `scale`.
+///
+/// `None` if the cloud exceeds the container's 32-bit lengths.
 pub fn glb(cloud: &Cloud, rotation: [f32; 4], scale: f64) -> Option<Vec<u8>> {
     let coefficients = cloud.coefficients();
     let size = 4 * cloud.len() * (3 + 4 + 3 + 1 + 3 * coefficients);
-    // header, two chunks, and a description of some kilobytes
+    // refuse before the buffer is built; 64 KiB are enough for the header, chunks and JSON
     u32::try_from(size + (1 << 16)).ok()?;
+    // Each attribute becomes a buffer view with an accessor.
     let mut bytes = Vec::with_capacity(size);
     let (mut views, mut accessors, mut attributes) = (Vec::new(), Vec::new(), Map::new());
     let mut add = |name: &str, kind: &str, values: &mut dyn Iterator<Item = f32>| {
@@ -35,6 +38,7 @@ pub fn glb(cloud: &Cloud, rotation: [f32; 4], scale: f64) -> Option<Vec<u8>> {
             add(&own(&format!("SH_DEGREE_{degree}_COEF_{order}")), "VEC3", &mut values);
         }
     }
+    // glTF demands the bounds of positions.
     let (mut least, mut most) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
     for position in &cloud.positions {
         for axis in 0..3 {
@@ -64,6 +68,7 @@ pub fn glb(cloud: &Cloud, rotation: [f32; 4], scale: f64) -> Option<Vec<u8>> {
         "bufferViews": views,
         "buffers": [{"byteLength": bytes.len()}],
     });
+    // A GLB container: header, JSON padded to four bytes, then the binary chunk.
     let mut text = root.to_string().into_bytes();
     text.resize(text.len().next_multiple_of(4), b' ');
     let mut file = Vec::with_capacity(28 + text.len() + bytes.len());

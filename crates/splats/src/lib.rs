@@ -1,10 +1,11 @@
-//! Gaussian splats: readers of the files in which captures are kept, and a renderer that makes many views of them at once.
+//! Gaussian splats: readers of capture files, and a renderer of many views at once.
 //!
 //! ```text
-//! .ply .spz SOG ──read──▶ Cloud ──Scene──▶ Renderer (window, slopes) ──▶ light and depth of every view
+//! .ply .spz SOG ──read──▶ Cloud ──Scene──▶ Renderer (window, slopes) ──▶ light and depth per view
 //! ```
 //!
-//! No file system, no clock: the crate compiles to wasm32, without the feature `parallel` on one thread.
+//! The crate uses no file system and no clock, so it compiles to wasm32. Without the feature
+//! `parallel` it runs on one thread.
 
 mod glb;
 pub mod read;
@@ -17,5 +18,6 @@ pub use lumistack_scene::Cloud;
 pub use render::{Renderer, Space, SplatView, Surfaces, Wanted};
 pub use scene::{LoadError, scene};
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, computed at build. It is part of the key of every cached result
+/// that this code contributes to.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

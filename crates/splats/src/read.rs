@@ -1,6 +1,7 @@
-//! Files of splats to [`Cloud`](lumistack_scene::Cloud)s, from bytes. Counts are checked against what is there before anything is allocated.
+//! Reads files of splats into [`Cloud`](lumistack_scene::Cloud)s, from bytes. Counts are compared
+//! with the file's size before memory is allocated.
 //!
-//! | file | by | axes |
+//! | file | written by | axes |
 //! |---|---|---|
 //! | `.ply` | the reference trainers, and PlayCanvas' compressed form | right, down, front |
 //! | `.spz` | Niantic, versions 1 to 4 | right, up, back |
@@ -14,10 +15,11 @@ mod spz;
 pub use found::{Axes, Found, MAX_BYTES, ReadError};
 pub use spz::read_spz;
 
-/// Reads a file by its content. `beside` reads a file that a SOG's `meta.json` names.
+/// Reads a file of splats. Its first bytes select the format, not its name.
 ///
-/// # Errors
-/// When it is no file of splats, or broken.
+/// `beside` reads a file that a SOG's `meta.json` names.
+///
+/// If the bytes are of no known format, or a value in the file is not valid.
 pub fn read(bytes: &[u8], beside: &dyn Fn(&str) -> Result<Vec<u8>, String>) -> Result<Found, ReadError> {
     match bytes {
         [b'p', b'l', b'y', b'\n' | b'\r', ..] => ply::read(bytes),

@@ -1,13 +1,22 @@
-//! Splats to views: sorted and binned once for many views, blended in the exact order of each.
+//! Views of splats, sorted and binned once for many views and blended in each view's exact order.
 //!
 //! ```text
-//! C = Σ_i c_i α_i Π_{j<i} (1 − α_j)        by distance of the centres from the viewer, in the space in which the colours are given
-//! α_i = o_i √(|Σ'| / |Σ' + P|) exp(−½ dᵀ (Σ' + P)⁻¹ d)        P: variance of a pixel's box
+//! C = Σ_i c_i α_i Π_{j<i} (1 − α_j)
+//! α_i = o_i √(|Σ'| / |Σ' + P|) exp(−½ dᵀ (Σ' + P)⁻¹ d)
+//!
+//! i, j    splats in rising distance of their centres from the viewer
+//! c, o    colour, in the colour space that is blended in, and opacity
+//! Σ'      covariance of the splat, projected onto z = 0
+//! P       variance of a pixel's box
+//! d       from the splat's projected centre to the pixel's
 //! ```
 //!
-//! The naive renderer projects, shades and sorts all splats for every view. Here the scene is brought before the window and sorted by depth once. Blocks of views share lists
-//! of splats per tile, which each view corrects to its own order (an insertion sort of what is nearly sorted), and a splat is projected and shaded only where no nearer ones hide it.
-//! The filter P with its lower peak is the 2D filter of mip-splatting (Yu et al., CVPR 2024).
+//! A naive renderer projects, shades and sorts all splats for every view. This one transforms and
+//! sorts them by depth once per window. Blocks of views share lists of splats per tile. Each view
+//! corrects a list to its own order, by an insertion sort of nearly sorted keys. A splat is
+//! projected and shaded only where no nearer splats hide it.
+//!
+//! The filter P with its lowered peak is the 2D filter of mip-splatting (Yu et al., CVPR 2024).
 
 mod blend;
 mod harmonics;
@@ -35,48 +44,53 @@ pub struct Renderer {
     space: Space,
 }
 
-/// What a view sees of the splats.
+/// The splats as one view shows them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SplatView {
-    /// `[row][col][r, g, b, T]`: colour, blended in the scene's [`Space`] before black, and the share T of what is behind that comes through.
+    /// `[row][col][r, g, b, T]`: colour, blended in the scene's [`Space`] over black, and the
+    /// transmittance T of all splats, 0..1.
     pub light: Tensor<3>,
-    /// `[row][col]`: z in display space of the splat at which half of the light behind is gone, millimetres; NaN where that happens nowhere.
+    /// `[row][col]`: z in display space, mm, of the splat at which T falls below one half; NaN if
+    /// it does not.
     pub z_mm: Tensor<2>,
 }
 
-/// Depths of surfaces that stand among the splats.
+/// Depths of the surfaces of meshes in a scene that also has splats.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Surfaces {
-    /// `[row][col][sample]`: z in display space of the first surface on several rays of every pixel, millimetres; NaN where there is none.
+    /// `[row][col][sample]`: z in display space, mm, of the first hit of each of a pixel's rays;
+    /// NaN for a miss.
     pub z_mm: Tensor<3>,
 }
 
-/// What is rendered of views.
+/// The quantities that a render computes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wanted {
     /// Light and depth.
     Light,
-    /// Depth and transmittance; colours are black.
+    /// Depth and transmittance; colours are black, which saves reading the harmonics.
     Depth,
 }
 
 impl Renderer {
-    /// A renderer of the scene's splats; `None` where it has none.
+    /// A renderer of the scene's splats; `None` if it has none.
     pub fn new(scene: Arc<Scene>) -> Option<Self> {
         let space = Space::of(&scene)?;
         Some(Self { scene, space })
     }
 
-    /// Bytes that the splats before a window take while they are rendered.
+    /// Memory of the splats of a window during a render, in bytes.
     pub fn bytes(&self) -> usize {
         self.scene.splat_count() * size_of::<Splat>()
     }
 
-    /// Renders views of these slopes (those of `geometry`'s grid do not count), and gives each to `done` with its number, in order. `surfaces` hold the depths of surfaces before
-    /// each view, or are empty. The same bytes come out whichever views are rendered together, and on any number of threads.
+    /// Renders a view per slope and passes each to `done` with its index, in order.
     ///
-    /// # Errors
-    /// When cancelled, or when `done` fails.
+    /// `slopes` replace those of `geometry`'s grid. `surfaces` returns the depths of surfaces in a
+    /// view, or `None`. The result's bytes do not depend on the views that are rendered together,
+    /// nor on the number of threads.
+    ///
+    /// If the task is cancelled, or if `surfaces` or `done` returns an error.
     pub fn render<E: From<Cancelled>>(
         &self,
         window: &Window,
@@ -87,6 +101,7 @@ impl Renderer {
         task: Task<'_>,
         mut done: impl FnMut(usize, SplatView) -> Result<(), E>,
     ) -> Result<(), E> {
+        // The window's splats are transformed and sorted once for all views.
         let prepared = Prepared::new(&self.scene, window, geometry);
         let shared = Shared::new(&self.scene, &prepared, self.space.0, wanted == Wanted::Light);
         for (number, block) in slopes.chunks(VIEWS).enumerate() {
@@ -94,6 +109,7 @@ impl Renderer {
             let first = number * VIEWS;
             let surfaces: Vec<Option<Surfaces>> =
                 (0..block.len()).map(|i| surfaces(first + i)).collect::<Result<_, E>>()?;
+            // Depths in pixels; a miss lies behind all splats.
             let cuts: Vec<Option<Vec<f32>>> = surfaces
                 .iter()
                 .map(|surfaces| {
@@ -106,6 +122,7 @@ impl Renderer {
                 .iter()
                 .map(|z| z.as_deref().map(|z| Cuts { z, samples: z.len() / (rows * cols), cols, rows }))
                 .collect();
+            // Views of a block share projections, so they are rendered together.
             let eyes = block.iter().map(|slope| Eye::new(geometry, *slope)).collect();
             let views = Views::new(eyes, cuts, &prepared);
             for (i, view) in block_of(&shared, &prepared, geometry, &views, task)?.into_iter().enumerate() {
@@ -126,6 +143,7 @@ fn block_of(
 ) -> Result<Vec<SplatView>, Cancelled> {
     let (rows, cols) = (geometry.rows, geometry.cols);
     let tiles = [cols.div_ceil(TILE), rows.div_ceil(TILE)];
+    // Tiles are independent: each renders its list for all views, on any thread.
     let (starts, lists) = bin(prepared, &views.ends, tiles);
     let of_tile = |number: usize| {
         if task.cancel.is_cancelled() {
@@ -143,6 +161,7 @@ fn block_of(
     #[cfg(not(feature = "parallel"))]
     let rendered: Vec<Vec<f32>> = (0..count).map(of_tile).collect();
     task.cancel.check()?;
+    // Assemble a picture per view from the tiles; a tile without splats is empty.
     let pitch = geometry.pitch_mm as f32;
     let view = |number: usize| {
         let mut light = Tensor::zeros(["row", "col", "rgbt"], [rows, cols, 4]);
@@ -173,7 +192,9 @@ fn block_of(
     Ok(all)
 }
 
-/// Lists of the splats that any view may see in a tile, nearest first: where each tile's list starts, and all lists.
+/// Lists the splats that any view may show in each tile, nearest first.
+///
+/// Returns the start of each tile's list, and all lists one after another.
 fn bin(prepared: &Prepared, ends: &[Eye], tiles: [usize; 2]) -> (Vec<usize>, Vec<u32>) {
     let count = tiles[0] * tiles[1];
     let reach = |splat: &Splat| tiles_of(splat, ends, tiles);
@@ -187,6 +208,7 @@ fn bin(prepared: &Prepared, ends: &[Eye], tiles: [usize; 2]) -> (Vec<usize>, Vec
             row + usize::from(left)..row + usize::from(end)
         })
     };
+    // A counting sort: count the splats per tile, sum the counts to starts, then fill by depth.
     let mut starts = vec![0usize; count + 1];
     for reach in &reaches {
         for range in each_row(*reach) {
@@ -209,13 +231,14 @@ fn bin(prepared: &Prepared, ends: &[Eye], tiles: [usize; 2]) -> (Vec<usize>, Vec
     (starts, lists)
 }
 
-/// First column, end of the columns, first row and end of the rows of the tiles in which a splat may be seen; all 0 where it is in none.
+/// The tiles in which a splat may be visible: first column, end of columns, first row, end of rows.
+/// All are 0 if there is none.
 fn tiles_of(splat: &Splat, ends: &[Eye], tiles: [usize; 2]) -> [u16; 4] {
     let (mut low, mut high) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
     for eye in ends {
         let Some(seen) = eye.project(splat) else { return [0; 4] };
         for (axis, variance) in [seen.covariance[0], seen.covariance[2]].into_iter().enumerate() {
-            // a little more than the cut, since rounding differs from view to view
+            // slightly more than the cutoff, since rounding differs between views
             let reach = 1.001 * CUTOFF * (variance.max(0.0) + PIXEL_VARIANCE).sqrt() + 0.01;
             low[axis] = low[axis].min(seen.at[axis] - reach);
             high[axis] = high[axis].max(seen.at[axis] + reach);

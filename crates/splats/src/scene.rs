@@ -1,4 +1,4 @@
-//! A file of splats as a scene of its own.
+//! A scene that contains one file of splats.
 
 use glam::{Affine3A, Vec3};
 use lumistack_core::Task;
@@ -7,10 +7,10 @@ use thiserror::Error;
 
 use crate::read::{Found, ReadError, read};
 
-/// A file of splats that makes no scene.
+/// Errors of [`scene`].
 #[derive(Debug, Error)]
 pub enum LoadError {
-    /// It cannot be read.
+    /// The file cannot be read.
     #[error("{name}: {source}")]
     Read {
         /// The file as the caller named it.
@@ -18,7 +18,7 @@ pub enum LoadError {
         /// Place and reason.
         source: ReadError,
     },
-    /// It has no splats, or none that can be rendered.
+    /// It has no splats, or no splat that can be rendered.
     #[error("{name}: {source}")]
     Scene {
         /// The file as the caller named it.
@@ -28,10 +28,12 @@ pub enum LoadError {
     },
 }
 
-/// The scene of a `.ply`, `.spz` or SOG file, upright as its format says. `beside` reads a file that a SOG's `meta.json` names. Warns of what is left out.
+/// Reads a `.ply`, `.spz` or SOG file into a scene, with the format's up direction along y.
 ///
-/// # Errors
-/// When the file is broken, or nothing in it can be rendered.
+/// `beside` reads a file that a SOG's `meta.json` names. `task` receives a warning for each part of
+/// the file that was not read.
+///
+/// If the file is not valid, or it contains no splat that can be rendered.
 pub fn scene(
     name: &str,
     bytes: &[u8],

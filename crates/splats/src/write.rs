@@ -1,4 +1,5 @@
-//! Clouds as files: `.ply` as trainers write it, `.spz` and SOG. All hold sRGB, whatever a cloud's encoding is.
+//! Writers of clouds: `.ply` as trainers write it, `.spz` and SOG. All store sRGB, also for clouds
+//! with linear colours.
 
 mod sog;
 
@@ -11,7 +12,7 @@ use lumistack_scene::Cloud;
 
 pub use sog::sog;
 
-/// A `.ply` file of the cloud as it stands, without a turn of its axes: binary, little endian.
+/// A `.ply` file of the cloud: binary, little endian, without a change of axes.
 pub fn ply(cloud: &Cloud) -> Vec<u8> {
     let rest = 3 * (cloud.coefficients() - 1);
     let mut names: Vec<String> =
@@ -41,16 +42,19 @@ pub fn ply(cloud: &Cloud) -> Vec<u8> {
 /// Fractional bits of positions in an `.spz` file.
 const FRACTION: u32 = 12;
 
-/// An `.spz` file of version 3: quantized, in gzip. Positions have steps of 2⁻¹² and lie between ±2048; smaller and larger clouds are for the caller to scale.
+/// An `.spz` file of version 3: quantized, compressed by gzip.
 ///
-/// # Errors
-/// When the packer fails, which it has no reason to.
+/// Positions have steps of 2⁻¹² and lie within ±2048; the caller scales clouds that need other
+/// steps or bounds.
+///
+/// If the compressor fails; writes into memory give it no reason to.
 pub fn spz(cloud: &Cloud) -> std::io::Result<Vec<u8>> {
     let mut file = GzEncoder::new(Vec::new(), Compression::best());
     file.write_all(b"NGSP")?;
     file.write_all(&3u32.to_le_bytes())?;
     file.write_all(&(cloud.len() as u32).to_le_bytes())?;
     file.write_all(&[cloud.degree as u8, FRACTION as u8, 0, 0])?;
+    // Attributes follow one another, each for all splats, quantized as `read/spz.rs` lists.
     let byte = |value: f32| value.round().clamp(0.0, 255.0) as u8;
     for value in cloud.positions.iter().flat_map(|at| at.to_array()) {
         let most = (1 << 23) as f32 - 1.0;
@@ -77,7 +81,8 @@ pub fn spz(cloud: &Cloud) -> std::io::Result<Vec<u8>> {
     file.finish()
 }
 
-/// Ten bits for each but the largest component, sign first, and the number of that.
+/// Packs a rotation: ten bits, sign first, for each component but the largest, below the largest's
+/// index.
 fn smallest_three(rotation: Quat) -> u32 {
     let parts = rotation.to_array();
     let largest = (0..4).fold(0, |best, i| if parts[i].abs() > parts[best].abs() { i } else { best });

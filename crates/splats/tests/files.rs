@@ -1,4 +1,4 @@
-//! Files of one cloud in every format, and broken ones.
+//! Files of one cloud in every format, and files that are not valid.
 
 use std::io::Cursor;
 use std::io::Write as _;
@@ -27,7 +27,8 @@ fn cloud(count: usize, degree: usize) -> Cloud {
     cloud
 }
 
-/// Largest differences of positions, logarithms of scales, directions of axes, opacities, constant harmonics and the others.
+/// Largest differences of positions, logarithms of scales, directions of axes, opacities, constant
+/// harmonics and higher harmonics.
 fn differences(a: &Cloud, b: &Cloud) -> [f32; 6] {
     assert_eq!((a.len(), a.degree), (b.len(), b.degree));
     let most = |values: &mut dyn Iterator<Item = f32>| values.fold(0.0, f32::max);
@@ -80,7 +81,7 @@ fn spz_of_every_version_is_read() {
             0.5 / 128.0 + 1e-6,
         ];
         assert_close(&found, &original, Axes::RightUpBack, most);
-        // version 4 has the same streams apart
+        // version 4 has the same data in separate streams
         let again = read(&version_4(&packed, original.len(), degree), NONE).unwrap();
         assert_eq!(again.cloud, found.cloud);
         // versions 1 and 2: rotations of three bytes, and positions as half floats
@@ -92,7 +93,7 @@ fn spz_of_every_version_is_read() {
     }
 }
 
-/// Streams of a file of version 3.
+/// Decompressed data of a file of version 3.
 fn unpacked(packed: &[u8]) -> Vec<u8> {
     let mut bytes = Vec::new();
     std::io::Read::read_to_end(&mut flate2::read::GzDecoder::new(packed), &mut bytes).unwrap();
@@ -105,7 +106,7 @@ fn gzip(bytes: &[u8]) -> Vec<u8> {
     file.finish().unwrap()
 }
 
-/// A Zstandard frame of blocks that are not compressed.
+/// A Zstandard frame of uncompressed blocks.
 fn zstd(bytes: &[u8]) -> Vec<u8> {
     let mut frame = vec![0x28, 0xb5, 0x2f, 0xfd, 0xe0];
     frame.extend((bytes.len() as u64).to_le_bytes());
@@ -315,11 +316,11 @@ fn broken_files_are_refused_with_their_place() {
     refused(&changed(19, 255), "tocByteOffset");
     refused(&changed(8, 41), "stream 0");
     refused(&changed(32 + 96, 0), "zstd");
-    // a position that no byte of the file makes finite is left to the validator
+    // readers accept positions that are not finite, since the scene's validation refuses them
     assert!(read(&with("end_header\n", "end_header\n"), NONE).is_ok());
 }
 
-/// Any change to any byte is read or refused; nothing panics.
+/// No change of a single byte causes a panic.
 #[test]
 fn no_change_of_a_byte_makes_a_reader_panic() {
     let original = cloud(20, 1);

@@ -1,4 +1,4 @@
-//! The renderer against its equations in f64, pixel by pixel and splat by splat.
+//! Compares the renderer with its equations in f64, pixel by pixel and splat by splat.
 
 use std::sync::Arc;
 
@@ -26,7 +26,8 @@ impl Random {
     }
 }
 
-/// Splats in and around the cube −1..1, from needles to balls, thinner than a pixel and wider than a tile.
+/// Splats in and around the cube −1..1, from needles to spheres, thinner than a pixel and wider
+/// than a tile.
 fn cloud(count: usize, degree: usize, seed: u64) -> Cloud {
     let mut random = Random(seed);
     let mut cloud = Cloud { degree, ..Cloud::default() };
@@ -52,7 +53,7 @@ fn scene(clouds: Vec<(Cloud, Affine3A)>) -> Arc<Scene> {
     Arc::new(parts.validate(Task::quiet(&warnings, &cancel)).unwrap())
 }
 
-/// Two clouds, one of them turned, stretched and moved.
+/// Two clouds, one of them rotated, scaled unevenly and moved.
 fn two_clouds() -> Arc<Scene> {
     let turned = Affine3A::from_scale_rotation_translation(
         Vec3::new(0.8, 0.5, 0.6),
@@ -123,10 +124,12 @@ fn harmonics(d: DVec3) -> [f64; 16] {
     ]
 }
 
-/// A splat for one view: distance, centre and covariance on z = 0 in millimetres, opacity, colour, depth.
+/// A splat in one view: distance, centre and covariance on z = 0 in mm, opacity, colour, depth in
+/// mm.
 type Projected = (f64, DVec2, DMat2, f64, DVec3, f64);
 
-/// All splats as a view sees them, nearest first, by the Jacobian of the map onto z = 0 along its rays.
+/// All splats of a view, nearest first, by the Jacobian of the projection onto z = 0 along its
+/// rays.
 fn project(scene: &Scene, window: &Window, projection: Projection, slope: [f64; 2]) -> Vec<Projected> {
     let map = window.scene_from_display;
     let mut all = Vec::new();
@@ -174,7 +177,7 @@ fn project(scene: &Scene, window: &Window, projection: Projection, slope: [f64; 
     all
 }
 
-/// A pixel's colour and transmittance; splats behind `cut` millimetres are not seen.
+/// A pixel's colour and transmittance; a surface at `cut` mm hides the splats behind it.
 fn pixel(splats: &[Projected], at: DVec2, pitch: f64, cut: f64) -> [f64; 4] {
     let (mut sum, mut through) = (DVec3::ZERO, 1.0);
     for (_, centre, covariance, opacity, colour, z) in splats {
@@ -224,8 +227,11 @@ fn views_are_those_of_the_equations() {
     }
 }
 
-/// Rays themselves, without any projection: the largest value of each Gaussian along them, and the mean over the area of the pixel. Its splats are not
-/// thinner than a pixel, since the order of a mean and a product of transmittances matters for those.
+/// Rays without projection: the largest value of each Gaussian along a ray, averaged over the
+/// pixel's area.
+///
+/// The splats are not thinner than a pixel: for thinner ones a mean of products of transmittances
+/// differs from the product of means.
 #[test]
 fn views_are_means_of_rays_through_the_gaussians() {
     const RAYS: usize = 6;
@@ -285,7 +291,7 @@ fn surfaces_hide_the_splats_behind_them() {
     let scene = two_clouds();
     let geometry = geometry(PERSPECTIVE, 1);
     let (rows, cols) = (geometry.rows, geometry.cols);
-    // a slope from left to right; at the right there is none
+    // a surface that tilts from left to right, and a miss at the right
     let z = |col: usize| if col < 40 { col as f32 * 2.0 - 40.0 } else { f32::NAN };
     let values = (0..rows * cols).flat_map(|i| [z(i % cols); 2]).collect();
     let surfaces = Surfaces { z_mm: Tensor::from_vec(["row", "col", "sample"], [rows, cols, 2], values).unwrap() };
@@ -318,14 +324,14 @@ fn the_same_bytes_come_out_of_any_block_of_views_and_any_number_of_threads() {
                 all.iter().zip(&again).for_each(|(a, b)| same(a, b));
             });
         }
-        // one by one, from the last to the first
+        // one view per call, from the last to the first
         for (slope, view) in slopes.iter().zip(&all).rev().step_by(5) {
             same(view, &render(&scene, &geometry, &[*slope], None)[0]);
         }
     }
 }
 
-/// Depth is that of the splat where half of the light is gone.
+/// Depth is that of the splat at which the transmittance falls below one half.
 #[test]
 fn depth_is_where_half_of_the_light_is_gone() {
     let mut wall = Cloud::default();
@@ -355,9 +361,9 @@ fn depth_is_where_half_of_the_light_is_gone() {
         renderer.render(window, &geometry, &[[0.0; 2]], &none, Wanted::Depth, task, done).unwrap();
         z
     };
-    // 0.7 · 0.6 = 0.42 comes through the first two
+    // the first two splats transmit 0.7 · 0.6 = 0.42
     assert_eq!(z_of(&window), 5.0);
-    // the near plane takes away the first of them, and all
+    // a near plane that removes the first splat, then one that removes all
     assert_eq!(z_of(&Window { near_mm: Some(7.0), ..window }), -5.0);
     assert!(z_of(&Window { near_mm: Some(-7.0), ..window }).is_nan());
 }

@@ -145,16 +145,19 @@ impl Volume {
         let mut pixels = vec![0usize; map.layers.len()];
         for (number, &view) in views.iter().enumerate() {
             for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
-                let meets = map.layers.iter().zip(&mut pixels).all(|(layer, pixel)| match met(layer, view, row, col) {
-                    Some(found) => {
-                        *pixel = found;
-                        true
-                    }
-                    None => false,
-                });
-                if !meets {
+                // a ray counts if it hits a pixel of every layer
+                let hits_all =
+                    map.layers.iter().zip(&mut pixels).all(|(layer, pixel)| match hit_pixel(layer, view, row, col) {
+                        Some(found) => {
+                            *pixel = found;
+                            true
+                        }
+                        None => false,
+                    });
+                if !hits_all {
                     continue;
                 }
+                // the error of a ray is the sum of its pixels' logarithms minus the target's
                 let ray = 3 * ((number * rows + row) * cols + col);
                 let mut error = [0, 1, 2].map(|c| -wanted[ray + c]);
                 for (values, &pixel) in at.iter().zip(&pixels) {
@@ -186,7 +189,7 @@ impl Volume {
 }
 
 /// The pixel of a layer that a ray hits.
-fn met(layer: &LayerMap, view: [usize; 2], row: usize, col: usize) -> Option<usize> {
+fn hit_pixel(layer: &LayerMap, view: [usize; 2], row: usize, col: usize) -> Option<usize> {
     let (y, x) = (layer.y.of_view(view[0])[row], layer.x.of_view(view[1])[col]);
     let nearest = |tap: lumistack_plugin::display::Tap| if tap.t < 0.5 { tap.first } else { tap.second } as usize;
     (!y.is_missed() && !x.is_missed()).then(|| nearest(y) * layer.cols + nearest(x))

@@ -184,6 +184,7 @@ pub(crate) fn write(
 ) -> Result<Vec<(String, [usize; 2])>, PluginError> {
     let geometry = source.geometry();
     let cameras = Cameras { geometry, nominal_mm: settings.nominal_mm };
+    // The HCI format needs cameras with equal distances, so refuse others before writing.
     let step = match archive {
         Archive::Hci => Some(cameras.step()?),
         Archive::Stanford => None,
@@ -205,6 +206,7 @@ pub(crate) fn write(
         files.push((file, view));
         stage.advance(1, "");
     }
+    // The HCI format also has camera parameters and disparities.
     if let Some(step) = step {
         let disparities = cameras.disparities(step, source.depth());
         let parameters = cameras.parameters(step, &disparities, settings);

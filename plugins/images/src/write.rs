@@ -110,6 +110,7 @@ impl Images {
                 self.write_picture(time, &picture, &stage, &mut entries)?;
             }
         }
+        // Outputs of all views follow the pictures.
         let source = ViewSource::Field(field);
         if self.params.sheet {
             entries.push(self.write_sheet(time, &source)?);
@@ -130,6 +131,7 @@ impl Images {
         let folder = folder(time);
         let lenses =
             if self.params.lenslet_panel { Some(panel::lenslet_panel(&self.display, &self.params)?) } else { None };
+        // A picture per layer and frame.
         let per_frame = layers + usize::from(stack.emission_shape().is_some()) + usize::from(lenses.is_some());
         let stage = self.host.stage("patterns", (frames * per_frame) as u64, "pictures");
         let (layer_digits, frame_digits) = (digits(layers, 1), digits(frames, 2));
@@ -147,6 +149,7 @@ impl Images {
             };
             self.write_picture(time, &picture, &stage, entries)?;
         }
+        // The emission as factors: a tile of angular bins per lenslet.
         if let Some([bins_y, bins_x, rows, cols]) = stack.emission_shape() {
             let (bins, lenslets) = ([bins_y, bins_x], [rows, cols]);
             for frame in 0..frames {
@@ -163,6 +166,7 @@ impl Images {
                 self.write_picture(time, &picture, &stage, entries)?;
             }
         }
+        // The emission as the panel behind the lenslets shows it, traced through the lenses.
         let Some((backlight, lenses)) = lenses else { return Ok(()) };
         for frame in 0..frames {
             self.host.check_cancelled()?;
@@ -218,6 +222,7 @@ impl Images {
         let grid = &geometry.grid;
         let mut bands: Vec<Vec<Cell<'_>>> = Vec::new();
         let mut legend = format!("{}\n", self.display.name);
+        // Rows of masks come first, then rows of views.
         let (chosen, across) = match source {
             ViewSource::Stack(stack) => {
                 bands.extend((0..stack.frames()).map(|frame| sheet::patterns(&self.display, stack, frame)));
@@ -256,6 +261,7 @@ impl Images {
         let grid = &geometry.grid;
         let size = [geometry.rows, geometry.cols];
         let divided_by = source.divided_by();
+        // OpenEXR's default view is the first one, so the central view precedes the others.
         if params.exr_multi_view {
             let (precision, name) = params.exr_depth.precision();
             let centre = grid.views().map(|count| (count - 1) / 2);
@@ -275,6 +281,7 @@ impl Images {
             let content = Content::Views { views, divided_by };
             entries.push(entry(path, content, Format::Exr { precision: name }, true, Some(size), time));
         }
+        // An animation along a path in the views; light fields show the nearest view.
         if params.animation != Animation::None {
             let swing = Swing {
                 pictures: params.animation_pictures,
@@ -299,6 +306,7 @@ impl Images {
             let format = Format::Apng { bits: 8, encoding: Transfer::Srgb };
             entries.push(entry(path, content, format, false, Some([height, width]), time));
         }
+        // Folders in the formats of public archives.
         let archives = [(params.hci, Archive::Hci, "hci"), (params.stanford, Archive::Stanford, "stanford")];
         for (_, archive, name) in archives.into_iter().filter(|(wanted, ..)| *wanted) {
             let sixteen = params.png16 && !params.png8;
@@ -338,6 +346,7 @@ impl Images {
         let linear = if params.encode == Encode::Linear { "_linear" } else { "" };
         let proportional = *transfer == Transfer::Linear;
         let codes = picture.panel.map(|panel| panel.codes);
+        // Panels receive driven values, also in files; OpenEXR keeps the linear mask.
         if params.png8 || params.png16 {
             let driven: Cow<'_, [f32]> = match picture.panel {
                 Some(panel) => panel.driven(&picture.rgb).into(),

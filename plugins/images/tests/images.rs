@@ -159,7 +159,7 @@ fn exr_is_exact_to_its_precision() {
 }
 
 #[test]
-fn simulated_views_show_what_an_adapted_viewer_sees() {
+fn simulated_views_are_those_of_an_adapted_viewer() {
     let sample = layered();
     let (stack, geometry) = (sample.stack().unwrap(), sample.display.geometry().unwrap());
     let files = write(&sample, json!({"views": "all"})).unwrap();
@@ -209,7 +209,7 @@ fn every_view_of_a_light_field_is_written() {
 }
 
 #[test]
-fn the_manifest_names_every_file_and_says_what_it_is() {
+fn the_manifest_names_and_describes_every_file() {
     for sample in [layered(), directional(), light_field()] {
         let files = write(&sample, json!({"png16": true, "exr": true})).unwrap();
         let manifest: Value = from_slice(&files["images.json"]).unwrap();
@@ -272,7 +272,7 @@ fn a_measured_panel_of_few_bits_shows_the_right_mean_light() {
 }
 
 #[test]
-fn the_panel_behind_the_lenses_is_what_the_optics_ask_for() {
+fn the_panel_behind_the_lenses_agrees_with_the_optics() {
     let sample = directional();
     let emission = sample.stack().unwrap().emission.as_ref().unwrap();
     let params = json!({

@@ -6,7 +6,7 @@ use lumistack_plugin::PluginError;
 use lumistack_plugin::serde_json::{self, Value, json};
 use tobj::{Mesh, Model};
 
-use crate::mtl::{Look, Map};
+use crate::mtl::{Map, MtlMaterial};
 use crate::paths::forward;
 use crate::up::Up;
 
@@ -50,7 +50,12 @@ impl Arrays {
 }
 
 /// The document: all meshes under one node that rotates and scales them.
-pub(crate) fn document(models: &[Model], materials: &[Look], up: Up, scale: f64) -> Result<Vec<u8>, PluginError> {
+pub(crate) fn document(
+    models: &[Model],
+    materials: &[MtlMaterial],
+    up: Up,
+    scale: f64,
+) -> Result<Vec<u8>, PluginError> {
     let mut arrays = Arrays::default();
     let meshes: Vec<Value> = models
         .iter()
@@ -107,7 +112,7 @@ fn bounds(positions: &[f32]) -> ([f32; 3], [f32; 3]) {
     (min, max)
 }
 
-fn add_materials(root: &mut Value, materials: &[Look]) {
+fn add_materials(root: &mut Value, materials: &[MtlMaterial]) {
     if materials.is_empty() {
         return;
     }
@@ -115,6 +120,7 @@ fn add_materials(root: &mut Value, materials: &[Look]) {
     let list: Vec<Value> = materials
         .iter()
         .map(|material| {
+            // without a roughness of its own, a material has that of its Phong exponent
             let shiny = material.shininess.map(|ns| 1.0 - (ns / 1000.0).clamp(0.0, 1.0).sqrt());
             let [r, g, b] = material.diffuse.unwrap_or([0.8; 3]).map(|value| value.clamp(0.0, 1.0));
             let alpha = material.alpha.unwrap_or(1.0).clamp(0.0, 1.0);
@@ -137,6 +143,7 @@ fn add_materials(root: &mut Value, materials: &[Look]) {
             material_json
         })
         .collect();
+    // glTF lists the extensions that a document uses.
     let emits = list.iter().any(|material| material["extensions"].is_object());
     let used = [(emits, EMISSIVE_STRENGTH), (pictures.transformed, TEXTURE_TRANSFORM)];
     let used: Vec<&str> = used.into_iter().filter_map(|(used, name)| used.then_some(name)).collect();

@@ -28,7 +28,7 @@ use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::{Assets, Host, ImporterPlugin, Param, PluginError, Schema, export_plugin};
 use tobj::{LoadOptions, Material};
 
-use crate::mtl::Look;
+use crate::mtl::MtlMaterial;
 use crate::paths::forward;
 use crate::up::Up;
 
@@ -71,13 +71,14 @@ impl ImporterPlugin for Obj {
         let content = text::decode(&bytes);
         let mut shapes = text::Shapes::of(&content);
         let line = shapes.line();
-        let looks = RefCell::new(Vec::new());
+        let collected = RefCell::new(Vec::new());
         let library = |path: &Path| {
             let found = materials(host, assets, file, &forward(path));
             // the parser of shapes resolves materials by name only
-            let known = found.iter().enumerate().map(|(i, look)| (look.name.clone(), i)).collect::<HashMap<_, _>>();
+            let known =
+                found.iter().enumerate().map(|(i, material)| (material.name.clone(), i)).collect::<HashMap<_, _>>();
             let nameless = vec![Material::default(); found.len()];
-            looks.borrow_mut().extend(found);
+            collected.borrow_mut().extend(found);
             Ok((nameless, known))
         };
         let (models, _) = tobj::load_obj_buf(&mut shapes, &options, library).map_err(|error| {
@@ -85,18 +86,18 @@ impl ImporterPlugin for Obj {
             PluginError::Failed(format!("{file}: up to line {}: {error}", line.get()))
         })?;
         host.check_cancelled()?;
-        let looks = looks.into_inner();
+        let all = collected.into_inner();
         let models: Vec<_> = models.into_iter().filter(|model| !model.mesh.indices.is_empty()).collect();
         if models.is_empty() {
             return Err(PluginError::Failed(format!("{file}: expected faces, found none")));
         }
-        glb::document(&models, &looks, params.up, params.scale)
+        glb::document(&models, &all, params.up, params.scale)
     }
 }
 
 /// The materials of one library, or of several whose names are on one line. A missing file causes a
 /// warning.
-fn materials(host: &Host, assets: &Assets<'_>, file: &str, names: &str) -> Vec<Look> {
+fn materials(host: &Host, assets: &Assets<'_>, file: &str, names: &str) -> Vec<MtlMaterial> {
     let read = |name: &str| {
         let bytes = assets.read(name)?;
         let mut warn = |line: usize, message: String| host.warn(&format!("{name}: line {line}: {message}"));
@@ -104,7 +105,7 @@ fn materials(host: &Host, assets: &Assets<'_>, file: &str, names: &str) -> Vec<L
     };
     let warn = |error: PluginError| host.warn(&format!("{file}: without its materials: {error}"));
     let error = match read(names) {
-        Ok(looks) => return looks,
+        Ok(found) => return found,
         Err(error) => error,
     };
     // a name may contain spaces, which also separate several names

@@ -11,7 +11,7 @@ use crate::text::joined;
 
 /// One material; values absent in the file are `None`.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Look {
+pub(crate) struct MtlMaterial {
     pub(crate) name: String,
     /// `Kd`, linear.
     pub(crate) diffuse: Option<[f32; 3]>,
@@ -45,8 +45,8 @@ const OTHER_MAPS: [&str; 17] = [
 ];
 
 /// Parses the materials of a file. `warn` takes a line number and a message.
-pub(crate) fn parse(text: &str, warn: &mut dyn FnMut(usize, String)) -> Vec<Look> {
-    let mut looks: Vec<Look> = Vec::new();
+pub(crate) fn parse(text: &str, warn: &mut dyn FnMut(usize, String)) -> Vec<MtlMaterial> {
+    let mut materials: Vec<MtlMaterial> = Vec::new();
     let mut left_out: Vec<String> = Vec::new();
     for (number, line) in joined(text) {
         let line = line.trim();
@@ -54,31 +54,31 @@ pub(crate) fn parse(text: &str, warn: &mut dyn FnMut(usize, String)) -> Vec<Look
         let rest = rest.trim();
         // Keys apply to the last `newmtl`; keys before the first are ignored.
         if key == "newmtl" {
-            looks.push(Look { name: rest.to_owned(), ..Look::default() });
+            materials.push(MtlMaterial { name: rest.to_owned(), ..MtlMaterial::default() });
             continue;
         }
-        let Some(look) = looks.last_mut() else { continue };
+        let Some(material) = materials.last_mut() else { continue };
         let mut bad = |expected: &str| warn(number, format!("`{key}`: expected {expected}, found `{rest}`"));
         match key {
             "Kd" | "Ke" => match color(rest) {
-                Some(color) if key == "Kd" => look.diffuse = Some(color),
-                Some(color) => look.emission = Some(color),
+                Some(color) if key == "Kd" => material.diffuse = Some(color),
+                Some(color) => material.emission = Some(color),
                 None => bad("one number or three"),
             },
             "d" | "Ns" | "Pr" | "Pm" => {
                 let value = rest.strip_prefix("-halo").unwrap_or(rest).split_whitespace().next().and_then(finite);
                 match key {
                     _ if value.is_none() => bad("a number"),
-                    "d" => look.alpha = value,
-                    "Ns" => look.shininess = value,
-                    "Pr" => look.roughness = value,
-                    _ => look.metallic = value,
+                    "d" => material.alpha = value,
+                    "Ns" => material.shininess = value,
+                    "Pr" => material.roughness = value,
+                    _ => material.metallic = value,
                 }
             }
             "map_Kd" | "map_kd" => {
                 let mut unused = Vec::new();
                 match map(rest, &mut |option| unused.push(option.to_owned())) {
-                    Some(map) => look.diffuse_map = Some(map),
+                    Some(map) => material.diffuse_map = Some(map),
                     None => bad("the name of a picture"),
                 }
                 for option in unused {
@@ -94,7 +94,7 @@ pub(crate) fn parse(text: &str, warn: &mut dyn FnMut(usize, String)) -> Vec<Look
             _ => {}
         }
     }
-    looks
+    materials
 }
 
 /// One value stands for all three channels; the prefix `xyz` marks CIE tristimulus values.
@@ -174,35 +174,38 @@ fn option(text: &str) -> Option<(&str, &str)> {
 mod tests {
     use super::*;
 
-    fn read(text: &str) -> (Vec<Look>, Vec<String>) {
+    fn read(text: &str) -> (Vec<MtlMaterial>, Vec<String>) {
         let mut warnings = Vec::new();
-        let looks = parse(text, &mut |line, message| warnings.push(format!("{line}: {message}")));
-        (looks, warnings)
+        let materials = parse(text, &mut |line, message| warnings.push(format!("{line}: {message}")));
+        (materials, warnings)
     }
 
     #[test]
     fn one_value_is_grey_and_options_stand_before_the_name() {
-        let (looks, warnings) = read(
+        let (materials, warnings) = read(
             "# note\nnewmtl a b\nKd 0.5\nKe 1 2 3 # glow\nd -halo 0.25\nmap_Kd -s 2 2 1 a.png\n\
              newmtl c\r\nKd xyz 0.9505 1 1.089\r\nmap_Kd -o 0.5 -clamp on -blendu off my picture.png\r\n",
         );
         assert_eq!(warnings, Vec::<String>::new());
-        assert_eq!((looks[0].name.as_str(), looks[0].diffuse, looks[0].alpha), ("a b", Some([0.5; 3]), Some(0.25)));
-        assert_eq!(looks[0].emission, Some([1.0, 2.0, 3.0]));
+        assert_eq!(
+            (materials[0].name.as_str(), materials[0].diffuse, materials[0].alpha),
+            ("a b", Some([0.5; 3]), Some(0.25))
+        );
+        assert_eq!(materials[0].emission, Some([1.0, 2.0, 3.0]));
         let map = |file: &str, scale, offset, clamp| Some(Map { file: file.into(), scale, offset, clamp });
-        assert_eq!(looks[0].diffuse_map, map("a.png", [2.0, 2.0], [0.0, 0.0], false));
-        assert_eq!(looks[1].diffuse_map, map("my picture.png", [1.0, 1.0], [0.5, 0.0], true));
-        let white = looks[1].diffuse.unwrap();
+        assert_eq!(materials[0].diffuse_map, map("a.png", [2.0, 2.0], [0.0, 0.0], false));
+        assert_eq!(materials[1].diffuse_map, map("my picture.png", [1.0, 1.0], [0.5, 0.0], true));
+        let white = materials[1].diffuse.unwrap();
         assert!(white.iter().all(|value| (value - 1.0).abs() < 1e-3), "the white of sRGB: {white:?}");
     }
 
     #[test]
     fn a_line_that_cannot_be_read_costs_no_other() {
-        let (looks, warnings) = read(
+        let (materials, warnings) = read(
             "Kd 1 1 1\nnewmtl a\nKd 1 2\nKd spectral a.rfl\nNs\nmap_Kd -s 2\nmap_Kd -bm 2 -mm 0 1 b.png\nmap_Bump c.png\nmap_Bump d.png\nPr 0.5\n",
         );
-        assert_eq!((looks.len(), looks[0].diffuse, looks[0].roughness), (1, None, Some(0.5)));
-        assert_eq!(looks[0].diffuse_map.as_ref().unwrap().file, "b.png");
+        assert_eq!((materials.len(), materials[0].diffuse, materials[0].roughness), (1, None, Some(0.5)));
+        assert_eq!(materials[0].diffuse_map.as_ref().unwrap().file, "b.png");
         let expected = [
             "3: `Kd`: expected one number or three, found `1 2`",
             "4: `Kd`: expected one number or three, found `spectral a.rfl`",

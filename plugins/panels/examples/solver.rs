@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use lumistack_plugin::core::{Cancel, Collector, Task};
 use lumistack_plugin::display::{Display, LayerStack};
 use lumistack_plugin::serde_json::{from_value, json};
-use lumistack_plugin_host::{Asked, HostError, PresentContext, Registry, Told, present};
+use lumistack_plugin_host::{HostError, PresentContext, PresenterInput, PresenterOutput, Registry, present};
 use lumistack_plugin_panels::presentation::Event;
 
 /// A distinct stack for every number: each layer uniform, each frame another shade.
@@ -30,7 +30,7 @@ fn main() -> Result<(), HostError> {
     let seconds: u64 = std::env::args().nth(1).and_then(|word| word.parse().ok()).unwrap_or(8);
     let steady = std::env::args().nth(2).is_some_and(|word| word == "steady");
     let display = Display::uniform([320, 240], 0.5, [3, 3], [10.0, 10.0], &[-10.0, 0.0, 10.0], 3);
-    let (send, asked) = channel();
+    let (send, input) = channel();
     let solver = {
         let display = display.clone();
         move || {
@@ -42,16 +42,16 @@ fn main() -> Result<(), HostError> {
                     // stand-in for any delay of a solver
                     std::thread::sleep(Duration::from_secs(2));
                 }
-                if send.send(Asked::Stack(stack(&display, number))).is_err() {
+                if send.send(PresenterInput::Stack(stack(&display, number))).is_err() {
                     return;
                 }
             }
         }
     };
     std::thread::spawn(solver);
-    let told = |told: Told<'_>| match told {
-        Told::Warning(text) => eprintln!("warning: {text}"),
-        Told::Event(event) => {
+    let on_output = |output: PresenterOutput<'_>| match output {
+        PresenterOutput::Warning(text) => eprintln!("warning: {text}"),
+        PresenterOutput::Event(event) => {
             if let Ok(Event::Report(report)) = from_value(event.clone()) {
                 for (refresh, place, pictures, seconds) in report.log {
                     println!("{refresh},{place},{pictures},{seconds:.6}");
@@ -62,6 +62,6 @@ fn main() -> Result<(), HostError> {
     let first = stack(&display, 0);
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
-    let context = PresentContext { display: &display, first: Some(&first), asked, told: &told, task };
+    let context = PresentContext { display: &display, first: Some(&first), input, on_output: &on_output, task };
     present(&Registry::built_in()?, "panels", &json!({"duration_s": seconds, "log": true}), context)
 }

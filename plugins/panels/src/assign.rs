@@ -92,6 +92,7 @@ pub fn assign(display: &Display, outputs: &[Output]) -> Result<Vec<(Shows, Outpu
     if outputs.is_empty() {
         return Err(AssignError::None { needed, wanted });
     }
+    // Names first, so that an unknown or repeated one is reported as such.
     let mut taken: Vec<&str> = Vec::new();
     for &shows in &all {
         let Some(name) = named(display, shows) else { continue };
@@ -107,6 +108,7 @@ pub fn assign(display: &Display, outputs: &[Output]) -> Result<Vec<(Shows, Outpu
     if outputs.len() < needed {
         return Err(AssignError::TooFew { needed, wanted, found: found() });
     }
+    // Layers without a name take the other outputs from left to right.
     let mut free: Vec<&Output> = outputs.iter().filter(|output| !taken.contains(&output.name.as_str())).collect();
     free.sort_by(|a, b| (a.position, &a.name).cmp(&(b.position, &b.name)));
     let mut free = free.into_iter();
@@ -193,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_missing_is_named() {
+    fn missing_outputs_are_named() {
         let three = display(&[None, Some("B"), None]);
         let error = names(&three, &[]).unwrap_err().to_string();
         assert!(

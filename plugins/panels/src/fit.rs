@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn turned_and_cropped_panels_count_as_what_is_left_of_them() {
+    fn rotated_and_cropped_panels_count_by_their_remaining_part() {
         let mut display = Display::uniform([10, 6], 1.0, [1, 1], [10.0, 10.0], &[0.0], 1);
         display.layers[0].panel = Some(Panel { rotate_deg: 90, ..Panel::default() });
         assert_eq!(cover(&display, Shows::Layer(0), [60, 100]).1, [100.0, 60.0]);
@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_go_together_is_said() {
+    fn mismatches_cause_warnings() {
         let mut display = Display::uniform([30, 20], 1.0, [1, 1], [10.0, 10.0], &[0.0, 5.0], 1);
         display.layers[1].panel_resolution = Some([30, 20]);
         let mut outputs = outputs(&[[100, 80], [40, 30]]);

@@ -386,7 +386,7 @@ mod tests {
     }
 
     #[test]
-    fn single_lenslets_and_views_light_what_the_lens_model_says() {
+    fn single_lenslets_and_views_agree_with_the_lens_model() {
         let mut display = Display::uniform([20, 12], 1.0, [3, 3], [40.0, 40.0], &[0.0], 1);
         let mut backlight = LensletBacklight::new(-8.0, [5, 3], 4.0, [3, 3], [40.0, 40.0]);
         (backlight.panel_pitch_mm, backlight.transfer) = (Some(0.25), Transfer::Linear);

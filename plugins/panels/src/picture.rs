@@ -82,6 +82,7 @@ impl Encoder {
 impl Picture {
     /// Precomputes the lookup for an output of [columns, rows] pixels that shows `shows`.
     pub fn new(display: &Display, shows: Shows, output: [usize; 2]) -> Self {
+        // The lookup maps panel pixels to mask pixels, the encoder maps values to codes.
         let place = Place::new(display, shows, output);
         let (lookup, mut encoder) = match (shows, &display.backlight) {
             (Shows::Backlight, Backlight::Lenslets(backlight)) => {
@@ -111,6 +112,7 @@ impl Picture {
                 (mask_lookup(&place, layer.resolution, layer.pitch_mm, panel.resample), encoder)
             }
         };
+        // Outside a mask a panel is neutral if rays may leave it, otherwise dark.
         if shows != Shows::Backlight {
             let outside = if display.missing == Missing::Clear { display.formation.neutral() } else { 0.0 };
             encoder.outside = encoder.codes([outside; 3]);
@@ -158,6 +160,7 @@ impl Picture {
         };
         let rgb = |i: u32| -> [f32; 3] { values[3 * i as usize..][..3].try_into().expect("three channels") };
         let outside = self.encoder.outside;
+        // Nearest pixels are encoded once per mask pixel; interpolation mixes light before that.
         match &self.lookup {
             Lookup::Nearest(lookup) => {
                 let mask: Vec<[u8; 3]> = values.chunks_exact(3).map(|v| code([v[0], v[1], v[2]])).collect();

@@ -106,7 +106,7 @@ mod tests {
 
     /// Oracle: mirrors and rotates a picture as an image editor does.
     #[test]
-    fn orientation_is_what_mirroring_and_turning_a_picture_gives() {
+    fn orientation_equals_mirroring_and_rotating_a_picture() {
         for (rotate_deg, flip) in [0, 90, 180, 270]
             .into_iter()
             .flat_map(|turn| [Flip::None, Flip::Horizontal, Flip::Vertical].into_iter().map(move |flip| (turn, flip)))

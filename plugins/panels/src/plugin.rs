@@ -85,9 +85,9 @@ impl OutputPlugin for Panels {
             ),
             Param::int("hold", -1, -1..=1 << 20, "Frame to hold; -1 shows all in turn.").unit("1"),
             Param::float("duration_s", 0.0, 0.0..=1e9, "Duration; 0 shows until it is closed.").unit("s"),
-            Param::float("from_x_deg", 0.0, -80.0..=80.0, "Initial horizontal viewing angle of the window, positive to the right.")
+            Param::float("from_x_deg", 0.0, -80.0..=80.0, "Initial angle between the viewer's direction and the display's axis in the window, positive to the right.")
                 .unit("degrees"),
-            Param::float("from_y_deg", 0.0, -80.0..=80.0, "Initial vertical viewing angle of the window, positive upwards.").unit("degrees"),
+            Param::float("from_y_deg", 0.0, -80.0..=80.0, "The same angle, positive upwards.").unit("degrees"),
             Param::text("pattern", "", &format!("Test pattern shown in place of the layer stack: {PATTERNS}.")),
             Param::text(
                 "only",
@@ -145,7 +145,7 @@ impl OutputPlugin for Panels {
             Some(pending) => {
                 let from_deg = [self.params.from_x_deg, self.params.from_y_deg];
                 pending.content = Some(match self.params.mode {
-                    Mode::Window => Content::Rehearsal { stack, from_deg },
+                    Mode::Window => Content::Preview { stack, from_deg },
                     Mode::Outputs | Mode::Span => Content::Stack(stack),
                 });
             }
@@ -208,6 +208,7 @@ fn refused(name: &str, expected: impl std::fmt::Display, found: impl std::fmt::D
 fn fixed(params: &PanelsParams, display: &Display) -> Result<Option<Content>, PluginError> {
     if !params.pattern.is_empty() {
         let pattern = params.pattern.parse::<Pattern>().map_err(|error| PluginError::Refused(error.to_string()))?;
+        // A pattern on one panel, or on all, drawn for an eye in front of the layers.
         let all = Shows::all(display);
         let only = Some(&params.only).filter(|text| !text.is_empty()).map(|text| {
             let shows = text.parse().ok().filter(|shows| all.contains(shows));
@@ -224,6 +225,7 @@ fn fixed(params: &PanelsParams, display: &Display) -> Result<Option<Content>, Pl
         return Ok(Some(Content::Pattern { pattern, only: only.transpose()?, eye_mm }));
     }
     if !params.picture.is_empty() {
+        // By default the layer nearest to the display plane shows the picture.
         let nearest = (0..display.layers.len())
             .min_by(|a, b| display.layers[*a].d_mm.abs().total_cmp(&display.layers[*b].d_mm.abs()))
             .unwrap_or(0);

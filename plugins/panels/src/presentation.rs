@@ -51,10 +51,10 @@ pub enum Content {
         layer: usize,
     },
     /// A preview of the display from one angle, in an ordinary window.
-    Rehearsal {
+    Preview {
         /// The layer stack.
         stack: LayerStack,
-        /// Viewing angles, degrees to the right and up.
+        /// Direction of the viewer, degrees to the right and up from the display's axis.
         from_deg: [f64; 2],
     },
 }
@@ -90,7 +90,7 @@ pub enum Command {
     Nudge(Shows, [f64; 2]),
     /// Save the nudges: see [`Event::Save`].
     Save,
-    /// Set the viewing angles of the preview, degrees.
+    /// Set the direction of the preview's viewer, degrees to the right and up.
     Look([f64; 2]),
     /// Report the statistics so far.
     Report,

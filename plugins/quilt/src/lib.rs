@@ -245,6 +245,7 @@ impl Quilt {
         {
             self.host.warn(&advice);
         }
+        // Warn of avoidable losses before the work.
         let black = black_share(size, layout.aspect, params.fit);
         if black >= LEAST_BLACK {
             self.host.warn(&format!(
@@ -261,6 +262,7 @@ impl Quilt {
             let [width, height] = layout.size;
             self.host.warn(&format!("video encoders require even sizes, the quilt has {width} × {height} pixels"));
         }
+        // The native picture is woven from the same quilt.
         let (quilt, views) = self.fill(source, &layout, size, row)?;
         let frame = if params.sequence || time.index > 0 { format!("_f{:04}", time.index) } else { String::new() };
         let name = format!("{}{frame}", params.name);

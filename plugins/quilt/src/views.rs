@@ -112,6 +112,7 @@ impl Source<'_> {
                 Ok((values, Made::Simulated, slope))
             }
             Self::Field(field) => {
+                // a light field has views at its own positions only
                 let last = grid.slope_x.len() - 1;
                 let nearest = (place.round().max(0.0) as usize).min(last);
                 let own = (field.view([row, nearest])?, [grid.slope_x[nearest], slope_y]);

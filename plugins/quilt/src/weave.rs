@@ -62,6 +62,7 @@ impl Calibration {
     /// # Errors
     /// On malformed JSON, and numbers that are missing or invalid.
     pub fn from_json(json: &Value) -> Result<Self, PluginError> {
+        // Values are numbers, or objects with a `value`.
         let number = |key: &str| -> Option<f64> {
             let value = json.get(key)?;
             value.get("value").unwrap_or(value).as_f64().filter(|number| number.is_finite())
@@ -81,6 +82,7 @@ impl Calibration {
         if slope == 0.0 {
             return Err(wrong("slope", "a number other than 0"));
         }
+        // Newer screens list their subpixels' offsets, as many as the pattern of cells needs.
         let cells = match json.get("subpixelCells") {
             None | Some(Value::Null) => Vec::new(),
             Some(Value::Array(cells)) => {
@@ -196,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_missing_or_makes_no_sense_is_named() {
+    fn missing_and_invalid_values_are_named() {
         let good = Calibration::from_json(&plain()).unwrap();
         assert_eq!((good.center, good.inv_view, good.flip_x, good.screen), (0.25, true, false, [384, 216]));
         for (key, value, message) in [

@@ -19,7 +19,7 @@ fn conforms() {
 }
 
 #[test]
-fn it_makes_what_the_factorizer_makes() {
+fn its_result_is_that_of_the_factorizer() {
     let display = display();
     let field = random_field(&display).unwrap();
     let (warnings, cancel) = (Collector::default(), Cancel::default());

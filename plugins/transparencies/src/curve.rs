@@ -1,35 +1,37 @@
-//! What the film transmits where a code was printed.
+//! The curve of film and printer: transmittance per printed code.
 //!
-//! A measured curve is a list of pairs `code transmittance`, for example `0 0.02, 64 0.09, 128 0.3, 255 0.88`; three lists for red, green and blue are
-//! separated by `;`. Codes are 0 to 255, transmittances 0 to 1, both rise, the last pair is clear film.
+//! A measured curve is a list of pairs `code transmittance`, for example `0 0.02, 64 0.09, 128 0.3,
+//! 255 0.88`. Three lists, separated by `;`, are for red, green and blue. Codes are 0 to 255 and
+//! transmittances 0 to 1; both rise, and the last pair is clear film.
 //!
-//! A mask value f is printed relative to clear film: the film shows f / peak times what clear film does, and never less than its darkest state,
+//! A mask value f is printed relative to clear film. The film transmits f / peak of clear film's
+//! transmittance, and never less than its darkest state:
 //!
 //! ```text
 //! T(code) / T_clear = max(f / peak, T_dark / T_clear)
 //! ```
 //!
-//! so a whole layer loses the factor T_clear, and only values below the darkest state are lost.
+//! Thus a layer is darker by the factor T_clear, and only values below the darkest state are lost.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Channels, Layer, Transfer};
 
-/// Film and printer.
+/// A film as printed by one printer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Film {
-    /// From 0 (darkest state) to 1 (clear film) to codes.
+    /// Maps 0 (darkest state) to 1 (clear film) to codes.
     transfer: Transfer,
-    /// Darkest state over clear film, per channel.
+    /// Transmittance of the darkest state relative to clear film, per channel.
     pub dark: [f64; 3],
-    /// Transmittance of clear film, where it was measured.
+    /// Transmittance of clear film per channel; `None` if not measured.
     pub clear: Option<[f64; 3]>,
 }
 
 impl Film {
-    /// A measured curve, or without one sRGB codes and a darkest state.
+    /// A film with a measured curve, or for an empty text with sRGB codes and the darkest state
+    /// `dark`.
     ///
-    /// # Errors
-    /// On a list that is no curve.
+    /// If a list is not a curve from code 0 to code 255.
     pub fn new(curve: &str, dark: f64) -> Result<Self, PluginError> {
         if curve.trim().is_empty() {
             return Ok(Self { transfer: Transfer::Srgb, dark: [dark; 3], clear: None });
@@ -60,7 +62,9 @@ impl Film {
         })
     }
 
-    /// The codes of a layer's values `[..][rgb]`, and how many values are darker than the film can be.
+    /// Encodes a layer's values `[..][rgb]`, transmittances of 0..peak.
+    ///
+    /// Also returns the count of values below the darkest state.
     pub fn codes(&self, layer: &Layer, rgb: &[f32]) -> (Vec<u8>, usize) {
         let mut lost = 0;
         let codes = rgb.iter().enumerate().map(|(i, &value)| {
@@ -72,17 +76,17 @@ impl Film {
         (codes.collect(), lost)
     }
 
-    /// What the film transmits at a code, relative to clear film.
+    /// Transmittance of the film at a code, relative to clear film.
     pub fn transmittance(&self, channel: usize, code: u8) -> f64 {
         let share = f64::from(self.transfer.decode(channel, f32::from(code) / 255.0));
         self.dark[channel] + (1.0 - self.dark[channel]) * share
     }
 }
 
-/// Values that miss the darkest state by less are not called lost.
+/// Values closer to the darkest state than this do not count as lost.
 const HALF_CODE: f64 = 0.5 / 255.0;
 
-/// A list of pairs from code 0 to code 255. Ends that were not measured are an error: what lies beyond is unknown.
+/// Parses a list of pairs. It must contain the codes 0 and 255, since an unmeasured end is unknown.
 fn table(list: &str) -> Option<Vec<[f64; 2]>> {
     let pair = |text: &str| {
         let numbers: Vec<f64> = text.split_whitespace().map(str::parse).collect::<Result<_, _>>().ok()?;
@@ -105,7 +109,7 @@ mod tests {
         assert!((film.dark[0] - 0.05).abs() < 1e-12);
         assert_eq!(film.clear, Some([0.8; 3]));
         let layer = Layer { peak: 0.9, ..Layer::new(0.0, [1, 1], 1.0) };
-        // 0.3 of clear film is 0.24: code 128; below 0.05 nothing gets darker
+        // 0.3 of clear film is 0.24, which is code 128; values below 0.05 are lost
         let (codes, lost) = film.codes(&layer, &[0.9, 0.27, 0.9 * 0.05, 0.01, 0.0, 1.0]);
         assert_eq!((codes, lost), (vec![255, 128, 0, 0, 0, 255], 2));
         for code in [0, 60, 128, 200, 255] {
@@ -130,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_curve_is_refused() {
+    fn texts_that_are_no_curve_are_refused() {
         for bad in [
             "0 0",
             "0 0, 255 0",

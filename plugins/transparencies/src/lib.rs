@@ -1,12 +1,15 @@
 //! Output plugin `transparencies`: a PDF of static layers to print on film at true size.
 //!
-//! | page | what |
+//! | page | content |
 //! |---|---|
-//! | 1 | assembly: order of films, spacers, sides, and a ruler to check the scale |
+//! | 1 | assembly sheet: order and sides of films, spacers, and a ruler to check the scale |
 //! | 2 | test chart: steps of codes to measure the printer's curve; see [`curve`] |
-//! | 3, ... | one film per layer, from the rear: the mask, registration marks in the border, cut lines outside it; see [`sheet`] |
+//! | 3, ... | one film per layer, from the rear; see [`sheet`] |
 //!
-//! `transparencies.json` says where each mask stands on its page. Colours are device RGB: print without colour management, without scaling.
+//! A film's page has the mask, registration marks in the border, and cut lines outside the border.
+//!
+//! `transparencies.json` lists the place of each mask on its page. Colours are device RGB: print
+//! without colour management and without scaling.
 
 pub mod curve;
 mod pages;
@@ -29,10 +32,11 @@ pub use params::TransparenciesParams;
 use pdf::{Document, Page};
 use sheet::{INCH_MM, Sheet};
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, computed at build. It is part of the key of every cached result
+/// that this code contributes to.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
-/// The plugin.
+/// The plugin, open for one display.
 #[derive(Debug)]
 pub struct Transparencies {
     host: Host,
@@ -44,7 +48,7 @@ pub struct Transparencies {
 }
 
 impl Paper {
-    /// [shorter, longer] side.
+    /// [shorter, longer] side in mm; `None` for pages of the smallest possible size.
     fn size_mm(self) -> Option<[f64; 2]> {
         match self {
             Self::A4 => Some([210.0, 297.0]),
@@ -55,7 +59,7 @@ impl Paper {
     }
 }
 
-/// `transparencies.json`.
+/// Content of `transparencies.json`.
 #[derive(Serialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 struct Manifest<'a> {
@@ -64,7 +68,8 @@ struct Manifest<'a> {
     page_mm: [f64; 2],
     film_mm: [f64; 2],
     mirrored: bool,
-    /// Darkest state of the film relative to clear film, per channel: `black_level` of the layers.
+    /// Least transmittance of the film relative to clear film, per channel: `black_level` of the
+    /// layers.
     darkest: [f64; 3],
     spacers_mm: &'a [f64],
     /// Codes of the test chart's steps.
@@ -77,23 +82,23 @@ struct Manifest<'a> {
 #[serde(crate = "lumistack_plugin::serde")]
 struct Entry {
     file: String,
-    /// From 1.
+    /// Page number, from 1.
     page: usize,
     layer: usize,
     d_mm: f64,
-    /// Left, bottom, width and height of the mask on the page.
+    /// Left, bottom, width and height of the mask on the page, in mm.
     place_mm: [f64; 4],
-    /// Columns and rows of the picture on the page.
+    /// Columns and rows of the picture in the file.
     resolution: [usize; 2],
-    /// Values that are darker than the film can be.
+    /// Count of mask values below the film's least transmittance.
     too_dark: usize,
     time: u64,
 }
 
 impl OutputPlugin for Transparencies {
     const DOC: &'static str = "Writes a PDF to print static layers on film at true size, with an assembly sheet and a test chart. \
-        It takes displays of attenuating layers with one frame. Patterns are continuous tones: halftone dots are the \
-        printer's own, which the chart measures along with its inks.";
+        It accepts displays of attenuating layers with one frame. Masks are continuous tones: the printer makes the halftone dots, \
+        and the chart measures them together with the inks.";
     const PORTS: &'static [Port] = &[Port::LayerStack];
     type Params = TransparenciesParams;
 
@@ -108,30 +113,30 @@ impl OutputPlugin for Transparencies {
                     ("letter", "8.5 × 11 inches."),
                     ("tight", "As small as films, cut lines and titles allow."),
                 ],
-                "Size of the pages, upright or across as the films ask.",
+                "Size of the pages, upright or across as the films need.",
             ),
             Param::int(
                 "dpi",
                 0,
                 0..=4800,
-                "Dots per inch of the pictures in the file, nearest pixels; 0 keeps the masks' own pixels, for printers that enlarge them without smoothing, as the file asks.",
+                "Resolution of the pictures in the file, by nearest pixels. 0 keeps the masks' resolution, for printers that enlarge pictures without smoothing, as the file requests.",
             )
             .unit("dots/inch"),
             Param::text(
                 "curve",
                 "",
-                "What the film transmits where a code was printed, measured on the test chart: pairs of code (0 to 255) and transmittance (0 to 1), for example \"0 0.02, 128 0.3, 255 0.88\"; three lists separated by semicolons for red, green and blue. Without it codes are sRGB.",
+                "Transmittance of the printed film per code, measured on the test chart: pairs of code (0 to 255) and transmittance (0 to 1). For example \"0 0.02, 128 0.3, 255 0.88\". Three lists, separated by semicolons, are for red, green and blue. Without a curve, codes are sRGB.",
             ),
             Param::float(
                 "min_transmittance",
                 0.0,
                 0.0..=0.9,
-                "Transmittance of the darkest print relative to clear film, where there is no curve.",
+                "Transmittance of the darkest print relative to clear film, if there is no curve.",
             )
             .unit("1"),
-            Param::bool("mirror", false, "Mirror films left to right, to be seen through the film with the printed side away from the viewer."),
-            Param::float("border_mm", 12.0, 8.0..=100.0, "Width of the border around the masks, which holds the registration marks.").unit("mm"),
-            Param::float("film_mm", 0.1, 0.0..=10.0, "Thickness of a film, taken off the spacers.").unit("mm"),
+            Param::bool("mirror", false, "Mirror films left to right, for films whose printed side faces away from the viewer."),
+            Param::float("border_mm", 12.0, 8.0..=100.0, "Width of the border around the masks, which contains the registration marks.").unit("mm"),
+            Param::float("film_mm", 0.1, 0.0..=10.0, "Thickness of a film, subtracted from the spacers.").unit("mm"),
             Param::float(
                 "spacer_index",
                 1.0,
@@ -146,7 +151,7 @@ impl OutputPlugin for Transparencies {
     fn open(host: Host, params: TransparenciesParams, display: Display) -> Result<Self, PluginError> {
         if display.frames != 1 {
             return Err(PluginError::Refused(format!(
-                "printed layers do not change: expected a display with frames = 1, found {}",
+                "printed layers are static: expected a display with frames = 1, found {}",
                 display.frames
             )));
         }
@@ -157,7 +162,7 @@ impl OutputPlugin for Transparencies {
             )));
         }
         if display.backlight != Backlight::Uniform {
-            host.warn("the backlight of lenslets is not printed, only the layers in front of it");
+            host.warn("only layers are printed, not the directional backlight behind them");
         }
         let film = Film::new(&params.curve, params.min_transmittance)?;
         let sheet = Sheet::new(&display.layers, params.border_mm, params.paper.size_mm())?;
@@ -203,6 +208,7 @@ impl Transparencies {
         } else {
             format!("t{:04}/transparencies.pdf", time.index)
         };
+        // The assembly sheet and the test chart precede the films.
         let layers = &self.display.layers;
         let stage = self.host.stage("films", layers.len() as u64, "pages");
         let out = BufWriter::with_capacity(1 << 16, self.host.create(&file)?);
@@ -213,6 +219,7 @@ impl Transparencies {
         if self.params.chart {
             document.add(self.sheet.page_mm, pages::chart(&self.sheet)).map_err(pdf::failed)?;
         }
+        // One page per layer, with its entry in the manifest.
         let first = if self.params.chart { 3 } else { 2 };
         let mut entries = Vec::new();
         for (n, layer) in layers.iter().enumerate() {
@@ -231,11 +238,12 @@ impl Transparencies {
             });
             stage.advance(1, "");
         }
+        // Lost values are no error, but the user can avoid them.
         let too_dark: usize = entries.iter().map(|entry| entry.too_dark).sum();
         if too_dark > 0 {
             let darkest = self.film.dark.iter().copied().fold(0.0, f64::max);
             self.host.warn(&format!(
-                "{too_dark} values are darker than the film can be; black_level = {darkest:.3} in the display's layers makes patterns that it can show"
+                "{too_dark} values are below the film's least transmittance, {darkest:.3} of clear film; black_level = {darkest:.3} in the display's layers gives patterns without such values"
             ));
         }
         let out = document.finish().map_err(pdf::failed)?;
@@ -243,7 +251,8 @@ impl Transparencies {
         Ok(entries)
     }
 
-    /// A layer's film, the picture's [columns, rows] and how many values are too dark.
+    /// Makes the page of a layer's film. Returns it with the picture's [columns, rows] and the
+    /// count of values below the film's least transmittance.
     fn film_page(
         &self,
         document: &mut Document<impl Write>,
@@ -253,7 +262,8 @@ impl Transparencies {
     ) -> Result<(Page, [usize; 2], usize), PluginError> {
         let plane = stack.layer(n, 0)?;
         let (rows, cols, size) = (plane.rows(), plane.cols(), picture_size(self.params.dpi, n, layer)?);
-        // the mask's rows are read and encoded one after another: a film may be larger than memory
+        // Rows of the mask are read and encoded one after another: a film may exceed memory. A row
+        // of the picture repeats or skips rows of the mask, as the resolutions demand.
         let mut masks = plane.iter_rows().enumerate();
         let (mut at, mut codes, mut too_dark, mut row) = (None, Vec::new(), 0, 0);
         let pieces = document.image(size, |printed| {
@@ -278,10 +288,9 @@ impl Transparencies {
     }
 }
 
-/// [columns, rows] of a layer's picture in the file.
+/// [columns, rows] of a layer's picture in the file, at `dpi` or, for 0, at the mask's resolution.
 ///
-/// # Errors
-/// If it has more pixels than a picture may have.
+/// If a side exceeds [`SIDE_LIMIT`].
 fn picture_size(dpi: u32, n: usize, layer: &Layer) -> Result<[usize; 2], PluginError> {
     let printed = |count: usize| ((count as f64 * layer.pitch_mm / INCH_MM * f64::from(dpi)).round() as usize).max(1);
     let size = if dpi == 0 { layer.resolution } else { layer.resolution.map(printed) };
@@ -294,7 +303,7 @@ fn picture_size(dpi: u32, n: usize, layer: &Layer) -> Result<[usize; 2], PluginE
     Ok(size)
 }
 
-/// Most pixels of a picture's side.
+/// Most pixels per side of a picture.
 const SIDE_LIMIT: usize = 1 << 17;
 
 export_plugin!("transparencies", Transparencies);

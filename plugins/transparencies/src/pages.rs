@@ -1,4 +1,4 @@
-//! What stands on the pages.
+//! Content of the pages.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Display, Layer};
@@ -8,18 +8,20 @@ use crate::curve::Film;
 use crate::pdf::Page;
 use crate::sheet::Sheet;
 
-/// Codes of the test chart's steps: closer together where film is dark.
+/// Codes of the test chart's steps, closer together where the film is dark.
 pub(crate) const CHART_CODES: [u8; 24] =
     [0, 4, 8, 12, 16, 24, 32, 40, 48, 56, 64, 80, 96, 112, 128, 144, 160, 176, 192, 208, 224, 240, 248, 255];
-/// Size of type, millimetres.
+/// Size of type in mm.
 const TYPE_MM: f64 = 3.2;
 const LINE_MM: f64 = 4.6;
 const MARGIN_MM: f64 = 12.0;
 
-/// Thickness of the spacers between neighbouring films: the distance of the layers in air, times the spacers' index, less half a film on either side.
+/// Thickness of the spacers between neighbouring films, in mm.
 ///
-/// # Errors
-/// If films are thicker than a distance.
+/// It is the distance of the layers in air, less half a film on either side, times the spacers'
+/// refractive index.
+///
+/// If films are thicker than a gap.
 pub(crate) fn spacers_mm(layers: &[Layer], film_mm: f64, index: f64) -> Result<Vec<f64>, PluginError> {
     layers
         .windows(2)
@@ -35,7 +37,7 @@ pub(crate) fn spacers_mm(layers: &[Layer], film_mm: f64, index: f64) -> Result<V
         .collect()
 }
 
-/// A layer's page without its mask: title, cut lines, registration marks.
+/// A film's page without its mask: title, cut lines, registration marks.
 pub(crate) fn film(sheet: &Sheet, display: &Display, n: usize, mirror: bool) -> Page {
     let mut page = Page::default();
     let [left, bottom] = sheet.film_corner();
@@ -57,12 +59,12 @@ pub(crate) fn film(sheet: &Sheet, display: &Display, n: usize, mirror: bool) -> 
     let side = if mirror { "printed side away from the viewer" } else { "printed side to the viewer" };
     let d_mm = display.layers[n].d_mm;
     page.text([left + 9.0, bottom - 6.0], 2.6, &format!("layer {n}{place}, z = {d_mm} mm, {side}"));
-    // which way is up survives cutting: a short line at the top
+    // a short line at the top marks the upper side after cutting
     page.line(&[[left + 0.5 * sheet.film_mm[0] + 5.0, top - 1.0], [left + 0.5 * sheet.film_mm[0] + 10.0, top - 1.0]]);
     page
 }
 
-/// Order, spacers, and a ruler.
+/// The assembly sheet: order of films, spacers and a ruler.
 pub(crate) fn assembly(
     sheet: &Sheet,
     display: &Display,
@@ -85,6 +87,7 @@ pub(crate) fn assembly(
         String::new(),
         "From the back to the viewer:".into(),
     ];
+    // Films and spacers in the order of assembly.
     for (n, layer) in display.layers.iter().enumerate() {
         lines.push(format!(
             "film {n}: z = {} mm, {} x {} pixels of {} mm",
@@ -117,7 +120,7 @@ pub(crate) fn assembly(
     page
 }
 
-/// A ruler at the foot of a page, as many whole centimetres as fit, up to ten.
+/// Draws a ruler at the foot of a page, up to ten centimetres in whole centimetres.
 fn ruler(page: &mut Page, width: f64) {
     let centimetres = ((width - 2.0 * MARGIN_MM) / 10.0).floor().clamp(0.0, 10.0);
     let length = 10.0 * centimetres;
@@ -132,7 +135,7 @@ fn ruler(page: &mut Page, width: f64) {
     }
 }
 
-/// Steps of grey, and of each colour alone, whose transmittance is to be measured.
+/// The test chart: steps of grey and of each colour alone, to measure their transmittance.
 pub(crate) fn chart(sheet: &Sheet) -> Page {
     let mut page = Page::default();
     let [width, height] = sheet.page_mm;
@@ -154,7 +157,7 @@ pub(crate) fn chart(sheet: &Sheet) -> Page {
             let x = MARGIN_MM + col as f64 * cell[0];
             let y = height - MARGIN_MM - 4.0 - (row as f64 + 1.0) * cell[1];
             let label = (0.22 * cell[1]).min(TYPE_MM);
-            // a colour alone: the other two are clear film's
+            // a step of one colour has clear film in the other channels
             let rgb = channels.map(|own| if own { code } else { 255 });
             let patch = [x, y + 1.4 * label, 0.92 * cell[0], cell[1] - 1.6 * label];
             page.fill(patch, rgb);

@@ -1,8 +1,8 @@
-//! Parameters.
+//! Parameters of the plugin.
 
 use lumistack_plugin::serde::Deserialize;
 
-/// Parameters; see the plugin's schema for their meaning.
+/// Parameters; the plugin's schema documents them.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 pub struct TransparenciesParams {

@@ -1,4 +1,4 @@
-//! Pages of a PDF in millimetres, written as they come: no page and no picture is in memory as a whole.
+//! Writer of PDF files, in millimetres. It streams: no page and no picture is in memory as a whole.
 
 use std::io::{self, Write};
 
@@ -12,17 +12,18 @@ use crate::sheet::INCH_MM;
 /// PDF units per millimetre.
 const POINTS: f64 = 72.0 / INCH_MM;
 const FONT: Name<'_> = Name(b"F");
-/// Most samples of one picture in the file. Longer ones are several, edge to edge: readers count a picture's bytes in 31 bits.
+/// Most samples per picture in the file, since readers count a picture's bytes in 31 bits. Larger
+/// pictures are split into pieces, edge to edge.
 const MOST_SAMPLES: usize = if cfg!(test) { 1 << 11 } else { 1 << 28 };
-/// Bytes of a table's place in the file are ten digits.
+/// Largest position in a PDF's table of objects, which has ten digits.
 const LONGEST: u64 = 9_999_999_999;
 
-/// A document; without dates, so that the same content gives the same bytes.
+/// A PDF document. It has no dates, so that the same content gives the same bytes.
 pub struct Document<W> {
     out: W,
-    /// Bytes so far.
+    /// Bytes written so far.
     written: u64,
-    /// Where each object begins; object n is the element n - 1.
+    /// Position of each object in the file; object n is the element n − 1.
     places: Vec<u64>,
     pages: Vec<Ref>,
 }
@@ -33,13 +34,13 @@ const HELVETICA: Ref = Ref::new(3);
 const INFO: Ref = Ref::new(4);
 
 impl<W: Write> Document<W> {
-    /// An empty document.
+    /// Begins a document.
     ///
     /// # Errors
     /// If it cannot be written.
     pub fn new(out: W, title: &str) -> io::Result<Self> {
         let mut document = Self { out, written: 0, places: vec![0; 4], pages: Vec::new() };
-        // the header, these objects, and a trailer that is left out
+        // `Pdf` writes the header and these objects; its trailer is not used
         let mut pdf = Pdf::new();
         document.put(pdf.as_bytes())?;
         pdf.document_info(INFO).title(TextStr(title)).producer(TextStr("Lumistack"));
@@ -52,7 +53,7 @@ impl<W: Write> Document<W> {
         Ok(document)
     }
 
-    /// Adds a page of [width, height] millimetres.
+    /// Adds a page of [width, height] in mm.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -79,11 +80,12 @@ impl<W: Write> Document<W> {
         })
     }
 
-    /// Adds a picture of `size` = [columns, rows] samples, whose rows `[col][rgb]` come one after another from `row`, and returns its pieces from the top: their
-    /// numbers of rows, and what a page shows them by.
+    /// Adds a picture of `size` = [columns, rows] samples; `row` appends one row `[col][rgb]` per
+    /// call.
     ///
-    /// # Errors
-    /// Those of `row`, and if it cannot be written.
+    /// Returns the picture's pieces from the top: rows and reference of each.
+    ///
+    /// Errors of `row`, and failures to write.
     pub fn image(
         &mut self,
         size: [usize; 2],
@@ -94,6 +96,8 @@ impl<W: Write> Document<W> {
         for first in (0..size[1]).step_by(most) {
             let rows = most.min(size[1] - first);
             let [id, length] = [self.reserve(), self.reserve()];
+            // The length of a compressed stream is unknown before its end, so it is an object of
+            // its own.
             let begin = format!(
                 "{} 0 obj\n<<\n  /Length {} 0 R\n  /Type /XObject\n  /Subtype /Image\n  /Filter /FlateDecode\n  /Width {}\n  /Height {rows}\n  \
                  /ColorSpace /DeviceRGB\n  /BitsPerComponent 8\n  /Interpolate false\n>>\nstream\n",
@@ -120,10 +124,9 @@ impl<W: Write> Document<W> {
         Ok(pieces)
     }
 
-    /// Ends the file.
+    /// Writes the page tree, the table of objects and the trailer.
     ///
-    /// # Errors
-    /// If it cannot be written, or has more bytes than its table can say.
+    /// If it cannot be written, or its size exceeds ten digits.
     pub fn finish(mut self) -> io::Result<W> {
         let pages = std::mem::take(&mut self.pages);
         self.chunk(PAGE_TREE, |chunk| {
@@ -145,7 +148,7 @@ impl<W: Write> Document<W> {
         Ok(self.out)
     }
 
-    /// The next free number of an object.
+    /// Reserves an object's number.
     fn reserve(&mut self) -> Ref {
         self.places.push(0);
         Ref::new(self.places.len() as i32)
@@ -157,7 +160,7 @@ impl<W: Write> Document<W> {
         self.object(id, chunk.as_bytes())
     }
 
-    /// Writes an object, or its begin.
+    /// Writes an object, or its beginning, and records its position.
     fn object(&mut self, id: Ref, bytes: &[u8]) -> io::Result<()> {
         self.places[id.get() as usize - 1] = self.written;
         self.put(bytes)
@@ -170,7 +173,7 @@ impl<W: Write> Document<W> {
     }
 }
 
-/// For the compression of pictures.
+/// The compressor of pictures writes through this.
 impl<W: Write> Write for Document<W> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.put(bytes).map(|()| bytes.len())
@@ -181,7 +184,7 @@ impl<W: Write> Write for Document<W> {
     }
 }
 
-/// What the host said, or that the file cannot be written.
+/// Converts an error of writing; an error of the host is passed on.
 pub(crate) fn failed(error: io::Error) -> PluginError {
     PluginError::from_io("PDF", error)
 }
@@ -190,14 +193,14 @@ fn image_name(number: usize) -> String {
     format!("I{number}")
 }
 
-/// What stands on a page.
+/// Content of a page.
 pub struct Page {
     content: Content,
     images: Vec<Ref>,
 }
 
 impl Default for Page {
-    /// An empty page; lines are black and as thin as a printer draws well.
+    /// An empty page. Lines are black and 0.1 mm wide, the thinnest that printers draw well.
     fn default() -> Self {
         let mut content = Content::new();
         content.set_line_width(points(0.1));
@@ -206,7 +209,7 @@ impl Default for Page {
 }
 
 impl Page {
-    /// The pieces of a picture of so many rows, in [left, bottom, width, height]; pixels keep their edges.
+    /// Places a picture of `rows` rows in [left, bottom, width, height], in mm, without smoothing.
     pub fn image(&mut self, [x, y, width, height]: [f64; 4], rows: usize, pieces: &[(usize, Ref)]) {
         let mut below = rows;
         for &(count, image) in pieces {
@@ -219,7 +222,7 @@ impl Page {
         }
     }
 
-    /// A line through places.
+    /// Draws a line through points in mm.
     pub fn line(&mut self, places: &[[f64; 2]]) {
         for (i, [x, y]) in places.iter().enumerate() {
             if i == 0 {
@@ -231,7 +234,7 @@ impl Page {
         self.content.stroke();
     }
 
-    /// A filled rectangle [left, bottom, width, height] of an 8-bit grey or colour.
+    /// Fills a rectangle [left, bottom, width, height], in mm, with an 8-bit colour.
     pub fn fill(&mut self, [x, y, width, height]: [f64; 4], rgb: [u8; 3]) {
         let [r, g, b] = rgb.map(|code| f32::from(code) / 255.0);
         self.content.set_fill_rgb(r, g, b);
@@ -239,12 +242,13 @@ impl Page {
         self.content.set_fill_gray(0.0);
     }
 
-    /// The outline of a rectangle.
+    /// Draws the outline of a rectangle in mm.
     pub fn frame(&mut self, [x, y, width, height]: [f64; 4]) {
         self.content.rect(points(x), points(y), points(width), points(height)).stroke();
     }
 
-    /// Text from a place to the right, `height` = size of the type in millimetres. Letters that the type lacks become `?`.
+    /// Writes text from a point to the right; `height` is the size of type in mm. Letters that the
+    /// font lacks become `?`.
     pub fn text(&mut self, [x, y]: [f64; 2], height: f64, text: &str) {
         let latin: Vec<u8> = text
             .chars()
@@ -257,7 +261,7 @@ impl Page {
         self.content.next_line(points(x), points(y)).show(Str(&latin)).end_text();
     }
 
-    /// A cross in a ring of 3 millimetres, for aligning films.
+    /// A registration mark: a cross in a ring of 3 mm.
     pub fn mark(&mut self, [x, y]: [f64; 2]) {
         self.line(&[[x - 2.5, y], [x + 2.5, y]]);
         self.line(&[[x, y - 2.5], [x, y + 2.5]]);
@@ -283,7 +287,7 @@ mod tests {
 
     use super::*;
 
-    /// The bytes of an object, from the table at the end of the file.
+    /// Finds an object by the table at the end of the file.
     fn object(file: &[u8], id: Ref) -> &[u8] {
         let text = String::from_utf8_lossy(&file[file.len() - 200..]);
         let table: usize = text.rsplit("startxref\n").next().unwrap().lines().next().unwrap().parse().unwrap();
@@ -326,7 +330,7 @@ mod tests {
             assert!(stream[length..].starts_with(b"\nendstream"), "its length is right");
         }
         assert!(found == rows.concat());
-        // every piece lies on the page where the one above it ends
+        // every piece touches the one above it on the page
         let content = String::from_utf8_lossy(&file);
         let places = content.lines().filter_map(|line| line.strip_suffix(" cm"));
         let places: Vec<Vec<f64>> =

@@ -1,18 +1,20 @@
-//! Where things stand on a page, millimetres from its lower left corner.
+//! Layout of a page, in millimetres from its lower left corner.
 //!
-//! Every film is cut to the same rectangle: the smallest that holds all layers where they stand in the display, and a border with registration marks. Its
-//! centre is the page's. Marks stand at the same places of every film, so films whose marks coincide are aligned, and so do cut lines, in whose
-//! corners the knife is set from outside.
+//! All films are cut to the same rectangle. It is the smallest that contains all layers at their
+//! places in the display, plus a border with registration marks. Its centre is the page's.
+//!
+//! Marks have the same places on every film, so films are aligned when their marks coincide. The
+//! same holds for cut lines, which stand outside the corners of the cut.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::Layer;
 
-/// Millimetres from a film's edge to the page's: cut lines and the page's title.
+/// Distance from a film's edge to the page's, in mm; it has room for cut lines and the title.
 pub const OUTSIDE_MM: f64 = 12.0;
 /// Millimetres per inch.
 pub const INCH_MM: f64 = 25.4;
 
-/// Pages and films.
+/// Sizes of pages and films.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sheet {
     /// [width, height] of a page.
@@ -26,10 +28,10 @@ pub struct Sheet {
 }
 
 impl Sheet {
-    /// Films for all layers; `paper_mm` is the paper's [shorter, longer] side, none for pages as small as they can be.
+    /// The layout for `layers`. `paper_mm` is the paper's [shorter, longer] side; `None` gives
+    /// pages of the smallest possible size.
     ///
-    /// # Errors
-    /// If the paper is too small.
+    /// If the films do not fit on the paper.
     pub fn new(layers: &[Layer], border_mm: f64, paper_mm: Option<[f64; 2]>) -> Result<Self, PluginError> {
         let edge = |axis: usize, sign: f64| {
             let edges = layers
@@ -55,7 +57,7 @@ impl Sheet {
         Ok(Self { page_mm, film_mm, centre_mm, border_mm })
     }
 
-    /// A place of display space on the page, mirrored left to right if `mirror`.
+    /// Maps a point of display space to the page, mirrored left to right if `mirror`.
     pub fn on_page(&self, [x, y]: [f64; 2], mirror: bool) -> [f64; 2] {
         let sign = if mirror { -1.0 } else { 1.0 };
         [0.5 * self.page_mm[0] + sign * (x - self.centre_mm[0]), 0.5 * self.page_mm[1] + y - self.centre_mm[1]]
@@ -73,7 +75,8 @@ impl Sheet {
         [0, 1].map(|axis| 0.5 * (self.page_mm[axis] - self.film_mm[axis]))
     }
 
-    /// Centres of the registration marks: in the border, at the corners and the middles of the sides.
+    /// Centres of the registration marks, in the border at the corners and the middles of the
+    /// sides.
     pub fn marks(&self) -> Vec<[f64; 2]> {
         let [left, bottom] = self.film_corner();
         let [width, height] = self.film_mm;

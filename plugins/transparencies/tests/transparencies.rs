@@ -1,4 +1,5 @@
-//! The PDF as a printer sees it: pages are turned into pixels by poppler's `pdftoppm` and compared with the masks.
+//! Tests the PDF as a printer reads it: poppler's `pdftoppm` rasterizes pages, which are compared
+//! with the masks.
 
 use std::collections::BTreeMap;
 use std::process::Command;
@@ -14,9 +15,10 @@ use lumistack_plugin_transparencies::curve::Film;
 
 type Files = BTreeMap<String, Vec<u8>>;
 
-/// Dots per inch of the rendered pages. Poppler smooths pictures that it enlarges less than four times, whatever the file says.
+/// Dots per inch of the rendered pages. Poppler smooths pictures that it enlarges less than four
+/// times, even if the file forbids it.
 const DPI: usize = 300;
-/// Mask pixels of six and of eight dots.
+/// Pitches of six and of eight dots.
 const PITCH_MM: [f64; 2] = [3.0 * 25.4 / 150.0, 4.0 * 25.4 / 150.0];
 
 fn write(display: &Display, stack: &LayerStack, params: Value) -> Result<(Files, Vec<String>), PluginError> {
@@ -28,7 +30,7 @@ fn write(display: &Display, stack: &LayerStack, params: Value) -> Result<(Files,
     Ok((host.files(), warnings.collect()))
 }
 
-/// Two layers of different size and place; film that is never darker than 0.1 of clear.
+/// Two layers of different sizes and places, with random values.
 fn sample() -> (Display, LayerStack) {
     let mut display = Display::uniform([90, 60], PITCH_MM[0], [3, 3], [10.0, 10.0], &[-3.0, 3.0], 1);
     display.name = "two films".into();
@@ -49,7 +51,7 @@ fn has_pdftoppm() -> bool {
     found
 }
 
-/// A page as [width, height] and pixels.
+/// Rasterizes a page.
 fn render(files: &Files, page: u64) -> image::RgbImage {
     let folder = tempfile::tempdir().unwrap();
     let pdf = folder.path().join("a.pdf");
@@ -136,7 +138,7 @@ fn marks_of_all_films_coincide_and_cut_lines_stand_outside() {
         near.map(|[x, y]| picture.get_pixel(x as u32, y as u32).0[1]).min().unwrap() < 160
     };
     for picture in &pages {
-        // from the top left of the page: corners of the film, and the cross 6 mm inside
+        // corners of the film, from the top left of the page, and the mark 6 mm inside
         for (sx, sy) in [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)] {
             let corner = [0.5 * (page[0] + sx * film[0]), 0.5 * (page[1] + sy * film[1])];
             assert!(dark(picture, [corner[0] + 4.0 * sx, corner[1]], 2), "cut line");
@@ -192,7 +194,7 @@ fn displays_that_cannot_be_printed_are_refused() {
     };
     let moving = Display { frames: 12, ..display.clone() };
     let text = refused(&moving, json!({}));
-    assert_eq!(text, "printed layers do not change: expected a display with frames = 1, found 12");
+    assert_eq!(text, "printed layers are static: expected a display with frames = 1, found 12");
     let text = refused(&Display { formation: Formation::Additive, ..display.clone() }, json!({}));
     assert!(text.starts_with("film attenuates: expected formation = \"attenuating\""), "{text}");
     assert!(refused(&display, json!({"film_mm": 7})).contains("`film_mm`"));
@@ -200,7 +202,7 @@ fn displays_that_cannot_be_printed_are_refused() {
     let mut wall = display.clone();
     wall.layers[1].pitch_mm = 6.0;
     assert!(refused(&wall, json!({})).contains("`paper`"));
-    // what the film cannot show is counted: an ideal display has values down to 0
+    // values below the film's least transmittance are counted; ideal displays have values down to 0
     let (_, warnings) = write(&display, &stack, json!({"min_transmittance": 0.05})).unwrap();
     assert!(warnings[0].contains("black_level = 0.050"), "{warnings:?}");
     let mut within = stack.clone();

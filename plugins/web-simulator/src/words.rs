@@ -59,7 +59,7 @@ mod tests {
     }
 
     #[test]
-    fn a_caption_counts_what_there_is() {
+    fn a_caption_counts_layers_and_frames() {
         let display = Display::uniform([6, 5], 1.0, [3, 3], [20.0, 20.0], &[-3.0, 0.0, 3.0], 6);
         assert_eq!(
             caption_of("Still life", &display),

@@ -47,7 +47,7 @@ fn conforms() {
 /// For every sample stack, uniform and directional, the page's picture equals the display's except
 /// for the rounding that the preview states.
 #[test]
-fn the_page_shows_what_the_display_shows() {
+fn the_page_agrees_with_the_display_model() {
     for sample in samples().iter().filter(|sample| sample.stack().is_some()) {
         let (stack, display) = (sample.stack().unwrap(), &sample.display);
         let target = random_target(display);
@@ -167,7 +167,7 @@ fn the_poster_is_the_seen_picture_and_links_show_it() {
 /// A large stack has small views from all over the zone. A single file that is too large is left
 /// out, with a message.
 #[test]
-fn a_large_stack_can_be_looked_into_before_it_is_there() {
+fn a_large_stack_can_be_viewed_before_it_is_loaded() {
     let display = Display::uniform([400, 250], 1.0, [3, 1], [20.0, 20.0], &[-3.0, 3.0], 3);
     let mut stack = LayerStack::filled(&display, 0.0);
     let mut random = Stream::new(5);

@@ -52,12 +52,13 @@ const GLYPHS: [(char, [u8; GLYPH_ROWS]); 41] = [
     (':', [0b00000, 0b01100, 0b01100, 0b00000, 0b01100, 0b01100, 0b00000]),
 ];
 
-/// Columns that a line of text takes, without the gap after its last glyph.
+/// Width of a line of text in columns, without the gap after its last glyph.
 pub(crate) fn columns(text: &str) -> usize {
     (text.chars().count() * ADVANCE).saturating_sub(1)
 }
 
-/// Whether the dot at `column` and `row` (from the top) of a line of text is set; false outside the line.
+/// True if the dot at `column` and `row` (from the top) of a line of text is set; false outside the
+/// line.
 ///
 /// Characters that the font lacks are blank.
 pub(crate) fn is_set(text: &str, column: usize, row: usize) -> bool {

@@ -1,7 +1,8 @@
-//! A dandelion clock of Gaussian splats: hairs thinner than a pixel, see-through and at every depth, which no mesh of this size could show.
+//! A dandelion clock of Gaussian splats. Its hairs are thinner than a pixel, transparent and at
+//! every depth, which no mesh of this size can represent.
 //!
-//! One unit is a decimetre, y is up; the head's centre is the origin and the flower's front +z. Colours change with the direction by
-//! harmonics of degree 1, as sheen does.
+//! One unit is a decimetre, y is up; the head's centre is the origin and the flower's front is +z.
+//! Colours change with direction by harmonics of degree 1, as sheen does.
 
 use glam::{Quat, Vec3};
 use lumistack_splats::Cloud;
@@ -12,7 +13,7 @@ use crate::{GeneratorError, SceneFile};
 /// Seeds on the head, and hairs of a seed.
 const SEEDS: usize = 190;
 const HAIRS: usize = 13;
-/// Radius of the head at the hairs' feet, and their length.
+/// Radius of the head at the hairs' feet, and length of the hairs.
 const HEAD: f32 = 0.52;
 const HAIR: f32 = 0.2;
 /// The golden angle.
@@ -49,7 +50,7 @@ fn on_sphere(i: usize, count: usize) -> Vec3 {
     Vec3::new((1.0 - y * y).sqrt() * cos, y, (1.0 - y * y).sqrt() * sin)
 }
 
-/// A brown grain, a thread from it outwards, and a parachute of hairs at its end.
+/// A brown grain, a thread outwards from it, and a parachute of hairs at the thread's end.
 fn seed(cloud: &mut Cloud, out: Vec3, number: usize) {
     needle(cloud, 0.12 * out, 0.17 * out, 0.009, [0.36, 0.24, 0.14], 0.95);
     for part in 0..4 {
@@ -102,12 +103,12 @@ fn blade(cloud: &mut Cloud, turn: f32, length: f32) {
     }
 }
 
-/// A splat that is long from one point to another.
+/// A long splat from one point to another.
 fn needle(cloud: &mut Cloud, from: Vec3, to: Vec3, thickness: f32, rgb: [f32; 3], opacity: f32) {
     let along = to - from;
     let rotation = Quat::from_rotation_arc(Vec3::X, along.normalize());
     splat(cloud, 0.5 * (from + to), rotation, Vec3::new(0.36 * along.length(), thickness, thickness), rgb, opacity);
-    // lit from above, and brighter against the light, which falls in from behind
+    // lit from above, and brighter towards the light, which comes from behind
     sheen(cloud, 0.06, -0.1);
 }
 
@@ -133,7 +134,7 @@ fn splat(cloud: &mut Cloud, at: Vec3, rotation: Quat, scale: Vec3, rgb: [f32; 3]
     cloud.harmonics.extend(rgb.map(|value| (value - 0.5) / 0.282_094_8));
 }
 
-/// How the last splat's colour changes with the height and the side from which it is seen.
+/// Makes the last splat's colour depend on the direction of view, by its height and its depth.
 fn sheen(cloud: &mut Cloud, height: f32, depth: f32) {
     let orders = [height, depth, 0.0];
     cloud.harmonics.extend(orders.iter().flat_map(|value| [*value; 3]));

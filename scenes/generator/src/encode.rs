@@ -1,4 +1,4 @@
-//! Pictures to PNG and JPEG bytes.
+//! Encodes pictures as PNG and JPEG.
 
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
@@ -7,10 +7,10 @@ use image::{ExtendedColorType, ImageEncoder};
 use crate::paint::Picture;
 use crate::{GeneratorError, SceneFile};
 
-/// High enough that ringing stays below the fine pattern's own contrast.
+/// High enough to keep ringing below the contrast of the finest pattern.
 const JPEG_QUALITY: u8 = 88;
 
-/// What a PNG stores of a picture.
+/// Channels of a picture that a PNG stores.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Channels {
     /// The red channel only.
@@ -35,7 +35,7 @@ pub(crate) fn png(file: &str, picture: &Picture, channels: Channels) -> Result<S
     Ok((file.into(), bytes))
 }
 
-/// A JPEG file, for pictures full of grain.
+/// A JPEG file, for pictures with much grain.
 pub(crate) fn jpeg(file: &str, picture: &Picture) -> Result<SceneFile, GeneratorError> {
     let mut bytes = Vec::new();
     JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY)

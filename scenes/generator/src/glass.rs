@@ -1,9 +1,11 @@
 //! `glass`: mirrors, glass, panes and screens on glazed tiles.
 //!
-//! The camera looks down by 22 degrees. Between them the objects use what glTF has beyond plain indexed
-//! triangles: sparse accessors, a triangle strip, a primitive without indices and normals, shared meshes under a
-//! node hierarchy with rotations and nonuniform scale, the alpha modes MASK and BLEND, normal maps and
-//! transmission.
+//! The camera looks down by 22 degrees. Together the objects use the parts of glTF that plain
+//! indexed triangles do not need:
+//!
+//! * sparse accessors, a triangle strip, a primitive without indices and normals,
+//! * shared meshes under a node hierarchy with rotations and nonuniform scale,
+//! * the alpha modes MASK and BLEND, normal maps, and transmission.
 
 use glam::{DQuat, DVec2, DVec3};
 use serde_json::{Value, json};
@@ -19,12 +21,12 @@ use crate::textures;
 use crate::window::{Window, node_at, uniform_scale};
 use crate::{GeneratorError, SceneFile};
 
-/// Where the window and camera stand.
+/// Place of the window and the camera.
 pub(crate) const WINDOW: Window = Window { pitch_rad: 22.0 * std::f64::consts::PI / 180.0, focus_distance_m: 1.5 };
 
 /// Height of the table.
 const TABLE_Y: f64 = -0.09;
-/// Display depth of the line where table and wall meet.
+/// Display depth of the edge between table and wall.
 const WALL_DEPTH: f64 = -0.18;
 
 /// The scene's files.
@@ -116,6 +118,7 @@ fn add_mirrors(document: &mut Document) {
     let body = Mesh::cuboid(DVec3::new(-0.5 * width, 0.0, -thickness), DVec3::new(0.5 * width, height, 0.0));
     let primitives = vec![document.primitive(&glass, silver), document.primitive(&body, frame)];
     let mesh = document.add_mesh("framed mirror", primitives);
+    // leaning back lowers the rear edge of its foot, so the mirror is lifted by as much
     let lean_rad = 3f64.to_radians();
     let lift = thickness * lean_rad.sin();
     let mut node = node_at(
@@ -176,6 +179,7 @@ fn add_glass(document: &mut Document) -> Result<(), GeneratorError> {
         }
         material
     };
+    // the panes overlap at three depths
     let panes = [
         (blended("stained pane", [1.0; 4], Some(stained)), [0.070, 0.105], [0.170, -0.105], -18.0),
         (blended("amber pane", [0.90, 0.45, 0.02, 0.45], None), [0.050, 0.075], [0.132, -0.045], -8.0),
@@ -193,7 +197,8 @@ fn add_glass(document: &mut Document) -> Result<(), GeneratorError> {
     Ok(())
 }
 
-/// A ribbon of printed paper (double-sided, one triangle strip) and a screen of leaves (alpha MASK).
+/// A ribbon of printed paper (double-sided, one triangle strip) and a screen of leaves (alpha
+/// MASK).
 fn add_paper_and_screen(document: &mut Document) -> Result<(), GeneratorError> {
     let print = document.add_texture(png("sheet-music.png", &textures::sheet_music(), Channels::Rgb)?, Wrap::Clamp);
     let paper = document.add_material(json!({
@@ -220,6 +225,7 @@ fn add_paper_and_screen(document: &mut Document) -> Result<(), GeneratorError> {
         "alphaCutoff": 0.5,
         "doubleSided": true
     }));
+    // two repetitions of the square texture along the width
     let (width, height) = (0.096, 0.048);
     let sheet = Mesh::rectangle(DVec3::new(-0.5 * width, height, 0.0), DVec3::X * width, DVec3::NEG_Y * height)
         .with_texture_scale(DVec2::new(2.0, 1.0));
@@ -258,7 +264,7 @@ fn add_plate_and_gem(document: &mut Document) {
     let gem = cut_gem(document, ruby);
     let mesh = document.add_mesh("cut gem", vec![gem]);
     let radius = 0.017;
-    // laid on one of its lower faces: that face's outward normal turned to straight down
+    // The gem lies on one of its lower faces: rotate that face's outward normal downwards.
     let half_side = std::f64::consts::PI / 8.0;
     let face = DVec3::new(1.1 * half_side.sin(), -half_side.cos(), 1.1 * half_side.cos()).normalize();
     let rest = DQuat::from_rotation_y(2.4) * DQuat::from_rotation_arc(face, DVec3::NEG_Y);
@@ -268,7 +274,7 @@ fn add_plate_and_gem(document: &mut Document) {
     document.add_node(node);
 }
 
-/// Two rows of stretched beads: one mesh, a parent that turns, children that scale unevenly.
+/// Two rows of stretched beads: one mesh, a parent with a rotation, children with uneven scale.
 fn add_beads(document: &mut Document) {
     let jade = document.add_material(json!({
         "name": "jade",
@@ -283,6 +289,7 @@ fn add_beads(document: &mut Document) {
         node["scale"] = json!(scale);
         node
     };
+    // three levels of nodes: beads, rows, and their parent
     let mut rows = Vec::new();
     for row in 0..2 {
         let beads: Vec<usize> = (0..4)

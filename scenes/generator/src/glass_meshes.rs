@@ -1,5 +1,5 @@
-//! The unusual meshes of the scene `glass`: a rippled plate (sparse accessors), a paper ribbon (triangle
-//! strip), and a cut gem (no indices).
+//! The unusual meshes of the scene `glass`: a rippled plate (sparse accessors), a paper ribbon
+//! (triangle strip), and a cut gem (no indices).
 
 use std::f64::consts::TAU;
 
@@ -40,7 +40,8 @@ pub(crate) fn rippled_plate(document: &mut Document, material: usize) -> Value {
     })
 }
 
-/// Height and slope of the rings at a distance from the middle: h = a (1 - q²)² (1 + cos 2πnq)/2, q = r/R.
+/// Height and slope of the rings at a distance from the middle: h = a (1 - q²)² (1 + cos 2πnq)/2, q
+/// = r/R.
 fn ripple(radius: f64) -> (f64, f64) {
     let q = radius / RIPPLE_RADIUS;
     if q >= 1.0 {
@@ -53,7 +54,7 @@ fn ripple(radius: f64) -> (f64, f64) {
     (RIPPLE_HEIGHT * fade * wave, slope)
 }
 
-/// A strip of paper that stands on edge on y = 0 and swings to and fro: one triangle strip without indices.
+/// A strip of paper that stands on edge on y = 0 in waves: one triangle strip without indices.
 ///
 /// It is `length` long in x, `height` high, and swings by `swing` in z over one and a half waves.
 pub(crate) fn paper_ribbon(document: &mut Document, [length, height, swing]: [f64; 3], material: usize) -> Value {
@@ -82,8 +83,8 @@ pub(crate) fn paper_ribbon(document: &mut Document, [length, height, swing]: [f6
     json!({ "attributes": attributes, "material": material, "mode": TRIANGLE_STRIP })
 }
 
-/// A cut gem of unit radius standing on its point: plain triangles without indices and without normals,
-/// which the glTF specification then defines as flat.
+/// A cut gem of unit radius that stands on its point: triangles without indices and without
+/// normals. The glTF specification defines these as flat.
 pub(crate) fn cut_gem(document: &mut Document, material: usize) -> Value {
     const SIDES: u32 = 8;
     let ring = |k: u32, half_steps: u32, radius: f64, height: f64| {

@@ -1,7 +1,7 @@
 //! A glTF 2.0 document under construction: JSON arrays, one binary buffer, and the files beside it.
 //!
-//! Source: Khronos glTF 2.0 specification, sections 3.6 (binary data) and 5 (properties). Vertex data goes
-//! into one buffer view per accessor, each aligned to four bytes, tightly packed.
+//! Source: Khronos glTF 2.0 specification, sections 3.6 (binary data) and 5 (properties). Vertex
+//! data goes into one buffer view per accessor, each aligned to four bytes, tightly packed.
 
 use std::collections::BTreeSet;
 
@@ -23,8 +23,8 @@ pub(crate) const TRIANGLES: u32 = 4;
 /// Primitive mode of a triangle strip.
 pub(crate) const TRIANGLE_STRIP: u32 = 5;
 
-/// Digits kept behind the decimal point in JSON. Coarser than the last bit of a platform's sine or tangent,
-/// so that the text is the same everywhere.
+/// Digits kept behind the decimal point in JSON. Coarser than the last bit of a platform's sine or
+/// tangent, so that the text is the same everywhere.
 const JSON_DECIMALS: f64 = 1e9;
 
 /// A number for JSON, rounded to nine decimals.
@@ -86,7 +86,7 @@ impl Document {
         self.push("textures", json!({ "sampler": sampler, "source": source }))
     }
 
-    /// Adds a material as glTF spells it and notes the extensions that it names.
+    /// Adds a material in glTF's form, and lists the extensions that it names.
     pub(crate) fn add_material(&mut self, material: Value) -> usize {
         for name in ["KHR_materials_emissive_strength", "KHR_materials_ior", "KHR_materials_transmission"] {
             if material["extensions"].get(name).is_some() {
@@ -128,7 +128,7 @@ impl Document {
         )
     }
 
-    /// Adds an index accessor, 16 bits wide where that is enough.
+    /// Adds an index accessor, with 16 bits if they are enough.
     pub(crate) fn add_indices(&mut self, indices: &[u32]) -> usize {
         let (view, component) = self.add_index_view(indices, Some(ELEMENT_ARRAY_BUFFER));
         self.push(
@@ -139,7 +139,8 @@ impl Document {
         )
     }
 
-    /// Adds a VEC3 accessor that takes its values from `base` except in the rows that differ in `rows`.
+    /// Adds a VEC3 accessor that takes its values from `base` except in the rows that differ in
+    /// `rows`.
     pub(crate) fn add_sparse(&mut self, base: &[[f32; 3]], rows: &[[f32; 3]]) -> usize {
         let changed: Vec<u32> = (0u32..)
             .zip(base.iter().zip(rows))
@@ -168,7 +169,7 @@ impl Document {
         accessor
     }
 
-    /// An indexed triangle list; texture coordinates are left out where the material has no texture.
+    /// An indexed triangle list. Texture coordinates are omitted if the material has no texture.
     pub(crate) fn primitive(&mut self, mesh: &Mesh, material: usize) -> Value {
         let mut attributes = Map::new();
         let positions: Vec<_> = mesh.positions.iter().map(|p| p.as_vec3().to_array()).collect();
@@ -229,6 +230,7 @@ impl Document {
         let json_file = format!("{}.gltf", self.name);
         let binary_file = format!("{}.bin", self.name);
         let sky_file = "sky.hdr".to_string();
+        // Keys are in the order in which a reader looks for them; empty lists are omitted.
         let mut root = Map::new();
         root.insert(
             "asset".into(),
@@ -297,7 +299,7 @@ impl Document {
     }
 }
 
-/// Whether a material, or anything in it, refers to a texture.
+/// True if a material, or a part of it, refers to a texture.
 fn has_texture(value: &Value) -> bool {
     value
         .as_object()

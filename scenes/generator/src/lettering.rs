@@ -1,17 +1,18 @@
 //! Solid letters: the dots of the bitmap font as one extruded body per line of text.
 //!
-//! Dots that touch make one solid: front and back are covered by few large rectangles, and a side wall stands
-//! only where a dot has no neighbour, joined with the walls in line with it.
+//! Dots that touch make one solid. A few large rectangles cover its front and back. A side wall
+//! stands only where a dot has no neighbour, joined with the walls in line with it.
 
 use glam::{DVec2, DVec3};
 
 use crate::bitmap_font::{GLYPH_ROWS, columns, is_set};
 use crate::mesh::Mesh;
 
-/// The text as a solid: left bottom corner of its front face at the origin, dots of `dot_m` metres, extruded
-/// from z = 0 to z = -`depth_m`.
+/// The text as a solid. The left bottom corner of its front face is the origin, dots have `dot_m`
+/// metres, and it extends from z = 0 to z = -`depth_m`.
 ///
-/// Texture coordinates run over the whole line: (0, 0) top left to (1, 1) bottom right of the front.
+/// Texture coordinates run over the whole line: (0, 0) top left to (1, 1) bottom right of the
+/// front.
 pub(crate) fn solid_text(text: &str, dot_m: f64, depth_m: f64) -> Mesh {
     let dots = Dots::of(text);
     let (width, height) = (dots.columns as f64 * dot_m, dots.rows as f64 * dot_m);
@@ -50,7 +51,8 @@ impl Dots {
         inside && self.set[row as usize * self.columns + column as usize]
     }
 
-    /// Disjoint rectangles [left, top, right, bottom) that cover the set dots: each grown right, then down.
+    /// Disjoint rectangles [left, top, right, bottom) that cover the set dots: each grown right,
+    /// then down.
     fn rectangles(&self) -> Vec<[usize; 4]> {
         let mut left_over = self.set.clone();
         let mut rectangles = Vec::new();
@@ -73,8 +75,8 @@ impl Dots {
         rectangles
     }
 
-    /// Outline segments as (column, row) corners, the set dots on the right-hand side of somebody who walks
-    /// from start to end over the front face; straight runs are one segment.
+    /// Outline segments as (column, row) corners, in the front view with the set dots to the right
+    /// of the direction from start to end. Straight runs are one segment.
     fn walls(&self) -> Vec<[(usize, usize); 2]> {
         let (columns, rows) = (self.columns as isize, self.rows as isize);
         let mut walls = Vec::new();

@@ -1,7 +1,8 @@
 //! `letters`: solid words at five depths before finely ruled paper and resolution charts.
 //!
-//! The camera looks along -z, so display axes are world axes. Each word stands on a rail that runs past the
-//! window on both sides; a small number beside it gives the depth of its front face in millimetres.
+//! The camera looks along -z, so display axes are world axes. Each word stands on a rail that
+//! extends past the window on both sides. A small number beside it gives the depth of its front
+//! face in millimetres.
 
 use std::f64::consts::FRAC_PI_6;
 
@@ -18,17 +19,17 @@ use crate::textures;
 use crate::window::{Window, node_at};
 use crate::{GeneratorError, SceneFile};
 
-/// Where the window and camera stand.
+/// Place of the window and the camera.
 pub(crate) const WINDOW: Window = Window { pitch_rad: 0.0, focus_distance_m: 1.5 };
 
 /// The wall of ruled paper.
 const WALL_DEPTH: f64 = -0.175;
 /// Depth of a word from its front to its back.
 const LETTER_DEPTH_M: f64 = 0.012;
-/// Rails reach this far to both sides.
+/// Half the length of a rail.
 const RAIL_HALF_WIDTH_M: f64 = 0.45;
 
-/// How a word is coloured.
+/// Colouring of a word.
 enum Paint {
     /// One colour for the whole word, in the material.
     Plain([f64; 3]),
@@ -38,7 +39,7 @@ enum Paint {
     Floats([f64; 3], [f64; 3]),
 }
 
-/// A word: its text, the left bottom corner of its front face, its dot size, and its look.
+/// A word: its text, the left bottom corner of its front face, its dot size, and its colouring.
 struct Word {
     text: &'static str,
     corner: DVec3,
@@ -67,6 +68,7 @@ pub(crate) fn build() -> Result<Vec<SceneFile>, GeneratorError> {
             "baseColorFactor": [0.03, 0.03, 0.035, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.6
         }
     }));
+    // each word has its depth in millimetres beside it
     for word in words() {
         add_word(&mut document, &word);
         add_rail(&mut document, &word, rail);
@@ -121,6 +123,7 @@ fn add_word(document: &mut Document, word: &Word) {
     let blended = |low: [f64; 3], high: [f64; 3], t: f64| -> [f64; 3] {
         std::array::from_fn(|channel| low[channel] + t * (high[channel] - low[channel]))
     };
+    // texture coordinates run over the whole line, so gradients follow them
     match word.paint {
         Paint::Plain(_) => {}
         Paint::Bytes(bottom, top) => {
@@ -154,7 +157,8 @@ fn add_rail(document: &mut Document, word: &Word, material: usize) {
     document.add_mesh_node(&format!("rail of {}", word.text), &Mesh::cuboid(low, high), material);
 }
 
-/// Graph paper over the whole wall, and two charts that share one texture through texture transforms.
+/// Graph paper over the whole wall, and two charts that share one texture through texture
+/// transforms.
 fn add_wall_and_charts(document: &mut Document) -> Result<(), GeneratorError> {
     document.use_extension("KHR_texture_transform");
     let paper = textures::graph_paper(rgb(226, 229, 224), rgb(70, 118, 150));
@@ -215,7 +219,7 @@ fn add_lights(document: &mut Document) {
     }));
     document.add_node(point);
     let position = DVec3::new(0.55, 0.35, 0.60);
-    // a spot shines along its node's -z
+    // a spot light points along its node's -z
     let aim = DQuat::from_rotation_arc(DVec3::NEG_Z, (DVec3::new(0.05, -0.02, -0.05) - position).normalize());
     let mut spot = node_at("spot light", position, aim);
     spot["extensions"] = document.add_light(json!({

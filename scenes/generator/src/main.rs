@@ -1,12 +1,13 @@
-//! Writes Lumistack's sample scenes: glTF 2.0 with textures, a camera and an environment, and one of Gaussian splats.
+//! Writes Lumistack's sample scenes: glTF 2.0 with textures, a camera and an environment, and one
+//! of Gaussian splats.
 //!
-//! `cargo run -p lumistack-scene-generator [FOLDER]` rewrites `still-life/`, `letters/`, `glass/` and `dandelion/` in
-//! FOLDER (default: the repository's `scenes/`). The same source gives the same bytes on every run; the
-//! committed files are checked against it by the tests.
+//! `cargo run -p lumistack-scene-generator [FOLDER]` rewrites `still-life/`, `letters/`, `glass/`
+//! and `dandelion/` in FOLDER (default: the repository's `scenes/`). The same source gives the same
+//! bytes on every run. The tests compare the committed files with its output.
 //!
-//! Scenes are modelled at true size, 1 unit = 1 metre, around a window of 475.02 mm x 296.89 mm (840 x 525
-//! pixels of 0.5655 mm) whose centre is the origin. Each scene's camera looks at the window's centre and its
-//! frustum at the focus distance is the window.
+//! Scenes are modelled at true size, 1 unit = 1 metre. They stand around a window of 475.02 mm x
+//! 296.89 mm (840 x 525 pixels of 0.5655 mm), whose centre is the origin. Each scene's camera looks
+//! at the window's centre, and its frustum at the focus distance is the window.
 
 mod bitmap_font;
 mod dandelion;
@@ -75,7 +76,7 @@ fn write_scenes(folder: &Path) -> Result<usize, GeneratorError> {
     Ok(bytes)
 }
 
-/// Why the scenes could not be written.
+/// Errors of writing the scenes.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum GeneratorError {
     /// A texture or the sky could not be encoded.
@@ -83,7 +84,7 @@ pub(crate) enum GeneratorError {
     Encode {
         /// The file that was being made.
         file: String,
-        /// What the encoder said.
+        /// The encoder's reason.
         source: image::ImageError,
     },
     /// The glTF document could not be serialized.
@@ -91,7 +92,7 @@ pub(crate) enum GeneratorError {
     Serialize {
         /// The file that was being made.
         file: String,
-        /// What the serializer said.
+        /// The serializer's reason.
         source: serde_json::Error,
     },
     /// A file or folder could not be written.
@@ -99,7 +100,7 @@ pub(crate) enum GeneratorError {
     Write {
         /// The file or folder.
         path: PathBuf,
-        /// What the system said.
+        /// The system's reason.
         source: std::io::Error,
     },
 }

@@ -1,7 +1,8 @@
-//! Triangle meshes with normals and texture coordinates, and the simple bodies the scenes are made of.
+//! Triangle meshes with normals and texture coordinates, and the simple bodies of the scenes.
 //!
-//! Metres, world axes (x right, y up, z to the viewer) unless a function says otherwise; front faces wind
-//! counter-clockwise. Texture coordinates start at an image's top left corner, as in glTF.
+//! Metres and world axes (x right, y up, z to the viewer), unless a function states others. Front
+//! faces wind counter-clockwise. Texture coordinates start at an image's top left corner, as in
+//! glTF.
 
 use std::f64::consts::{PI, TAU};
 
@@ -24,10 +25,11 @@ pub(crate) struct Mesh {
 }
 
 impl Mesh {
-    /// A (columns + 1) x (rows + 1) grid of vertices from `vertex(u, v) -> (position, normal)`, u and v in 0..1.
+    /// A (columns + 1) x (rows + 1) grid of vertices from `vertex(u, v) -> (position, normal)`, u
+    /// and v in 0..1.
     ///
-    /// `u` runs to the right and `v` downwards for somebody who looks at the front. Cells whose triangles
-    /// collapse (at a pole) lose that triangle.
+    /// `u` runs to the right and `v` downwards in the view of the front. Cells with a collapsed
+    /// triangle (at a pole) lose that triangle.
     pub(crate) fn grid(columns: u32, rows: u32, mut vertex: impl FnMut(f64, f64) -> (DVec3, DVec3)) -> Self {
         let mut mesh = Self::default();
         for row in 0..=rows {
@@ -66,9 +68,11 @@ impl Mesh {
         })
     }
 
-    /// A body of revolution about y through a profile of (radius, height) points from top to bottom.
+    /// A body of revolution about y through a profile of (radius, height) points from top to
+    /// bottom.
     ///
-    /// Every profile segment has its own flat slope, so corners stay sharp; a texture runs once around.
+    /// Every profile segment has its own flat slope, so corners stay sharp; a texture runs once
+    /// around.
     pub(crate) fn lathe(profile: &[(f64, f64)], columns: u32) -> Self {
         let mut mesh = Self::default();
         for segment in profile.windows(2) {
@@ -111,7 +115,7 @@ impl Mesh {
         self.indices.extend(other.indices.iter().map(|index| base + index));
     }
 
-    /// The mesh under an affine map; normals go by the inverse transpose.
+    /// The mesh under an affine map; normals transform by the inverse transpose.
     pub(crate) fn transformed(mut self, world_from_mesh: DMat4) -> Self {
         let normal_map = world_from_mesh.inverse().transpose();
         for position in &mut self.positions {

@@ -1,7 +1,8 @@
-//! Painting textures: a function of (u, v) sampled with box-filtered antialiasing, and tileable noise.
+//! Painting textures: a function of (u, v) sampled with box-filtered antialiasing, and tileable
+//! noise.
 //!
-//! Colours are sRGB-encoded in 0..1 while painting. The noise is built on integer hashes, so that the same
-//! pixels come out on every machine.
+//! Colours are sRGB-encoded in 0..1 while painting. The noise is built on integer hashes, so that
+//! the same pixels come out on every machine.
 
 use std::f64::consts::TAU;
 
@@ -19,7 +20,8 @@ pub(crate) struct Picture {
     pub(crate) pixels: Vec<[u8; 4]>,
 }
 
-/// Paints `color(u, v)` (u right, v down, both 0..1), averaging `samples` x `samples` points per pixel.
+/// Paints `color(u, v)` (u right, v down, both 0..1), averaging `samples` x `samples` points per
+/// pixel.
 pub(crate) fn paint(width: u32, height: u32, samples: u32, color: impl Fn(f64, f64) -> Rgba) -> Picture {
     let mut pixels = Vec::with_capacity(width as usize * height as usize);
     let step = 1.0 / f64::from(samples);
@@ -31,7 +33,7 @@ pub(crate) fn paint(width: u32, height: u32, samples: u32, color: impl Fn(f64, f
                 let u = (f64::from(column) + (i + 0.5) * step) / f64::from(width);
                 let v = (f64::from(row) + (j + 0.5) * step) / f64::from(height);
                 let value = color(u, v);
-                // colour weighted by alpha, so that transparent samples lend no colour
+                // colour weighted by alpha, so that transparent samples add no colour
                 for channel in 0..3 {
                     sum[channel] += value[channel] * value[3];
                 }
@@ -49,9 +51,11 @@ pub(crate) fn paint(width: u32, height: u32, samples: u32, color: impl Fn(f64, f
     Picture { width, height, pixels }
 }
 
-/// A tangent-space normal map of `height(u, v)`, tiled; `relief` is the height's scale over the tile's width.
+/// A tangent-space normal map of `height(u, v)`, tiled; `relief` is the height's scale over the
+/// tile's width.
 ///
-/// n ∝ (-∂h/∂x, -∂h/∂y, 1) with x to the right and y up the image, stored as (n + 1)/2 (glTF 2.0, 3.9.3).
+/// n ∝ (-∂h/∂x, -∂h/∂y, 1) with x to the right and y up the image, stored as (n + 1)/2 (glTF 2.0,
+/// 3.9.3).
 pub(crate) fn paint_normals(size: u32, relief: f64, height: impl Fn(f64, f64) -> f64) -> Picture {
     let step = 1.0 / f64::from(size);
     paint(size, size, 1, |u, v| {
@@ -116,7 +120,7 @@ pub(crate) fn hash(x: u32, y: u32, seed: u32) -> f64 {
     f64::from(state) / f64::from(u32::MAX)
 }
 
-/// 1 where `x` lies within `half_width` of a multiple of `period`, else 0.
+/// True if `x` lies within `half_width` of a multiple of `period`.
 pub(crate) fn ruled(x: f64, period: f64, half_width: f64) -> bool {
     let offset = x.rem_euclid(period);
     offset.min(period - offset) < half_width

@@ -1,8 +1,8 @@
 //! Skies: smooth equirectangular radiance maps in Radiance HDR.
 //!
-//! Row 0 is +y (up); the image's centre column looks along -z; u grows to the right, towards +x for somebody
-//! who looks along -z. So the direction of (u, v) is
-//! (sin πv · sin 2π(u - ½), cos πv, -sin πv · cos 2π(u - ½)).
+//! Row 0 is +y (up), and the image's centre column looks along -z. u grows to the right, which is
+//! towards +x in the direction -z. So the direction of (u, v) is (sin πv · sin 2π(u - ½), cos πv,
+//! -sin πv · cos 2π(u - ½)).
 
 use std::f64::consts::{PI, TAU};
 
@@ -15,7 +15,8 @@ use crate::{GeneratorError, SceneFile};
 const COLUMNS: usize = 64;
 const ROWS: usize = 32;
 
-/// A broad light in the sky: radiance `color` along `direction`, falling off as exp(-sharpness (1 - cos θ)).
+/// A broad light in the sky: radiance `color` along `direction`, falling off as exp(-sharpness (1 -
+/// cos θ)).
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Glow {
     /// Unit direction from the scene to the light's middle.
@@ -43,7 +44,7 @@ impl Sky {
     /// Radiance from a unit direction.
     pub(crate) fn radiance(&self, direction: DVec3) -> DVec3 {
         let target = if direction.y >= 0.0 { self.zenith } else { self.ground };
-        // flat at horizon and poles: no kink where the two halves meet
+        // flat at horizon and poles, so that the two halves join without a kink
         let t = direction.y.abs();
         let base = self.horizon.lerp(target, t * t * (3.0 - 2.0 * t));
         self.glows.iter().fold(base, |sum, glow| {

@@ -1,7 +1,7 @@
 //! `still-life`: a glossy teapot on a checkerboard that runs through the display plane.
 //!
-//! The camera looks down by 24 degrees. Display depths run from -0.17 m (foot of the wall) to about +0.1 m
-//! (the floor at the window's lower edge).
+//! The camera looks down by 24 degrees. Display depths run from -0.17 m (foot of the wall) to about
+//! +0.1 m (the floor at the window's lower edge).
 
 use glam::{DMat4, DQuat, DVec2, DVec3};
 use serde_json::json;
@@ -15,12 +15,12 @@ use crate::textures::{self, CHECKS_PER_TILE};
 use crate::window::{Window, node_at, uniform_scale};
 use crate::{GeneratorError, SceneFile};
 
-/// Where the window and camera stand.
+/// Place of the window and the camera.
 pub(crate) const WINDOW: Window = Window { pitch_rad: 24.0 * std::f64::consts::PI / 180.0, focus_distance_m: 1.5 };
 
 /// Height of the floor.
 const FLOOR_Y: f64 = -0.09;
-/// Display depth of the line where floor and wall meet.
+/// Display depth of the edge between floor and wall.
 const WALL_DEPTH: f64 = -0.17;
 /// Side of one check of the floor.
 const CHECK_M: f64 = 0.032;
@@ -50,7 +50,7 @@ fn sky() -> Sky {
     }
 }
 
-/// Floor and back wall, wide enough that no view up to 25 degrees sees their edges.
+/// Floor and back wall, wide enough that their edges are outside all views up to 25 degrees.
 fn add_room(document: &mut Document) -> Result<(), GeneratorError> {
     let checks = document.add_texture(jpeg("checkerboard.jpg", &textures::checkerboard())?, Wrap::Repeat);
     let paper = document.add_texture(jpeg("wallpaper.jpg", &textures::wallpaper())?, Wrap::Repeat);
@@ -66,6 +66,7 @@ fn add_room(document: &mut Document) -> Result<(), GeneratorError> {
             "baseColorTexture": { "index": paper }, "metallicFactor": 0.0, "roughnessFactor": 0.9
         }
     }));
+    // floor and wall share the edge at `corner`
     let wall_z = WINDOW.at(0.0, FLOOR_Y, WALL_DEPTH).z;
     let (half_width, depth) = (0.8, 1.6);
     let corner = DVec3::new(-half_width, FLOOR_Y, wall_z);
@@ -140,7 +141,8 @@ fn add_balls(document: &mut Document) -> Result<(), GeneratorError> {
             "baseColorFactor": [0.86, 0.87, 0.88, 1.0], "metallicFactor": 1.0, "roughnessFactor": 0.06
         }
     });
-    // material, radius, display column and display depth of the centre, turn about the vertical in degrees
+    // material, radius, display column and display depth of the centre, turn about the vertical in
+    // degrees
     let balls = [
         (plastic("red plastic", [0.75, 0.06, 0.03], 0.25), 0.017, -0.115, 0.078, 0.0),
         (plastic("blue plastic", [0.04, 0.14, 0.62], 0.3), 0.023, -0.178, 0.015, 0.0),
@@ -215,7 +217,7 @@ fn add_card(document: &mut Document) -> Result<(), GeneratorError> {
     let primitives =
         vec![document.primitive(&face.transformed(lean), card), document.primitive(&body.transformed(lean), board)];
     let mesh = document.add_mesh("card", primitives);
-    // the lower edge of the leaning card's back must not sink into the floor
+    // the lower edge of the leaning card's back must not be below the floor
     let lift = thickness * 9f64.to_radians().sin();
     let mut node =
         node_at("card", WINDOW.at(-0.142, FLOOR_Y + lift, -0.132), DQuat::from_rotation_y(8f64.to_radians()));

@@ -1,9 +1,11 @@
 //! The Utah teapot, tessellated from its Bézier patches.
 //!
-//! A bicubic patch is P(u, v) = Σ_i Σ_j B_i(v) B_j(u) p_ij with the Bernstein polynomials B of degree three;
-//! the normal is ∂P/∂u × ∂P/∂v, which points outwards on every patch of this data set. Where a whole row of
-//! control points coincides (the lid's knob, the middle of the bottom) ∂P/∂u vanishes, and with it the cross
-//! product; its limit has the direction of ∂²P/∂u∂v × ∂P/∂v.
+//! A bicubic patch is P(u, v) = Σ_i Σ_j B_i(v) B_j(u) p_ij with the Bernstein polynomials B of
+//! degree three. The normal is ∂P/∂u × ∂P/∂v, which points outwards on every patch of this data
+//! set.
+//!
+//! If all control points of a row coincide (the lid's knob, the middle of the bottom), ∂P/∂u and
+//! the cross product vanish. The limit of the normal then has the direction of ∂²P/∂u∂v × ∂P/∂v.
 //!
 //! Source: see `teapot_data`; bicubic patches as in Farin, "Curves and Surfaces for CAGD".
 
@@ -15,18 +17,20 @@ use crate::teapot_data::{CONTROL_POINTS, PATCHES};
 /// Derivatives shorter than this, in units of the data set, count as vanishing.
 const DEGENERATE_LENGTH: f64 = 1e-9;
 
-/// Patches of the rim whose first row is the inner edge, and of the lid whose last row is the outer edge.
+/// Patches of the rim whose first row is the inner edge, and of the lid whose last row is the outer
+/// edge.
 const RIM_PATCHES: std::ops::Range<usize> = 0..4;
 const LID_EDGE_PATCHES: std::ops::Range<usize> = 24..28;
 
-/// The teapot with its foot's centre at the origin, y up, spout to +x, `scale` metres per unit of the data
-/// set (3.15 units high, 6.5 long), with `divisions` x `divisions` cells per patch.
+/// The teapot with its foot's centre at the origin, y up and the spout towards +x. `scale` is in
+/// metres per unit of the data set (3.15 units high, 6.5 long). Each patch has `divisions` x
+/// `divisions` cells.
 ///
-/// The ring between lid and rim, open in the data set, is closed, so that nobody sees the inside.
+/// The ring between lid and rim, open in the data set, is closed, so that the inside is hidden.
 /// Texture coordinates run over 0..1 on every patch.
 pub(crate) fn teapot(divisions: u32, scale: f64) -> Mesh {
     let mut mesh = Mesh::default();
-    // u runs to the left for somebody outside the pot, and a grid's to the right
+    // Seen from outside the pot, u runs to the left; a grid's runs to the right.
     for patch in &PATCHES {
         let points = control_points(patch);
         mesh.append(&Mesh::grid(divisions, divisions, |u, v| {
@@ -49,7 +53,7 @@ fn control_points(patch: &[u16; 16]) -> [DVec3; 16] {
     patch.map(|index| DVec3::from_array(CONTROL_POINTS[usize::from(index)]))
 }
 
-/// From the data set's axes (z up) to ours (y up): a rotation, so handedness is kept.
+/// Rotates the data set's axes (z up) to ours (y up), so handedness is kept.
 fn y_up(point: DVec3) -> DVec3 {
     DVec3::new(point.x, point.z, -point.y)
 }
@@ -84,10 +88,12 @@ fn bernstein_derivative(t: f64) -> [f64; 4] {
 mod tests {
     use super::*;
 
-    /// Vertices of neighbouring patches that lie closer than this, in units of the data set, are one point.
+    /// Vertices of neighbouring patches that lie closer than this, in units of the data set, are
+    /// one point.
     const WELD_DISTANCE: f64 = 1e-6;
-    /// Smallest cosine between a vertex normal and the normal of a face at that vertex: 12 x 12 cells turn by
-    /// less than 60 degrees even at the tight ends of handle and lip.
+    /// Smallest cosine between a vertex normal and the normal of a face at that vertex.
+    /// Neighbouring faces of 12 x 12 cells differ by less than 60 degrees, even at the tight ends
+    /// of handle and lip.
     const FACE_NORMAL_COSINE: f64 = 0.5;
 
     #[test]
@@ -151,7 +157,8 @@ mod tests {
 
     #[test]
     fn body_rim_lid_and_bottom_are_closed() {
-        // Every edge of these patches, welded, is shared by two triangles: the outer body has no holes.
+        // Every edge of these patches, welded, is shared by two triangles: the outer body has no
+        // holes.
         let mesh = teapot(5, 1.0);
         let per_patch = 36;
         let weld = |index: u32| (mesh.positions[index as usize] / WELD_DISTANCE).round().to_array().map(|x| x as i64);

@@ -1,9 +1,10 @@
 //! Control points of the Utah teapot.
 //!
-//! Source: Martin Newell's data set of 1975 (University of Utah), as it is commonly passed on: 32 bicubic
-//! Bézier patches over 306 control points, with the height of the original divided by 1.3 (Jim Blinn's
-//! rescaling) and with the four bottom patches of Frank Crow's version (1987), which the original lacks.
-//! z is up; the pot stands on z = 0 and is 3.15 units high; the spout points to +x, the handle to -x.
+//! Source: Martin Newell's data set of 1975 (University of Utah), in its common form. It has 32
+//! bicubic Bézier patches over 306 control points. The height of the original is divided by 1.3
+//! (Jim Blinn's rescaling). The four bottom patches are Frank Crow's (1987); the original has none.
+//! The z axis is up; the pot stands on z = 0 and is 3.15 units high. The spout points to +x, the
+//! handle to -x.
 
 /// Control points `[x, y, z]` in units of the data set.
 pub(crate) const CONTROL_POINTS: [[f64; 3]; 306] = [
@@ -315,7 +316,8 @@ pub(crate) const CONTROL_POINTS: [[f64; 3]; 306] = [
     [1.425, -0.798, 0.0],
 ];
 
-/// One bicubic patch per row: 4 x 4 indices into [`CONTROL_POINTS`], u along a row of four, v across rows.
+/// One bicubic patch per row: 4 x 4 indices into [`CONTROL_POINTS`], u along a row of four, v
+/// across rows.
 ///
 /// Rim 0-3, body 4-11, handle 12-15, spout 16-19, lid 20-27, bottom 28-31.
 pub(crate) const PATCHES: [[u16; 16]; 32] = [

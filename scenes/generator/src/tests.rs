@@ -1,4 +1,5 @@
-//! The committed scenes: same bytes, valid structure, right camera, and nothing in view that should not be.
+//! Tests the committed scenes: same bytes, valid structure, right camera, and only intended
+//! surfaces in the views.
 
 mod reader;
 
@@ -11,8 +12,8 @@ use crate::window::{WINDOW_HEIGHT_M, WINDOW_WIDTH_M, Window};
 use crate::{build_scenes, glass, letters, still_life, write_scenes};
 use reader::{Scene, Triangle};
 
-/// Outermost slope that the scenes are made for: the edge view of the 48 degree display with five views,
-/// 0.8 tan 24 degrees.
+/// Outermost slope that the scenes are made for: the edge view of the 48 degree display with five
+/// views, 0.8 tan 24 degrees.
 const LARGEST_SLOPE: f64 = 0.357;
 /// Upper bound on everything under `scenes/` that the generator writes.
 const BYTE_BUDGET: usize = 4_000_000;
@@ -29,10 +30,11 @@ fn committed_folder() -> std::path::PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// Extensions of what stands beside a scene and is not made here: job files, and USD (by `to_usd.py`).
+/// Extensions of files beside a scene that the generator does not write: job files, and USD (by
+/// `to_usd.py`).
 const OTHERS: [&str; 4] = ["toml", "usda", "usdc", "usdz"];
 
-/// Files of a scene's folder by name, but for [`OTHERS`].
+/// Files of a scene's folder by name, without [`OTHERS`].
 fn files_in(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     std::fs::read_dir(folder)
         .unwrap_or_else(|error| panic!("{}: {error}", folder.display()))
@@ -118,7 +120,8 @@ fn the_camera_frames_the_window() {
     }
 }
 
-/// Slopes of a 5 x 5 grid of views and 9 x 9 points of the window, as rays that come from the viewer's side.
+/// Slopes of a 5 x 5 grid of views and 9 x 9 points of the window, as rays that come from the
+/// viewer's side.
 fn viewing_rays(window: &Window) -> Vec<(DVec3, DVec3)> {
     let world_from_display = window.world_from_display();
     let steps = |count: i32| (-count..=count).map(move |k| f64::from(k) / f64::from(count));
@@ -163,7 +166,8 @@ fn nothing_stands_below_its_floor() {
 
 #[test]
 fn depths_lie_on_both_sides_of_the_display_plane() {
-    // Display depths of what stands in the window: behind to at least -0.14 m, in front to at least 0.08 m.
+    // Display depths of the surfaces in the window: from -0.14 m or farther behind to 0.08 m or
+    // more in front.
     for (name, window) in WINDOWS {
         let display_from_world = window.world_from_display().transpose();
         let (mut rearmost, mut foremost) = (0f64, 0f64);

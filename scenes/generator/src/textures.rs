@@ -1,4 +1,4 @@
-//! The pictures on the scenes' surfaces. Each function names its tile and what one pixel of it means.
+//! Textures of the scenes. The comment of each function gives its tile and, if fixed, its scale.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -31,7 +31,7 @@ pub(crate) fn checkerboard() -> Picture {
     })
 }
 
-/// Wallpaper: stripes with a woven thread and a small flower where the lattice of motifs has its points; tiles.
+/// Wallpaper: stripes with a woven thread, and a small flower at each point of a lattice; tiles.
 pub(crate) fn wallpaper() -> Picture {
     let (ground, stripe, flower) = (rgb(96, 128, 132), rgb(116, 147, 146), rgb(205, 205, 178));
     paint(1024, 1024, 3, |u, v| {
@@ -153,7 +153,8 @@ pub(crate) fn resolution_charts() -> Picture {
             let sector = (36.0 * (angle / TAU + 1.001)).fract() < 0.5;
             return ink(ring || (radius < 0.43 && radius > 0.01 && sector));
         }
-        // 4 x 4 fields: upright pairs, level pairs, checks and slanted pairs, each row finer than the last
+        // 4 x 4 fields: upright pairs, level pairs, checks and slanted pairs, each row finer than
+        // the last
         let (column, row) = ((x * 4.0).floor(), (y * 4.0).floor());
         let (a, b) = ((x * 4.0).fract(), (y * 4.0).fract());
         if a.min(b).min(1.0 - a).min(1.0 - b) < 0.1 {
@@ -170,8 +171,8 @@ pub(crate) fn resolution_charts() -> Picture {
     })
 }
 
-/// Height of the glazed tiles of [`tile_colors`] and [`tile_normals`]: two bevelled tiles each way with a
-/// raised ripple around the middle; the unit is arbitrary.
+/// Height of the glazed tiles of [`tile_colors`] and [`tile_normals`]: two bevelled tiles each way
+/// with a raised ripple around the middle; the unit is arbitrary.
 fn tile_height(u: f64, v: f64) -> f64 {
     let (across, along) = ((2.0 * u).rem_euclid(1.0) - 0.5, (2.0 * v).rem_euclid(1.0) - 0.5);
     let edge = (0.5 - across.abs().max(along.abs())) / 0.05;
@@ -206,7 +207,8 @@ pub(crate) fn tile_colors() -> Picture {
     })
 }
 
-/// A screen of leaves on a lattice: alpha 1 on the leaves and bars, 0 between (for alpha mode MASK); tiles.
+/// A screen of leaves on a lattice: alpha 1 on the leaves and bars, 0 between (for alpha mode
+/// MASK); tiles.
 pub(crate) fn leaf_screen() -> Picture {
     let (leaf, vein, bar) = (rgb(64, 110, 48), rgb(138, 168, 84), rgb(92, 70, 44));
     paint(256, 256, 4, |u, v| {

@@ -1,8 +1,8 @@
 //! The display's window, the camera that frames it, and placement by display depth.
 //!
-//! Display axes: x right, y up, z to the viewer; the window is z = 0 with its centre at the origin. A scene
-//! with a floor tilts the camera down by `pitch_rad`, so that parallel views see the floor from above:
-//! `world_from_display` is then the rotation by -pitch about x. World y is up.
+//! Display axes: x right, y up, z to the viewer; the window is z = 0 with its centre at the origin.
+//! A scene with a floor tilts the camera down by `pitch_rad`, so that parallel views see the floor
+//! from above: `world_from_display` is then the rotation by -pitch about x. World y is up.
 
 use glam::{DMat3, DQuat, DVec3};
 use serde_json::{Value, json};
@@ -14,7 +14,7 @@ pub(crate) const WINDOW_WIDTH_M: f64 = 840.0 * 0.5655e-3;
 /// See [`WINDOW_WIDTH_M`].
 pub(crate) const WINDOW_HEIGHT_M: f64 = 525.0 * 0.5655e-3;
 
-/// Where the window stands in the world and how its camera looks at it.
+/// The window's orientation in the world, and its camera.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Window {
     /// Downward tilt of the camera in radians, 0 for a camera that looks along world -z.
@@ -29,7 +29,8 @@ impl Window {
         DMat3::from_rotation_x(-self.pitch_rad)
     }
 
-    /// The world point at height `y_m`, display column `x_m` and display depth `depth_m` (positive = in front).
+    /// The world point at height `y_m`, display column `x_m` and display depth `depth_m` (positive
+    /// = in front).
     pub(crate) fn at(&self, x_m: f64, y_m: f64, depth_m: f64) -> DVec3 {
         let (sin, cos) = self.pitch_rad.sin_cos();
         DVec3::new(x_m, y_m, (depth_m - y_m * sin) / cos)

@@ -17,13 +17,14 @@ impl Analysis {
             self.name,
             number(self.thickness_mm)
         );
+        // One line per property, with a column of names.
         let mut line = |name: &str, value: String| {
             let _ = writeln!(text, "  {name:15} {value}");
         };
         line("Depth of field", self.depth_of_field());
         line("Bound", self.bound());
         if !self.bound_holds {
-            line("", "layers add: on a plane between them nothing of this is reached, only on each itself".into());
+            line("", "layers add: on a plane between them nothing of this is achieved, only on each itself".into());
         }
         let [x, y] = &self.axes;
         for form in [&x.closed, &x.lens_array].into_iter().flatten() {
@@ -86,7 +87,7 @@ impl Analysis {
         let [h, v] = zone.fov_deg;
         let step = zone.step[0].atan().to_degrees();
         let [width, height] = zone.width_mm.map(|side| number(side.round()));
-        let beside = if zone.repeats { "it repeats beside itself" } else { "beyond it nothing is constrained" };
+        let beside = if zone.repeats { "it repeats beside itself" } else { "views outside it are not constrained" };
         format!(
             "{h}° × {v}°, {} × {} views {step:.2}° apart; all of the display from {} mm on, at {} mm over {width} × {height} mm, {:.1} views between \
              two eyes; {beside}",

@@ -65,7 +65,7 @@ proptest! {
 }
 
 #[test]
-fn rounding_to_half_is_what_the_disk_keeps() {
+fn files_contain_values_rounded_to_half() {
     let mut field = random_field([2, 1], [5, 3], Projection::Oblique, 3);
     field.radiance_mut().data_mut().iter_mut().enumerate().for_each(|(i, v)| *v = 0.7 + *v * 1e-3 + i as f32 * 1e-7);
     field.radiance_mut().data_mut()[0] = 1e9;
@@ -115,7 +115,7 @@ fn a_field_that_cannot_be_written_leaves_no_index() {
 /// n views each keeps sin(πωznΔs)/(n sin(πωzΔs)) of the contrast, about sinc(ω z δs). Without a
 /// prefilter the contrast stays whole.
 #[test]
-fn a_prefilter_takes_away_what_it_should() {
+fn a_prefilter_removes_detail_above_the_bound() {
     let grid = lumistack_display::ViewGrid::uniform(Projection::Oblique, [45, 2], [20.0, 2.0]).unwrap();
     let step = grid.bin_width()[0];
     // with a pixel at x = 0 and whole pixels per half period, samples hit the extremes

@@ -16,7 +16,7 @@ use lumistack_plugin::PlaneView;
 use lumistack_plugin::abi::{
     Assets, ByteSink, Bytes, Data, ErrorSink, FieldSink, HostServices, Plane, StackSink, Status, Str, Time, View, dtype,
 };
-use lumistack_plugin::wire::{keeping, lent_bytes, lent_lossy, tell};
+use lumistack_plugin::wire::{keeping, lent_bytes, lent_lossy, write_error};
 
 use super::protocol::{self, Answer, Call, FromChild, Loaded, PART, Request, Say, ToChild, read_frame, write_frame};
 use crate::LoadError;
@@ -191,7 +191,7 @@ impl Link {
     unsafe fn status(&self, what: Request, body: &[u8], error: *const ErrorSink) -> Status {
         let (answer, _) = self.ask(what, body);
         // SAFETY: guaranteed by the caller.
-        unsafe { tell(error, &answer.text) };
+        unsafe { write_error(error, &answer.text) };
         Status(answer.status)
     }
 
@@ -256,7 +256,7 @@ unsafe fn bytes<'a>(ptr: *const u8, len: usize, what: &str, error: *const ErrorS
     // SAFETY: guaranteed by the caller.
     unsafe {
         lent_bytes(Bytes { ptr, len }, what).map_err(|refused| {
-            tell(error, &refused.to_string());
+            write_error(error, &refused.to_string());
             Status::REFUSED
         })
     }
@@ -296,7 +296,7 @@ unsafe extern "C" fn file_open(context: *const c_void, path: Str, file: *mut u64
         match bytes(path.ptr, path.len, "file name", error) {
             Ok(path) => {
                 let (answer, _) = link_of(context).ask(Request::FileOpen, path);
-                tell(error, &answer.text);
+                write_error(error, &answer.text);
                 if answer.status == Status::OK.0 {
                     *file = answer.file;
                 }
@@ -427,12 +427,12 @@ unsafe fn fetch(
     let (Running { link, call }, size) = unsafe { (running(context), (*plane).size) };
     if size < size_of::<Plane>() {
         // SAFETY: guaranteed by the caller.
-        unsafe { tell(error, &format!("a plane of {size} bytes")) };
+        unsafe { write_error(error, &format!("a plane of {size} bytes")) };
         return Status::REFUSED;
     }
     let (answer, body) = link.ask(what(*call), &[]);
     // SAFETY: guaranteed by the caller.
-    unsafe { tell(error, &answer.text) };
+    unsafe { write_error(error, &answer.text) };
     if answer.status != Status::OK.0 {
         return Status(answer.status);
     }
@@ -473,7 +473,7 @@ unsafe extern "C" fn read_asset(
             Err(refused) => return refused,
         };
         let (answer, content) = link.ask(Request::ReadAsset { call: *call }, path);
-        tell(error, &answer.text);
+        write_error(error, &answer.text);
         if answer.status != Status::OK.0 {
             return Status(answer.status);
         }
@@ -586,7 +586,7 @@ unsafe fn give(
     let (Running { link, call }, size) = unsafe { (running(context), (*plane).size) };
     if size < size_of::<Plane>() {
         // SAFETY: guaranteed by the caller.
-        unsafe { tell(error, &format!("a plane of {size} bytes")) };
+        unsafe { write_error(error, &format!("a plane of {size} bytes")) };
         return Status::REFUSED;
     }
     // SAFETY: guaranteed by the caller; the plugin keeps ownership, so nothing is released.
@@ -594,7 +594,7 @@ unsafe fn give(
         Ok(view) => view,
         Err(reason) => {
             // SAFETY: guaranteed by the caller.
-            unsafe { tell(error, &reason.to_string()) };
+            unsafe { write_error(error, &reason.to_string()) };
             return Status::FAILED;
         }
     };

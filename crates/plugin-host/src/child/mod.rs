@@ -1,14 +1,16 @@
 //! Plugins in libraries run in a child process, so that their faults cannot end the program.
 //!
 //! ```text
-//! program                                                  child: one per output, scene, field or stack
-//!    │ Functions::open(HostServices, ...)                    │
-//!    ├── Call(open, texts) ─────────────────────────────────▶│ the library's `open`
-//!    │◀────────────── Request(file_append) + bytes ──────────│
-//!    │   the program's own file_append                       │
-//!    ├── Answer ────────────────────────────────────────────▶│
-//!    │◀──────────────────────────────── Done(status) ────────│
+//! program                                               child
+//!    │ Functions::open(HostServices, ...)                 │
+//!    ├── Call(open, texts) ──────────────────────────────▶│ the library's `open`
+//!    │◀────────────── Request(file_append) + bytes ───────│
+//!    │   the program's own file_append                    │
+//!    ├── Answer ─────────────────────────────────────────▶│
+//!    │◀──────────────────────────────── Done(status) ─────│
 //! ```
+//!
+//! There is one child per output, scene, field or stack.
 //!
 //! Both ends implement the C interface, so the host's code and the plugin's are the same with and
 //! without a child. Planes are sent through the pipe one at a time, when the plugin fetches them.

@@ -7,7 +7,7 @@ use lumistack_plugin::PlaneView;
 use lumistack_plugin::abi::{
     Assets, ByteSink, Bytes, Data, ErrorSink, FieldSink, HostServices, Plane, StackSink, Status, Str, View, dtype,
 };
-use lumistack_plugin::wire::{append, keeping, tell};
+use lumistack_plugin::wire::{append, keeping, write_error};
 
 use super::protocol::{Answer, Request, Say};
 
@@ -110,7 +110,7 @@ impl Lending {
         let of = |call: u64| all.get(&call).unwrap_or(&nothing);
         // SAFETY: guaranteed by the caller.
         let refused = |reason: &str| unsafe {
-            tell(error, reason);
+            write_error(error, reason);
             Status::REFUSED
         };
         let context = host.context;
@@ -265,7 +265,7 @@ unsafe fn fetch(
         Ok(view) => view,
         Err(reason) => {
             // SAFETY: guaranteed by the caller.
-            unsafe { tell(error, &reason.to_string()) };
+            unsafe { write_error(error, &reason.to_string()) };
             return Status::FAILED;
         }
     };
@@ -290,7 +290,9 @@ unsafe fn give_to_sink(
     let count = rows.checked_mul(cols).and_then(|count| count.checked_mul(channels));
     if count.and_then(|count| count.checked_mul(element)) != Some(body.len()) {
         // SAFETY: guaranteed by the caller.
-        unsafe { tell(error, &format!("a plane of shape {:?} in {} bytes", [rows, cols, channels], body.len())) };
+        unsafe {
+            write_error(error, &format!("a plane of shape {:?} in {} bytes", [rows, cols, channels], body.len()))
+        };
         return Status::REFUSED;
     }
     // no overflow: these are sizes of an existing plane

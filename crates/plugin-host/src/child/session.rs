@@ -15,7 +15,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use lumistack_plugin::abi::{ErrorSink, HostServices, Status};
-use lumistack_plugin::wire::tell;
+use lumistack_plugin::wire::write_error;
 
 use super::launch::{Launcher, Limits};
 use super::protocol::{Call, FromChild, Loaded, Request, ToChild, read_frame, write_frame};
@@ -211,7 +211,7 @@ impl Session {
         unsafe {
             match result {
                 Ok((status, reason)) => {
-                    tell(error, &reason);
+                    write_error(error, &reason);
                     status
                 }
                 Err(stopped) => stopped.report(error),
@@ -408,7 +408,7 @@ impl Stopped {
             Self::Died(cause) => (cause, Status::FAILED),
         };
         // SAFETY: guaranteed by the caller.
-        unsafe { tell(error, &text) };
+        unsafe { write_error(error, &text) };
         status
     }
 }

@@ -73,6 +73,7 @@ impl<'a> Lent<'a> {
         let refused = |error: String| PluginError::Refused(error);
         let (geometry, description) = match data {
             OutputData::LayerStack(stack, target) => {
+                // plugins rely on the checks, so data that fail them are not lent
                 stack.check(display).map_err(|error| refused(format!("layer stack: {error}")))?;
                 let geometry = match target {
                     Some(field) => field.geometry().clone(),

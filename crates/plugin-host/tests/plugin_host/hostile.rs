@@ -98,7 +98,7 @@ fn message(cause: &str, doing: &str) -> String {
 }
 
 #[test]
-fn what_ends_the_process_is_named_and_the_other_outputs_are_written() {
+fn the_cause_of_a_crash_is_named_and_the_other_outputs_are_written() {
     let bench = Bench::new();
     for (fault, cause, doing) in [
         ("submit:abort", "ended by signal 6 (abort)", "it wrote `a.txt`"),
@@ -122,7 +122,7 @@ fn what_ends_the_process_is_named_and_the_other_outputs_are_written() {
 }
 
 #[test]
-fn an_overflow_of_the_stack_is_told() {
+fn an_overflow_of_the_stack_is_reported() {
     let bench = Bench::new();
     for fault in ["submit:overflow", "finish:overflow"] {
         let error = bench.write(fault).unwrap_err().to_string();
@@ -160,7 +160,7 @@ fn long_work_with_signs_of_life_is_not_disturbed() {
 }
 
 #[test]
-fn what_a_plugin_prints_disturbs_nobody() {
+fn the_output_of_a_plugin_does_not_disturb_the_protocol() {
     let bench = Bench::new();
     for fault in ["open:print", "submit:print", "finish:print", "close:print"] {
         bench.write(fault).unwrap();
@@ -266,7 +266,7 @@ fn plugins_of_the_other_kinds_are_named_as_well() {
 /// The plugin creates a file when its library is loaded. The test runs in its own process, whose
 /// environment sets the path.
 #[test]
-fn a_library_that_nobody_asks_for_is_not_loaded() {
+fn a_library_that_is_not_requested_is_not_loaded() {
     let folder = tempfile::tempdir().unwrap();
     let (named, other) = (hostile(folder.path(), "named", "OUTPUT", ""), hostile(folder.path(), "other", "OUTPUT", ""));
     let run = Command::new(std::env::current_exe().unwrap())

@@ -67,7 +67,7 @@ fn files_that_are_no_libraries_are_named() {
 
 #[test]
 #[cfg(target_os = "linux")]
-fn libraries_for_other_machines_are_told_apart() {
+fn libraries_for_other_machines_are_recognized() {
     let folder = tempfile::tempdir().unwrap();
     let here = std::env::consts::ARCH;
     for (number, name) in ELF_MACHINES.iter().filter(|(_, name)| !here.starts_with(name)) {
@@ -174,7 +174,7 @@ fn descriptor_in_c(folder: &Path, id: &str, text: &str) -> PathBuf {
 
 #[test]
 #[cfg(unix)]
-fn libraries_of_other_versions_are_told_apart() {
+fn libraries_of_other_versions_are_recognized() {
     let folder = tempfile::tempdir().unwrap();
     let (size, vtable) = (size_of::<Descriptor>(), size_of::<OutputVtable>());
     let texts = "STR(\"id\"), STR(\"1.0.0\"), STR(\"A sentence.\"), STR(\"{\\\"params\\\": []}\")";

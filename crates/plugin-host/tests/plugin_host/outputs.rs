@@ -151,7 +151,7 @@ fn everything_goes_wrong(bench: &Bench) {
 }
 
 #[test]
-fn whatever_goes_wrong_leaves_nothing_new() {
+fn any_failure_leaves_no_new_files() {
     for bench in [Bench::new(), Bench::loaded()] {
         everything_goes_wrong(&bench);
         assert!(bench.tree().is_empty(), "not even the folders above");
@@ -159,7 +159,7 @@ fn whatever_goes_wrong_leaves_nothing_new() {
 }
 
 #[test]
-fn whatever_goes_wrong_keeps_what_was_there() {
+fn any_failure_keeps_the_earlier_files() {
     for bench in [Bench::new(), Bench::loaded()] {
         bench.write(json!({"files": 2})).unwrap();
         fs::write(bench.out().join("mine.txt"), "not the plugin's").unwrap();
@@ -171,7 +171,7 @@ fn whatever_goes_wrong_keeps_what_was_there() {
 const PATIENCE: Duration = Duration::from_secs(20);
 
 #[test]
-fn a_plugin_that_hangs_ends_when_the_user_asks() {
+fn a_plugin_that_hangs_ends_after_an_interruption() {
     for bench in [Bench::new(), Bench::loaded()] {
         let start = Instant::now();
         let result = std::thread::scope(|scope| {
@@ -198,7 +198,7 @@ fn a_panic_in_a_thread_of_the_plugin_is_its_own() {
 }
 
 #[test]
-fn a_loaded_plugin_writes_what_the_compiled_one_writes() {
+fn a_loaded_plugin_writes_the_same_as_the_compiled_one() {
     let [compiled, loaded] = [Bench::new(), Bench::loaded()].map(|bench| bench.registry.get("faulty").unwrap().clone());
     // three samples with three files each, and both extremes of `files`: none and nine
     assert_eq!(same_outputs(&compiled, &loaded, &[]).unwrap(), 18);
@@ -237,7 +237,7 @@ fn an_error_while_files_move_into_place_is_undone() {
 }
 
 #[test]
-fn what_a_killed_run_left_is_removed() {
+fn files_of_a_killed_run_are_removed() {
     let bench = Bench::new();
     let left = bench.out().with_file_name(".faulty.partial");
     fs::create_dir_all(left.join("sub0")).unwrap();

@@ -7,7 +7,8 @@ use std::sync::mpsc::{Receiver, channel};
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::LayerStack;
 use lumistack_plugin_host::{
-    Asked, HostError, OutputContext, Plugin, PresentContext, Registry, Time, Told, present, run_output,
+    HostError, OutputContext, Plugin, PresentContext, PresenterInput, PresenterOutput, Registry, Time, present,
+    run_output,
 };
 use lumistack_plugin_testkit::{conformance, samples};
 use serde_json::{Value, json};
@@ -31,17 +32,17 @@ fn presented(
     registry: &Registry,
     id: &str,
     stack: &LayerStack,
-    asked: Receiver<Asked>,
+    input: Receiver<PresenterInput>,
     cancel: &Cancel,
 ) -> Result<(Vec<Value>, Vec<String>), HostError> {
     let (events, warnings) = (Mutex::new(Vec::new()), Mutex::new(Vec::new()));
-    let told = |told: Told<'_>| match told {
-        Told::Event(event) => events.lock().unwrap().push(event.clone()),
-        Told::Warning(text) => warnings.lock().unwrap().push(text.to_string()),
+    let on_output = |output: PresenterOutput<'_>| match output {
+        PresenterOutput::Event(event) => events.lock().unwrap().push(event.clone()),
+        PresenterOutput::Warning(text) => warnings.lock().unwrap().push(text.to_string()),
     };
     let (sample, collected) = (samples().swap_remove(0), Collector::default());
     let task = Task::quiet(&collected, cancel);
-    let context = PresentContext { display: &sample.display, first: Some(stack), asked, told: &told, task };
+    let context = PresentContext { display: &sample.display, first: Some(stack), input, on_output: &on_output, task };
     present(registry, id, &json!({}), context)?;
     Ok((events.into_inner().unwrap(), warnings.into_inner().unwrap()))
 }
@@ -62,35 +63,39 @@ fn conforms() {
 fn patterns_and_commands_reach_a_presenter_while_it_runs() {
     let [first, next] = stacks();
     for registry in registries() {
-        let (send, asked) = channel();
-        for ask in [Asked::Command(json!("dance")), Asked::Stack(next.clone()), Asked::Command(json!("quit"))] {
-            send.send(ask).unwrap();
+        let (send, input) = channel();
+        for sent in [
+            PresenterInput::Command(json!("dance")),
+            PresenterInput::Stack(next.clone()),
+            PresenterInput::Command(json!("quit")),
+        ] {
+            send.send(sent).unwrap();
         }
-        let (events, warnings) = presented(&registry, "echo", &first, asked, &Cancel::default()).unwrap();
+        let (events, warnings) = presented(&registry, "echo", &first, input, &Cancel::default()).unwrap();
         let event = |time: u64, stack: &LayerStack| json!({"time": time, "brightness": stack.brightness});
         assert_eq!(events, [event(0, &first), event(1, &next)]);
-        assert_eq!(warnings, ["expected \"quit\", found \"dance\"", "nobody listens any more"]);
+        assert_eq!(warnings, ["expected \"quit\", found \"dance\"", "the presentation has ended"]);
     }
 }
 
 #[test]
-fn a_presentation_ends_when_asked() {
+fn a_presentation_ends_on_request() {
     for registry in registries() {
-        let (_send, asked) = channel();
+        let (_send, input) = channel();
         let cancel = Cancel::default();
         std::thread::scope(|scope| {
             scope.spawn(|| {
                 std::thread::sleep(std::time::Duration::from_millis(100));
                 cancel.cancel();
             });
-            let (_, warnings) = presented(&registry, "echo", &stacks()[0], asked, &cancel).unwrap();
-            assert_eq!(warnings, ["nobody listens any more"]);
+            let (_, warnings) = presented(&registry, "echo", &stacks()[0], input, &cancel).unwrap();
+            assert_eq!(warnings, ["the presentation has ended"]);
         });
     }
 }
 
 #[test]
-fn what_presents_and_what_writes_are_told_apart() {
+fn presenters_and_writers_are_distinguished() {
     let [registry, _] = registries();
     let (sample, collected, cancel) = (samples().swap_remove(0), Collector::default(), Cancel::default());
     let folder = tempfile::tempdir().unwrap();
@@ -105,7 +110,7 @@ fn what_presents_and_what_writes_are_told_apart() {
     let error = run_output(&registry, "echo", &json!({}), context).unwrap_err().to_string();
     assert!(error.contains("expected a plugin that writes files, found one that presents"), "{error}");
     assert!(!folder.path().join("out").exists());
-    let (_send, asked) = channel();
-    let error = presented(&registry, "images", &stacks()[0], asked, &cancel).unwrap_err().to_string();
+    let (_send, input) = channel();
+    let error = presented(&registry, "images", &stacks()[0], input, &cancel).unwrap_err().to_string();
     assert!(error.contains("expected a plugin that presents, found one that writes files"), "{error}");
 }

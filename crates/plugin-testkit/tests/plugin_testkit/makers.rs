@@ -20,7 +20,7 @@ struct GainParams {
 fn gain_schema() -> Schema {
     Schema::new([
         Param::float("gain", 0.5, 0.0..=1.0, "Factor.").unit("1"),
-        Param::text("fault", "", "What to do wrong."),
+        Param::text("fault", "", "Fault to commit."),
     ])
 }
 

@@ -36,7 +36,7 @@ impl OutputPlugin for Probe {
 
     fn schema() -> Schema {
         Schema::new([
-            Param::text("fault", "", "What to do wrong."),
+            Param::text("fault", "", "Fault to commit."),
             Param::float("scale", 1.0, 0.0..=2.0, "Factor.").unit("1"),
         ])
     }

@@ -26,6 +26,7 @@ pub fn blue_noise() -> &'static [f32] {
 }
 
 fn ranks() -> Vec<usize> {
+    // Begin with random dots.
     let mut pattern = Pattern::new();
     let mut random = Stream::new(derive(0x626c_7565, &[]));
     while pattern.dots < FIRST {
@@ -34,6 +35,7 @@ fn ranks() -> Vec<usize> {
             pattern.toggle(place);
         }
     }
+    // Move dots from the tightest cluster to the largest void, until none moves.
     loop {
         let cluster = pattern.tightest_cluster();
         pattern.toggle(cluster);
@@ -43,6 +45,7 @@ fn ranks() -> Vec<usize> {
             break;
         }
     }
+    // Ranks below the first pattern: remove dots from clusters. Ranks above it: fill voids.
     let mut ranks = vec![0; COUNT];
     let mut thinned = pattern.clone();
     for rank in (0..FIRST).rev() {

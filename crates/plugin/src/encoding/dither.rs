@@ -44,11 +44,13 @@ pub fn panel_codes(
     if dither == Dither::None {
         return rgb.iter().enumerate().map(|(i, &value)| nearest(i % 3, value)).collect();
     }
+    // Dithering averages light, so codes are compared by the light that they stand for.
     let light: [Vec<f32>; 3] =
         [0, 1, 2].map(|channel| (0..=top).map(|code| transfer.decode(channel, code as f32 / top as f32)).collect());
     if dither == Dither::Diffusion {
         return diffuse(&light, [rows, cols], rgb);
     }
+    // A shift per channel and pattern decorrelates the dots of layers and frames.
     let map = ThresholdMap::of(dither);
     let mut codes = vec![0; rgb.len()];
     for channel in 0..3 {

@@ -45,7 +45,7 @@ pub unsafe fn answer(error: *const ErrorSink, function: impl FnOnce() -> Result<
         Err(PluginError::Panicked(text)) => (Status::PANICKED, text),
     };
     // SAFETY: guaranteed by the caller.
-    unsafe { tell(error, &text) };
+    unsafe { write_error(error, &text) };
     status
 }
 
@@ -53,7 +53,7 @@ pub unsafe fn answer(error: *const ErrorSink, function: impl FnOnce() -> Result<
 ///
 /// # Safety
 /// `error` is null or a valid sink.
-pub unsafe fn tell(error: *const ErrorSink, text: &str) {
+pub unsafe fn write_error(error: *const ErrorSink, text: &str) {
     // SAFETY: guaranteed by the caller.
     if let Some(sink) = unsafe { error.as_ref() }
         && !text.is_empty()

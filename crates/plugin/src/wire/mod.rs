@@ -5,7 +5,7 @@ mod calls;
 mod json;
 mod planes;
 
-pub use calls::{answer, append, call, keeping, lent_bytes, lent_lossy, lent_text, tell};
+pub use calls::{answer, append, call, keeping, lent_bytes, lent_lossy, lent_text, write_error};
 pub(crate) use calls::{needs, panic_text};
 pub(crate) use json::display_from_json;
 pub use json::{Depth, Description, Geometry, RayWeights, Start};

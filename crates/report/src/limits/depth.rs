@@ -1,11 +1,11 @@
 //! Depth of a view's content, from its disparity to a neighbouring view.
 //!
 //! Block matching: for every pixel, the shift along the row with the smallest sum of absolute
-//! differences of √luminance over a square, refined by a parabola. Content at depth z is shifted by
-//! −z·Δs/p pixels per step Δs of slope (oblique views), or by q = −z·Δs/(1 − z/D) millimetres
-//! between pinholes at distance D. Where no shift is clearly better, the nearest pixel of the row
-//! with a clear one decides. Rows without any are assigned to the display's plane. A median over
-//! squares removes outliers.
+//! differences of √luminance over a square, refined by a parabola. Between oblique views, content
+//! at depth z is shifted by −z·Δs/p pixels per step Δs of slope. Between pinholes at distance D, it
+//! is shifted by q = −z·Δs/(1 − z/D) millimetres. If no shift is clearly better, the nearest pixel
+//! of the row with a clear one decides. Rows without any are assigned to the display's plane. A
+//! median over squares removes outliers.
 
 use lumistack_core::colour::luminance;
 use lumistack_display::{FieldGeometry, LightField, Projection};

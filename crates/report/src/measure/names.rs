@@ -81,7 +81,7 @@ fn foreign_title(slope: [f64; 2], target: &ViewGrid) -> &'static str {
     };
     let ((on_x, outside_x), (on_y, outside_y)) = (place(slope[0], &target.slope_x), place(slope[1], &target.slope_y));
     match (outside_x || outside_y, on_x && on_y) {
-        (true, _) => "View beyond the zone",
+        (true, _) => "View outside the zone",
         (false, true) => "Another look at a target view",
         (false, false) => "In-between view",
     }

@@ -13,6 +13,7 @@ pub(super) fn section(input: &ReportInput) -> Result<Markup, ReportError> {
     let Some(denoising) = input.denoising else { return Ok(html! {}) };
     let geometry = input.target.geometry();
     let (rows, cols) = (geometry.rows, geometry.cols);
+    // Three pictures of the middle view share the budget of bytes.
     let factor = shrink_factor(&[(rows, cols); 3], BUDGET);
     let small = |values: &[f32]| Linear::new(rows, cols, values, 1.0).shrunk(factor);
     let (before, after) = (small(denoising.unbiased), small(denoising.filtered));
@@ -28,16 +29,16 @@ pub(super) fn section(input: &ReportInput) -> Result<Markup, ReportError> {
         section id="denoising" {
             h2 { "Denoising" }
             p {
-                "Every view went through " (denoising.name) ". Mean squared error of the exposed radiance: "
+                "Every view was filtered by " (denoising.name) ". Mean squared error of the exposed radiance: "
                 strong { (estimate(overall.mse_before)) " before, " (estimate(overall.mse_after)) " after" }
-                ", measured at a sixty-fourth of the pixels, which were rendered again and which the filter never saw. The mean changed by "
+                ", measured at a sixty-fourth of the pixels, which were rendered again and which the filter never used. The mean changed by "
                 strong { (relative(overall.mean_change[0] / overall.mean)) } " ± " (format!("{:.3} %", 100.0 * overall.mean_change[1] / overall.mean))
-                ". What stands behind ± is a standard error."
+                ". The value after ± is a standard error."
             }
             div class="compare three group" {
                 (figure(&before, "The middle view as rendered", "As rendered, unbiased"))
                 (figure(&after, "The middle view filtered", "Filtered"))
-                (figure(&taken, "What the filter changed", &format!("Filtered − as rendered, × {gain}: where it is more than grain, the filter took away a part of the picture")))
+                (figure(&taken, "Change by the filter", &format!("Filtered − as rendered, × {gain}: structure beyond grain is detail that the filter removed")))
             }
             (legend(&DIVERGING, &[format!("≤ −{end} darker than rendered"), "0".into(), format!("≥ +{end} brighter")]))
             details {

@@ -30,8 +30,8 @@ pub(super) fn section(budget: &DepthBudget) -> Result<Markup, ReportError> {
                     "Half of the hits lie between " (p25) " and " (p75) " mm, 96 % between " (p2) " and " (p98) " mm."
                 }
                 p {
-                    "From one view to the next it moves by " (median) " pixels (median), " (most) " (98 %), at most " (largest) ". "
-                    (format::percent(budget.beyond_a_pixel)) " moves by more than a pixel: there an eye that moves sees steps, and in-between views double."
+                    "Between neighbouring views the content moves by " (median) " pixels (median), " (most) " (98 %), at most " (largest) ". "
+                    (format::percent(budget.beyond_a_pixel)) " of it moves by more than a pixel: a moving eye sees steps there, and in-between views show double contours."
                 }
                 @if budget.moved_back_mm != 0.0 || budget.depth_scale != 1.0 {
                     p {
@@ -45,7 +45,7 @@ pub(super) fn section(budget: &DepthBudget) -> Result<Markup, ReportError> {
                 }
                 div class="plots" { @for svg in &plots { (PreEscaped(svg)) } }
                 p class="quiet" {
-                    "Depths are those of the first surface along a ray, also where it is glass or a mirror. The bound on detail holds for continuous layers and many frames; pixels and few frames fall short of it."
+                    "Depths are those of the first surface along a ray, also where it is glass or a mirror. The bound on detail holds for continuous layers and many frames; pixels and few frames reach less."
                 }
             }
         }

@@ -74,14 +74,15 @@ pub(super) fn zone(input: &ReportInput) -> Markup {
     let Some(zone) = input.zone else {
         return html! {
             section id="zone" {
-                h2 { "All over the zone" }
+                h2 { "Whole viewing zone" }
                 p class="quiet" {
                     "Unknown: the solver used all views of the given light field, so there are no references between them. The figures below are those of these views. "
-                    "Of a light field with more views than the display needs, fewer may be kept (" code { "--views" } "): the zone is then judged by those that are left out."
+                    "If a light field has more views than the display needs, keep fewer (" code { "--views" } "): the others are then the references of the zone."
                 }
             }
         };
     };
+    // A map of the zone: a dot per direction, coloured by its PSNR.
     let directions: Vec<_> = zone.score.directions.iter().filter(|direction| direction.pixels > 0).collect();
     let psnr = |direction: &DirectionScore| direction.psnr();
     let (low, high) =
@@ -104,11 +105,11 @@ pub(super) fn zone(input: &ReportInput) -> Markup {
     let (mean, worst) = zone_figures(input);
     html! {
         section id="zone" {
-            h2 { "All over the zone" }
+            h2 { "Whole viewing zone" }
             p {
-                "Eyes stand anywhere, so the display is judged from " (directions.len()) " directions spread over its whole zone, none of which the solver saw. Each seen picture, averaged over the area of every pixel, is compared with "
-                @if zone.left_out { "a view of the given light field that was left out" } @else { "two renders of the scene from there, so that the noise of those does not count" }
-                ": " strong { (mean) } " over all, " strong { (worst) } " over the worst tenth. SSIM and FLIP are means over the first eight directions"
+                "Eyes may be anywhere, so the display is scored from " (directions.len()) " directions over its whole zone, none of which the solver used. Each seen picture, averaged over the area of every pixel, is compared with "
+                @if zone.left_out { "a view of the given light field that was left out" } @else { "two renders of the scene from there, so that their noise does not count" }
+                ": " strong { (mean) } " over all directions, " strong { (worst) } " over the worst tenth. SSIM and FLIP are means over the first eight directions"
                 @if !zone.left_out { ", whose renders have more samples" } "."
             }
             svg class="zone" role="img" aria-label="PSNR by direction" viewBox=(format!("0 0 {SIDE} {SIDE}")) {
@@ -196,7 +197,7 @@ impl Heat {
     fn tables(&self, measured: &Measured) -> Markup {
         let target = Some((&measured.target, "Target views"));
         let held_out = measured.held_out.as_ref().map(|score| (score, "In-between views, not optimized"));
-        let outside = measured.outside.as_ref().map(|score| (score, "Views beyond the zone"));
+        let outside = measured.outside.as_ref().map(|score| (score, "Views outside the zone"));
         let fields: Vec<_> = [target, held_out, outside].into_iter().flatten().collect();
         let all =
             fields.iter().flat_map(|(score, _)| score.geometry.grid.iter().map(|view| (self.value)(score.view(view))));
@@ -253,7 +254,7 @@ impl Heat {
 pub(super) fn limits(input: &ReportInput, found: &Found) -> Markup {
     html! {
         section id="limits" {
-            h2 { "What limits the result" }
+            h2 { "Limits of the result" }
             p {
                 "Measured on this layer stack, without solving again. Each line has the gain of the PSNR without one effect, all else unchanged, the largest first. Effects overlap, so the "
                 "figures do not add up. The central view and the corners stand for all."
@@ -286,7 +287,7 @@ pub(super) fn convergence(input: &ReportInput) -> Result<Markup, ReportError> {
                 None => p class="quiet" { "No history of the solver: the layer stack came from another source or an earlier run." },
                 Some(last) => p {
                     "After " (format::counted(last.iteration as usize, "iteration")) " and " (format::duration(last.seconds)) ": " (format::decibels(last.psnr_view)) " dB. "
-                    "A curve that still climbs at its right end asks for more iterations; a flat one has met the limit of its layers, frames and brightness."
+                    "A curve that still rises at its right end needs more iterations; a flat one is at the limit of its layers, frames and brightness."
                 },
             }
             @if let Some(solution) = input.solution { p { (solved_by(solution)) } }

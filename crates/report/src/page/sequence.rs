@@ -144,7 +144,7 @@ fn table(times: &[SequenceTime], id: &str) -> Markup {
     };
     html! {
         section id=(id) {
-            h2 { "Every time" }
+            h2 { "Every time step" }
             p {
                 "A \"warm\" start uses the previous time step's stack. If a fresh start is nearer to the target within an iteration, as after a cut, it is used instead. "
                 "\"start, dB\" is the PSNR before the first iteration."

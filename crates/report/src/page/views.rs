@@ -37,6 +37,7 @@ pub(super) fn look_around(measured: &Measured) -> Markup {
         return html! {};
     }
     let sheet = |picture: &Embedded, name: &str| {
+        // the sheet of all views is shifted so that the central one is visible; the script moves it
         let style = format!(
             "width:{}%;transform:translate({}%,{}%)",
             100 * cols,
@@ -89,7 +90,7 @@ pub(super) fn comparisons(input: &ReportInput, measured: &Measured) -> Markup {
             h2 { "Views side by side" }
             p {
                 "Corner views are the hardest: their rays lean most, so things far from the display blur or double there first. Seen pictures, averaged over the area of every pixel, come from directions of the zone that were not targets of the optimization; ghosts and noise that "
-                "only they show mean that the target's views are too far apart. Nothing constrains what an eye beyond the outermost views sees: there the picture may fall apart at once."
+                "only they show mean that the target's views are too far apart. Views outside the outermost ones are not constrained, so the picture may break up there."
                 @if !one_view { (missing) }
                 (shrunk_note(measured.rows_shrunk))
             }

@@ -88,6 +88,7 @@ impl Window {
 impl Totals {
     fn of(patterns: &Tensor<4>) -> Self {
         let [frames, rows, cols, _] = patterns.shape();
+        // Changes between frames count, so the mean over frames is subtracted.
         let line = cols * 3;
         let mut mean = vec![0.0f32; rows * line];
         if frames > 1 {
@@ -95,6 +96,7 @@ impl Totals {
                 mean.iter_mut().zip(patterns.block([frame])).for_each(|(mean, value)| *mean += value / frames as f32);
             }
         }
+        // Energy of the gradient per pixel, over channels and frames.
         let mut energy = vec![0.0f64; rows * cols];
         for frame in 0..frames {
             let values = patterns.block([frame]);
@@ -108,6 +110,7 @@ impl Totals {
                 }
             }
         }
+        // A summed-area table gives the energy of any rectangle from four values.
         let width = cols + 1;
         let mut sums = vec![0.0; (rows + 1) * width];
         for row in 0..rows {
@@ -139,7 +142,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_close_up_finds_what_flickers_finely() {
+    fn the_close_up_shows_the_finest_flicker() {
         let text = "name = \"a\"\nframes = 2\n[field]\nresolution = [200, 120]\npitch_mm = 1.0\nviews = [3, 3]\nfov_deg = [20.0, 20.0]\n\
                     [[layers]]\nd_mm = 0.0\nresolution = [200, 120]\npitch_mm = 1.0\n[[layers]]\nd_mm = 5.0\nresolution = [100, 60]\npitch_mm = 2.0\noffset_mm = [10.0, 0.0]\n";
         let display = Display::from_toml(text).unwrap();

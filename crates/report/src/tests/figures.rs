@@ -82,14 +82,14 @@ fn outside_views_are_scored_or_shown() {
     let (stack, target) = (noisy_stack(&display), noisy_field(&display, None));
     let shown = built(&plain(&display, &stack, &target)).unwrap();
     assert!(shown.json["outside"].is_null() && shown.outside_psnr_view.is_none());
-    assert!(shown.html.contains("Simulated: View beyond the zone"));
+    assert!(shown.html.contains("Simulated: View outside the zone"));
     let outside = noisy_field(&display, target.geometry().grid.outside(1));
     let report = built(&ReportInput { outside: Some(&outside), ..plain(&display, &stack, &target) }).unwrap();
     let expected = score(&display, &stack, &outside, &Weights::Uniform).psnr_view();
     assert!((json_psnr(&report.json["outside"]["overall_psnr_view"]) - expected).abs() < SAME_DB);
     assert_eq!(report.outside_psnr_view, Some(expected));
     assert_eq!(report.json["outside"]["ssim"][0].as_array().map(Vec::len), Some(2));
-    assert!(report.html.contains("Difference") && report.html.contains("Views beyond the zone"));
+    assert!(report.html.contains("Difference") && report.html.contains("Views outside the zone"));
 }
 
 #[test]
@@ -130,7 +130,7 @@ fn a_white_that_cannot_be_reached_is_said() {
 }
 
 #[test]
-fn rounding_to_codes_costs_what_the_score_says() {
+fn the_limit_of_rounding_agrees_with_the_score() {
     let coarse = two_layers([2, 2], [24, 20], "bits = 3\ntransfer = \"linear\"");
     let (stack, target) = (noisy_stack(&coarse), noisy_field(&coarse, None));
     let base = score(&coarse, &stack, &target, &Weights::Uniform).psnr_view();
@@ -165,7 +165,7 @@ fn rounding_to_codes_costs_what_the_score_says() {
 }
 
 #[test]
-fn ends_of_the_range_are_counted_and_black_is_worth_what_the_score_says() {
+fn ends_of_the_range_are_counted_and_the_limit_of_black_agrees_with_the_score() {
     let display = two_layers([2, 2], [24, 20], "black_level = 0.1\npeak = 0.8");
     let target = noisy_field(&display, None);
     let mut stack = noisy_stack(&display);
@@ -226,7 +226,7 @@ fn a_flattened_tone_curve_is_measured() {
 }
 
 #[test]
-fn a_still_picture_is_worth_what_the_score_says() {
+fn the_limit_of_a_still_picture_agrees_with_the_score() {
     let display = display(2, 3, [2, 2], [24, 20], "");
     let (stack, target) = (noisy_stack(&display), noisy_field(&display, None));
     let mut still = stack.clone();

@@ -1,20 +1,21 @@
-//! What every reader returns, and the activations that files share.
+//! The result of every reader, and the activation functions that the formats share.
 
 use glam::{Quat, Vec3};
 use lumistack_scene::Cloud;
 use thiserror::Error;
 
-/// What a file's axes mean.
+/// Directions of a file's axes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Axes {
-    /// x right, y up, z towards the viewer: those of glTF and of a scene.
+    /// x right, y up, z towards the viewer: the axes of glTF and of a scene.
     RightUpBack,
-    /// x right, y down, z away from the viewer: those of the cameras that captures are trained with.
+    /// x right, y down, z away from the viewer: the axes of the cameras that a capture was trained
+    /// with.
     RightDownFront,
 }
 
 impl Axes {
-    /// The turn to the axes of a scene.
+    /// Rotation from the file's axes to those of a scene.
     pub fn scene_from_file(self) -> Quat {
         match self {
             Self::RightUpBack => Quat::IDENTITY,
@@ -24,14 +25,14 @@ impl Axes {
     }
 }
 
-/// A cloud and what is known of it.
+/// A cloud as read from a file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Found {
-    /// Not validated.
+    /// The splats, not validated.
     pub cloud: Cloud,
-    /// Its axes.
+    /// The axes of its positions and rotations.
     pub axes: Axes,
-    /// What of the file is left out.
+    /// Parts of the file that were not read, one message each.
     pub left_out: Vec<String>,
 }
 
@@ -41,9 +42,9 @@ pub struct Found {
 pub struct ReadError {
     /// Place in the file.
     pub place: String,
-    /// What was needed.
+    /// The values that the format allows.
     pub expected: String,
-    /// What was there.
+    /// The value in the file.
     pub found: String,
 }
 
@@ -53,25 +54,27 @@ impl ReadError {
     }
 }
 
-/// Bytes that a file may unpack to.
+/// Largest size of a decompressed file, in bytes.
 pub const MAX_BYTES: u64 = 8 << 30;
 
-/// Opacity of what trainers keep: 1/(1 + e^−x).
+/// Activation of opacity: trainers store logits, 1/(1 + e^−x).
 pub(super) fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())
 }
 
-/// Coefficient of the constant harmonic that shows a colour.
+/// Coefficient of the constant harmonic for a colour of 0..1.
 pub(super) fn constant(colour: f32) -> f32 {
     (colour - 0.5) / 0.282_094_8
 }
 
-/// Degree of so many coefficients beyond the constant one.
+/// Degree of the harmonics that have this many coefficients without the constant one.
 pub(super) fn degree_of(coefficients: usize) -> Option<usize> {
     [0, 3, 8, 15].iter().position(|known| *known == coefficients)
 }
 
-/// A quaternion of which the largest component is left out, the others in the order of `rest`; `largest` counts in that order.
+/// Restores a quaternion from its three smaller components; the sum of squares is 1.
+///
+/// `rest` holds them in the order of the result without entry `largest`.
 pub(super) fn from_smallest_three(rest: [f32; 3], largest: usize) -> [f32; 4] {
     let mut all = [0.0; 4];
     let others = (0..4).filter(|i| *i != largest);
@@ -80,7 +83,7 @@ pub(super) fn from_smallest_three(rest: [f32; 3], largest: usize) -> [f32; 4] {
     all
 }
 
-/// Room for a cloud of so many splats.
+/// An empty cloud with capacity for `count` splats.
 pub(super) fn cloud(place: &str, count: usize, degree: usize) -> Cloud {
     Cloud {
         place: place.to_owned(),
@@ -94,7 +97,7 @@ pub(super) fn cloud(place: &str, count: usize, degree: usize) -> Cloud {
     }
 }
 
-/// Scales are kept as logarithms.
+/// Activation of scales: files store logarithms.
 pub(super) fn exp(log: Vec3) -> Vec3 {
     Vec3::new(log.x.exp(), log.y.exp(), log.z.exp())
 }

@@ -1,10 +1,14 @@
 //! `.ply`, as the reference trainers write it, and PlayCanvas' compressed form of it.
 //!
 //! ```text
-//! element vertex   x y z  f_dc_0..2  f_rest_0..44 (by channel)  opacity (logit)  scale_0..2 (logarithms)  rot_0..3 (w x y z)
+//! trainers' form
+//! element vertex   x y z  f_dc_0..2  f_rest_0..44 (by channel)  opacity (logit)
+//!                  scale_0..2 (logarithms)  rot_0..3 (w x y z)
 //!
-//! element chunk    min_x ... max_b                   of 256 splats each
-//! element vertex   packed_position (11 10 11)  packed_rotation (2 10 10 10)  packed_scale (11 10 11)  packed_color (8 8 8 8)
+//! compressed form, with the bits of each component
+//! element chunk    min_x ... max_b of 256 splats each
+//! element vertex   packed_position (11 10 11)  packed_rotation (2 10 10 10)
+//!                  packed_scale (11 10 11)  packed_color (8 8 8 8)
 //! element sh       f_rest_0..44 as bytes, −4..4
 //! ```
 
@@ -12,9 +16,9 @@ use glam::{Quat, Vec3};
 
 use super::found::{Axes, Found, ReadError, cloud, constant, degree_of, exp, from_smallest_three, sigmoid};
 
-/// A header is not longer than this.
+/// Longest header in bytes; a file without an end of its header is not searched further.
 const MAX_HEADER: usize = 1 << 16;
-/// Splats of a chunk.
+/// Splats per chunk of the compressed form.
 const CHUNK: usize = 256;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,7 +64,7 @@ struct Property {
     offset: usize,
 }
 
-/// An element's rows.
+/// An element of the file with its rows.
 struct Element<'a> {
     name: String,
     count: usize,
@@ -69,7 +73,7 @@ struct Element<'a> {
     rows: &'a [u8],
 }
 
-/// A column of numbers.
+/// One property of all rows.
 #[derive(Clone, Copy)]
 struct Column<'a> {
     rows: &'a [u8],
@@ -126,7 +130,7 @@ impl<'a> Element<'a> {
         Err(ReadError::new(format!("element {}, property {name}", self.name), "uint", format!("{:?}", column.kind)))
     }
 
-    /// The columns `f_rest_0`, `f_rest_1`, ..., and the degree that they make.
+    /// The columns `f_rest_0`, `f_rest_1`, ... and the degree of their harmonics.
     fn rest(&self) -> Result<(Vec<Column<'a>>, usize), ReadError> {
         let rest: Vec<Column<'a>> = (0..).map_while(|i| self.find(&format!("f_rest_{i}"))).take(73).collect();
         let degree = rest.len().is_multiple_of(3).then(|| degree_of(rest.len() / 3)).flatten();
@@ -161,6 +165,8 @@ fn plain(vertices: &Element<'_>) -> Result<lumistack_scene::Cloud, ReadError> {
     let (rest, degree) = vertices.rest()?;
     let mut cloud = cloud("element vertex", vertices.count, degree);
     for i in 0..vertices.count {
+        // A splat per row: position and rotation as stored, scales and opacity through their
+        // activations.
         cloud.positions.push(Vec3::from(position.map(|column| column.float(i))));
         let [w, x, y, z] = rotation.map(|column| column.float(i));
         cloud.rotations.push(Quat::from_xyzw(x, y, z, w));
@@ -177,7 +183,7 @@ fn plain(vertices: &Element<'_>) -> Result<lumistack_scene::Cloud, ReadError> {
     Ok(cloud)
 }
 
-/// `count` bits from `shift` on, as 0..1.
+/// Returns `count` bits from bit `shift` on, scaled to 0..1.
 fn unit(word: u32, shift: u32, count: u32) -> f32 {
     let most = (1u32 << count) - 1;
     (word >> shift & most) as f32 / most as f32
@@ -192,11 +198,12 @@ fn packed(
         let expected = format!("{} chunks of {CHUNK} splats", vertices.count.div_ceil(CHUNK));
         return Err(ReadError::new("element chunk", expected, chunks.count));
     }
+    // Each chunk holds the bounds that its splats are quantized between.
     let low = chunks.columns(["min_x", "min_y", "min_z"])?;
     let high = chunks.columns(["max_x", "max_y", "max_z"])?;
     let least = chunks.columns(["min_scale_x", "min_scale_y", "min_scale_z"])?;
     let most = chunks.columns(["max_scale_x", "max_scale_y", "max_scale_z"])?;
-    // older files have colours from 0 to 1
+    // older files store no bounds of colours: those are 0 and 1
     let dark = ["min_r", "min_g", "min_b"].map(|name| chunks.find(name));
     let bright = ["max_r", "max_g", "max_b"].map(|name| chunks.find(name));
     let [position, rotation] = [vertices.words("packed_position")?, vertices.words("packed_rotation")?];
@@ -206,6 +213,7 @@ fn packed(
         Some(sh) => return Err(ReadError::new("element sh", format!("{} rows", vertices.count), sh.count)),
         None => (Vec::new(), 0),
     };
+    // Expand the words of each splat: 11, 10 and 11 bits of x, y and z between the chunk's bounds.
     let word = |column: &Column<'_>, i: usize| u32::from_le_bytes(column.bytes(i));
     let three = |word: u32| [unit(word, 21, 11), unit(word, 11, 10), unit(word, 0, 11)];
     let lerp = |low: f32, high: f32, t: f32| low + t * (high - low);
@@ -218,10 +226,12 @@ fn packed(
         cloud.positions.push(between(&low, &high, three(word(&position, i))));
         cloud.scales.push(exp(between(&least, &most, three(word(&scale, i)))));
         let bits = word(&rotation, i);
+        // The rotation has the index of its largest component in the upper two bits.
         let rest_of = [20, 10, 0].map(|shift| (unit(bits, shift, 10) - 0.5) * std::f32::consts::SQRT_2);
         let [w, x, y, z] = from_smallest_three(rest_of, (bits >> 30) as usize);
         cloud.rotations.push(Quat::from_xyzw(x, y, z, w));
         let bits = word(&colour, i);
+        // Colours and opacity are stored activated, so the colour becomes a coefficient again.
         let rgb = [24, 16, 8].map(|shift| unit(bits, shift, 8));
         cloud.harmonics.extend([0, 1, 2].map(|c| {
             let [low, high] =
@@ -233,6 +243,7 @@ fn packed(
         for coefficient in 0..count {
             cloud.harmonics.extend([0, 1, 2].map(|channel| {
                 let value = rest[channel * count + coefficient].float(i);
+                // A byte is the middle of its step; the lowest and the highest are exact.
                 let share = if value <= 0.0 || value >= 255.0 { value / 255.0 } else { (value + 0.5) / 256.0 };
                 8.0 * (share - 0.5)
             }));
@@ -241,8 +252,9 @@ fn packed(
     Ok(cloud)
 }
 
-/// Reads the header; the rows of every element are known to be there.
+/// Reads the header and splits the data into the rows of its elements, each checked for its size.
 fn elements(bytes: &[u8]) -> Result<Vec<Element<'_>>, ReadError> {
+    // The header is text up to the line `end_header`; the rows follow it.
     let header = &bytes[..bytes.len().min(MAX_HEADER)];
     let end = b"end_header";
     let at = header.windows(end.len()).position(|window| window == end);
@@ -250,6 +262,7 @@ fn elements(bytes: &[u8]) -> Result<Vec<Element<'_>>, ReadError> {
     let line_end = header[at..].iter().position(|byte| *byte == b'\n');
     let mut rest = &bytes[at + line_end.ok_or_else(|| ReadError::new("header", "a line end", "none"))? + 1..];
     let text = std::str::from_utf8(&header[..at]).map_err(|error| ReadError::new("header", "text", error))?;
+    // Sum the sizes of properties to their offsets in a row.
     let mut elements: Vec<Element<'_>> = Vec::new();
     for line in text.lines() {
         let words: Vec<&str> = line.split_whitespace().collect();
@@ -276,6 +289,7 @@ fn elements(bytes: &[u8]) -> Result<Vec<Element<'_>>, ReadError> {
             _ => {}
         }
     }
+    // Counts come from the file, so they are checked before any memory is allocated for them.
     for element in &mut elements {
         let size = element.count.checked_mul(element.stride).filter(|size| *size <= rest.len());
         let size = size.ok_or_else(|| {

@@ -1,9 +1,12 @@
 //! `.spz`, versions 1 to 4: quantized attributes, each in a stream of its own.
 //!
 //! ```text
-//! position  24-bit fixed point (version 1: half floats)     opacity  0..255
-//! scale     e^(byte/16 − 10)                                colour   (byte/255 − ½)/0.15 is the constant harmonic
-//! rotation  x y z as bytes (version 3 on: smallest three of 10 bits)     harmonics  (byte − 128)/128
+//! position   24-bit fixed point (version 1: half floats)
+//! opacity    byte/255
+//! scale      e^(byte/16 − 10)
+//! colour     (byte/255 − ½)/0.15 is the constant harmonic
+//! rotation   x y z as bytes (from version 3: smallest three of 10 bits)
+//! harmonics  (byte − 128)/128
 //! ```
 //!
 //! Source: the format's description, and the constants of its library (github.com/nianticlabs/spz).
@@ -22,9 +25,9 @@ const MAGIC: u32 = 0x5053_474e;
 /// Bytes of the headers of versions 1 to 3, and of version 4.
 const HEADER: usize = 16;
 const HEADER_4: usize = 32;
-/// Bit of the flags: records of vendors stand in the header.
+/// Bit of the flags for vendors' records in the header.
 const EXTENSIONS: u8 = 2;
-/// Most fractional bits of a position of 24 bits.
+/// Most fractional bits of a 24-bit position.
 const MAX_FRACTION: u8 = 23;
 
 struct Header {
@@ -66,11 +69,11 @@ impl Header {
     }
 }
 
-/// Reads an `.spz` file that unpacks to at most `max_bytes`.
+/// Reads an `.spz` file whose decompressed size is at most `max_bytes`.
 ///
-/// # Errors
-/// When it is none, or broken.
+/// If the header is not that of an `.spz` file, or its data are short or not valid.
 pub fn read_spz(bytes: &[u8], max_bytes: u64) -> Result<Found, ReadError> {
+    // Versions 1 to 3 are one gzip stream: the header, then the attributes one after another.
     if bytes.starts_with(&[0x1f, 0x8b]) {
         let mut unpacked = MultiGzDecoder::new(bytes);
         let start = read_up_to(&mut unpacked, HEADER as u64, "header")?;
@@ -96,6 +99,7 @@ pub fn read_spz(bytes: &[u8], max_bytes: u64) -> Result<Found, ReadError> {
         });
         return splats(&header, parts);
     }
+    // Version 4 has an open header, a table of sizes, and a Zstandard stream per attribute.
     let header = Header::parse(bytes)?;
     if header.version < 4 || bytes.len() < HEADER_4 {
         return Err(ReadError::new("header", "version 4 with 32 bytes, or a gzip stream", header.version));
@@ -111,6 +115,7 @@ pub fn read_spz(bytes: &[u8], max_bytes: u64) -> Result<Found, ReadError> {
     let entries = bytes.get(table..).and_then(|rest| rest.get(..16 * streams)).ok_or_else(room)?;
     let mut rest = &bytes[table + 16 * streams..];
     size(strides.iter().sum(), &header, max_bytes)?;
+    // Decompress each stream to the size that the count of splats demands.
     let mut parts: Vec<Vec<u8>> = Vec::new();
     for (number, entry) in entries.chunks_exact(16).take(6).enumerate() {
         let (packed, unpacked) = entry.split_at(8);
@@ -145,7 +150,7 @@ pub fn read_spz(bytes: &[u8], max_bytes: u64) -> Result<Found, ReadError> {
     Ok(found)
 }
 
-/// Bytes of all splats, if they are allowed.
+/// Decompressed bytes of all splats; an error if they exceed `max_bytes`.
 fn size(stride: usize, header: &Header, max_bytes: u64) -> Result<u64, ReadError> {
     let bytes = stride as u64 * header.count as u64;
     if bytes > max_bytes {
@@ -155,7 +160,7 @@ fn size(stride: usize, header: &Header, max_bytes: u64) -> Result<u64, ReadError
     Ok(bytes)
 }
 
-/// At most so many bytes; memory grows with what is there, whatever a header says.
+/// Reads at most `most` bytes. Memory grows with the data, not with a header's claim.
 fn read_up_to(from: &mut impl Read, most: u64, place: &str) -> Result<Vec<u8>, ReadError> {
     let mut bytes = Vec::new();
     from.take(most).read_to_end(&mut bytes).map_err(|error| ReadError::new(place, "packed data", error))?;
@@ -167,6 +172,7 @@ fn splats(header: &Header, parts: [&[u8]; 6]) -> Result<Found, ReadError> {
     let [position, _, _, _, rotation, harmonic] = header.strides();
     let degree = header.degree.min(MAX_DEGREE);
     let mut cloud = cloud("splats", header.count, degree);
+    // Positions of version 1 are half floats; later versions have fixed-point numbers.
     let unit =
         1.0 / f32::from(1u8 << (header.fractional_bits % 8)) / 256f32.powi(i32::from(header.fractional_bits / 8));
     let fixed = |bytes: &[u8]| (i32::from_le_bytes([0, bytes[0], bytes[1], bytes[2]]) >> 8) as f32 * unit;
@@ -191,7 +197,7 @@ fn splats(header: &Header, parts: [&[u8]; 6]) -> Result<Found, ReadError> {
     Ok(Found { cloud, axes: Axes::RightUpBack, left_out })
 }
 
-/// Ten bits each with the sign first; the last of x, y, z, w lowest.
+/// Rotation of 32 bits: three components of ten bits, sign first, below the index of the largest.
 fn smallest_three(bytes: &[u8]) -> Quat {
     let word = u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
     let part = |shift: u32| {
@@ -202,7 +208,7 @@ fn smallest_three(bytes: &[u8]) -> Quat {
     Quat::from_array(from_smallest_three([part(20), part(10), part(0)], (word >> 30) as usize))
 }
 
-/// x, y and z; w is positive.
+/// Rotation of three bytes: x, y and z; w is positive.
 fn first_three(bytes: &[u8]) -> Quat {
     let rest = [0, 1, 2].map(|axis: usize| f32::from(bytes[axis]) / 127.5 - 1.0);
     Quat::from_array(from_smallest_three(rest, 3))

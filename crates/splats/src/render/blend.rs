@@ -1,10 +1,11 @@
-//! The kernel: one 4 × 4 block of pixels, over which splats are blended front to back.
+//! The kernel that blends splats front to back over a block of 4 × 4 pixels.
 //!
 //! ```text
-//! α_i = o_i exp(−u_i),   C += T α_i c_i,   T ← T (1 − α_i),   z where T falls below ½
+//! α_i = o_i exp(−u_i),   C += T α_i c_i,   T ← T (1 − α_i),   z = z_i where T falls below ½
 //! ```
 //!
-//! A block's sums stay in registers while splats pass. e^(−u) = (e^(−u/16))^16, and e^(−v) for v ≤ u_max/16 is a polynomial of degree 4, off by less than 2·10⁻⁷.
+//! A block's sums stay in registers for all splats. e^(−u) = (e^(−u/16))^16. For v ≤ u_max/16,
+//! e^(−v) is a polynomial of degree 4 with an error below 2·10⁻⁷.
 
 use lumistack_simd::{Kernel, Lanes};
 
@@ -14,28 +15,28 @@ use super::prepare::CUTOFF;
 pub(crate) const EDGE: usize = 4;
 /// Pixels of a block: a multiple of the lanes of every vector.
 pub(crate) const PIXELS: usize = EDGE * EDGE;
-/// A pixel is finished where less than this share of light comes through.
+/// A pixel with less transmittance than this is finished.
 pub(crate) const DARK: f32 = 1e-4;
-/// The largest u/16.
+/// Largest u/16 of a splat's extent.
 const LIMIT: f32 = 0.5 * CUTOFF * CUTOFF / 16.0;
 
-/// A splat as one view sees it.
+/// A splat as projected into one view.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Flat {
     pub(crate) at: [f32; 2],
-    /// Of u/16 = a dx² + b dx dy + c dy².
+    /// a, b, c of u/16 = a dx² + b dx dy + c dy².
     pub(crate) conic: [f32; 3],
     pub(crate) opacity: f32,
     pub(crate) colour: [f32; 3],
     pub(crate) z: f32,
 }
 
-/// What is summed over a block.
+/// Sums over the splats, per pixel of a block.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Sums {
     pub(crate) rgb: [[f32; PIXELS]; 3],
     pub(crate) transmittance: [f32; PIXELS],
-    /// Depth at which half of the light is gone, NaN before.
+    /// Depth at which the transmittance falls below one half; NaN until then.
     pub(crate) z: [f32; PIXELS],
 }
 
@@ -44,14 +45,14 @@ impl Sums {
         Self { rgb: [[0.0; PIXELS]; 3], transmittance: [1.0; PIXELS], z: [f32::NAN; PIXELS] };
 }
 
-/// A block of pixels and the splats that pass over it.
+/// A block of pixels and the splats that cover it.
 pub(crate) struct Args<'a> {
     pub(crate) splats: &'a [Flat],
-    /// Which of them, in order.
+    /// Indices of the splats to blend, nearest first.
     pub(crate) chosen: &'a [u16],
     /// Column and row of the first pixel.
     pub(crate) first: [f32; 2],
-    /// Depth of a surface behind which splats are not seen, −∞ where there is none.
+    /// Depth of a surface, which hides splats behind it; −∞ without one.
     pub(crate) cuts: &'a [f32; PIXELS],
     pub(crate) sums: &'a mut Sums,
 }
@@ -68,7 +69,7 @@ const OFFSETS: [[f32; PIXELS]; 2] = {
     offsets
 };
 
-/// Blends; returns whether light still comes through any pixel.
+/// Blends splats into sums; returns true if any pixel is unfinished.
 pub(crate) struct Blend;
 
 impl Kernel for Blend {
@@ -79,7 +80,8 @@ impl Kernel for Blend {
     unsafe fn run<V: Lanes>(args: Self::Args<'_>) -> bool {
         let Args { splats, chosen, first, cuts, sums } = args;
         let mut open = false;
-        // SAFETY: the caller's machine has V; every array has PIXELS values, of which COUNT from `i` on are read and written, and COUNT divides PIXELS
+        // SAFETY: the caller's machine has V. Every array has PIXELS values, COUNT of them from `i`
+        // on are read and written, and COUNT divides PIXELS.
         unsafe {
             let (zero, one) = (V::splat(0.0), V::splat(1.0));
             let (limit, dark, half) = (V::splat(LIMIT), V::splat(DARK), V::splat(0.5));
@@ -98,10 +100,13 @@ impl Kernel for Blend {
                     let [a, b, c] = splat.conic.map(|value| V::splat(value));
                     let v = dx.mul(a).mul_add(dx, b.mul(dx).mul_add(dy, c.mul(dy).mul(dy)));
                     let z = V::splat(splat.z);
+                    // A splat counts within its extent, before the pixel's surface, while the pixel
+                    // is open.
                     let lit = V::both(V::both(v.at_most(limit), dark.at_most(through)), cut.at_most(z));
                     if V::bits(lit) == 0 {
                         continue;
                     }
+                    // The polynomial of e^(−v), then four squarings.
                     let series = v.mul_add(V::splat(1.0 / 24.0), V::splat(-1.0 / 6.0));
                     let series = series.mul_add(v, half);
                     let series = series.mul_add(v, V::splat(-1.0));
@@ -114,6 +119,7 @@ impl Kernel for Blend {
                     red = weight.mul_add(V::splat(splat.colour[0]), red);
                     green = weight.mul_add(V::splat(splat.colour[1]), green);
                     blue = weight.mul_add(V::splat(splat.colour[2]), blue);
+                    // Depth is that of the splat at which the transmittance crosses one half.
                     let left = through.sub(weight);
                     depth = z.where_else(V::both(half.at_most(through), left.below(half)), depth);
                     through = left;

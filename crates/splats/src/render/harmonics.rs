@@ -1,6 +1,8 @@
-//! Real spherical harmonics to degree 3, with the Condon-Shortley phase (KHR_gaussian_splatting, appendix A).
+//! Real spherical harmonics to degree 3, with the Condon-Shortley phase.
+//!
+//! Source: KHR_gaussian_splatting, appendix A.
 
-/// Most values of a basis.
+/// Functions of the basis to degree 3.
 pub(crate) const MOST: usize = 16;
 
 /// Y_lm of a unit direction, by degree l, then order m.

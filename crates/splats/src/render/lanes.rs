@@ -1,30 +1,31 @@
-//! The kernel: one splat as all views of a block see it, a view in every lane.
+//! The kernel that projects and shades one splat for all views of a block, a view per lane.
 //!
-//! Views differ in a slope or an eye alone, so a splat and its harmonics are read once for all of them, and the loops over
-//! [`VIEWS`] values become vectors.
+//! Views differ only in slope or eye position, so a splat and its harmonics are read once for all.
+//! The loops over [`VIEWS`] values become vector instructions.
 
 use lumistack_simd::{Kernel, Lanes};
 
 use super::harmonics::{MOST, basis};
 use super::prepare::{CUTOFF, Eye, NEAREST, PIXEL_VARIANCE, Splat, TILE};
 
-/// Views of a block: more save sorting, fewer save memory and splats that only some of them see.
+/// Views of a block. More views save sorting; fewer save memory and splats that only some views
+/// show.
 pub(crate) const VIEWS: usize = 16;
-/// A value of every view.
+/// One value per view.
 pub(crate) type Lane = [f32; VIEWS];
 
-/// The eyes of a block, the last of them repeated where there are fewer than [`VIEWS`].
+/// The eyes of a block. The last is repeated if there are fewer than [`VIEWS`].
 #[derive(Clone, Debug)]
 pub(crate) struct Eyes {
-    /// Slopes, or columns and rows of eyes.
+    /// Slopes of parallel rays, or columns (x) and rows (y) of eyes.
     pub(crate) x: Lane,
     pub(crate) y: Lane,
-    /// Of the eyes from the window; `None` of parallel rays.
+    /// Distance of the eyes from the window, in pixels; `None` for parallel rays.
     pub(crate) distance: Option<f32>,
 }
 
 impl Eyes {
-    /// Of up to [`VIEWS`] eyes of one kind, at least one.
+    /// From 1 to [`VIEWS`] eyes of one kind.
     pub(crate) fn new(eyes: &[Eye]) -> Self {
         let of = |i: usize| match eyes[i.min(eyes.len() - 1)] {
             Eye::Slope(slope) => (slope, None),
@@ -34,20 +35,20 @@ impl Eyes {
     }
 }
 
-/// A splat in all views.
+/// A splat as projected into all views.
 #[derive(Clone, Debug)]
 pub(crate) struct Projected {
-    /// Column and row.
+    /// Column and row of the projected centre.
     pub(crate) at: [Lane; 2],
-    /// Of a dx² + b dx dy + c dy² = u/16.
+    /// a, b, c of u/16 = a dx² + b dx dy + c dy².
     pub(crate) conic: [Lane; 3],
-    /// Distance along the axes within which it is seen.
+    /// Half extent along each axis, in pixels.
     pub(crate) reach: [Lane; 2],
     pub(crate) opacity: Lane,
     pub(crate) colour: [Lane; 3],
-    /// What splats are sorted by, nearest first.
+    /// Key of the order in which the view blends, rising with the distance from the viewer.
     pub(crate) distance: Lane,
-    /// One bit for every view that sees it in the tile.
+    /// One bit per view in which it is visible in the tile.
     pub(crate) seen: u32,
 }
 
@@ -63,22 +64,22 @@ impl Projected {
     };
 }
 
-/// A splat, the views, and where it is put.
+/// A splat, the views, and the place of the result.
 pub(crate) struct Args<'a> {
     pub(crate) splat: &'a Splat,
     pub(crate) eyes: &'a Eyes,
     /// Column and row of the first pixel of the tile.
     pub(crate) origin: [f32; 2],
-    /// `[coefficient][rgb]`; empty where colours are not wanted.
+    /// `[coefficient][rgb]`; empty if no colours are computed.
     pub(crate) harmonics: &'a [f32],
-    /// Of parallel rays the harmonics of every view's direction.
+    /// For parallel rays, the harmonics of each view's direction.
     pub(crate) bases: &'a [Lane; MOST],
-    /// Directions of pixels to those of the cloud, by columns.
+    /// Map of directions in pixels to directions of the cloud, by columns.
     pub(crate) cloud_from_pixels: &'a [[f32; 3]; 3],
     pub(crate) to: &'a mut Projected,
 }
 
-/// Projects a splat and finds its colours.
+/// Projects a splat and evaluates its colours.
 pub(crate) struct Project;
 
 impl Kernel for Project {
@@ -90,7 +91,8 @@ impl Kernel for Project {
         let Args { splat, eyes, origin, harmonics, bases, cloud_from_pixels, to } = args;
         let [x, y, z] = splat.centre;
         let [xx, xy, xz, yy, yz, zz] = splat.covariance;
-        // the slope of the ray through the centre, and the magnification
+        // Per view, the slope of the ray through the centre, and the magnification m of the
+        // splat's depth; both are those of `prepare.rs`.
         let (mut slope_x, mut slope_y, mut m) = (eyes.x, eyes.y, 1.0);
         match eyes.distance {
             None => {
@@ -113,6 +115,7 @@ impl Kernel for Project {
                 }
             }
         }
+        // Per view, the projected covariance with the pixel's variance, its inverse and its extent.
         let square = m * m;
         let last = TILE as f32 - 1.0;
         let mut seen = [0.0f32; VIEWS];
@@ -129,7 +132,7 @@ impl Kernel for Project {
             to.conic[0][v] = scale * high;
             to.conic[1][v] = -2.0 * scale * both;
             to.conic[2][v] = scale * wide;
-            // the filter spreads a splat and so lowers it
+            // the filter widens a splat, and lowers its peak to keep its integral
             let opacity = splat.opacity * (sharp * share).sqrt();
             to.opacity[v] = opacity;
             let (reach_x, reach_y) = (CUTOFF * wide.sqrt(), CUTOFF * high.sqrt());
@@ -149,6 +152,7 @@ impl Kernel for Project {
         if to.seen == 0 || harmonics.is_empty() {
             return;
         }
+        // Directions from an eye depend on the splat; parallel rays share one direction per view.
         let mut own = [[0.0; VIEWS]; MOST];
         let bases = match eyes.distance {
             None => bases,
@@ -157,10 +161,12 @@ impl Kernel for Project {
                 &own
             }
         };
+        // Colour is the sum of harmonics plus one half, not negative.
         let coefficients = harmonics.as_chunks::<3>().0;
         let mut v = 0;
         while v < VIEWS {
-            // SAFETY: the caller's machine has V; every lane has VIEWS values, of which COUNT from `v` on are read and written, and COUNT divides VIEWS
+            // SAFETY: the caller's machine has V. Every lane has VIEWS values, COUNT of them from
+            // `v` on are read and written, and COUNT divides VIEWS.
             unsafe {
                 let half = V::splat(0.5);
                 let (mut red, mut green, mut blue) = (half, half, half);
@@ -179,7 +185,7 @@ impl Kernel for Project {
     }
 }
 
-/// Harmonics of the directions from the eyes to a point, which is given with its depth from them.
+/// Harmonics of the directions from the eyes to a point; z is its depth relative to the eyes.
 #[inline(always)]
 fn directions(eyes: &Eyes, [x, y, z]: [f32; 3], map: &[[f32; 3]; 3], values: usize, to: &mut [Lane; MOST]) {
     let mut of_axis = [[0.0; VIEWS]; 3];

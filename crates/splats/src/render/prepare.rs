@@ -1,14 +1,16 @@
-//! Splats before a window: what all views share.
+//! Splats in the coordinates of a window: the part of the work that all views share.
 //!
-//! Everything is in pixels of the light field: x is the column, y the row, both of pixel centres, and z points to the viewer from the window. A ray of slope
-//! s = (s_x, s_y) with y downwards is p + z s, so the projection of a splat onto z = 0 along it is linear,
+//! Coordinates are pixels of the light field. x is the column and y the row, both of pixel centres;
+//! z points from the window to the viewer. A ray of slope s = (s_x, s_y), with y downwards, is p +
+//! z s. The projection of a splat onto z = 0 along it is linear, so it is exact:
 //!
 //! ```text
 //! p = (x − z s_x, y − z s_y),   Σ' = J Σ Jᵀ,   J = m (1 0 −s_x; 0 1 −s_y),   m = 1
 //! ```
 //!
-//! and exact. In front of an eye at e the ray through the centre has s = (e − μ)/(D − z) and m = D/(D − z): rays are parallel across one splat, which is the affine
-//! approximation that KHR_gaussian_splatting prescribes, for the sheared frustum of the window itself.
+//! The ray from an eye at e through the centre μ has s = (e − μ)/(D − z) and m = D/(D − z), with D
+//! the distance of the eye. Rays count as parallel across one splat. This is the affine
+//! approximation that KHR_gaussian_splatting prescribes, for the sheared frustum of the window.
 
 use glam::{DMat3, DVec3, Mat3, Vec3};
 use lumistack_display::{FieldGeometry, Projection};
@@ -20,17 +22,17 @@ use rayon::prelude::*;
 pub(crate) const TILE: usize = 16;
 /// Variance of a box as wide as a pixel, pixels².
 pub(crate) const PIXEL_VARIANCE: f32 = 1.0 / 12.0;
-/// Splats end at this Mahalanobis distance.
+/// Mahalanobis distance at which splats end.
 pub(crate) const CUTOFF: f32 = 3.0;
-/// Splats nearer to the eye than this share of its distance are not seen.
+/// Splats closer to the eye than this share of its distance are not shown.
 pub(crate) const NEAREST: f32 = 0.05;
 
-/// A splat before the window, in pixels.
+/// A splat in the window's coordinates, in pixels.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Splat {
     /// Column, row and depth of the centre.
     pub(crate) centre: [f32; 3],
-    /// xx, xy, xz, yy, yz, zz.
+    /// Covariance: xx, xy, xz, yy, yz, zz.
     pub(crate) covariance: [f32; 6],
     pub(crate) opacity: f32,
     /// Index into the placed clouds, and the splat in its cloud.
@@ -46,11 +48,11 @@ pub(crate) enum Eye {
     At([f32; 2], f32),
 }
 
-/// Where a splat is seen.
+/// A splat's projection onto the window.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Seen {
     pub(crate) at: [f32; 2],
-    /// xx, xy, yy, without the pixel's own.
+    /// Covariance xx, xy, yy, without the pixel's variance.
     pub(crate) covariance: [f32; 3],
 }
 
@@ -80,7 +82,7 @@ impl Eye {
         }
     }
 
-    /// Projects a splat onto the window.
+    /// Projects a splat onto the window; `None` behind the eye.
     #[inline]
     pub(crate) fn project(&self, splat: &Splat) -> Option<Seen> {
         let ([sx, sy], m) = self.ray(splat.centre)?;
@@ -97,7 +99,7 @@ impl Eye {
         })
     }
 
-    /// From the viewer to a point, not of unit length, y downwards.
+    /// Direction from the viewer to a point, y downwards, not of unit length.
     #[inline]
     pub(crate) fn direction(&self, [x, y, z]: [f32; 3]) -> [f32; 3] {
         match *self {
@@ -112,8 +114,10 @@ fn middle(geometry: &FieldGeometry) -> [f64; 2] {
     [geometry.cols, geometry.rows].map(|count| 0.5 * (count as f64 - 1.0))
 }
 
-/// The eyes with the least and the largest coordinates of all views. The ends of a projected splat are a linear and a convex function of each, so what both see holds
-/// what all see.
+/// The eyes with the least and the largest coordinates of all views.
+///
+/// The bounds of a projected splat are a linear and a convex function of each coordinate. Thus the
+/// union of both projections contains those of all views.
 pub(crate) fn ends(eyes: &[Eye]) -> Vec<Eye> {
     let both = |of: fn(f32, f32) -> f32| {
         eyes.iter().copied().reduce(|a, b| match (a, b) {
@@ -125,13 +129,13 @@ pub(crate) fn ends(eyes: &[Eye]) -> Vec<Eye> {
     [both(f32::min), both(f32::max)].into_iter().flatten().collect()
 }
 
-/// All splats that a window can show.
+/// All splats that a window can show, with their order.
 pub(crate) struct Prepared {
-    /// In the order of their clouds, in which those that lie together are neighbours.
+    /// In the order of their clouds, in which neighbours in space are neighbours in memory.
     pub(crate) splats: Vec<Splat>,
-    /// Their numbers, nearest to the viewer first.
+    /// Indices of the splats, nearest to the viewer first.
     pub(crate) by_depth: Vec<u32>,
-    /// Of every placed cloud: directions of pixels to those of the cloud, without scale.
+    /// Per placed cloud, the rotation from directions in pixels to directions of the cloud.
     pub(crate) cloud_from_pixels: Vec<Mat3>,
 }
 
@@ -142,6 +146,7 @@ impl Prepared {
         let display_from_scene = DMat3::from_quat(map.rotation.inverse());
         let flip = DMat3::from_diagonal(DVec3::new(1.0, -1.0, 1.0));
         let middle = middle(geometry);
+        // Splats before the near plane are left out.
         let near = window.near_mm.map_or(f32::INFINITY, |near| (near / geometry.pitch_mm) as f32);
         let mut splats = Vec::new();
         let mut cloud_from_pixels = Vec::new();
@@ -151,12 +156,14 @@ impl Prepared {
             let linear = flip * display_from_scene * axes * (1.0 / per_pixel);
             let moved = placed.scene_from_cloud.translation.as_dvec3() - map.translation;
             let moved = flip * display_from_scene * moved / per_pixel + DVec3::new(middle[0], middle[1], 0.0);
+            // Harmonics depend on direction alone, so their map has no scale.
             let unit = DMat3::from_cols(
                 axes.x_axis.normalize_or_zero(),
                 axes.y_axis.normalize_or_zero(),
                 axes.z_axis.normalize_or_zero(),
             );
             cloud_from_pixels.push((unit.transpose() * display_from_scene.transpose() * flip).as_mat3());
+            // Keep splats that are visible and finite.
             let one = |i: usize| {
                 let centre = (linear * cloud.positions[i].as_dvec3() + moved).as_vec3();
                 let opacity = cloud.opacities[i];
@@ -178,7 +185,7 @@ impl Prepared {
             #[cfg(not(feature = "parallel"))]
             splats.extend((0..cloud.len()).filter_map(one));
         }
-        // equal depths stay in the order of the cloud, so that the order never depends on chance
+        // Equal depths keep the order of the cloud, so that the order is the same in every run.
         let mut order: Vec<u64> =
             splats.iter().zip(0u64..).map(|(splat, i)| u64::from(!sortable(splat.centre[2])) << 32 | i).collect();
         #[cfg(feature = "parallel")]
@@ -190,7 +197,7 @@ impl Prepared {
     }
 }
 
-/// Bits of a number in the order of numbers.
+/// Maps a float to an integer with the same order.
 pub(crate) fn sortable(value: f32) -> u32 {
     let bits = value.to_bits();
     if bits >> 31 == 0 { bits | 1 << 31 } else { !bits }

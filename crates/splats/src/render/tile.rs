@@ -1,14 +1,19 @@
 //! A tile of all views of a block.
 //!
-//! The splats that any view sees there come in order of depth, a chunk at a time, and are projected for all views at once. Each view puts them into its own order: a splat is
-//! blended as soon as none that follows can be nearer,
+//! The splats that any view shows in the tile arrive in order of depth, a chunk at a time. A chunk
+//! is projected for all views at once. Each view blends in its own order: a splat is blended as
+//! soon as no later splat can be nearer,
 //!
 //! ```text
-//! parallel rays:   distance = −(s·p + z (1 + s²)) ≥ −s·c − |s|₁ r − z₁ (1 + s²)       c: centre of the tile, r: how far from it splats of the chunk reach
-//! from an eye:     distance² = (D − z)² (1 + s²)  ≥ (D − z₁)² (1 + least s²)          z₁: depth of the first splat of the chunk
+//! parallel rays:   distance = −(s·p + z (1 + s²)) ≥ −s·c − |s|₁ r − z₁ (1 + s²)
+//! from an eye:     distance² = (D − z)² (1 + s²)  ≥ (D − z₁)² (1 + least s²)
+//!
+//! c    centre of the tile
+//! r    largest distance from c of the chunk's splats
+//! z₁   depth of the chunk's first splat
 //! ```
 //!
-//! and the tile ends where no light comes through any of its pixels, so what is hidden is never projected.
+//! The tile is finished when all of its pixels are, so hidden splats are never projected.
 
 use glam::Vec3;
 use lumistack_core::colour::{srgb_decode, srgb_encode};
@@ -20,24 +25,24 @@ use super::harmonics::{MOST, basis};
 use super::lanes::{self, Eyes, Lane, Project, Projected, VIEWS};
 use super::prepare::{CUTOFF, Eye, PIXEL_VARIANCE, Prepared, Splat, TILE, ends, sortable};
 
-/// Blocks of pixels along an edge, and in all.
+/// Blocks of pixels along a tile's edge, and in the tile.
 const ALONG: usize = TILE / EDGE;
 const BLOCKS: usize = ALONG * ALONG;
-/// Splats that are projected before the first of them is blended.
+/// Splats that are projected before any of them is blended.
 const CHUNK: usize = 384;
-/// Splats lie all over memory, so they are requested this many ahead.
+/// Splats are scattered in memory, so they are prefetched this many ahead.
 const AHEAD: usize = 12;
 /// Values of a pixel: red, green, blue, transmittance, depth in pixels.
 pub(crate) const VALUES: usize = 5;
-/// Distances are rounded by less than this: pixels, and a share of squares.
+/// Bounds of the rounding of distances: in pixels, and as a share of squares.
 const ROUNDED: f32 = 0.05;
 const ROUNDED_SHARE: f32 = 1e-5;
 
-/// What all tiles of a call share.
+/// Data that all tiles of a call share.
 pub(crate) struct Shared<'a> {
     scene: &'a Scene,
     prepared: &'a Prepared,
-    /// The space in which is blended.
+    /// The colour space in which splats are blended.
     space: Encoding,
     with_colour: bool,
     project: Function<Project>,
@@ -57,7 +62,7 @@ impl<'a> Shared<'a> {
         }
     }
 
-    /// `[coefficient][rgb]` of a splat; none where colours are not wanted.
+    /// `[coefficient][rgb]` of a splat; empty if no colours are computed.
     fn harmonics(&self, splat: &Splat) -> &'a [f32] {
         if !self.with_colour {
             return &[];
@@ -67,9 +72,9 @@ impl<'a> Shared<'a> {
         &cloud.harmonics[splat.index as usize * count..][..count]
     }
 
-    /// Requests the harmonics of a splat into the caches.
+    /// Prefetches the harmonics of a splat.
     fn request(&self, splat: &Splat) {
-        // a cache line each
+        // 16 floats are a cache line
         self.harmonics(splat).chunks(16).for_each(|line| prefetch(line.as_ptr()));
     }
 
@@ -77,12 +82,12 @@ impl<'a> Shared<'a> {
         &self.scene.clouds[self.scene.placed_clouds[splat.placed as usize].cloud]
     }
 
-    /// Whether a splat's colours are given in the space that is blended in.
+    /// True if a splat's colours are in the space that is blended in.
     fn is_same_space(&self, splat: &Splat) -> bool {
         self.cloud(splat).encoding == self.space
     }
 
-    /// A colour of a splat in the space that is blended in.
+    /// Converts a splat's colour to the space that is blended in.
     fn in_space(&self, splat: &Splat, rgb: [f32; 3]) -> [f32; 3] {
         match (self.cloud(splat).encoding, self.space) {
             (Encoding::Linear, Encoding::Srgb) => rgb.map(srgb_encode),
@@ -92,7 +97,7 @@ impl<'a> Shared<'a> {
     }
 }
 
-/// Depths of surfaces before a view's pixels, `[row][col][sample]` in pixels, −∞ where there is none.
+/// Depths of surfaces in a view, `[row][col][sample]` in pixels, −∞ for a miss.
 #[derive(Clone, Copy)]
 pub(crate) struct Cuts<'a> {
     pub(crate) z: &'a [f32],
@@ -104,18 +109,18 @@ pub(crate) struct Cuts<'a> {
 /// The views of a block.
 pub(crate) struct Views<'a> {
     pub(crate) eyes: Vec<Eye>,
-    /// Between which all of them lie.
+    /// Two eyes that bound all others.
     pub(crate) ends: Vec<Eye>,
     cuts: Vec<Option<Cuts<'a>>>,
     lanes: Eyes,
-    /// Of every placed cloud the harmonics of the one direction that the parallel rays of a view have.
+    /// Per placed cloud, the harmonics of each view's direction; used for parallel rays.
     bases: Vec<[Lane; MOST]>,
-    /// Of every placed cloud, by columns.
+    /// Per placed cloud, the map of directions, by columns.
     cloud_from_pixels: Vec<[[f32; 3]; 3]>,
 }
 
 impl<'a> Views<'a> {
-    /// Up to [`VIEWS`] views, at least one.
+    /// From 1 to [`VIEWS`] views.
     pub(crate) fn new(eyes: Vec<Eye>, cuts: Vec<Option<Cuts<'a>>>, prepared: &Prepared) -> Self {
         let of_cloud = |map: &glam::Mat3| {
             let mut bases = [[0.0; VIEWS]; MOST];
@@ -132,16 +137,16 @@ impl<'a> Views<'a> {
     }
 }
 
-/// A view of the tile while it is blended.
+/// One view of a tile during blending.
 struct Canvas {
-    /// Of every sample of a pixel, and of every block.
+    /// `[sample][block]`.
     sums: Vec<[Sums; BLOCKS]>,
     cuts: Vec<[[f32; PIXELS]; BLOCKS]>,
-    /// Blocks through which light comes, of every sample.
+    /// Per sample, one bit for each block with an unfinished pixel.
     open: Vec<u16>,
-    /// Splats that have been projected and not blended: by what they are ordered, and their place in `flats`.
+    /// Splats that are projected and not yet blended: key of the order, and index into `flats`.
     pending: Vec<(u64, u32)>,
-    /// The first `used` of them, with the blocks over which they pass.
+    /// Splats with a bit for each block that they cover; the first `used` are valid.
     flats: Vec<(Flat, u16)>,
     used: usize,
 }
@@ -178,7 +183,7 @@ impl Canvas {
         self.open.iter().fold(0, |all, open| all | open)
     }
 
-    /// Closes the blocks whose surfaces stand before all that lies `z` deep or deeper.
+    /// Closes the blocks whose surfaces hide all splats at depth `z` and behind it.
     fn close_behind(&mut self, z: f32) {
         for (open, cuts) in self.open.iter_mut().zip(&self.cuts) {
             for (block, cuts) in cuts.iter().enumerate() {
@@ -190,11 +195,12 @@ impl Canvas {
     }
 }
 
-/// Renders a tile of every view: `[view][row][col]` of [`VALUES`], whole tiles.
+/// Renders a whole tile of every view: `[view][row][col]` of [`VALUES`].
 pub(crate) fn render(shared: &Shared<'_>, views: &Views<'_>, list: &[u32], tile: [usize; 2]) -> Vec<f32> {
     let origin = tile.map(|number| (number * TILE) as f32);
     let mut canvases: Vec<Canvas> = views.cuts.iter().map(|cuts| Canvas::new(*cuts, tile)).collect();
     let splat = |number: usize| &shared.prepared.splats[list[number] as usize];
+    // Per chunk, the depth of its first splat and its largest extent.
     let mut chunks = Vec::with_capacity(list.len().div_ceil(CHUNK));
     for first in (0..list.len()).step_by(CHUNK) {
         let mut most = 0.0f32;
@@ -206,13 +212,14 @@ pub(crate) fn render(shared: &Shared<'_>, views: &Views<'_>, list: &[u32], tile:
         }
         chunks.push((splat(first).centre[2], most));
     }
-    // distances that no splat of a chunk or of those behind it falls below
+    // Per chunk and view, a lower bound of the distances in this chunk and all later ones.
     let mut least: Vec<[f32; VIEWS]> = vec![[f32::INFINITY; VIEWS]; chunks.len() + 1];
     for (number, (z, reach)) in chunks.iter().enumerate().rev() {
         for (v, eye) in views.eyes.iter().enumerate() {
             least[number][v] = least[number + 1][v].min(least_distance(*eye, origin, *z, *reach));
         }
     }
+    // Project chunk by chunk, until every view is finished.
     let mut projected = Projected::NONE;
     let mut scratch = Scratch::default();
     for (number, chunk) in list.chunks(CHUNK).enumerate() {
@@ -252,6 +259,7 @@ pub(crate) fn render(shared: &Shared<'_>, views: &Views<'_>, list: &[u32], tile:
         }
         for (v, canvas) in canvases.iter_mut().enumerate() {
             if open & 1 << v != 0 {
+                // Blend the splats that no later chunk can precede.
                 blend_up_to(shared, canvas, least[number + 1][v], origin, &mut scratch);
             }
         }
@@ -261,14 +269,16 @@ pub(crate) fn render(shared: &Shared<'_>, views: &Views<'_>, list: &[u32], tile:
     out
 }
 
-/// How far a splat is seen around its place, in any of the views between `ends`: by its longest axis.
+/// Extent of a splat around its centre in any view between `ends`, by its longest axis, in pixels.
 fn reach(splat: &Splat, ends: &[Eye]) -> f32 {
     let seen = ends.iter().filter_map(|eye| eye.project(splat));
     let variance = seen.map(|seen| seen.covariance[0].max(seen.covariance[2])).fold(0.0, f32::max);
     CUTOFF * (variance + PIXEL_VARIANCE).sqrt()
 }
 
-/// A distance that no splat falls below which the eye sees in the tile, which is no nearer than `z` and seen up to `reach` around its place.
+/// Lower bound of the distances of splats that the eye shows in the tile.
+///
+/// Their depth is at most `z`, and they extend at most `reach` around their centres.
 fn least_distance(eye: Eye, origin: [f32; 2], z: f32, reach: f32) -> f32 {
     let half = 0.5 * (TILE as f32 - 1.0);
     let (centre, reach) = (origin.map(|first| first + half), half + reach);
@@ -285,7 +295,7 @@ fn least_distance(eye: Eye, origin: [f32; 2], z: f32, reach: f32) -> f32 {
     }
 }
 
-/// Puts a splat among those that wait, if it is seen in a block that is open.
+/// Adds a splat to the pending ones if it covers an unfinished block.
 fn take(
     shared: &Shared<'_>,
     canvas: &mut Canvas,
@@ -296,10 +306,10 @@ fn take(
     origin: [f32; 2],
     same_space: bool,
 ) {
-    // blocks whose pixel centres lie between the ends along each axis
+    // Bits of the blocks, per axis, with a pixel centre in the splat's extent.
     let blocks = |axis: usize| -> u32 {
         let (middle, reach) = (projected.at[axis][v] - origin[axis], projected.reach[axis][v]);
-        // conversions cut off what is behind the point
+        // the conversions truncate
         let (low, last) = ((middle - reach).max(0.0), (middle + reach).min(TILE as f32 - 1.0) as i32);
         let first = low as i32 + i32::from(low > low as i32 as f32);
         if first > last || middle + reach < 0.0 {
@@ -316,7 +326,7 @@ fn take(
     if canvas.used == canvas.flats.len() {
         canvas.flats.push((Flat::default(), 0));
     }
-    // field by field, since a whole is written and read again on its way
+    // field by field: a whole struct would be copied through memory
     let (flat, own) = &mut canvas.flats[canvas.used];
     *own = mask;
     (0..2).for_each(|axis| flat.at[axis] = projected.at[axis][v]);
@@ -331,7 +341,7 @@ fn take(
     canvas.used += 1;
 }
 
-/// What orders by distance, then by the order of depth.
+/// Key of the order by distance, then by depth.
 fn key(distance: f32, number: u32) -> u64 {
     u64::from(sortable(distance)) << 32 | u64::from(number)
 }
@@ -339,15 +349,16 @@ fn key(distance: f32, number: u32) -> u64 {
 #[derive(Default)]
 struct Scratch {
     ordered: Vec<Flat>,
-    /// Of every block the splats that pass over it, in order.
+    /// Per block, the splats that cover it, in order.
     over: [Vec<u16>; BLOCKS],
     kept: Vec<(Flat, u16)>,
 }
 
-/// Blends the splats that wait and are nearer than `distance`.
+/// Blends the pending splats that are nearer than `distance`.
 fn blend_up_to(shared: &Shared<'_>, canvas: &mut Canvas, distance: f32, origin: [f32; 2], scratch: &mut Scratch) {
     canvas.pending.sort_unstable_by_key(|(key, _)| *key);
     let ready = canvas.pending.partition_point(|(found, _)| *found < key(distance, 0));
+    // Chunks keep indices within 16 bits. Each splat is listed for the blocks that it covers.
     for part in canvas.pending[..ready].chunks(1 << 12) {
         scratch.ordered.clear();
         scratch.over.iter_mut().for_each(Vec::clear);
@@ -379,6 +390,7 @@ fn blend_up_to(shared: &Shared<'_>, canvas: &mut Canvas, distance: f32, origin: 
             }
         }
     }
+    // Move the remaining splats to the front of their store.
     canvas.pending.drain(..ready);
     scratch.kept.clear();
     for (i, (_, place)) in canvas.pending.iter_mut().enumerate() {
@@ -389,7 +401,7 @@ fn blend_up_to(shared: &Shared<'_>, canvas: &mut Canvas, distance: f32, origin: 
     canvas.flats[..canvas.used].copy_from_slice(&scratch.kept);
 }
 
-/// Adds a view's pixels to the output.
+/// Appends a view's pixels, the means of their samples, to the output.
 fn write(canvas: &Canvas, out: &mut Vec<f32>) {
     let first = out.len();
     out.resize(first + TILE * TILE * VALUES, 0.0);
@@ -406,7 +418,7 @@ fn write(canvas: &Canvas, out: &mut Vec<f32>) {
     }
 }
 
-/// Row and column in the tile of a pixel of a block.
+/// Row and column in the tile of a block's pixel.
 fn place(block: usize, pixel: usize) -> [usize; 2] {
     [block / ALONG * EDGE + pixel / EDGE, block % ALONG * EDGE + pixel % EDGE]
 }

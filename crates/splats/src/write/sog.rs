@@ -1,4 +1,4 @@
-//! SOG: bytes in pictures, by codebooks.
+//! Writer of SOG version 2: bytes in pictures, quantized by codebooks.
 
 use std::io::{Cursor, Error, ErrorKind, Result};
 
@@ -6,14 +6,16 @@ use image::{ImageFormat, Rgba, RgbaImage};
 use lumistack_scene::Cloud;
 use serde_json::json;
 
-/// Harmonics that splats may share, and how many of them stand in a row of their picture.
+/// Most entries of the palette of harmonics, and its entries per row of the picture.
 const MOST: usize = 1 << 16;
 const PER_ROW: usize = 64;
 
-/// The files of a SOG of version 2 with their names, `meta.json` first. Colours and scales have 256 values in all, positions 2¹⁶ along each axis.
+/// The files of a SOG of version 2 with their names, `meta.json` first.
 ///
-/// # Errors
-/// When there are no splats, or more than 65,536 with harmonics of their own, or the packer fails.
+/// All colours share 256 values, and so do all scales. Positions have 2¹⁶ values per axis.
+///
+/// If the cloud is empty, if more than 65,536 splats have harmonics above degree 0, or if the
+/// compressor fails.
 pub fn sog(cloud: &Cloud) -> Result<Vec<(String, Vec<u8>)>> {
     if cloud.is_empty() || (cloud.degree > 0 && cloud.len() > MOST) {
         let expected = format!("expected 1 to {MOST} splats with harmonics, found {}", cloud.len());
@@ -26,7 +28,7 @@ pub fn sog(cloud: &Cloud) -> Result<Vec<(String, Vec<u8>)>> {
             Rgba(if i < cloud.len() { texel(i) } else { [0; 4] })
         }))
     };
-    // finer near the origin
+    // Positions in a logarithmic scale, finer near the origin, in 16 bits between their bounds.
     let places: Vec<[f32; 3]> =
         cloud.positions.iter().map(|at| at.to_array().map(|x| x.signum() * x.abs().ln_1p())).collect();
     let ends = [0, 1, 2].map(|axis: usize| {
@@ -40,6 +42,7 @@ pub fn sog(cloud: &Cloud) -> Result<Vec<(String, Vec<u8>)>> {
             ((65535.0 * share).round() as u16).to_le_bytes()
         })
     };
+    // Scales and colours by codebooks.
     let byte = |value: f32| (255.0 * value).round().clamp(0.0, 255.0) as u8;
     let values = 3 * cloud.coefficients();
     let logs = |i: usize| cloud.scales[i].to_array().map(f32::ln);
@@ -53,6 +56,7 @@ pub fn sog(cloud: &Cloud) -> Result<Vec<(String, Vec<u8>)>> {
         "quats": {"files": ["quats.webp"]},
         "sh0": {"codebook": of_colours.0, "files": ["sh0.webp"]},
     });
+    // A picture per attribute; positions have one for each byte.
     let part = |half: usize| move |i: usize| steps(i).map(|step| step[half]);
     let opaque = |[x, y, z]: [u8; 3]| [x, y, z, 255];
     let colour = |i: usize| {
@@ -66,6 +70,7 @@ pub fn sog(cloud: &Cloud) -> Result<Vec<(String, Vec<u8>)>> {
         ("quats.webp", picture(&|i| smallest_three(cloud.rotations[i]))?),
         ("sh0.webp", picture(&colour)?),
     ];
+    // Harmonics above degree 0 are a palette of their own, with a label per splat.
     if cloud.degree > 0 {
         let own = |i: usize| &cloud.harmonics[values * i + 3..values * (i + 1)];
         let book = Book::of((0..cloud.len()).flat_map(|i| own(i).iter().copied()));
@@ -84,11 +89,11 @@ pub fn sog(cloud: &Cloud) -> Result<Vec<(String, Vec<u8>)>> {
     Ok(std::iter::once(("meta.json".to_owned(), meta.to_string().into_bytes())).chain(named).collect())
 }
 
-/// 256 values in rising order.
+/// A codebook: 256 values in rising order.
 struct Book(Vec<f32>);
 
 impl Book {
-    /// The values themselves where there are no more than that, otherwise even steps between their ends.
+    /// The values themselves if there are at most 256, else even steps between their bounds.
     fn of(values: impl Iterator<Item = f32>) -> Self {
         let mut all: Vec<f32> = values.collect();
         all.sort_unstable_by(f32::total_cmp);
@@ -101,7 +106,7 @@ impl Book {
         Self((0..256).map(|i| low + (high - low) * i as f32 / 255.0).collect())
     }
 
-    /// The number of the nearest value.
+    /// Index of the nearest value.
     fn byte(&self, value: f32) -> u8 {
         let above = self.0.partition_point(|known| *known < value).min(255);
         let below = above.saturating_sub(1);
@@ -109,7 +114,8 @@ impl Book {
     }
 }
 
-/// Three bytes for all but the largest of w, x, y, z, and the number of that.
+/// Packs a rotation: a byte for each of w, x, y, z but the largest, and 252 plus the largest's
+/// index.
 fn smallest_three(rotation: glam::Quat) -> [u8; 4] {
     let [x, y, z, w] = rotation.normalize().to_array();
     let parts = [w, x, y, z];

@@ -35,7 +35,7 @@ fn conforms() {
 }
 
 #[test]
-fn what_a_static_stack_shows_is_shown_again() {
+fn a_light_field_of_a_static_stack_is_reproduced() {
     let display = display(2);
     let field = shown(&display);
     let psnr = |iterations: u32| {

@@ -67,7 +67,7 @@ fn an_update_is_the_rule_of_the_matrix() {
 }
 
 #[test]
-fn frames_are_worth_something() {
+fn frames_raise_the_quality() {
     let psnr = |frames: usize| {
         let display = display(frames);
         let field = random_field(&display).unwrap();

@@ -168,7 +168,7 @@ fn bilinear_reading_mixes_light_and_not_codes() {
 }
 
 #[test]
-fn the_panel_behind_the_lenses_shows_what_the_lens_model_says() {
+fn the_panel_behind_the_lenses_agrees_with_the_lens_model() {
     let mut display = Display::uniform([20, 12], 1.0, [3, 3], [40.0, 40.0], &[0.0], 2);
     let mut backlight = LensletBacklight::new(-8.0, [5, 3], 4.0, [3, 3], [40.0, 40.0]);
     backlight.transfer = Transfer::Linear;

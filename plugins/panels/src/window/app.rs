@@ -387,7 +387,7 @@ impl App<'_> {
             feedback,
         };
         let half_fov_deg = display.field.fov_deg.map(|fov| 0.5 * fov);
-        let from_deg = if let Content::Rehearsal { from_deg, .. } = content { from_deg } else { [0.0; 2] };
+        let from_deg = if let Content::Preview { from_deg, .. } = content { from_deg } else { [0.0; 2] };
         let pictures = match mode {
             Mode::Window => Vec::new(),
             _ => self
@@ -513,6 +513,7 @@ impl App<'_> {
             (_, true) => 0.1,
             _ => 1.0,
         };
+        // Arrows turn the view of a preview, and shift the selected panel otherwise.
         let arrow = match key {
             Key::Named(NamedKey::ArrowLeft) => Some([-step, 0.0]),
             Key::Named(NamedKey::ArrowRight) => Some([step, 0.0]),

@@ -1,5 +1,5 @@
-//! The producer thread: encodes new stacks, nudges and viewing angles into codes, uploads them, and
-//! puts them into the feed.
+//! The producer thread: encodes new stacks, nudges and viewer directions into codes, uploads them,
+//! and puts them into the feed.
 
 use std::sync::Arc;
 use std::sync::mpsc::Receiver;
@@ -68,7 +68,7 @@ impl Producer {
                 new.check(&self.display)
                     .map_err(|error| format!("the new layer stack does not match the display: {error}"))?;
                 match &mut self.content {
-                    Content::Stack(stack) | Content::Rehearsal { stack, .. } => *stack = new,
+                    Content::Stack(stack) | Content::Preview { stack, .. } => *stack = new,
                     Content::Pattern { .. } | Content::Flat { .. } => return Ok(false),
                 }
                 Ok(true)
@@ -90,7 +90,7 @@ impl Producer {
                 Ok(false)
             }
             Work::ViewAngle(from) => {
-                let Content::Rehearsal { from_deg, .. } = &mut self.content else { return Ok(false) };
+                let Content::Preview { from_deg, .. } = &mut self.content else { return Ok(false) };
                 *from_deg = from;
                 Ok(true)
             }
@@ -136,7 +136,7 @@ impl Producer {
                 });
                 frame_set.pictures.push(self.load(codes));
             }
-            Content::Rehearsal { stack, from_deg } => {
+            Content::Preview { stack, from_deg } => {
                 // Simulate the view and scale it to the exposure of an adapted viewer.
                 let slope = from_deg.map(|angle| angle.to_radians().tan());
                 let preview = Simulator::new(&self.display, stack).from_slope(slope).radiance;

@@ -1,25 +1,26 @@
-//! A strict reader of the generator's own output: glTF 2.0 with one buffer, floats for vertex data, and
-//! triangle lists or strips.
+//! A strict reader of the generator's own output: glTF 2.0 with one buffer, floats for vertex data,
+//! and triangle lists or strips.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use glam::{DMat4, DQuat, DVec3};
 use serde_json::Value;
 
-/// Unit normals and rotations, stored as 32-bit floats or with nine decimals, are this close to length one.
+/// Unit normals and rotations, stored as 32-bit floats or with nine decimals, are this close to
+/// length one.
 const UNIT_TOLERANCE: f64 = 1e-5;
 
 /// A triangle in world axes.
 pub(super) struct Triangle {
     /// Corners in metres.
     pub(super) corners: [DVec3; 3],
-    /// Whether its material emits.
+    /// True if its material emits.
     pub(super) emissive: bool,
 }
 
 impl Triangle {
-    /// Distance along a ray, in units of `direction`, at which it meets the triangle from either side
-    /// (Möller and Trumbore 1997).
+    /// Distance along a ray, in units of `direction`, to its intersection with the triangle from
+    /// either side (Möller and Trumbore 1997).
     pub(super) fn hit(&self, origin: DVec3, direction: DVec3) -> Option<f64> {
         let [a, b, c] = self.corners;
         let (ab, ac) = (b - a, c - a);
@@ -48,7 +49,7 @@ impl Scene {
         Self { files, document }
     }
 
-    /// A top-level array; empty where the document lacks it.
+    /// A top-level array; empty if the document lacks it.
     pub(super) fn list(&self, section: &str) -> &[Value] {
         self.document[section].as_array().map_or(&[], Vec::as_slice)
     }
@@ -87,7 +88,7 @@ impl Scene {
         triangles
     }
 
-    /// Checks everything that glTF 2.0 asks of what this generator writes; panics at the first fault.
+    /// Checks all that glTF 2.0 demands of this generator's output; panics at the first fault.
     pub(super) fn check_structure(&self) {
         assert_eq!(self.document["asset"]["version"], "2.0");
         assert!(self.document.get("extensionsRequired").is_none());
@@ -103,7 +104,7 @@ impl Scene {
                 assert!((DQuat::from_array(rotation).length() - 1.0).abs() < UNIT_TOLERANCE, "{node}");
             }
         }
-        // Every node hangs at exactly one place, every mesh and material is used.
+        // Every node has exactly one parent; every mesh and material is used.
         let mut parents = vec![0; self.list("nodes").len()];
         let roots = self.document["scenes"][0]["nodes"].as_array().expect("a scene");
         let children = self.list("nodes").iter().filter_map(|node| node["children"].as_array()).flatten();
