@@ -148,7 +148,7 @@ fn wasm() -> Outcome {
         return Ok(());
     }
     let mut arguments = vec!["check", "--quiet", "--target", "wasm32-unknown-unknown", "--no-default-features"];
-    for name in PORTABLE {
+    for name in PORTABLE.into_iter().chain(["lumistack-web"]) {
         arguments.extend(["--package", name]);
     }
     cargo(&arguments)?;

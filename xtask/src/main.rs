@@ -50,8 +50,8 @@ cargo xtask <task>
                 wheels that are given; --check also runs its cases in Blender as the module bpy, --full in every version,
                 --case some of them with the extension that is there
   web [--check | module | fixtures | test]
-                build the simulator's module and page into web/dist, optimize and measure them; --check fails where web/dist
-                is not that of the sources, and tests the page in a browser; the others are single steps of it
+                build the simulator's module and page into web/dist, optimize and measure them; --check fails if web/dist
+                is not that of the sources, and tests it in a browser; the others are single steps of it
   dist [what]   everything that one downloads, into target/dist; `dist --help` lists what there is; `dist test` installs it
   portable [--test]
                 check the command for Windows and macOS; --test runs what needs no other program on this system

@@ -2,8 +2,9 @@
 //! with the committed files.
 //!
 //! `web/dist` is committed, so that the program writes previews on machines without a WebAssembly
-//! toolchain. A hash of all its sources lies beside it. Where the hash differs from the sources,
-//! the page was not rebuilt after a change.
+//! toolchain. Two hashes lie beside it: of all its sources, and of its files. If one differs, the
+//! page was not rebuilt after a change, or was changed by hand. While both agree, tests take the
+//! committed files: a build of them takes minutes and gives the same.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -29,7 +30,7 @@ const MODULES: [Module; 2] = [
 const PACKAGE: &str = "web/pkg";
 /// Folder of the pages; committed.
 const DIST: &str = "web/dist";
-/// Hash of the sources of `web/dist`.
+/// Hashes of the sources of `web/dist` and of its files, a line each.
 const HASH: &str = "web/dist/sources.blake3";
 /// Files of the viewer, further files of the page that solves, and the largest compressed size of
 /// each group, bytes.
@@ -66,20 +67,34 @@ const SOURCES: [&str; 21] = [
 pub fn build() -> Outcome {
     modules()?;
     tools::run(command("npm").args(["run", "--silent", "build", "--prefix", "web"]))?;
-    fs::write(root().join(HASH), format!("{}\n", sources_hash()?)).map_err(|error| format!("{HASH}: {error}"))?;
+    fs::write(root().join(HASH), hashes()?).map_err(|error| format!("{HASH}: {error}"))?;
     measure()
 }
 
-/// Fails where the committed pages differ from the sources, and tests pages built from the sources.
+/// Fails if the committed pages are not those of the sources. Measures and tests them.
 pub fn check() -> Outcome {
-    let (now, committed) = (sources_hash()?, fs::read_to_string(root().join(HASH)).unwrap_or_default());
-    if now != committed.trim() {
-        let text = "was made from other sources: run `cargo xtask web` and commit what it writes";
-        return Err(format!("web: {DIST} {text} (found {}, sources {now})", committed.trim()));
+    let (now, committed) = (hashes()?, fs::read_to_string(root().join(HASH)).unwrap_or_default());
+    for (what, now, committed) in [
+        ("its sources", now.lines().next(), committed.lines().next()),
+        ("its files", now.lines().nth(1), committed.lines().nth(1)),
+    ] {
+        if now != committed {
+            let (now, committed) = (now.unwrap_or("none"), committed.unwrap_or("none"));
+            let remedy = "run `cargo xtask web` and commit what it writes";
+            return Err(format!("web: {DIST}: expected the hash of {what} {committed}, found {now}: {remedy}"));
+        }
     }
-    build()?;
+    measure()?;
     fixtures()?;
     browser_tests()
+}
+
+/// The content of [`HASH`].
+fn hashes() -> Outcome<String> {
+    let mut dist = Vec::new();
+    collect(&root().join(DIST), &mut dist)?;
+    dist.retain(|path| *path != root().join(HASH));
+    Ok(format!("{}\n{}\n", sources_hash()?, hash_of(dist)?.finalize().to_hex()))
 }
 
 /// Fetches the browser and the npm packages.
@@ -235,13 +250,7 @@ fn sources_hash() -> Outcome<String> {
     for source in SOURCES {
         collect(&root().join(source), &mut files)?;
     }
-    files.sort();
-    let mut hash = blake3::Hasher::new();
-    for path in &files {
-        let name = path.strip_prefix(root()).map_err(|error| error.to_string())?.to_string_lossy().replace('\\', "/");
-        let bytes = fs::read(path).map_err(|error| format!("{}: {error}", path.display()))?;
-        hash.update(name.as_bytes()).update(&(bytes.len() as u64).to_le_bytes()).update(&bytes);
-    }
+    let mut hash = hash_of(files)?;
     let manifest = fs::read_to_string(root().join("Cargo.toml")).map_err(|error| format!("Cargo.toml: {error}"))?;
     let profile = manifest.find("[profile.web]").ok_or("Cargo.toml has no [profile.web]")?;
     hash.update(&manifest.as_bytes()[profile..]);
@@ -257,6 +266,18 @@ fn sources_hash() -> Outcome<String> {
     crates.dedup();
     hash.update(crates.join("\n").as_bytes());
     Ok(hash.finalize().to_hex().to_string())
+}
+
+/// Hash of names, sizes and contents of files, in the order of their names.
+fn hash_of(mut files: Vec<PathBuf>) -> Outcome<blake3::Hasher> {
+    files.sort();
+    let mut hash = blake3::Hasher::new();
+    for path in &files {
+        let name = path.strip_prefix(root()).map_err(|error| error.to_string())?.to_string_lossy().replace('\\', "/");
+        let bytes = fs::read(path).map_err(|error| format!("{}: {error}", path.display()))?;
+        hash.update(name.as_bytes()).update(&(bytes.len() as u64).to_le_bytes()).update(&bytes);
+    }
+    Ok(hash)
 }
 
 fn collect(path: &Path, files: &mut Vec<PathBuf>) -> Outcome {
