@@ -1,4 +1,4 @@
-//! State of a run on this machine's processor, and the update of one factor.
+//! The processor's state of a run, and the update of one factor.
 
 use std::sync::Arc;
 
@@ -20,7 +20,7 @@ use crate::step::{Block, Levels, Rule};
 use crate::sums::SumLine;
 use crate::{FactorizeError, bands, unlit};
 
-/// This machine's processor.
+/// The executor that runs on this machine's processor.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Processor;
 
@@ -30,28 +30,28 @@ impl Executor for Processor {
     }
 }
 
-/// Patterns under way.
+/// The patterns of a run on the processor.
 pub(crate) struct Engine {
     plan: Arc<Plan>,
     display: Display,
-    /// What rays read: layers rear to front, then the backlight.
+    /// Values that rays read: layers rear to front, then the backlight.
     factors: Vec<Factor>,
-    /// Per factor, what is stored where that is not what rays read.
+    /// Per factor, the stored values if rays read others because of a response.
     stored: Vec<Option<(Response, Factor)>>,
-    /// Per factor, the levels of its values and which frames keep to them.
+    /// Per factor, the levels of its values and the frames confined to them.
     pub(crate) levels: Vec<Option<Levels>>,
-    /// Where the last steps ended, while the patterns go beyond them; else empty.
+    /// The last iterate, while rays read extrapolated values; else empty.
     latest: Vec<Aligned>,
-    /// Spare storage for factors that cannot be updated in place.
+    /// Storage for factors that cannot be updated in place.
     spare: Aligned,
-    /// The boxes of the factors' values.
+    /// Box [low, high] of each factor's values.
     ranges: Vec<[f32; 2]>,
     fast: bool,
-    /// Asked before every line; where it is set, what is left stays as it is.
+    /// Read before every line; after it is set, the other lines keep their values.
     pub(crate) cancel: Cancel,
     bold: bool,
     outcome: Outcome,
-    /// What rays read of a factor, and what is stored of it, as it was.
+    /// The values saved by [`Updater::keep`]: those that rays read, and the stored ones.
     kept: Option<(Aligned, Option<Aligned>)>,
 }
 
@@ -89,7 +89,8 @@ impl Engine {
         }
     }
 
-    /// For one channel: begins at `start(plan, range, line, values)`, which fills a line's rows frame by frame.
+    /// Allocates the patterns of one channel. `start(plan, range, line, values)` fills one line,
+    /// all frames.
     pub(crate) fn by_lines(
         plan: Plan,
         display: &Display,
@@ -120,53 +121,56 @@ impl Engine {
         Self::with_factors(Arc::new(plan), display, ranges, factors)
     }
 
-    /// What is stored of every factor.
+    /// The stored values of every factor.
     pub(crate) fn own(&self) -> impl Iterator<Item = &Factor> {
         self.factors.iter().zip(&self.stored).map(|(met, stored)| stored.as_ref().map_or(met, |(_, stored)| stored))
     }
 
-    /// One row of a pattern.
+    /// One row of one frame, without padding.
     pub(crate) fn row(&self, n: usize, channel: usize, line: usize, frame: usize) -> &[f32] {
         let layout = &self.factors[n].layout;
         &self.factors[n].row(channel, line, frame)[layout.pad..layout.pad + layout.cols()]
     }
 
-    /// Chooses the instruction set and whether the fast kernel may be used.
+    /// Selects the instruction set; `fast` permits the fast kernel.
     #[cfg(test)]
     pub(crate) fn use_kernel(&mut self, backend: lumistack_simd::Backend, fast: bool) {
         Arc::make_mut(&mut self.plan).use_backend(backend);
         self.fast = fast;
     }
 
-    /// From scratch.
+    /// A run of a problem that nothing is prepared of yet.
     #[cfg(test)]
     pub(crate) fn new(problem: &crate::Problem, start: LayerStack, floor: f32) -> Result<Self, FactorizeError> {
         let prepared = crate::prepared::Prepared::new(problem, start, &Processor)?;
         Ok(Self::begin(prepared.into_begin(floor, false)))
     }
 
-    /// What sums of weighted errors are to be multiplied by.
+    /// Factor of all sums of weighted errors.
     #[cfg(test)]
     pub(crate) fn weight_scale(&self) -> f64 {
         self.plan.target.weight_scale
     }
 
-    /// Whether the fast kernel updates factor `n`.
+    /// True if the fast kernel updates factor `n`.
     pub(crate) fn is_fast(&self, n: usize) -> bool {
         self.fast && self.plan.is_product() && self.plan.maps[n].shifted
     }
 
     fn update_by(&mut self, n: usize, rule: Rule, beyond: Option<f32>, local: bool) -> Outcome {
+        // the first extrapolation needs a previous iterate
         if beyond.is_some() && self.latest.is_empty() {
             self.latest = self.own().map(|factor| factor.values.clone()).collect();
         }
         if self.stored[n].is_some() {
             return self.update_stored(n, rule, beyond, local);
         }
+        // update in place if no other line of the factor is read; else into the spare storage
         let in_place = self.is_fast(n);
         let mut values = std::mem::take(&mut self.factors[n].values);
         if !in_place {
-            // rays through one line read others: those keep their old values until all are done
+            // rays through a line read other lines of the factor, which must keep their values
+            // meanwhile
             let mut next = std::mem::take(&mut self.spare);
             if next.len() != values.len() {
                 next = Aligned::filled(0.0, values.len());
@@ -174,6 +178,7 @@ impl Engine {
             next.copy_from_slice(&values);
             self.factors[n].values = std::mem::replace(&mut values, next);
         }
+        // step all lines, then exchange the storage
         let outcome = self.update_lines(n, rule, beyond, local, &mut values, None);
         let before = std::mem::replace(&mut self.factors[n].values, values);
         if !in_place {
@@ -182,14 +187,16 @@ impl Engine {
         outcome
     }
 
-    /// Updates a factor that stores other values than rays read.
+    /// Updates a factor whose stored values differ from those that rays read.
     fn update_stored(&mut self, n: usize, rule: Rule, beyond: Option<f32>, local: bool) -> Outcome {
         let layout = self.plan.maps[n].layout.clone();
+        // collect the sums of all pixels that rays read
         let line_sums = rule.sums().count(layout.frames) * layout.stride;
         let mut sums = vec![0.0; self.plan.target.channels * layout.stored_lines() * line_sums];
         let mut met = self.factors[n].values.clone();
         let seen = self.update_lines(n, rule, None, local, &mut met, Some(&mut sums));
         let Some((response, stored)) = &mut self.stored[n] else { return seen };
+        // pull them back to the stored pixels, then step those
         let pulled = Pulled::back(response, &layout, rule.sums(), &sums);
         let limits = (rule == Rule::Settle).then(|| unlit::limits(&self.plan, n));
         let steps = Steps::new(&self.plan, n, rule, self.ranges[n], self.levels[n].as_ref(), limits);
@@ -211,12 +218,14 @@ impl Engine {
             },
         );
         let gain: f64 = lines.iter().map(|line| line.outcome.gain).sum();
-        // tied channels are one unknown, stepped three times alike
+        // tied channels are one unknown, which is stepped three times alike
         let gain = if response.is_tied() { gain / 3.0 } else { gain };
         respond::respond(response, stored, &mut self.factors[n].values);
         Outcome { error: seen.error, gain }
     }
 
+    /// Sums and steps the lines of a factor. With `sums`, the sums of all lines are stored and no
+    /// line steps.
     fn update_lines(
         &mut self,
         n: usize,
@@ -229,7 +238,7 @@ impl Engine {
         let (plan, factors, fast) = (&self.plan, &self.factors, self.is_fast(n));
         let layout = &plan.maps[n].layout;
         let latest = beyond.map(|_| &mut self.latest[n]);
-        // another step takes the sums of all lines
+        // a later step needs the sums of every line
         let all = sums.is_some();
         let mut lines = lines_of(layout, values, beyond.zip(latest), sums);
         let line_of = |index: usize| LineOf {
@@ -237,7 +246,7 @@ impl Engine {
             channel: index / layout.stored_lines(),
             line: index % layout.stored_lines(),
         };
-        // sums that another step takes are not acted on here
+        // without a step here, nothing is darkened here
         let limits =
             (rule == Rule::Settle && lines.iter().all(|line| line.sums.is_none())).then(|| unlit::limits(plan, n));
         let steps = Steps::new(plan, n, rule, self.ranges[n], self.levels[n].as_ref(), limits);
@@ -245,6 +254,7 @@ impl Engine {
         let may_change = |at: &LineOf| at.line < layout.lines() && (all || plan.may_change(n, at.line));
         let is_line = |at: &LineOf| may_change(at) && !cancel.is_cancelled();
         let functions = steps.functions(plan, layout.frames);
+        // the fastest kernel that the factor's tables allow
         if fast {
             let functions = GatherFunctions::new(plan.backend, rule, layout.frames, factors.len() - 1, functions);
             bands::for_each_chunk(
@@ -379,7 +389,8 @@ impl Updater for Engine {
         stack_of(&self.display, self.own())
     }
 
-    /// Into the memory of what [`swap_latest`](Self::swap_latest) exchanged, where there is any: new memory costs more than what is written there.
+    /// As [`download`](Updater::download), into the memory of the previous iterate if there is one.
+    /// New memory costs more than the copy.
     fn into_stack(mut self: Box<Self>) -> Result<LayerStack, FactorizeError> {
         if self.latest.is_empty() {
             return Ok(self.download());
@@ -405,7 +416,7 @@ impl Updater for Engine {
     }
 }
 
-/// Values of a tensor in the memory of a factor that is needed no more.
+/// A tensor's values in the memory of a factor that is no longer needed.
 struct Reused {
     values: Aligned,
     len: usize,
@@ -417,7 +428,7 @@ impl AsRef<[f32]> for Reused {
     }
 }
 
-/// A tensor's shape with other values.
+/// Copies a factor into the memory of `values`, as a tensor of the same shape as `tensor`.
 fn lent<const N: usize>(tensor: &Tensor<N>, own: &Factor, mut values: Aligned) -> Tensor<N> {
     let len = tensor.shape().iter().product();
     own.download(&mut values[..len]);
@@ -433,7 +444,7 @@ struct Line<'a> {
     outcome: Outcome,
 }
 
-/// A factor's lines, with what goes along line by line.
+/// Splits a factor's storage, and all that belongs to it, into lines.
 fn lines_of<'a>(
     layout: &Layout,
     values: &'a mut [f32],
@@ -456,7 +467,7 @@ fn lines_of<'a>(
     lines.collect()
 }
 
-/// What the steps of all lines have in common.
+/// The parameters that the steps of all lines share.
 struct Steps<'a> {
     rule: Rule,
     range: [f32; 2],

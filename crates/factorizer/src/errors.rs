@@ -1,4 +1,4 @@
-//! The objective: errors of one field row over all views.
+//! The objective: squared errors of one field row over all views.
 
 use lumistack_simd::{Function, Kernel, Lanes};
 
@@ -9,10 +9,10 @@ use crate::row::Row;
 use crate::scratch::Scratch;
 use crate::vector::{mask, sum};
 
-/// Error sums of some rays.
+/// Sums of squared errors over some rays.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ErrorSum {
-    /// Σ w (βL − L̃)², weights relative to the largest.
+    /// Σ w (βL − L̃)², with weights relative to the largest.
     pub weighted: f64,
     /// Σ (βL − L̃)² over rays with w > 0.
     pub plain: f64,
@@ -24,7 +24,7 @@ impl ErrorSum {
     }
 }
 
-/// Errors of one field row in one channel.
+/// One field row in one channel, whose errors are summed.
 pub(crate) struct RowErrors<'a> {
     pub(crate) plan: &'a Plan,
     pub(crate) factors: &'a [Factor],
@@ -34,7 +34,7 @@ pub(crate) struct RowErrors<'a> {
     pub(crate) scratch: &'a mut Scratch,
 }
 
-/// The functions of one instruction set.
+/// The kernels for one instruction set.
 pub(crate) struct ErrorFunctions {
     shifted: Function<Shifted>,
     squared: Function<Squared>,
@@ -47,7 +47,7 @@ impl ErrorFunctions {
 }
 
 impl RowErrors<'_> {
-    /// Over all views.
+    /// Sums the squared errors of the row over all views.
     pub(crate) fn sum(self) -> ErrorSum {
         let Self { plan, factors, channel, row, functions, scratch } = self;
         let mut total = ErrorSum::default();
@@ -59,7 +59,7 @@ impl RowErrors<'_> {
                     if plan.shifted {
                         // SAFETY: the tables are constant shifts
                         let errors = unsafe { (functions.shifted)((plan, factors, &rays, weights)) };
-                        // beyond 1e19 a square needs f64
+                        // squares beyond 1e38 overflow f32; the slow path below sums in f64
                         if errors.plain.is_finite() {
                             total = total.merged(errors);
                             continue;
@@ -78,10 +78,11 @@ impl RowErrors<'_> {
     }
 }
 
-/// Blocks whose squares are added in f32 before they go to an f64 sum.
+/// Number of blocks whose squares are summed in f32 before the f64 sum.
 const BLOCKS_PER_SUM: usize = 4;
 
-/// Squared errors along rays, with L̃ = (1/M) Σ_m Π_k f_k, where every factor is at a constant shift: [`Plan::shifted`] must hold.
+/// Squared errors along rays, with L̃ = (1/M) Σ_m Π_k f_k, where every factor is at a constant
+/// shift. [`Plan::shifted`] must hold.
 struct Shifted;
 
 impl Kernel for Shifted {
@@ -90,7 +91,7 @@ impl Kernel for Shifted {
 
     #[inline(always)]
     unsafe fn run<V: Lanes>((plan, factors, rays, root_weights): Self::Args<'_>) -> ErrorSum {
-        // SAFETY: passed on from the caller
+        // SAFETY: guaranteed by the caller
         unsafe { squared_shifted::<V>(plan, factors, rays, root_weights) }
     }
 }
@@ -105,6 +106,7 @@ unsafe fn squared_shifted<V: Lanes>(
     root_weights: Option<&[f32]>,
 ) -> ErrorSum {
     let lines: Vec<Line> = plan
+        // the line of each factor that the rays read, and its shift
         .maps
         .iter()
         .zip(factors)
@@ -126,6 +128,7 @@ unsafe fn squared_shifted<V: Lanes>(
             let mut emitted = zero;
             for m in (0..plan.frames).step_by(3) {
                 emitted = match plan.frames - m {
+                    // one vector of rays at a time
                     1 => emitted_by::<V, 1>(&lines, m, col, emitted),
                     2 => emitted_by::<V, 2>(&lines, m, col, emitted),
                     _ => emitted_by::<V, 3>(&lines, m, col, emitted),
@@ -159,17 +162,17 @@ unsafe fn squared_shifted<V: Lanes>(
     total
 }
 
-/// One factor's line as rays meet it at their column plus a shift.
+/// One factor's line, which rays read at their column plus a shift.
 struct Line<'a> {
     values: &'a [f32],
     stride: usize,
     shift: isize,
 }
 
-/// `emitted` and the products of frames m..m + R.
+/// Adds the products of frames m..m + R to `emitted`.
 #[inline(always)]
 unsafe fn emitted_by<V: Lanes, const R: usize>(lines: &[Line], m: usize, col: usize, emitted: V) -> V {
-    // SAFETY: see the caller
+    // SAFETY: guaranteed by the caller
     unsafe {
         let mut products = [V::splat(1.0); R];
         for line in lines {

@@ -1,11 +1,11 @@
-//! What becomes of one line of a factor once its sums are known.
+//! The step of one line of a factor by its sums.
 
 use lumistack_simd::{Backend, Function, Kernel, Lanes};
 
 use crate::step::{Block, Levels, Rule, Step, StepFunction, Sums, step_function};
 use crate::vector::{self, Vector, load};
 
-/// Which line is updated.
+/// Position of a line.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LineOf {
     pub(crate) factor: usize,
@@ -13,13 +13,15 @@ pub(crate) struct LineOf {
     pub(crate) line: usize,
 }
 
-/// What an update saw and gained, weights relative to the largest.
+/// Error and gain of an update, with weights relative to the largest.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outcome {
-    /// Σ w e² over the rays through the line, before the step; rays that several pixels share count by their share. Rays that miss the factor may count or
-    /// not: this is the whole sum only where [`Plan::sees_all_rays`](crate::device::Plan::sees_all_rays).
+    /// Σ w e² over the rays through the line, before the step. A ray through several pixels counts
+    /// by their shares. Rays that miss the factor may be included or not, so this is the whole sum
+    /// only if [`Plan::sees_all_rays`](crate::device::Plan::sees_all_rays).
     pub error: f64,
-    /// By how much the step lowers Σ w e², at least; 0 where the rule does not know. What [`Rule::Probe`] and [`Rule::Settle`] return.
+    /// Lower bound of the decrease of Σ w e² by the step; 0 if the rule does not compute it.
+    /// [`Rule::Probe`] and [`Rule::Settle`] return their result here.
     pub gain: f64,
 }
 
@@ -29,28 +31,30 @@ impl Outcome {
     }
 }
 
-/// A line's values and how they move; x counts in padded storage, frames are `stride` apart.
+/// A line's values and the limits of their step. x counts in padded storage; frames are `stride`
+/// apart.
 pub(crate) struct LineStep<'a> {
     pub(crate) rule: Rule,
-    /// The box of the values.
+    /// Box [low, high] of the values.
     pub(crate) range: [f32; 2],
     pub(crate) levels: Option<&'a Levels>,
-    /// For [`Rule::Settle`]: the Σ w a_m² up to which a pixel of the line counts as unlit, `[x]`.
+    /// For [`Rule::Settle`], the greatest Σ w a_m² of an unlit pixel, `[x]`.
     pub(crate) limits: Option<&'a [f32]>,
-    /// Within a tile: whether a pixel keeps its values, `[x]`.
+    /// In a tile, true for pixels that keep their values, `[x]`.
     pub(crate) fixed: Option<&'a [bool]>,
-    /// Columns that rays can meet.
+    /// Columns that rays can hit.
     pub(crate) columns: std::ops::Range<usize>,
     pub(crate) stride: usize,
-    /// The line, all frames: what rays read.
+    /// The values that rays read, all frames.
     pub(crate) values: &'a mut [f32],
-    /// How far to go beyond the step, and the line where the last steps ended.
+    /// The extrapolation's factor β_k, and the line of the last iterate.
     pub(crate) beyond: Option<(f32, &'a mut [f32])>,
-    /// Where the sums go instead, `[quantity][x]` in the order of [`Sums`], when the step needs those of other lines too.
+    /// Where the sums are stored instead of a step, `[quantity][x]` in the order of [`Sums`]. The
+    /// step then needs the sums of other lines too.
     pub(crate) sums: Option<&'a mut [f32]>,
 }
 
-/// The functions of an update after the sums, for one instruction set, rule and number of frames.
+/// The functions that follow the sums, for one instruction set, rule and number of frames.
 pub(crate) struct StepFunctions {
     lanes: usize,
     step: StepFunction,
@@ -72,7 +76,7 @@ impl StepFunctions {
 }
 
 impl LineStep<'_> {
-    /// Steps all pixels from their sums, `[quantity][x]` in the order of [`Sums`]; returns the gain.
+    /// Steps all pixels by their sums, `[quantity][x]` in the order of [`Sums`]; returns the gain.
     pub(crate) fn by_sums(&mut self, functions: &StepFunctions, sums: &[f32], block: &mut Block) -> f64 {
         let mut gain = 0.0;
         let lanes = functions.lanes;
@@ -85,10 +89,11 @@ impl LineStep<'_> {
         gain
     }
 
-    /// Steps one vector of pixels from x on, whose sums and values are in `block`, and leaves there what is gained; x + lanes lies within the padded rows.
+    /// Steps the vector of pixels at x, whose sums and values are in `block`; writes the gain to
+    /// the block. x + lanes must lie within the padded rows.
     pub(crate) fn finish_block(&mut self, functions: &StepFunctions, block: &mut Block, x: usize) {
         let lanes = functions.lanes;
-        // rays that miss the layer add to its padding
+        // lanes past the last column are padding, to which rays that miss the layer add
         let room = (self.columns.end - x).min(lanes);
         if let Some(sums) = &mut self.sums {
             block.gain = Vector::default();
@@ -96,6 +101,7 @@ impl LineStep<'_> {
             unsafe { (functions.hand_over)((block, &mut sums[x..], self.stride, self.rule.sums())) };
             return;
         }
+        // step by the rule, then apply what holds for single pixels: darkening and fixed values
         let step = Step { block: &mut *block, sweeps: self.rule.sweeps(), range: self.range, levels: self.levels };
         // SAFETY: the function is for the block's number of frames
         unsafe { (functions.step)(step) };
@@ -115,7 +121,7 @@ impl LineStep<'_> {
     }
 }
 
-/// Fills a block with the values from x on, and with sums.
+/// Fills a block with the values from x on, and with their sums.
 struct Fetch;
 
 impl Kernel for Fetch {
@@ -147,7 +153,7 @@ impl Kernel for Fetch {
     }
 }
 
-/// Hands the sums of a block over to rows that begin at the block.
+/// Copies the sums of a block to rows that begin at the block.
 pub(crate) struct HandOver;
 
 impl Kernel for HandOver {
@@ -173,7 +179,7 @@ impl Kernel for HandOver {
     }
 }
 
-/// Where a block's values go: lines from its first pixel on, and their box.
+/// The destination of a block's values: lines from its first pixel on, and their box.
 struct Stepped<'a> {
     values: &'a mut [f32],
     beyond: Option<(f32, &'a mut [f32])>,
@@ -181,7 +187,7 @@ struct Stepped<'a> {
     range: [f32; 2],
 }
 
-/// Writes the first so many of a block's stepped values to the line, or goes beyond them.
+/// Writes the first `room` values of a block to the line, extrapolated if requested.
 struct Put;
 
 impl Kernel for Put {
@@ -210,7 +216,7 @@ impl Kernel for Put {
     }
 }
 
-/// Stores the first `room` lanes: what follows the last column is padding that rays read.
+/// Stores the first `room` lanes. The values behind the last column are padding, which rays read.
 #[inline(always)]
 unsafe fn put<V: Lanes>(vector: V, to: &mut [f32], room: usize) {
     // SAFETY: the machine has V; lengths are checked

@@ -1,14 +1,19 @@
 //! The paper's multiplicative rule (eqs. 16 and 17), per ray.
 //!
-//! With P_m(r) = b_m(r) Π_{k≠n} f_m^(k) and L̃(r) = (1/M) Σ_m b_m(r) Π_k f_m^(k), for every pixel j of layer n:
+//! With P_m(r) = b_m(r) Π_{k≠n} f_m^(k) and L̃(r) = (1/M) Σ_m b_m(r) Π_k f_m^(k), for every pixel j
+//! of layer n:
 //!
 //! ```text
 //! f_m[j] ← clamp( f_m[j] · Σ_{r through j} w βL P_m / Σ_{r through j} w L̃ P_m )
 //! ```
 //!
-//! Layers in sequence, rear to front, then the directional backlight by the same rule. Each step minimizes a separable quadratic majorizer over the
-//! box, whose lower end is at least [`FLOOR`], so the objective never rises, for real weights w ≥ 0 and for bilinear sampling too, where each
-//! sum carries the sample's weight. A pixel without a weighted ray, or whose denominator is 0 (below f32's normal range), is left alone.
+//! Layers are updated in sequence, rear to front, then the directional backlight by the same rule.
+//! Each step minimizes a separable quadratic majorizer over the box, so the objective never rises.
+//! This holds for all weights w ≥ 0, and under bilinear sampling, where each sum carries the weight
+//! of the sample.
+//!
+//! The lower end of the box is at least [`FLOOR`], since a value of 0 would stay 0. A pixel keeps
+//! its value if no weighted ray hits it or if its denominator is below f32's normal range.
 
 use lumistack_core::Cancel;
 use lumistack_display::{Formation, LayerStack};
@@ -20,7 +25,7 @@ use crate::prepared::Prepared;
 use crate::step::Rule;
 use crate::{FLOOR, FactorizeError, Objective, Problem, Run, Solver};
 
-/// The paper's rule; the reference for every other solver.
+/// The paper's rule; the reference for the other solvers.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Multiplicative;
 
@@ -50,7 +55,6 @@ impl Method for Multiplicative {
     }
 }
 
-/// State of a run.
 struct MultiplicativeRun {
     state: Box<dyn Updater>,
 }
@@ -92,7 +96,7 @@ impl Run for MultiplicativeRun {
 
 impl Iterated for MultiplicativeRun {
     fn seen(&self) -> Option<Objective> {
-        // the rule does not know by how much a step lowers the objective
+        // the rule does not compute how much a step lowers the objective
         None
     }
 
