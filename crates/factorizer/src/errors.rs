@@ -59,7 +59,7 @@ impl RowErrors<'_> {
                     if plan.shifted {
                         // SAFETY: the tables are constant shifts
                         let errors = unsafe { (functions.shifted)((plan, factors, &rays, weights)) };
-                        // squares beyond 1e38 overflow f32; the slow path below sums in f64
+                        // squares above 1e38 overflow f32; the slow path below sums in f64
                         if errors.plain.is_finite() {
                             total = total.merged(errors);
                             continue;
@@ -69,7 +69,7 @@ impl RowErrors<'_> {
                     let e = &mut scratch.errors[..run.len()];
                     errors(plan, &rays, &scratch.emitted, e);
                     let weights = weights.map(|weights| &weights[PAD + run.start..PAD + run.end]);
-                    // SAFETY: the kernel makes no demands
+                    // SAFETY: the kernel has no requirements
                     total = total.merged(unsafe { (functions.squared)((e, weights)) });
                 }
             }

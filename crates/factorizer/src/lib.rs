@@ -12,7 +12,8 @@
 //! Rays are never listed; the separable tables of [`lumistack_display::RayMap`] describe them all.
 //!
 //! ```text
-//! Problem ──start: warm, or content at half the resolution──▶ Solver::start ──▶ Run::step × iterations
+//! Problem ──start: warm, or content at half the resolution──▶ Solver::start
+//!         ──▶ Run::step × iterations
 //!         ──▶ re-optimization on the levels of panels of few bits ──▶ LayerStack
 //!
 //! Run::step, factor by factor:
@@ -82,5 +83,6 @@ pub use start::{FLOOR, StartKind, random_start};
 pub use stream::{ChannelRun, Estimate};
 pub use target::LentTarget;
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, computed by the build script. It is part of the keys of all cached
+/// results that this code contributes to.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

@@ -81,7 +81,7 @@ impl LineStep<'_> {
         let mut gain = 0.0;
         let lanes = functions.lanes;
         for x in self.columns.clone().step_by(lanes) {
-            // SAFETY: the kernel makes no demands
+            // SAFETY: the kernel has no requirements
             unsafe { (functions.fetch)((self, sums, block, x)) };
             self.finish_block(functions, block, x);
             gain += vector::sum_of(&block.gain[..lanes]);
@@ -97,7 +97,7 @@ impl LineStep<'_> {
         let room = (self.columns.end - x).min(lanes);
         if let Some(sums) = &mut self.sums {
             block.gain = Vector::default();
-            // SAFETY: the kernel makes no demands
+            // SAFETY: the kernel has no requirements
             unsafe { (functions.hand_over)((block, &mut sums[x..], self.stride, self.rule.sums())) };
             return;
         }
@@ -115,7 +115,7 @@ impl LineStep<'_> {
         if self.rule != Rule::Probe {
             let beyond = self.beyond.as_mut().map(|(far, latest)| (*far, &mut latest[x..]));
             let to = Stepped { values: &mut self.values[x..], beyond, stride: self.stride, range: self.range };
-            // SAFETY: the kernel makes no demands
+            // SAFETY: the kernel has no requirements
             unsafe { (functions.put)((block, to, room)) };
         }
     }

@@ -122,9 +122,9 @@ impl FactorMap {
         }
         // own columns start on a cache line
         let pad = (PAD + before as usize).next_multiple_of(PAD);
-        // An odd number of cache lines. If the rows of all frames lie a multiple of 4 KiB apart,
-        // they share the same sets of the first-level cache, and an update takes 1.7 times as long.
-        // A multiple of 1 KiB costs a fifth.
+        // The stride is an odd number of cache lines. If the rows of all frames lie a multiple of 4
+        // KiB apart, they share the same sets of the first-level cache. An update then takes 1.7
+        // times as long. A multiple of 1 KiB costs a fifth.
         let stride = ((pad + cols + after as usize + PAD).div_ceil(LINE) | 1) * LINE;
         let layout = Layout { bins: raw.bins, size: raw.size, frames, pad, stride, outside: raw.outside };
         // where rays read; the line after the last stands for a miss

@@ -1,9 +1,11 @@
 //! The paper's multiplicative rule (eqs. 16 and 17), per ray.
 //!
-//! With P_m(r) = b_m(r) Π_{k≠n} f_m^(k) and L̃(r) = (1/M) Σ_m b_m(r) Π_k f_m^(k), for every pixel j
-//! of layer n:
+//! For every pixel j of layer n:
 //!
 //! ```text
+//! P_m(r) = b_m(r) Π_{k≠n} f_m^(k)
+//! L̃(r)   = (1/M) Σ_m b_m(r) Π_k f_m^(k)
+//!
 //! f_m[j] ← clamp( f_m[j] · Σ_{r through j} w βL P_m / Σ_{r through j} w L̃ P_m )
 //! ```
 //!

@@ -1,9 +1,11 @@
 //! The rules of a step: new values of pixels from their sums, one vector of pixels at a time.
 //!
-//! For pixel j of one factor and the rays r through it, with a_m(r) = ∂L̃/∂(f_m/M) and e = βL − L̃
-//! before the step (a_m is the product P_m of the other factors where layers attenuate):
+//! For pixel j of one factor, all sums are over the rays r through it:
 //!
 //! ```text
+//! a_m(r) = ∂L̃/∂(f_m/M)   where layers attenuate, the product P_m of the other factors
+//! e(r)   = βL − L̃        before the step
+//!
 //! residual   r_m  = Σ w e a_m          Gram     G_mk = Σ w a_m a_k
 //! wanted     n_m  = Σ w βL a_m         emitted  d_m  = Σ w L̃ a_m
 //! ```
@@ -64,7 +66,8 @@ pub(crate) enum Sums {
 }
 
 impl Sums {
-    /// Number of sums per pixel: M of r or n first, then the others. Of G, the upper triangle.
+    /// Number of sums per pixel: M of r or n first, then the others. G counts as its
+    /// upper triangle.
     pub(crate) fn count(self, frames: usize) -> usize {
         if self == Self::Gram { frames + frames * (frames + 1) / 2 } else { 2 * frames }
     }

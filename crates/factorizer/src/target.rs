@@ -79,7 +79,7 @@ impl Target {
         let radiance = problem.target.radiance().data();
         // half floats if they hold all values exactly, else f32
         let halve = Backend::best().function::<Halve>();
-        // SAFETY: the kernel makes no demands
+        // SAFETY: the kernel has no requirements
         let halves = rows_of(radiance, cols, stride, |from, to| unsafe { halve((from, to)) });
         let values = match halves {
             Some(halves) => Radiance::Half(halves),
@@ -365,7 +365,7 @@ mod tests {
 
     #[test]
     fn half_floats_are_found_exactly() {
-        // SAFETY: the kernel makes no demands
+        // SAFETY: the kernel has no requirements
         let halve =
             |pixel: [f32; 3], rows: [&mut [u16]; 3]| unsafe { Backend::best().function::<Halve>()((&pixel, rows)) };
         for bits in 0..=u16::MAX {

@@ -1,4 +1,4 @@
-//! What hardware does to a solution that ignores it, and what is left of that when the solver knows.
+//! Losses by hardware effects, with solvers that ignore them and solvers that model them.
 
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{Display, EyeBox, Formation, LayerColour, LayerStack, LightField, Sampling, Weights, score};
@@ -8,10 +8,10 @@ use crate::device::Updater;
 use crate::engine::Engine;
 use crate::{Factorization, Problem, Settings, factorize};
 
-/// Iterations of every solve; enough for the differences to settle to about 0.2 dB.
+/// Iterations of every solve; PSNR differences then vary by about 0.2 dB.
 const ITERATIONS: u32 = 30;
 
-/// A loss that is none: what solutions differ by after so few iterations, dB.
+/// PSNR difference that counts as none after so few iterations, dB.
 const NOTHING: f64 = 0.2;
 
 fn solve(display: &Display, target: &LightField, levels: bool) -> Factorization {
@@ -21,7 +21,8 @@ fn solve(display: &Display, target: &LightField, levels: bool) -> Factorization 
     factorize(&problem, &settings, None, Task::quiet(&warnings, &cancel), &mut |_| ()).unwrap()
 }
 
-/// PSNR on a display whose layers cannot leave their range, nor show a colour where they have none.
+/// PSNR on a display whose layers cannot leave their range, and have no colour if they are
+/// monochrome.
 fn shown(display: &Display, stack: &LayerStack, target: &LightField) -> f64 {
     let mut stack = stack.clone();
     for (layer, values) in display.layers.iter().zip(&mut stack.layers) {
@@ -37,7 +38,7 @@ fn shown(display: &Display, stack: &LayerStack, target: &LightField) -> f64 {
     score(display, &stack, target, &Weights::Uniform).psnr_view()
 }
 
-/// [without the effect, with it and ignored, with it and modelled], dB.
+/// PSNR in dB: [without the effect, ignored by the solver, modelled by the solver].
 fn effect(what: &str, target: &LightField, ideal: &Display, real: &Display) -> [f64; 3] {
     let blind = solve(ideal, target, true).stack;
     let figures = [

@@ -9,7 +9,7 @@ use lumistack_display::{
 
 use crate::Problem;
 
-/// What is special about a problem.
+/// The property that a random problem has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kind {
     Plain,
@@ -36,7 +36,7 @@ pub(crate) enum Kind {
     Responses,
     Additive,
     Polarization,
-    /// All of sampling, projection, missing, layers, backlight and weights at random.
+    /// Random sampling, projection, missing, layers, backlight and weights.
     Anything,
 }
 
@@ -162,7 +162,7 @@ pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
         }
     }
     if kind == Kind::CoarseLayers {
-        // every pixel meets very many rays
+        // very many rays read every pixel
         for layer in &mut display.layers {
             layer.resolution = [3, 2];
             layer.pitch_mm = 5.0 + unit();

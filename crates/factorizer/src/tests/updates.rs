@@ -1,4 +1,4 @@
-//! The update against the oracle, and what theory promises about it.
+//! The update against the oracle, and the guarantees of the theory.
 
 use lumistack_core::Cancel;
 use lumistack_display::score;
@@ -13,24 +13,24 @@ use crate::solvers::method;
 use crate::step::Rule;
 use crate::{FLOOR, random_start};
 
-/// Largest difference of a mask value after one full update in f32 and in f64.
+/// Largest difference of a mask value between full updates in f32 and in f64.
 const MASK_TOLERANCE: f64 = 1e-5;
-/// How much the objective may rise by rounding in f32: relative, and per ray and channel where it is nearly 0.
+/// Tolerated rise of the objective by rounding in f32: relative, and per ray and channel near 0.
 const RISE_RELATIVE: f64 = 1e-6;
 const RISE_PER_VALUE: f64 = 1e-13;
-/// Relative difference of the objective as an update sums it up on its way.
+/// Relative difference of the objective that an update computes on its way.
 const ERROR_SEEN: f64 = 1e-5;
 const ERROR_SEEN_PER_VALUE: f64 = 1e-11;
-/// Change of emission by the coordinate steps that are left after many iterations.
+/// KKT residual after many iterations.
 const SETTLED: f64 = 1e-4;
-/// Relative difference of the objective in f32 arithmetic and in f64, and per ray and channel where it is nearly 0.
+/// Relative difference of the objective between f32 and f64, and per ray and channel near 0.
 const OBJECTIVE_TOLERANCE: f64 = 1e-5;
 const OBJECTIVE_PER_VALUE: f64 = 1e-12;
-/// Difference of PSNR values that are computed from the same patterns by two ways, dB.
+/// Difference of PSNR values computed from the same patterns in two ways, dB.
 const PSNR_TOLERANCE: f64 = 1e-3;
-/// Change of emission by a change of a value, from which on the value counts as determined.
+/// Influence on the emission from which a value counts as determined.
 const DETERMINED: f64 = 0.1;
-/// Largest change of emission by any difference between f32 and f64.
+/// Largest change of the emission by differences between f32 and f64.
 const SEEN_TOLERANCE: f64 = 1e-5;
 const SEEDS: [u64; 12] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11];
 
@@ -43,7 +43,7 @@ fn kernels() -> Vec<(Backend, bool)> {
 const RULES: [(Rule, f32, Option<u32>); 2] =
     [(Rule::Multiplicative, FLOOR, None), (Rule::Block { sweeps: 4 }, 0.0, Some(4))];
 
-/// Whether a rule is for problems of a kind.
+/// True if a rule applies to problems of a kind.
 fn fits(rule: Rule, kind: Kind) -> bool {
     rule != Rule::Multiplicative || kind != Kind::Polarization
 }
@@ -71,7 +71,8 @@ fn one_update_agrees_with_the_oracle_on_every_kind_of_problem() {
                             worst = worst.max(distance);
                             assert!(distance <= MASK_TOLERANCE, "{what}: {distance}");
                         } else {
-                            // a value that next to no light reaches is not determined: it goes wherever rounding leads
+                            // a value that almost no light reaches is not determined: rounding
+                            // decides it
                             let distance = oracle.distance(n, &stack, |i| f64::from(influence[i] > DETERMINED));
                             worst = worst.max(distance);
                             assert!(distance <= MASK_TOLERANCE, "{what}: {distance}");
