@@ -1,7 +1,15 @@
-//! Updates per second of an adapter on the paper's main case, beside the processor, and against what the adapter can do at most.
+//! Updates per second of an adapter on the paper's main case, beside the processor and the measured
+//! limits of the adapter.
 //!
-//! Per update and colour channel, with F factors and M frames: operations per ray F (M (F−2) + 2M + M(M+1)/2) block-exact and F M (F+1) multiplicative
-//! (multiply-adds); bytes F times the target and all factors once, and every factor written. The paper's two Quadro cards made about 10 updates a second.
+//! Operations and bytes per update and colour channel, with F factors and M frames:
+//!
+//! ```text
+//! multiply-adds per ray   block-exact      F (M (F−2) + 2M + M(M+1)/2)
+//!                         multiplicative   F M (F+1)
+//! bytes                   F times the target and all factors once, and every factor written
+//! ```
+//!
+//! The paper's two Quadro cards computed about 10 updates a second.
 
 #[path = "../../factorizer/examples/bench_factorize/scene.rs"]
 mod scene;
@@ -18,7 +26,7 @@ use lumistack_factorizer_gpu::{Device, adapters};
 const WIDTH_MM: f64 = 473.76;
 const FRAMES: usize = 12;
 
-/// Seconds of the first update, from the start on, and of one more.
+/// Seconds of the first update, including the start, and of one more.
 fn time(
     solver: &dyn Solver,
     problem: &Problem,

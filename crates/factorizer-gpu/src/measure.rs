@@ -1,4 +1,4 @@
-//! What a device can do at most, measured: what an update is compared with.
+//! Measured limits of a device, with which its updates are compared.
 
 use std::time::Instant;
 
@@ -9,13 +9,13 @@ use crate::gpu::Gpu;
 pub struct Limits {
     /// Bytes read and written per second by a kernel that copies.
     pub bytes_per_s: f64,
-    /// Multiply-adds of single floats per second.
+    /// Multiply-adds of f32 per second.
     pub multiply_adds_per_s: f64,
 }
 
-/// Multiply-adds of a thread of `multiply_add`.
+/// Multiply-adds per thread of `multiply_add`.
 const MULTIPLY_ADDS: f64 = 8.0 * 4.0 * 64.0;
-/// Threads, of 16 bytes each.
+/// Number of threads, of 16 bytes each.
 const THREADS: u64 = 1 << 21;
 const ROUNDS: usize = 5;
 
@@ -63,7 +63,7 @@ pub(crate) fn limits(gpu: &Gpu) -> Limits {
             gpu.wait();
             start.elapsed().as_secs_f64()
         };
-        // the first one compiles
+        // the first run compiles, so it is not timed
         once();
         (0..ROUNDS).map(|_| once()).fold(f64::INFINITY, f64::min)
     };

@@ -1,4 +1,4 @@
-//! Patterns under way on a device: the updates of [`Updater`] as dispatches.
+//! The patterns of a run on a device: the updates of [`Updater`] as dispatches.
 
 use std::sync::Arc;
 
@@ -14,10 +14,10 @@ use crate::target::Target;
 use crate::text::{FIRST_FACTOR, Program, Update};
 use crate::values::Values;
 
-/// Threads of a workgroup, as the shaders have it.
+/// Threads per workgroup, as in the shaders.
 const GROUP: usize = 64;
 
-/// Patterns on a device.
+/// The patterns of a run on a device.
 pub(crate) struct State {
     gpu: Arc<Gpu>,
     plan: Arc<Plan>,
@@ -29,28 +29,29 @@ pub(crate) struct State {
     table_words: wgpu::Buffer,
     target: Target,
     factors: Vec<Values>,
-    /// Per factor.
+    /// Bands of each factor's lines.
     bands: Vec<Vec<Band>>,
-    /// Of field rows.
+    /// Bands of the field rows.
     row_bands: Vec<Band>,
     layout: wgpu::BindGroupLayout,
     params: wgpu::Buffer,
-    /// Bytes from one dispatch's parameters to the next.
+    /// Distance of the parameters of successive dispatches, in bytes.
     slot: u64,
     sums: wgpu::Buffer,
-    /// What is bound where nothing is read or written.
+    /// Bound in place of buffers that a program does not use.
     unused: [wgpu::Buffer; 3],
-    /// Workgroups of the last update, whose outcomes lie in `sums`.
+    /// Number of workgroups of the last dispatch; their results are in `sums`.
     found: usize,
     submitted: Option<wgpu::SubmissionIndex>,
 }
 
 impl State {
-    /// Takes patterns over.
+    /// Copies the patterns of a run to the device.
     ///
     /// # Errors
-    /// [`FactorizeError::Device`] if the device cannot do this display or is too small.
+    /// [`FactorizeError::Device`] if the device cannot solve this display or is too small.
     pub(crate) fn begin(gpu: Arc<Gpu>, begin: Begin) -> Result<Self, FactorizeError> {
+        // refuse displays outside the device's limits with a clear message, before any allocation
         let (plan, n_factors) = (begin.plan.clone(), begin.plan.factor_count());
         if begin.display.layers.iter().any(|layer| layer.response().is_some()) {
             let why =
@@ -72,6 +73,7 @@ impl State {
                 "too little memory: a channel needs a buffer of {needed} MiB, it allows {allowed} MiB"
             )));
         }
+        // wgpu reports failed allocations through error scopes
         let scopes =
             [wgpu::ErrorFilter::Validation, wgpu::ErrorFilter::OutOfMemory].map(|f| gpu.device.push_error_scope(f));
         let state = Self::upload(gpu.clone(), begin);
@@ -85,14 +87,17 @@ impl State {
         state
     }
 
+    /// Allocates and fills all buffers, and divides the work into bands.
     fn upload(gpu: Arc<Gpu>, begin: Begin) -> Result<Self, FactorizeError> {
         let Begin { plan, display, ranges, factors, bold } = begin;
+        // the problem and the patterns
         let tables = Tables::new(&plan);
         let table_words = gpu.buffer(tables.words.len() as u64);
         gpu.write(&table_words, &tables.words, |part| part.iter().flat_map(|word| word.to_le_bytes()).collect());
         let target = Target::upload(&gpu, &plan);
         let factors: Vec<_> =
             factors.iter().enumerate().map(|(n, factor)| Values::upload(&gpu, &plan, n, factor)).collect();
+        // bands that fit the bindings
         let limits = &gpu.limits;
         let cut = Cut {
             tables: &tables,
@@ -107,6 +112,7 @@ impl State {
         let bands: Option<Vec<_>> = (0..factors.len()).map(|n| cut.of_factor(n, plan.size(n)[0])).collect();
         let bands = bands.ok_or_else(too_small)?;
         let row_bands = cut.of_rows(plan.field()[0]).ok_or_else(too_small)?;
+        // room for the parameters and results of the largest number of dispatches
         let dispatches = bands.iter().chain([&row_bands]).map(Vec::len).max().unwrap_or(0) * plan.channels();
         let places = (0..factors.len()).map(|n| plan.size(n)).chain([plan.field()]);
         let groups = places.map(|[lines, cols]| lines * cols.div_ceil(GROUP)).max().unwrap_or(0) * plan.channels();
@@ -141,10 +147,11 @@ impl State {
         })
     }
 
-    /// Runs a program over all bands and channels; its outcomes are in `sums` then.
+    /// Runs a program over all bands and channels; it leaves its results in `sums`.
     fn dispatch(&mut self, update: Option<Update>, beyond: f32) {
         let plan = self.plan.clone();
         let weighted = self.target.weights.is_some();
+        // one program serves all bands; the parameters differ
         let pipeline = self.gpu.program(&Program { plan: &plan, weighted, update }, &self.layout);
         let (bands, cols) = match update {
             Some(Update { own, .. }) => (&self.bands[own], plan.size(own)[1]),
@@ -161,13 +168,14 @@ impl State {
             found += groups_x * band.lines.len();
             calls.push((self.bind(update, channel, band, at), band.lines.len()));
         }
-        // one update waits on the device while another is prepared, no more
+        // at most one update waits on the device while the next is prepared
         if let Some(index) = self.submitted.take() {
             let waiting = wgpu::PollType::Wait { submission_index: Some(index), timeout: None };
             if let Err(error) = self.gpu.device.poll(waiting) {
                 self.gpu.note(error.to_string());
             }
         }
+        // submit all bands at once
         self.gpu.queue.write_buffer(&self.params, 0, &words);
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         {
@@ -207,12 +215,13 @@ impl State {
         words
     }
 
-    /// The windows of a dispatch.
+    /// Binds the windows of a dispatch.
     fn bind(&self, update: Option<Update>, channel: usize, band: &Band, params_at: u64) -> wgpu::BindGroup {
         fn window<'a>(buffer: &'a wgpu::Buffer, words: &std::ops::Range<u64>) -> wgpu::BindingResource<'a> {
             let size = std::num::NonZeroU64::new(4 * (words.end - words.start));
             wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer, offset: 4 * words.start, size })
         }
+        // the order of the bindings in `read.wgsl`
         let size = std::num::NonZeroU64::new(self.slot);
         let params = wgpu::BufferBinding { buffer: &self.params, offset: params_at, size };
         let [weights, next, latest] = &self.unused;
@@ -222,6 +231,7 @@ impl State {
             window(&self.target.channels[channel], &band.target),
             self.target.weights.as_ref().map_or(weights.as_entire_binding(), |weights| window(weights, &band.weights)),
         ];
+        // outputs that this program does not write are bound to unused buffers
         let moving =
             update.filter(|update| update.rule != Rule::Probe).map(|update| (&self.factors[update.own], update));
         resources.push(match moving {
@@ -241,7 +251,7 @@ impl State {
         self.gpu.device.create_bind_group(&wgpu::BindGroupDescriptor { label: None, layout, entries: &entries })
     }
 
-    /// The sum of what the workgroups of the last dispatch found.
+    /// Sums the results of the last dispatch over its workgroups.
     fn sum(&mut self) -> [f64; 2] {
         if self.found == 0 {
             return [0.0; 2];
@@ -293,7 +303,7 @@ impl Updater for State {
     }
 
     fn keep(&mut self, _: usize) {
-        // an update leaves the values before it where the next one writes
+        // an update leaves the values before it in the buffer that the next one overwrites
     }
 
     fn take_back(&mut self, n: usize) {

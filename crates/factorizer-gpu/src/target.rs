@@ -1,4 +1,5 @@
-//! The target and the weights on a device: `[field row][view][field column]`, the target a buffer per channel.
+//! The target and the weights on a device: `[field row][view][field column]`, one buffer per
+//! channel of the target.
 
 use lumistack_factorizer::device::{Plan, Row};
 
@@ -7,15 +8,15 @@ use crate::gpu::{CHUNK, Gpu};
 /// Target and weights.
 pub(crate) struct Target {
     pub(crate) channels: Vec<wgpu::Buffer>,
-    /// √w, if not all are 1.
+    /// √w; `None` if all are 1.
     pub(crate) weights: Option<wgpu::Buffer>,
-    /// Words of a field row, all views.
+    /// Words per field row, all views.
     pub(crate) row_words: u64,
     pub(crate) weight_words: u64,
 }
 
 impl Target {
-    /// Words of a field row of the target and of the weights.
+    /// Words per field row of the target and of the weights.
     fn words(plan: &Plan) -> [u64; 2] {
         let ([views_y, views_x], [_, cols]) = (plan.views(), plan.field());
         let views = (views_y * views_x) as u64;
@@ -67,7 +68,7 @@ impl Target {
     }
 }
 
-/// Writes a buffer some rows at a time, so that no second copy of it lies in memory.
+/// Writes a buffer some rows at a time, so that memory never holds a second copy.
 fn by_rows(gpu: &Gpu, buffer: &wgpu::Buffer, rows: usize, words: u64, fill: impl Fn(usize, &mut Vec<u8>)) {
     let together = (CHUNK / (4 * words)).max(1) as usize;
     let mut bytes = Vec::new();

@@ -1,9 +1,10 @@
-// The update of one factor: sums over the rays through a pixel, and the step that follows from them; the twin of sums.rs and step.rs.
+// The update of one factor: sums over the rays through a pixel, and the step by these sums; the
+// twin of sums.rs and step.rs.
 
 const LEAST_CURVATURE: f32 = 1e-30;
 const LEAST_NORMAL: f32 = 1.17549435e-38;
 
-// Returns Σ w e² before the step, and what is gained.
+// Returns Σ w e² before the step, and the gain.
 fn update_pixel(line: u32, column: u32) -> vec2<f32> {
     let views = params.views_y * params.views_x;
     let length = FRAMES * params.own_cols;
@@ -15,7 +16,8 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ sums
     var {s} = 0.0;
 //@ end
-    // rays: field rows that read the line, then field columns that read the column, each with its share
+    // the rays: field rows that read the line, then field columns that read the column, each with
+    // its share
     for (var view_y = 0u; view_y < params.views_y; view_y++) {
         let lines_at = params.own_lines + view_y * (params.stored_lines + 1u) + line;
         let last_row = tables[lines_at + 1u];
@@ -29,7 +31,7 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
             let line_of_{own} = line_{own}(view_y, row);
 //@ end
 //@ if long
-            // many rays: sums of sums lose fewer digits
+            // many rays: sums of partial sums lose fewer digits
 //@ sums
             let before_{s} = {s};
             {s} = 0.0;
@@ -101,6 +103,7 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ end
         }
     }
+    // the step by the rule, from the values f to v
     var gain = 0.0;
 //@ frames
     var v{m} = f{m};
@@ -135,7 +138,7 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ end
 //@ end
 //@ if diagonal
-    // no step is made: how far would each go?
+    // the steps are computed for the residual alone, and the values stay
     var curvature = 0.0;
     var step = 0.0;
 //@ frames
@@ -153,6 +156,7 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ end
 //@ end
 //@ if moves
+    // write the new values, and the extrapolated ones if requested
     let place = line * length + column - params.out_base;
 //@ if beyond
     var at = place;
