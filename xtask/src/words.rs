@@ -19,6 +19,8 @@ const CLEAN: &[&str] = &[
     "crates/cli",
     "crates/core",
     "crates/display",
+    "crates/factorizer",
+    "crates/factorizer-gpu",
     "crates/farm",
     "crates/files",
     "crates/fingerprint",

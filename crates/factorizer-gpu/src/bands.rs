@@ -20,7 +20,7 @@ pub(crate) struct Band {
 }
 
 /// Words per line of each buffer, and the device's limits.
-pub(crate) struct Cut<'a> {
+pub(crate) struct BandSizes<'a> {
     pub(crate) tables: &'a Tables,
     /// Words per line of each factor.
     pub(crate) line_words: Vec<u64>,
@@ -35,18 +35,18 @@ pub(crate) struct Cut<'a> {
     pub(crate) groups: usize,
 }
 
-impl Cut<'_> {
+impl BandSizes<'_> {
     /// Divides all lines of a factor into bands; `None` if a single line exceeds the limits.
     pub(crate) fn of_factor(&self, n: usize, lines: usize) -> Option<Vec<Band>> {
-        self.cut(Some(n), 0..lines)
+        self.divide(Some(n), 0..lines)
     }
 
     /// Divides all field rows into bands; `None` if a single row exceeds the limits.
     pub(crate) fn of_rows(&self, rows: usize) -> Option<Vec<Band>> {
-        self.cut(None, 0..rows)
+        self.divide(None, 0..rows)
     }
 
-    fn cut(&self, own: Option<usize>, lines: Range<usize>) -> Option<Vec<Band>> {
+    fn divide(&self, own: Option<usize>, lines: Range<usize>) -> Option<Vec<Band>> {
         if lines.len() <= self.groups
             && let Some(band) = self.band(own, lines.clone())
         {
@@ -56,8 +56,8 @@ impl Cut<'_> {
             return None;
         }
         let half = lines.start + lines.len() / 2;
-        let mut bands = self.cut(own, lines.start..half)?;
-        bands.extend(self.cut(own, half..lines.end)?);
+        let mut bands = self.divide(own, lines.start..half)?;
+        bands.extend(self.divide(own, half..lines.end)?);
         Some(bands)
     }
 

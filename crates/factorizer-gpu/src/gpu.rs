@@ -13,7 +13,7 @@ use crate::text::{FIRST_FACTOR, Program};
 pub(crate) const CHUNK: u64 = 32 << 20;
 
 /// Longest wait for the callback of a read whose data has arrived.
-const ANSWER: Duration = Duration::from_secs(30);
+const CALLBACK_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// An open device.
 pub struct Gpu {
@@ -40,13 +40,13 @@ impl Gpu {
         let (device, queue) = pollster::block_on(found.request_device(&descriptor))
             .map_err(|error| failed(&adapter.name, error.to_string()))?;
         let failure = Arc::new(Mutex::new(None));
-        let note = |failure: &Arc<Mutex<Option<String>>>| {
+        let record = |failure: &Arc<Mutex<Option<String>>>| {
             let failure = failure.clone();
             move |why: String| {
                 failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(why);
             }
         };
-        let (heard, lost) = (note(&failure), note(&failure));
+        let (heard, lost) = (record(&failure), record(&failure));
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| heard(error.to_string())));
         device.set_device_lost_callback(move |_, message| {
             lost(format!("the device was lost: {message}").trim_end_matches(": ").to_owned());
@@ -72,7 +72,7 @@ impl Gpu {
     }
 
     /// Records a failure; the first one is kept.
-    pub(crate) fn note(&self, why: String) {
+    pub(crate) fn record(&self, why: String) {
         self.failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(why);
     }
 
@@ -101,7 +101,7 @@ impl Gpu {
     /// Waits until all submitted work is done.
     pub(crate) fn wait(&self) {
         if let Err(error) = self.device.poll(wgpu::PollType::wait_indefinitely()) {
-            self.note(error.to_string());
+            self.record(error.to_string());
         }
     }
 
@@ -134,20 +134,20 @@ impl Gpu {
             let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
             encoder.copy_buffer_to_buffer(buffer, start, &staging, 0, len);
             self.queue.submit([encoder.finish()]);
-            let (tell, told) = std::sync::mpsc::channel();
-            staging.map_async(wgpu::MapMode::Read, 0..len, move |result| drop(tell.send(result)));
+            let (sender, receiver) = std::sync::mpsc::channel();
+            staging.map_async(wgpu::MapMode::Read, 0..len, move |result| drop(sender.send(result)));
             self.wait();
             // another waiting thread may run the callback, a little later
-            let mapped = told.recv_timeout(ANSWER).map_err(|_| "the device does not answer".to_owned());
+            let mapped = receiver.recv_timeout(CALLBACK_TIMEOUT).map_err(|_| "the device does not answer".to_owned());
             match mapped.and_then(|result| result.map_err(|error| error.to_string())) {
                 Ok(()) => match staging.get_mapped_range(0..len) {
                     Ok(view) => {
                         let words = view.as_chunks::<4>().0;
                         floats.extend(words.iter().map(|word| f32::from_le_bytes(*word)));
                     }
-                    Err(error) => self.note(error.to_string()),
+                    Err(error) => self.record(error.to_string()),
                 },
-                Err(error) => self.note(error),
+                Err(error) => self.record(error),
             }
             staging.unmap();
         }

@@ -96,7 +96,7 @@ impl Device {
     /// # Errors
     /// If no solver has this name; the error lists all names.
     pub fn solver(&self, name: &str) -> Result<OnDevice, FactorizeError> {
-        Ok(OnDevice { device: self.clone(), twin: solver(name)? })
+        Ok(OnDevice { device: self.clone(), on_processor: solver(name)? })
     }
 }
 
@@ -110,19 +110,19 @@ impl Executor for Device {
 pub struct OnDevice {
     device: Device,
     /// The same solver on the processor.
-    twin: &'static dyn Solver,
+    on_processor: &'static dyn Solver,
 }
 
 impl Solver for OnDevice {
     fn name(&self) -> &'static str {
-        self.twin.name()
+        self.on_processor.name()
     }
 
     fn doc(&self) -> &'static str {
-        self.twin.doc()
+        self.on_processor.doc()
     }
 
     fn start<'a>(&self, problem: &Problem<'a>, start: LayerStack) -> Result<Box<dyn Run + 'a>, FactorizeError> {
-        start_on(&self.device, self.twin.name(), problem, start)
+        start_on(&self.device, self.on_processor.name(), problem, start)
     }
 }

@@ -37,7 +37,7 @@ pub(crate) struct Program<'a> {
 pub(crate) struct Update {
     pub(crate) own: usize,
     pub(crate) rule: Rule,
-    pub(crate) beyond: bool,
+    pub(crate) extrapolated: bool,
     /// True for the curvature at the current point, where L̃ is not linear in the values.
     pub(crate) local: bool,
 }
@@ -52,7 +52,7 @@ impl Program<'_> {
         let _ = writeln!(text, "const MEAN: f32 = {:?};", 1.0 / plan.frames() as f32);
         let quarter = std::f64::consts::FRAC_PI_2.powi(2) * plan.frames() as f64;
         let _ = writeln!(text, "const CURVATURE: f32 = {quarter:?};");
-        let _ = writeln!(text, "const CURVATURE_HERE: f32 = {:?};", 2.0 * quarter);
+        let _ = writeln!(text, "const LOCAL_CURVATURE: f32 = {:?};", 2.0 * quarter);
         let _ = writeln!(text, "const HALF: bool = {};", plan.has_half_target());
         let _ = writeln!(text, "const WEIGHTED: bool = {};", self.weighted);
         for k in 0..plan.factor_count() {
@@ -69,22 +69,22 @@ impl Program<'_> {
 
     fn is(&self, flag: &str) -> bool {
         let (plan, update) = (self.plan, self.update);
-        let Some(Update { own, rule, beyond, local }) = update else { return false };
-        let bent = !plan.is_bounded(own) && rule != Rule::Multiplicative;
+        let Some(Update { own, rule, extrapolated, local }) = update else { return false };
+        let nonlinear = !plan.is_bounded(own) && rule != Rule::Multiplicative;
         match flag {
             "own" => true,
             "backlight" => own >= plan.layer_count(),
             "mixed" => !plan.is_nearest(own),
-            "long" => !plan.has_short_sums(own),
+            "long_sums" => !plan.has_short_sums(own),
             "ratio" => rule == Rule::Multiplicative,
             "gram" => matches!(rule, Rule::Block { .. }),
-            "diagonal" => matches!(rule, Rule::Probe | Rule::Settle),
-            "settle" => rule == Rule::Settle,
-            "moves" => rule != Rule::Probe,
-            "products" => !bent || local,
-            "bent" => bent,
+            "diagonal" => matches!(rule, Rule::KktResidual | Rule::Darken),
+            "darken" => rule == Rule::Darken,
+            "moves" => rule != Rule::KktResidual,
+            "products" => !nonlinear || local,
+            "nonlinear" => nonlinear,
             "local" => local,
-            "beyond" => beyond,
+            "extrapolated" => extrapolated,
             _ => unreachable!("flag {flag} of a shader"),
         }
     }

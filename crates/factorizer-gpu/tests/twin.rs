@@ -150,11 +150,11 @@ fn one_update_equals_the_processors() {
             if !takes(&owned, name) {
                 continue;
             }
-            let Begin { plan, display, ranges, mut factors, bold } =
+            let Begin { plan, display, ranges, mut factors, tries_local } =
                 begin_of(name, &owned.problem(), random_start(&owned.display, SEED));
             let begun = |executor: &dyn Executor, factors: &[Factor]| {
                 let (plan, display, ranges) = (plan.clone(), display.clone(), ranges.clone());
-                executor.begin(Begin { plan, display, ranges, factors: factors.to_vec(), bold }).unwrap()
+                executor.begin(Begin { plan, display, ranges, factors: factors.to_vec(), tries_local }).unwrap()
             };
             let each = factors.len();
             for (round, n) in (0..ROUNDS * each).map(|at| (at / each, at % each)) {
@@ -170,7 +170,7 @@ fn one_update_equals_the_processors() {
                     let read = state.download();
                     state.swap_latest();
                     let stepped = state.download();
-                    state.apply(n, Rule::Probe, None, false);
+                    state.apply(n, Rule::KktResidual, None, false);
                     let seen = if plan.sees_all_rays(n) { update.error } else { 0.0 };
                     let probed = state.outcome().gain;
                     // each with the sum that it is a part of
@@ -298,10 +298,10 @@ fn a_whole_solve_is_as_good_as_the_processors() {
     let [a, b] = [found.levels, expected.levels].map(|levels| levels.unwrap().reoptimized);
     assert!((a - b).abs() < 0.2, "{a} and {b}");
     assert!(
-        (found.unsettled - expected.unsettled).abs() < 0.2 * expected.unsettled,
+        (found.kkt_residual - expected.kkt_residual).abs() < 0.2 * expected.kkt_residual,
         "{} {}",
-        found.unsettled,
-        expected.unsettled
+        found.kkt_residual,
+        expected.kkt_residual
     );
     // the same once more
     let again = factorize_on(&device, &owned.problem(), &settings, None, task, &mut |_| ()).unwrap();

@@ -122,41 +122,41 @@ impl Extrapolation {
     }
 }
 
-/// Calls `look` with the last iterate in place of the extrapolated patterns.
-fn at_latest<T>(state: &mut dyn Updater, look: impl FnOnce(&mut dyn Updater) -> T) -> T {
+/// Calls `read` with the last iterate in place of the extrapolated patterns.
+fn at_latest<T>(state: &mut dyn Updater, read: impl FnOnce(&mut dyn Updater) -> T) -> T {
     state.swap_latest();
-    let seen = look(state);
+    let result = read(state);
     state.swap_latest();
-    seen
+    result
 }
 
 struct BlockExactRun {
     state: Box<dyn Updater>,
     extrapolation: Option<Extrapolation>,
-    seen: Option<Objective>,
+    known: Option<Objective>,
 }
 
 impl BlockExactRun {
     fn new(prepared: Prepared, extrapolation: Option<Extrapolation>) -> Result<Self, FactorizeError> {
         // sin² is too curved for extrapolation, and curved enough that trying the local curvature
         // pays
-        let bold = prepared.display.formation == Formation::Polarization;
-        let state = prepared.begin(0.0, bold)?;
-        Ok(Self { state, extrapolation: extrapolation.filter(|_| !bold), seen: None })
+        let tries_local = prepared.display.formation == Formation::Polarization;
+        let state = prepared.begin(0.0, tries_local)?;
+        Ok(Self { state, extrapolation: extrapolation.filter(|_| !tries_local), known: None })
     }
 }
 
 impl Run for BlockExactRun {
     fn step(&mut self, cancel: &Cancel) -> Result<(), FactorizeError> {
-        self.state.heed(cancel);
-        let beyond = self.extrapolation.map(|extrapolation| extrapolation.factor);
+        self.state.set_cancel(cancel);
+        let extrapolation = self.extrapolation.map(|extrapolation| extrapolation.factor);
         let last = self.state.plan().factor_count() - 1;
         for n in 0..=last {
-            self.state.update(n, Rule::Block { sweeps: SWEEPS }, beyond);
+            self.state.update(n, Rule::Block { sweeps: SWEEPS }, extrapolation);
             cancel.check()?;
         }
         let outcome = self.state.outcome();
-        self.seen = self.state.seen(last, outcome);
+        self.known = self.state.objective_after(last, outcome);
         if let Some(extrapolation) = &mut self.extrapolation {
             let error = if self.state.plan().sees_all_rays(last) {
                 outcome.error - outcome.gain
@@ -164,8 +164,8 @@ impl Run for BlockExactRun {
                 self.state.objective().value
             };
             if extrapolation.observe(error) {
-                self.state.return_to_latest();
-                self.seen = None;
+                self.state.restart();
+                self.known = None;
             }
         }
         self.state.check()
@@ -175,12 +175,12 @@ impl Run for BlockExactRun {
         at_latest(&mut *self.state, |state| state.objective())
     }
 
-    fn unsettled(&mut self) -> f64 {
-        at_latest(&mut *self.state, |state| state.unsettled())
+    fn kkt_residual(&mut self) -> f64 {
+        at_latest(&mut *self.state, |state| state.kkt_residual())
     }
 
-    fn settle(&mut self) -> f64 {
-        at_latest(&mut *self.state, |state| state.settle())
+    fn darken_unlit(&mut self) -> f64 {
+        at_latest(&mut *self.state, |state| state.darken_unlit())
     }
 
     fn rays(&self) -> u64 {
@@ -197,8 +197,8 @@ impl Run for BlockExactRun {
 }
 
 impl Iterated for BlockExactRun {
-    fn seen(&self) -> Option<Objective> {
-        self.seen
+    fn known_objective(&self) -> Option<Objective> {
+        self.known
     }
 
     fn finish(mut self: Box<Self>) -> Box<dyn Updater> {

@@ -53,7 +53,7 @@ impl Buffers {
 
 /// The target's scale and the sums that an update needs.
 #[derive(Clone, Copy)]
-pub(crate) struct Sight {
+pub(crate) struct SumParams {
     pub(crate) brightness: f32,
     /// The sums that the rule needs.
     pub(crate) sums: Sums,
@@ -65,7 +65,7 @@ pub(crate) struct Sight {
 pub(crate) struct BlockOfLine<'a> {
     pub(crate) rays: &'a LineRays<'a>,
     pub(crate) x: usize,
-    pub(crate) sight: Sight,
+    pub(crate) params: SumParams,
     /// The line's own rows, one per frame, `stride` apart.
     pub(crate) values: &'a [f32],
     pub(crate) stride: usize,
@@ -89,7 +89,7 @@ impl BlockOfLine<'_> {
                 store(f.mul(V::splat(1.0 / frames as f32)), &mut self.buffers.scaled, m * V::COUNT);
             }
         }
-        self.rays.ask_for_rest(self.x + AHEAD * V::COUNT, in_registers);
+        self.rays.prefetch_rest(self.x + AHEAD * V::COUNT, in_registers);
     }
 }
 
@@ -106,22 +106,22 @@ impl Kernel for ByBuffers {
         // SAFETY: guaranteed by the caller
         unsafe {
             at.begin::<V>(frames, false);
-            let BlockOfLine { rays, x, sight, buffers, .. } = at;
+            let BlockOfLine { rays, x, params, buffers, .. } = at;
             let (mut squares, mut active, mut add) = (V::splat(0.0), 0, false);
             // buffer view after view; a full group is summed before the next begins
             for (index, view) in rays.views.iter().enumerate() {
                 if let Some(weight) = view.weight::<V>(x) {
                     if active == GROUP {
-                        sum_views::<V, false>(sight.sums, buffers, &[], Group { frames, views: active, add });
+                        sum_views::<V, false>(params.sums, buffers, &[], Group { frames, views: active, add });
                         (active, add) = (0, true);
                     }
-                    let error = buffered::<V, false>(rays, index, x, weight, sight, (active, &mut *buffers));
+                    let error = buffered::<V, false>(rays, index, x, weight, params, (active, &mut *buffers));
                     squares = error.mul_add(error, squares);
                     active += 1;
                 }
             }
             store(squares, &mut buffers.squares, 0);
-            sum_views::<V, false>(sight.sums, buffers, &[], Group { frames, views: active, add });
+            sum_views::<V, false>(params.sums, buffers, &[], Group { frames, views: active, add });
         }
     }
 }
@@ -139,7 +139,7 @@ pub(crate) unsafe fn buffered<V: Lanes, const OWN: bool>(
     view: usize,
     x: usize,
     weight: V,
-    sight: Sight,
+    params: SumParams,
     (to, buffers): (usize, &mut Buffers),
 ) -> V {
     let (frames, others) = (buffers.block.frames, rays.others_of(view));
@@ -175,9 +175,9 @@ pub(crate) unsafe fn buffered<V: Lanes, const OWN: bool>(
             }
         };
         // the residual; the ratio rule sums βL in its place
-        let wanted = wanted::<V>(&rays.targets[view], x, sight).mul(weight);
+        let wanted = wanted::<V>(&rays.targets[view], x, params).mul(weight);
         let error = wanted.sub(emitted);
-        store(if sight.sums == Sums::Ratio { wanted } else { error }, &mut buffers.errors, to * V::COUNT);
+        store(if params.sums == Sums::Ratio { wanted } else { error }, &mut buffers.errors, to * V::COUNT);
         store(emitted, &mut buffers.emitted, to * V::COUNT);
         error
     }
@@ -237,7 +237,7 @@ unsafe fn products_of<V: Lanes, const OWN: bool, const K: usize>(
 /// # Safety
 /// The machine has V, and x lies within the row.
 #[inline(always)]
-pub(crate) unsafe fn wanted<V: Lanes>(row: &TargetRow, x: usize, sight: Sight) -> V {
+pub(crate) unsafe fn wanted<V: Lanes>(row: &TargetRow, x: usize, params: SumParams) -> V {
     // SAFETY: guaranteed by the caller
     unsafe {
         let radiance = match row {
@@ -252,7 +252,7 @@ pub(crate) unsafe fn wanted<V: Lanes>(row: &TargetRow, x: usize, sight: Sight) -
                 V::load(at)
             }
         };
-        radiance.mul(V::splat(sight.brightness))
+        radiance.mul(V::splat(params.brightness))
     }
 }
 
@@ -337,7 +337,7 @@ impl<const SHARED: bool> Tiles<'_, SHARED> {
 
     /// The sum so far, or 0 for the first group.
     #[inline(always)]
-    unsafe fn begun<V: Lanes>(&self, sums: &[f32], quantity: usize) -> V {
+    unsafe fn sum_so_far<V: Lanes>(&self, sums: &[f32], quantity: usize) -> V {
         // SAFETY: guaranteed by the caller
         unsafe { if self.group.add { load::<V>(sums, quantity * V::COUNT) } else { V::splat(0.0) } }
     }
@@ -353,8 +353,8 @@ impl<const SHARED: bool> Tiles<'_, SHARED> {
     unsafe fn pair<V: Lanes, const R: usize>(&self, m: usize, diagonal: bool, block: &mut Block) {
         // SAFETY: guaranteed by the caller
         unsafe {
-            let mut residual: [V; R] = std::array::from_fn(|i| self.begun(&block.residual, m + i));
-            let mut below: [V; R] = std::array::from_fn(|i| self.begun(&block.emitted, m + i));
+            let mut residual: [V; R] = std::array::from_fn(|i| self.sum_so_far(&block.residual, m + i));
+            let mut below: [V; R] = std::array::from_fn(|i| self.sum_so_far(&block.emitted, m + i));
             for view in 0..self.group.views {
                 let error = load::<V>(self.errors, view * V::COUNT);
                 let emitted = load::<V>(self.emitted, view * V::COUNT);
@@ -378,9 +378,9 @@ impl<const SHARED: bool> Tiles<'_, SHARED> {
         let at = |i: usize, k: usize| (m + i) * self.group.frames + m + k;
         // SAFETY: guaranteed by the caller
         unsafe {
-            let mut residual: [V; R] = std::array::from_fn(|i| self.begun(&block.residual, m + i));
+            let mut residual: [V; R] = std::array::from_fn(|i| self.sum_so_far(&block.residual, m + i));
             let mut gram: [[V; R]; R] =
-                std::array::from_fn(|i| std::array::from_fn(|k| self.begun(&block.gram, at(i, k.max(i)))));
+                std::array::from_fn(|i| std::array::from_fn(|k| self.sum_so_far(&block.gram, at(i, k.max(i)))));
             for view in 0..self.group.views {
                 let error = load::<V>(self.errors, view * V::COUNT);
                 let a: [V; R] = std::array::from_fn(|i| self.product::<V>(view, m + i));
@@ -408,7 +408,7 @@ impl<const SHARED: bool> Tiles<'_, SHARED> {
         // SAFETY: guaranteed by the caller
         unsafe {
             let mut gram: [[V; C]; 3] =
-                std::array::from_fn(|i| std::array::from_fn(|c| self.begun(&block.gram, at(i, c))));
+                std::array::from_fn(|i| std::array::from_fn(|c| self.sum_so_far(&block.gram, at(i, c))));
             for view in 0..self.group.views {
                 let a: [V; 3] = std::array::from_fn(|i| self.shared(view, self.product::<V>(view, m + i)));
                 for c in 0..C {

@@ -70,7 +70,7 @@ impl Coarse {
             views[0].clone().flat_map(|view_y| views[1].clone().map(move |view_x| fine.view(view_y, view_x))).collect();
         let pixels = [cover(geometry.rows, coarse.rows), cover(geometry.cols, coarse.cols)];
         let mut plan = Plan::with_target(&display, &coarse, fine.target.averaged(&fine.row, &views, &pixels));
-        plan.cut = fine.cut.as_ref().map(|cut| cut.halved(&display));
+        plan.tile = fine.tile.as_ref().map(|tile| tile.halved(&display));
         Some(Self { display, geometry: coarse, plan: Arc::new(plan) })
     }
 }

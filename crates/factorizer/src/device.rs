@@ -42,7 +42,7 @@ pub struct Begin {
     pub factors: Vec<Factor>,
     /// True if updates try the curvature at the current point before the bound that holds
     /// everywhere. It matters where L̃ is not linear in a factor.
-    pub bold: bool,
+    pub tries_local: bool,
 }
 
 /// Least share of the error that must remain after an update for a remainder computed from the
@@ -57,28 +57,28 @@ pub trait Updater {
     /// Returns the display.
     fn display(&self) -> &Display;
 
-    /// See [`Begin::bold`].
-    fn bold(&self) -> bool;
+    /// See [`Begin::tries_local`].
+    fn tries_local(&self) -> bool;
 
     /// Sets the flag that cancels updates: it is read before each part of an update, and later
     /// parts then leave their values as they are.
-    fn heed(&mut self, cancel: &Cancel);
+    fn set_cancel(&mut self, cancel: &Cancel);
 
     /// Updates factor `n` by the current values of all factors.
     ///
-    /// With `beyond` = β_k, rays then read the extrapolated values x + β_k (x − x'), clamped to the
-    /// box, where x and x' are this and the previous iterate. `local` takes the curvature at the
-    /// current point where L̃ is not linear.
-    fn apply(&mut self, n: usize, rule: Rule, beyond: Option<f32>, local: bool);
+    /// With `extrapolation` = β_k, rays then read the extrapolated values x + β_k (x − x'), clamped
+    /// to the box, where x and x' are this and the previous iterate. `local` takes the curvature at
+    /// the current point where L̃ is not linear.
+    fn apply(&mut self, n: usize, rule: Rule, extrapolation: Option<f32>, local: bool);
 
     /// Returns error and gain of the last [`apply`](Self::apply).
     fn outcome(&mut self) -> Outcome;
 
     /// Saves the values of factor `n`.
-    fn keep(&mut self, n: usize);
+    fn save(&mut self, n: usize);
 
     /// Restores the saved values of factor `n`.
-    fn take_back(&mut self, n: usize);
+    fn restore(&mut self, n: usize);
 
     /// Sums the squared errors of the values that rays read.
     fn errors(&mut self) -> ErrorSum;
@@ -88,7 +88,7 @@ pub trait Updater {
     fn swap_latest(&mut self);
 
     /// Replaces the extrapolated patterns by the last iterate.
-    fn return_to_latest(&mut self);
+    fn restart(&mut self);
 
     /// Checks that the patterns still exist.
     ///
@@ -115,15 +115,15 @@ pub trait Updater {
     ///
     /// The local curvature usually gains more, but may raise the objective. If so, the update is
     /// undone and repeated with the bound.
-    fn update(&mut self, n: usize, rule: Rule, beyond: Option<f32>) {
-        if !self.bold() || self.plan().is_bounded(n) || rule == Rule::Probe {
-            return self.apply(n, rule, beyond, false);
+    fn update(&mut self, n: usize, rule: Rule, extrapolation: Option<f32>) {
+        if !self.tries_local() || self.plan().is_bounded(n) || rule == Rule::KktResidual {
+            return self.apply(n, rule, extrapolation, false);
         }
         let before = self.errors().weighted;
-        self.keep(n);
+        self.save(n);
         self.apply(n, rule, None, true);
         if self.errors().weighted > before {
-            self.take_back(n);
+            self.restore(n);
             self.apply(n, rule, None, false);
         }
     }
@@ -138,12 +138,12 @@ pub trait Updater {
     ///
     /// This needs exact steps: every weighted ray reads one pixel of the factor, and all weights
     /// are equal. Otherwise the result is `None`.
-    fn seen(&self, n: usize, outcome: Outcome) -> Option<Objective> {
+    fn objective_after(&self, n: usize, outcome: Outcome) -> Option<Objective> {
         let (plan, map) = (self.plan(), &self.plan().maps[n]);
-        let stored_is_met = self.display().layers.get(n).is_none_or(|layer| layer.response().is_none());
+        let stored_is_read = self.display().layers.get(n).is_none_or(|layer| layer.response().is_none());
         // fixed pixels of a tile keep their error
         let all_step = map.complete && plan.free(n).is_none();
-        let exact = plan.is_product() && map.nearest && all_step && stored_is_met;
+        let exact = plan.is_product() && map.nearest && all_step && stored_is_read;
         // a remainder much smaller than the error is rounding
         let left = outcome.error - outcome.gain;
         let known = exact && plan.target.is_uniform() && left > LEAST_LEFT * outcome.error;
@@ -152,14 +152,14 @@ pub trait Updater {
 
     /// Computes the KKT residual: the root mean square, over all values, of the change of the
     /// emission by an exact coordinate step within the box. It is 0 at a first-order (KKT) point.
-    fn unsettled(&mut self) -> f64 {
-        self.over_all(Rule::Probe)
+    fn kkt_residual(&mut self) -> f64 {
+        self.over_all(Rule::KktResidual)
     }
 
-    /// As [`unsettled`](Self::unsettled), and darkens unlit values. Only where layers attenuate: in
+    /// As [`kkt_residual`](Self::kkt_residual), and darkens unlit values if layers attenuate. In
     /// other formations no value is dark.
-    fn settle(&mut self) -> f64 {
-        let rule = if self.plan().is_product() { Rule::Settle } else { Rule::Probe };
+    fn darken_unlit(&mut self) -> f64 {
+        let rule = if self.plan().is_product() { Rule::Darken } else { Rule::KktResidual };
         self.over_all(rule)
     }
 
@@ -224,7 +224,7 @@ impl Plan {
     }
 
     /// Returns the greatest Σ w a_m² of an unlit pixel, relative to Σ w over its rays; for
-    /// [`Rule::Settle`].
+    /// [`Rule::Darken`].
     pub fn unlit_share(&self) -> f32 {
         crate::unlit::share(self)
     }

@@ -10,7 +10,7 @@ use crate::device::{Executor, Updater};
 use crate::engine::{Engine, Processor};
 use crate::factor::Factor;
 use crate::method::{Iterated, Method};
-use crate::plan::{Cut, Plan};
+use crate::plan::{Plan, TilePlace};
 use crate::prepared::{Patterns, Prepared};
 use crate::quantize::{has_levels, reoptimize, round_to_levels};
 use crate::solver::AUTO;
@@ -110,8 +110,8 @@ pub struct Factorization {
     pub history: Vec<Iteration>,
     /// The settings, with every automatic choice replaced by its value.
     pub settings: Settings,
-    /// KKT residual before quantization; see [`crate::Run::unsettled`].
-    pub unsettled: f64,
+    /// KKT residual before quantization; see [`crate::Run::kkt_residual`].
+    pub kkt_residual: f64,
     /// PSNR lost by few levels; `None` if no layer has few bits.
     pub levels: Option<LevelsLoss>,
 }
@@ -181,7 +181,7 @@ pub fn factorize_tile(
     let place = tile.parts.iter().zip(&tile.whole);
     let place = place.map(|(part, whole)| [[part.held.rows.start, part.held.cols.start], *whole]).collect();
     let free = fixed.then(|| tile.parts.iter().map(|part| part.free.within(&part.held)).collect());
-    let plan = Plan::of_tile(problem, &tile.map(whole), Cut { place, free })?;
+    let plan = Plan::of_tile(problem, &tile.map(whole), TilePlace { place, free })?;
     solve(&Processor, (problem, plan), settings, warm, task, on_iteration)
 }
 
@@ -196,9 +196,9 @@ fn solve(
     // choose solver and start, and prepare the problem once for all uses of it
     let settings = &settings.resolved();
     let (plan, display) = (Arc::new(plan), problem.display);
-    let mut run = begun(executor, (problem, &plan), settings, warm, task)?;
+    let mut run = start_run(executor, (problem, &plan), settings, warm, task)?;
     let prepared = |patterns| Prepared { plan: plan.clone(), display, patterns, executor };
-    let (mut history, mut unsettled) = (Vec::new(), 0.0);
+    let (mut history, mut kkt_residual) = (Vec::new(), 0.0);
     // iterate; evaluate the objective at the requested interval
     task.progress.begin("factorize", u64::from(settings.iterations), "iterations");
     let mut iterate = || -> Result<(), FactorizeError> {
@@ -208,15 +208,15 @@ fn solve(
             }
             // darken before the last evaluation, so that it describes the returned patterns
             if iteration == settings.iterations {
-                unsettled = if iteration > 0 { run.settle() } else { run.unsettled() };
+                kkt_residual = if iteration > 0 { run.darken_unlit() } else { run.kkt_residual() };
                 task.cancel.check()?;
             }
             let mut note = String::new();
             // a step may have found the objective already; the last value must be that of the
             // iterate
             if iteration == settings.iterations || iteration % settings.report_every.max(1) == 0 {
-                let seen = run.seen().filter(|_| iteration < settings.iterations);
-                let objective = seen.unwrap_or_else(|| run.objective());
+                let known = run.known_objective().filter(|_| iteration < settings.iterations);
+                let objective = known.unwrap_or_else(|| run.objective());
                 run.check()?;
                 let entry = Iteration { iteration, objective: objective.value, psnr_view: objective.psnr_view };
                 note = format!("{:.2} dB", entry.psnr_view);
@@ -244,11 +244,11 @@ fn solve(
         stack = reoptimize(prepared(Patterns::Stack(stack)), task)?;
         levels = Some(LevelsLoss { continuous, rounded, reoptimized: psnr_view(&stack) });
     }
-    Ok(Factorization { stack, history, settings: settings.clone(), unsettled, levels })
+    Ok(Factorization { stack, history, settings: settings.clone(), kkt_residual, levels })
 }
 
 /// Starts a run on a plan, from `warm` patterns or by the settings.
-fn begun(
+fn start_run(
     executor: &dyn Executor,
     (problem, plan): (&Problem, &Arc<Plan>),
     settings: &Settings,
@@ -269,7 +269,7 @@ fn begun(
             let start = if settings.iterations > 0 { unlit::lifted(warm) } else { warm.clone() };
             method.begin(Prepared { plan: plan.clone(), display, patterns: Patterns::Stack(start), executor })?
         }
-        None => begin(executor, method, plan, (display, problem.target.geometry()), settings, task)?,
+        None => start_fresh(executor, method, plan, (display, problem.target.geometry()), settings, task)?,
     };
     if run.rays() == 0 {
         return Err(FactorizeError::NoRays);
@@ -295,7 +295,7 @@ impl Ongoing {
         task: Task,
     ) -> Result<Self, FactorizeError> {
         let plan = Arc::new(Plan::new(problem)?);
-        begun(&Processor, (problem, &plan), &settings.resolved(), warm, task).map(Self)
+        start_run(&Processor, (problem, &plan), &settings.resolved(), warm, task).map(Self)
     }
 
     /// Runs one iteration.
@@ -309,7 +309,7 @@ impl Ongoing {
     /// Returns the objective: that of the last step if the solver found it on the way, else that of
     /// the current patterns.
     pub fn objective(&mut self) -> Objective {
-        self.0.seen().unwrap_or_else(|| self.0.objective())
+        self.0.known_objective().unwrap_or_else(|| self.0.objective())
     }
 
     /// Returns the current patterns.
@@ -322,7 +322,7 @@ impl Ongoing {
     /// # Errors
     /// If the patterns cannot be read back.
     pub fn finish(mut self) -> Result<(LayerStack, Objective), FactorizeError> {
-        self.0.settle();
+        self.0.darken_unlit();
         let objective = self.0.objective();
         Ok((self.0.finish().into_stack()?, objective))
     }
@@ -354,7 +354,7 @@ pub fn warm_start_pays(
     warm.check(display)?;
     // both starts use one rule, since the first steps of different rules do not compare
     let rule = method(&Settings { solver: warm_solver.into(), ..Settings::default() }.resolved().solver)?;
-    let mut from_fresh = begin(&Processor, rule, &plan, (display, problem.target.geometry()), fresh, task)?;
+    let mut from_fresh = start_fresh(&Processor, rule, &plan, (display, problem.target.geometry()), fresh, task)?;
     let mut from_warm =
         rule.begin(Prepared { plan, display, patterns: Patterns::Stack(unlit::lifted(warm)), executor: &Processor })?;
     // a warm start that leads already needs no iteration
@@ -371,7 +371,7 @@ pub fn warm_start_pays(
 const AHEAD_DB: f64 = 1.0;
 
 /// Starts a run without a warm start.
-fn begin(
+fn start_fresh(
     executor: &dyn Executor,
     method: &dyn Method,
     plan: &Arc<Plan>,
@@ -401,7 +401,7 @@ fn solve_coarse(
     let Some(coarse) = (levels > 0).then(|| Coarse::of(display, geometry, plan)).flatten() else { return Ok(None) };
     let settings = &Settings { coarse_levels: Some(levels - 1), ..settings.clone() };
     let parts = (&coarse.display, &coarse.geometry);
-    let mut run = begin(executor, method(&settings.solver)?, &coarse.plan, parts, settings, task)?;
+    let mut run = start_fresh(executor, method(&settings.solver)?, &coarse.plan, parts, settings, task)?;
     for _ in 0..settings.coarse_iterations {
         run.step(task.cancel)?;
     }

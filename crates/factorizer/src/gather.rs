@@ -56,7 +56,7 @@
 
 use lumistack_simd::{Backend, Function};
 
-use crate::buffers::{BlockOfLine, Buffers, ByBuffers, Sight};
+use crate::buffers::{BlockOfLine, Buffers, ByBuffers, SumParams};
 use crate::factor::Factor;
 use crate::line::{LineOf, LineStep, Outcome, StepFunctions};
 use crate::plan::Plan;
@@ -148,7 +148,7 @@ impl GatherLine<'_, '_> {
         let (outer, inner) = (list.outer(), list.inner());
         let first = layout.pad + (outer.start.max(layout.pad) - layout.pad) / lanes * lanes;
         let end = outer.end.min(layout.pad + layout.cols());
-        let sight = Sight { brightness: plan.target.brightness, sums: step.rule.sums() };
+        let params = SumParams { brightness: plan.target.brightness, sums: step.rule.sums() };
         let mut outcome = Outcome::default();
         let (mut squares, mut gain) = (Vector::default(), Vector::default());
         let mut x = first;
@@ -158,7 +158,7 @@ impl GatherLine<'_, '_> {
             let values = &*step.values;
             // SAFETY: x + lanes lies within padded rows for every block that overlaps a view's
             // valid range
-            unsafe { sums(BlockOfLine { rays: &list, x, sight, values, stride, buffers: &mut *buffers }) };
+            unsafe { sums(BlockOfLine { rays: &list, x, params, values, stride, buffers: &mut *buffers }) };
             vector::add(&mut squares, &buffers.squares);
             step.finish_block(&functions.step, &mut buffers.block, x);
             vector::add(&mut gain, &buffers.block.gain);

@@ -17,7 +17,7 @@
 //!         ──▶ re-optimization on the levels of panels of few bits ──▶ LayerStack
 //!
 //! Run::step, factor by factor:
-//!     gather (constant shifts), spread (any table) or sums (other formations)
+//!     gather (constant shifts), scatter (any table) or sums (other formations)
 //!     ──▶ respond (blur, crosstalk, tied channels) ──▶ step (the rule)
 //! ```
 //!
@@ -52,10 +52,10 @@ mod registers;
 mod respond;
 mod row;
 mod rows;
+mod scatter;
 mod scratch;
 mod solver;
 mod solvers;
-mod spread;
 mod start;
 mod step;
 mod stream;

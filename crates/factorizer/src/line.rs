@@ -21,7 +21,7 @@ pub struct Outcome {
     /// only if [`Plan::sees_all_rays`](crate::device::Plan::sees_all_rays).
     pub error: f64,
     /// Lower bound of the decrease of Σ w e² by the step; 0 if the rule does not compute it.
-    /// [`Rule::Probe`] and [`Rule::Settle`] return their result here.
+    /// [`Rule::KktResidual`] and [`Rule::Darken`] return their result here.
     pub gain: f64,
 }
 
@@ -38,7 +38,7 @@ pub(crate) struct LineStep<'a> {
     /// Box [low, high] of the values.
     pub(crate) range: [f32; 2],
     pub(crate) levels: Option<&'a Levels>,
-    /// For [`Rule::Settle`], the greatest Σ w a_m² of an unlit pixel, `[x]`.
+    /// For [`Rule::Darken`], the greatest Σ w a_m² of an unlit pixel, `[x]`.
     pub(crate) limits: Option<&'a [f32]>,
     /// In a tile, true for pixels that keep their values, `[x]`.
     pub(crate) fixed: Option<&'a [bool]>,
@@ -48,7 +48,7 @@ pub(crate) struct LineStep<'a> {
     /// The values that rays read, all frames.
     pub(crate) values: &'a mut [f32],
     /// The extrapolation's factor β_k, and the line of the last iterate.
-    pub(crate) beyond: Option<(f32, &'a mut [f32])>,
+    pub(crate) extrapolation: Option<(f32, &'a mut [f32])>,
     /// Where the sums are stored instead of a step, `[quantity][x]` in the order of [`Sums`]. The
     /// step then needs the sums of other lines too.
     pub(crate) sums: Option<&'a mut [f32]>,
@@ -59,7 +59,7 @@ pub(crate) struct StepFunctions {
     lanes: usize,
     step: StepFunction,
     fetch: Function<Fetch>,
-    hand_over: Function<HandOver>,
+    store_sums: Function<StoreSums>,
     put: Function<Put>,
 }
 
@@ -69,7 +69,7 @@ impl StepFunctions {
             lanes: backend.lanes(),
             step: step_function(backend, rule, levels, frames),
             fetch: backend.function::<Fetch>(),
-            hand_over: backend.function::<HandOver>(),
+            store_sums: backend.function::<StoreSums>(),
             put: backend.function::<Put>(),
         }
     }
@@ -98,7 +98,7 @@ impl LineStep<'_> {
         if let Some(sums) = &mut self.sums {
             block.gain = Vector::default();
             // SAFETY: the kernel has no requirements
-            unsafe { (functions.hand_over)((block, &mut sums[x..], self.stride, self.rule.sums())) };
+            unsafe { (functions.store_sums)((block, &mut sums[x..], self.stride, self.rule.sums())) };
             return;
         }
         // step by the rule, then apply what holds for single pixels: darkening and fixed values
@@ -109,12 +109,12 @@ impl LineStep<'_> {
             block.darken(lanes, &limits[x..x + room], self.range[0]);
         }
         if let Some(fixed) = self.fixed.map(|fixed| &fixed[x..x + room]).filter(|fixed| fixed.contains(&true)) {
-            block.keep(lanes, fixed, &self.values[x..], self.stride);
+            block.restore_fixed(lanes, fixed, &self.values[x..], self.stride);
         }
         block.gain[room..].fill(0.0);
-        if self.rule != Rule::Probe {
-            let beyond = self.beyond.as_mut().map(|(far, latest)| (*far, &mut latest[x..]));
-            let to = Stepped { values: &mut self.values[x..], beyond, stride: self.stride, range: self.range };
+        if self.rule != Rule::KktResidual {
+            let extrapolation = self.extrapolation.as_mut().map(|(by, latest)| (*by, &mut latest[x..]));
+            let to = Stepped { values: &mut self.values[x..], extrapolation, stride: self.stride, range: self.range };
             // SAFETY: the kernel has no requirements
             unsafe { (functions.put)((block, to, room)) };
         }
@@ -154,9 +154,9 @@ impl Kernel for Fetch {
 }
 
 /// Copies the sums of a block to rows that begin at the block.
-pub(crate) struct HandOver;
+pub(crate) struct StoreSums;
 
-impl Kernel for HandOver {
+impl Kernel for StoreSums {
     type Args<'a> = (&'a Block, &'a mut [f32], usize, Sums);
     type Output = ();
 
@@ -164,16 +164,16 @@ impl Kernel for HandOver {
     unsafe fn run<V: Lanes>((block, to, stride, sums): Self::Args<'_>) {
         let frames = block.frames;
         let mut rows = to.chunks_mut(stride);
-        let mut hand_over = |from: &[f32], at: usize| {
+        let mut store_sums = |from: &[f32], at: usize| {
             let (from, to) = (&from[at * V::COUNT..][..V::COUNT], &mut rows.next().unwrap_or_default()[..V::COUNT]);
             // SAFETY: the machine has V; both parts have COUNT values
             unsafe { V::load(from.as_ptr()).store(to.as_mut_ptr()) };
         };
-        (0..frames).for_each(|m| hand_over(&block.residual, m));
+        (0..frames).for_each(|m| store_sums(&block.residual, m));
         for m in 0..frames {
             match sums {
-                Sums::Gram => (m..frames).for_each(|k| hand_over(&block.gram, m * frames + k)),
-                Sums::Ratio | Sums::Diagonal => hand_over(&block.emitted, m),
+                Sums::Gram => (m..frames).for_each(|k| store_sums(&block.gram, m * frames + k)),
+                Sums::Ratio | Sums::Diagonal => store_sums(&block.emitted, m),
             }
         }
     }
@@ -182,7 +182,7 @@ impl Kernel for HandOver {
 /// The destination of a block's values: lines from its first pixel on, and their box.
 struct Stepped<'a> {
     values: &'a mut [f32],
-    beyond: Option<(f32, &'a mut [f32])>,
+    extrapolation: Option<(f32, &'a mut [f32])>,
     stride: usize,
     range: [f32; 2],
 }
@@ -196,21 +196,21 @@ impl Kernel for Put {
 
     #[inline(always)]
     unsafe fn run<V: Lanes>((block, to, room): Self::Args<'_>) {
-        let Stepped { values, mut beyond, stride, range } = to;
+        let Stepped { values, mut extrapolation, stride, range } = to;
         for m in 0..block.frames {
             let at = m * stride;
             // SAFETY: the machine has V; slices check lengths
             unsafe {
                 let moved = load::<V>(&block.values, m * V::COUNT);
-                let Some((far, latest)) = &mut beyond else {
+                let Some((by, latest)) = &mut extrapolation else {
                     put(moved, &mut values[at..], room);
                     continue;
                 };
                 let before = V::load(latest[at..at + V::COUNT].as_ptr());
-                let further = moved.sub(before).mul_add(V::splat(*far), moved);
-                let further = further.max(V::splat(range[0])).min(V::splat(range[1]));
+                let extrapolated = moved.sub(before).mul_add(V::splat(*by), moved);
+                let extrapolated = extrapolated.max(V::splat(range[0])).min(V::splat(range[1]));
                 put(moved, &mut latest[at..], room);
-                put(further, &mut values[at..], room);
+                put(extrapolated, &mut values[at..], room);
             }
         }
     }

@@ -141,21 +141,21 @@ impl FactorMap {
             })
             .collect();
         // the rays of each line: field rows that count and hit the factor
-        let met = |(taps, valid): (&Vec<LineTap>, &Vec<bool>)| -> Vec<(u32, LineTap)> {
+        let read_by_view = |(taps, valid): (&Vec<LineTap>, &Vec<bool>)| -> Vec<(u32, LineTap)> {
             let rows = taps.iter().zip(valid).enumerate();
             rows.filter(|(_, (tap, valid))| **valid && tap.first as usize != lines)
                 .map(|(row, (tap, _))| (row as u32, *tap))
                 .collect()
         };
-        let met: Vec<_> = y.iter().zip(valid_rows).map(met).collect();
-        let rays: Vec<_> = met
+        let reads: Vec<_> = y.iter().zip(valid_rows).map(read_by_view).collect();
+        let rays: Vec<_> = reads
             .iter()
             .map(|rows| {
                 let both = |&(row, tap): &(u32, LineTap)| [(tap.first, (row, 1.0 - tap.t)), (tap.second, (row, tap.t))];
                 RaysOfLine::new(lines, rows.iter().flat_map(both).filter(|(_, (_, share))| *share > 0.0))
             })
             .collect();
-        let after: Vec<_> = met
+        let after: Vec<_> = reads
             .iter()
             .map(|rows| RaysOfLine::new(lines, rows.iter().map(|&(row, tap)| (tap.first, (row, tap.t)))))
             .collect();

@@ -17,7 +17,7 @@ pub(crate) trait Iterated: Run {
     /// ones.
     ///
     /// `None` if only [`Run::objective`] can compute it, or after a restart.
-    fn seen(&self) -> Option<Objective>;
+    fn known_objective(&self) -> Option<Objective>;
 
     /// Ends the run and returns its patterns where they are.
     fn finish(self: Box<Self>) -> Box<dyn Updater>;

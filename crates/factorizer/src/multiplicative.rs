@@ -63,7 +63,7 @@ struct MultiplicativeRun {
 
 impl Run for MultiplicativeRun {
     fn step(&mut self, cancel: &Cancel) -> Result<(), FactorizeError> {
-        self.state.heed(cancel);
+        self.state.set_cancel(cancel);
         for n in 0..self.state.plan().factor_count() {
             self.state.update(n, Rule::Multiplicative, None);
             cancel.check()?;
@@ -75,12 +75,12 @@ impl Run for MultiplicativeRun {
         self.state.objective()
     }
 
-    fn unsettled(&mut self) -> f64 {
-        self.state.unsettled()
+    fn kkt_residual(&mut self) -> f64 {
+        self.state.kkt_residual()
     }
 
-    fn settle(&mut self) -> f64 {
-        self.state.settle()
+    fn darken_unlit(&mut self) -> f64 {
+        self.state.darken_unlit()
     }
 
     fn rays(&self) -> u64 {
@@ -97,7 +97,7 @@ impl Run for MultiplicativeRun {
 }
 
 impl Iterated for MultiplicativeRun {
-    fn seen(&self) -> Option<Objective> {
+    fn known_objective(&self) -> Option<Objective> {
         // the rule does not compute how much a step lowers the objective
         None
     }

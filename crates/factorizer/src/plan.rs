@@ -45,7 +45,7 @@ pub struct Plan {
     /// Number of rays that count.
     pub(crate) rays: u64,
     /// For a tile, its place in the whole display and its free pixels.
-    pub(crate) cut: Option<Cut>,
+    pub(crate) tile: Option<TilePlace>,
     /// Instruction set of all kernels of the run.
     pub(crate) backend: Backend,
     pub(crate) row: RowFunctions,
@@ -53,14 +53,14 @@ pub struct Plan {
 
 /// A tile's place in its display.
 #[derive(Clone, Debug)]
-pub(crate) struct Cut {
+pub(crate) struct TilePlace {
     /// Per factor: first [row, column] of the tile in the whole, and [rows, columns] of the whole.
     pub(crate) place: Vec<[[usize; 2]; 2]>,
     /// Per factor, the pixels that may change, counted within the tile; `None` if all may.
     pub(crate) free: Option<Vec<Region>>,
 }
 
-impl Cut {
+impl TilePlace {
     /// The same tile at half the resolution, with all pixels free.
     pub(crate) fn halved(&self, display: &Display) -> Self {
         let halve = |(n, place): (usize, &[[usize; 2]; 2])| match display.layers.get(n) {
@@ -83,13 +83,13 @@ impl Plan {
     }
 
     /// As [`Self::new`] for a tile; `map` maps its rays to its pixels.
-    pub(crate) fn of_tile(problem: &Problem, map: &RayMap, cut: Cut) -> Result<Self, FactorizeError> {
+    pub(crate) fn of_tile(problem: &Problem, map: &RayMap, tile: TilePlace) -> Result<Self, FactorizeError> {
         problem.check_all_but_target()?;
         let target = Target::new(problem);
         if target.may_be_infinite() {
             problem.check_target()?;
         }
-        Ok(Self { cut: Some(cut), ..Self::with_map(problem.display, problem.target.geometry(), map, target) })
+        Ok(Self { tile: Some(tile), ..Self::with_map(problem.display, problem.target.geometry(), map, target) })
     }
 
     /// Builds the tables for rays of `geometry` with the radiance `target`.
@@ -135,7 +135,7 @@ impl Plan {
             valid_rows,
             target,
             rays: 0,
-            cut: None,
+            tile: None,
             backend: Backend::best(),
             row: RowFunctions::new(Backend::best()),
         };
@@ -173,7 +173,7 @@ impl Plan {
 
     /// The pixels of factor `n` that may change; `None` if all may.
     pub(crate) fn free(&self, n: usize) -> Option<&Region> {
-        self.cut.as_ref()?.free.as_ref()?.get(n)
+        self.tile.as_ref()?.free.as_ref()?.get(n)
     }
 
     /// True if a line of factor `n` has pixels that may change.

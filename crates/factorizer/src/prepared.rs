@@ -40,15 +40,15 @@ impl<'a> Prepared<'a> {
         Ok(Self { plan, display: problem.display, patterns: Patterns::Stack(start), executor })
     }
 
-    /// Starts the run on its executor. `floor` and `bold` are those of [`Self::into_begin`].
-    pub(crate) fn begin(self, floor: f32, bold: bool) -> Result<Box<dyn Updater>, FactorizeError> {
+    /// Starts the run on its executor. `floor` and `tries_local` are those of [`Self::into_begin`].
+    pub(crate) fn begin(self, floor: f32, tries_local: bool) -> Result<Box<dyn Updater>, FactorizeError> {
         let executor = self.executor;
-        executor.begin(self.into_begin(floor, bold))
+        executor.begin(self.into_begin(floor, tries_local))
     }
 
     /// Converts the patterns to factors. All values, now and later, are at least `floor` and within
-    /// the hardware's box. `bold`: see [`Begin::bold`].
-    pub(crate) fn into_begin(self, floor: f32, bold: bool) -> Begin {
+    /// the hardware's box. `tries_local`: see [`Begin::tries_local`].
+    pub(crate) fn into_begin(self, floor: f32, tries_local: bool) -> Begin {
         let Self { plan, display, patterns, .. } = self;
         let mut ranges = ranges_of(display);
         ranges.iter_mut().for_each(|[low, high]| *low = low.max(floor).min(*high));
@@ -62,7 +62,7 @@ impl<'a> Prepared<'a> {
                 layouts.zip(coarse).map(|((layout, range), own)| coarse::refine(own, layout, *range)).collect()
             }
         };
-        Begin { plan, display: display.clone(), ranges, factors, bold }
+        Begin { plan, display: display.clone(), ranges, factors, tries_local }
     }
 }
 

@@ -79,20 +79,20 @@ pub(crate) enum TargetRow<'a> {
 }
 
 /// Number of rows that each view prefetches. All rows at once would stall the loads.
-const ASKED: usize = 3;
+const PREFETCHED: usize = 3;
 
 /// The rows along one view's rays.
 pub(crate) struct RowsOfView<'a, const K: usize> {
     pub(crate) view: &'a View<'a>,
     pub(crate) target: &'a TargetRow<'a>,
     pub(crate) others: &'a [Place<'a, f32>; K],
-    ahead: &'a [*const f32; ASKED],
+    ahead: &'a [*const f32; PREFETCHED],
 }
 
 impl<const K: usize> RowsOfView<'_, K> {
     /// Prefetches the values at x of this view's part of the rows.
     #[inline(always)]
-    pub(crate) fn ask(&self, x: usize) {
+    pub(crate) fn prefetch(&self, x: usize) {
         for row in self.ahead {
             prefetch(row.wrapping_add(x));
         }
@@ -138,7 +138,7 @@ impl LineRays<'_> {
     #[inline(always)]
     pub(crate) fn by_view<const K: usize>(&self, views: Range<usize>) -> impl Iterator<Item = RowsOfView<'_, K>> {
         let others = &self.others.as_chunks::<K>().0[views.clone()];
-        let ahead = &self.ahead.as_chunks::<ASKED>().0[views.clone()];
+        let ahead = &self.ahead.as_chunks::<PREFETCHED>().0[views.clone()];
         let views = self.views[views.clone()].iter().zip(&self.targets[views]).zip(others).zip(ahead);
         views.map(|(((view, target), others), ahead)| RowsOfView { view, target, others, ahead })
     }
@@ -151,8 +151,8 @@ impl LineRays<'_> {
     /// Prefetches the values at x of the rows that no view prefetches; of all rows without
     /// `by_views`.
     #[inline(always)]
-    pub(crate) fn ask_for_rest(&self, x: usize, by_views: bool) {
-        for row in &self.ahead[if by_views { (ASKED * self.views.len()).min(self.ahead.len()) } else { 0 }..] {
+    pub(crate) fn prefetch_rest(&self, x: usize, by_views: bool) {
+        for row in &self.ahead[if by_views { (PREFETCHED * self.views.len()).min(self.ahead.len()) } else { 0 }..] {
             prefetch(row.wrapping_add(x));
         }
     }
@@ -413,6 +413,6 @@ pub(crate) fn rays_through<'a>(
     }
     // every view prefetches the same number of rows
     let last = rays.ahead.last().copied().unwrap_or(std::ptr::null());
-    rays.ahead.resize(rays.ahead.len().max(ASKED * rays.views.len()), last);
+    rays.ahead.resize(rays.ahead.len().max(PREFETCHED * rays.views.len()), last);
     rays
 }

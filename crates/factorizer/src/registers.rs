@@ -3,7 +3,7 @@
 
 use lumistack_simd::{Kernel, Lanes};
 
-use crate::buffers::{AHEAD, BetweenTiles, BlockOfLine, Buffers, ByBuffers, GROUP, Group, Sight, Tiles, wanted};
+use crate::buffers::{AHEAD, BetweenTiles, BlockOfLine, Buffers, ByBuffers, GROUP, Group, SumParams, Tiles, wanted};
 use crate::rays::{LineRays, RowsOfView};
 use crate::vector::{load, store};
 
@@ -50,13 +50,15 @@ impl<const M: usize, const K: usize, const MASKED: bool, const DIAGONAL: bool> K
                 return V::call::<ByBuffers>(at);
             }
             at.begin::<V>(M, true);
-            let BlockOfLine { rays, x, sight, buffers, .. } = at;
+            let BlockOfLine { rays, x, params, buffers, .. } = at;
             // one pass over the views, with all sums in registers
-            let lit = Lit::<K>::new(rays, x, sight, &buffers.scaled);
+            let shared = SharedInputs::<K>::new(rays, x, params, &buffers.scaled);
             let mut squares = V::splat(0.0);
             let (mut above, mut below) = ([V::splat(0.0); M], [V::splat(0.0); M]);
             for rows in rays.by_view::<K>(0..rays.views.len()) {
-                let Some(Seen { products, wanted, emitted }) = lit.seen::<V, M, MASKED>(&rows) else { continue };
+                let Some(ViewTerms { products, wanted, emitted }) = shared.terms_of::<V, M, MASKED>(&rows) else {
+                    continue;
+                };
                 let error = wanted.sub(emitted);
                 squares = error.mul_add(error, squares);
                 for m in 0..M {
@@ -87,10 +89,10 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
                 return V::call::<ByBuffers>(at);
             }
             at.begin::<V>(M, true);
-            let BlockOfLine { rays, x, sight, buffers, .. } = at;
+            let BlockOfLine { rays, x, params, buffers, .. } = at;
             let Buffers { block, products: buffered, errors, emitted, scaled, squares: all } = buffers;
             let tile = tile_of(M);
-            let lit = Lit::<K>::new(rays, x, sight, scaled);
+            let shared = SharedInputs::<K>::new(rays, x, params, scaled);
             let views = rays.views.len();
             let mut first = 0;
             // groups of views: their a_m fit the buffer. Sums wait in memory between groups, since
@@ -112,7 +114,9 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
                 // sum the tiles along the diagonal in registers, and buffer a_m for the rest
                 let mut active = 0;
                 for rows in rays.by_view::<K>(first..views.min(first + GROUP)) {
-                    let Some(Seen { products, wanted, emitted }) = lit.seen::<V, M, MASKED>(&rows) else { continue };
+                    let Some(ViewTerms { products, wanted, emitted }) = shared.terms_of::<V, M, MASKED>(&rows) else {
+                        continue;
+                    };
                     let error = wanted.sub(emitted);
                     squares = error.mul_add(error, squares);
                     for m in 0..M {
@@ -154,36 +158,39 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
 }
 
 /// a_m of all frames, βL and L̃, each times √w, of one view in a block.
-struct Seen<V, const M: usize> {
+struct ViewTerms<V, const M: usize> {
     products: [V; M],
     wanted: V,
     emitted: V,
 }
 
 /// The inputs that all views of a block share.
-struct Lit<'a, const K: usize> {
+struct SharedInputs<'a, const K: usize> {
     x: usize,
-    sight: Sight,
+    params: SumParams,
     /// f/M.
     scaled: &'a [f32],
     strides: [usize; K],
 }
 
-impl<'a, const K: usize> Lit<'a, K> {
+impl<'a, const K: usize> SharedInputs<'a, K> {
     #[inline(always)]
-    fn new(rays: &LineRays, x: usize, sight: Sight, scaled: &'a [f32]) -> Self {
-        Self { x, sight, scaled, strides: std::array::from_fn(|k| rays.strides[k]) }
+    fn new(rays: &LineRays, x: usize, params: SumParams, scaled: &'a [f32]) -> Self {
+        Self { x, params, scaled, strides: std::array::from_fn(|k| rays.strides[k]) }
     }
 
     /// Computes a_m, βL and L̃ of one view in the block; `None` where no ray counts.
     #[inline(always)]
-    unsafe fn seen<V: Lanes, const M: usize, const MASKED: bool>(&self, rows: &RowsOfView<K>) -> Option<Seen<V, M>> {
+    unsafe fn terms_of<V: Lanes, const M: usize, const MASKED: bool>(
+        &self,
+        rows: &RowsOfView<K>,
+    ) -> Option<ViewTerms<V, M>> {
         // SAFETY: guaranteed by the caller
         unsafe {
             // the rows of a later block travel to the cache during this one's arithmetic
-            rows.ask(self.x + AHEAD * V::COUNT);
+            rows.prefetch(self.x + AHEAD * V::COUNT);
             let weight = if MASKED { rows.view.weight::<V>(self.x)? } else { V::splat(1.0) };
-            let mut wanted = wanted::<V>(rows.target, self.x, self.sight);
+            let mut wanted = wanted::<V>(rows.target, self.x, self.params);
             if MASKED {
                 wanted = wanted.mul(weight);
             }
@@ -201,7 +208,7 @@ impl<'a, const K: usize> Lit<'a, K> {
                 }
                 emitted = products[m].mul_add(load::<V>(self.scaled, m * V::COUNT), emitted);
             }
-            Some(Seen { products, wanted, emitted })
+            Some(ViewTerms { products, wanted, emitted })
         }
     }
 }

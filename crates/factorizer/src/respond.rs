@@ -25,14 +25,14 @@ use crate::step::{Block, Sums};
 
 /// Sums of all lines of a factor, carried over to the stored pixels as planes:
 /// `[quantity][channel][line · cols + col]`.
-pub(crate) struct Pulled {
+pub(crate) struct AdjointSums {
     planes: Vec<[Vec<f32>; 3]>,
 }
 
-impl Pulled {
+impl AdjointSums {
     /// Applies Aᵀ to the sums of the pixels that rays read. `sums` is `[channel and stored
     /// line][quantity][x]`.
-    pub(crate) fn back(response: &Response, layout: &Layout, needed: Sums, sums: &[f32]) -> Self {
+    pub(crate) fn of(response: &Response, layout: &Layout, needed: Sums, sums: &[f32]) -> Self {
         let (rows, cols) = (layout.lines(), layout.cols());
         let quantities = needed.count(layout.frames);
         let line_len = quantities * layout.stride;
@@ -81,7 +81,7 @@ impl Pulled {
 
 /// One line of stored values and its step.
 pub(crate) struct StepLine<'a, 'b> {
-    pub(crate) pulled: &'a Pulled,
+    pub(crate) adjoint: &'a AdjointSums,
     pub(crate) channel: usize,
     pub(crate) line: usize,
     pub(crate) step: LineStep<'b>,
@@ -94,9 +94,9 @@ pub(crate) struct StepLine<'a, 'b> {
 impl StepLine<'_, '_> {
     /// Copies the line's sums from the planes and steps its pixels.
     pub(crate) fn update(self) -> Outcome {
-        let Self { pulled, channel, line, mut step, functions, block, sums } = self;
+        let Self { adjoint, channel, line, mut step, functions, block, sums } = self;
         let columns = step.columns.clone();
-        for (plane, row) in pulled.planes.iter().zip(sums.chunks_exact_mut(step.stride)) {
+        for (plane, row) in adjoint.planes.iter().zip(sums.chunks_exact_mut(step.stride)) {
             row[columns.clone()].copy_from_slice(&plane[channel][line * columns.len()..][..columns.len()]);
         }
         Outcome { gain: step.by_sums(functions, sums, block), ..Outcome::default() }
@@ -114,7 +114,7 @@ pub(crate) fn tie(stored: &mut Factor) {
 }
 
 /// Computes the values that rays read, F = A f.
-pub(crate) fn respond(response: &Response, stored: &Factor, met: &mut Aligned) {
+pub(crate) fn respond(response: &Response, stored: &Factor, effective: &mut Aligned) {
     let layout = &stored.layout;
     let (rows, cols) = (layout.lines(), layout.cols());
     let mix = response.mix();
@@ -136,7 +136,7 @@ pub(crate) fn respond(response: &Response, stored: &Factor, met: &mut Aligned) {
     // then mix the channels of each pixel into the lines that rays read
     let frames: Vec<[Vec<f32>; 3]> = bands::map(layout.frames, || (), |(), frame| frame_of(frame));
     bands::for_each_chunk(
-        met,
+        effective,
         layout.line_len(),
         || (),
         |(), index, values| {

@@ -41,17 +41,17 @@ pub trait Run {
     /// It is the root mean square, over all values, of the change of the emission by an exact
     /// coordinate step within the box. A step's change of the emission is √Σ w ΔL̃² over the rays
     /// through the pixel, with weights relative to the largest.
-    fn unsettled(&mut self) -> f64;
+    fn kkt_residual(&mut self) -> f64;
 
     /// Ends a run: sets unlit values to the darkest that the hardware shows. Returns the KKT
-    /// residual, see [`unsettled`](Self::unsettled).
+    /// residual, see [`kkt_residual`](Self::kkt_residual).
     ///
     /// Unlit values are those that almost no light reaches, so the objective leaves them open. A
     /// real layer is not quite black and would leak light there. A value is unlit if the other
     /// layers transmit, in its frame and over its rays, at most 10⁻⁴ of the brightness (root mean
     /// square). Pixels without a weighted ray keep their values, since views between those of the
     /// target may see them.
-    fn settle(&mut self) -> f64;
+    fn darken_unlit(&mut self) -> f64;
 
     /// Number of rays with w > 0 that hit all layers.
     fn rays(&self) -> u64;

@@ -7,7 +7,7 @@ use lumistack_display::{Display, Formation, Layer, LayerStack};
 use crate::bands;
 use crate::expand::{Rays, wanted};
 use crate::line::LineOf;
-use crate::plan::{Cut, Plan};
+use crate::plan::{Plan, TilePlace};
 
 /// Least value of a start, and of solvers with a multiplicative rule.
 pub const FLOOR: f32 = 1e-4;
@@ -77,16 +77,16 @@ pub(crate) const CONTENT_NOISE: [f32; 2] = [0.8, 1.2];
 
 /// Makes starting patterns. The same problem, kind and seed give the same patterns.
 pub(crate) fn start_patterns(plan: &Plan, display: &Display, kind: StartKind, seed: u64) -> LayerStack {
-    let mut stack = noise(display, seed, plan.cut.as_ref());
+    let mut stack = noise(display, seed, plan.tile.as_ref());
     if kind == StartKind::Random {
         return stack;
     }
     // blur the noise and stretch it to the full range
-    let spread = Layer { blur_px: NOISE_BLUR_PX, ..display.layers[0].clone() }.response();
+    let response = Layer { blur_px: NOISE_BLUR_PX, ..display.layers[0].clone() }.response();
     for_each_plane(&mut stack, |plane, rows, cols, [blurred, scratch]| {
         blurred.resize(plane.len(), 0.0);
-        if let Some(spread) = &spread {
-            spread.blur(rows, cols, plane, blurred, scratch);
+        if let Some(response) = &response {
+            response.blur(rows, cols, plane, blurred, scratch);
             plane.copy_from_slice(blurred);
         }
         let range = plane.iter().fold((f32::MAX, f32::MIN), |(low, high), &v| (low.min(v), high.max(v)));
@@ -125,7 +125,7 @@ pub fn random_start(display: &Display, seed: u64) -> LayerStack {
 }
 
 /// As [`random_start`]; for a tile, its part of the whole display's noise.
-fn noise(display: &Display, seed: u64, cut: Option<&Cut>) -> LayerStack {
+fn noise(display: &Display, seed: u64, tile: Option<&TilePlace>) -> LayerStack {
     let mut stack = LayerStack::filled(display, 0.0);
     let sizes = sizes(&stack);
     let mut parts: Vec<&mut [f32]> = parts(&mut stack).collect();
@@ -136,7 +136,7 @@ fn noise(display: &Display, seed: u64, cut: Option<&Cut>) -> LayerStack {
         |(), part, values| {
             let stream = Stream::new(derive(seed, &[part as u64]));
             let size @ [rows, cols] = sizes[part];
-            let [first, whole] = cut.map_or([[0, 0], size], |cut| cut.place[part]);
+            let [first, whole] = tile.map_or([[0, 0], size], |tile| tile.place[part]);
             // every row has its place in the random stream of the whole, so tiles get the same
             // noise
             for (index, line) in values[0].chunks_exact_mut(3 * cols).enumerate() {

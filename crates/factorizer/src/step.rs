@@ -34,9 +34,9 @@ pub enum Rule {
     },
     /// Changes nothing. The gain is the squared change of the emission, Σ_m G_mm δ_m², over the
     /// coordinate steps δ_m that are still possible.
-    Probe,
-    /// The same gain; sets unlit values to the darkest, see [`crate::Run::settle`].
-    Settle,
+    KktResidual,
+    /// The same gain; sets unlit values to the darkest, see [`crate::Run::darken_unlit`].
+    Darken,
 }
 
 impl Rule {
@@ -44,7 +44,7 @@ impl Rule {
         match self {
             Self::Multiplicative => Sums::Ratio,
             Self::Block { .. } => Sums::Gram,
-            Self::Probe | Self::Settle => Sums::Diagonal,
+            Self::KktResidual | Self::Darken => Sums::Diagonal,
         }
     }
 
@@ -92,7 +92,7 @@ pub(crate) enum Freedom {
 }
 
 /// Least diagonal entry of a Gram matrix. A smaller one belongs to a pixel that almost no light
-/// reaches. Its value is arbitrary until [`Rule::Settle`] darkens it.
+/// reaches. Its value is arbitrary until [`Rule::Darken`] darkens it.
 const LEAST_CURVATURE: f32 = 1e-30;
 
 /// Sums and values of one vector of pixels, `[frame][lane]`.
@@ -289,23 +289,23 @@ impl Block {
         }
     }
 
-    /// Restores the values `met` from before the step in the lanes of fixed pixels. `met` has one
+    /// Restores the values `old` from before the step in the lanes of fixed pixels. `old` has one
     /// row per frame, `stride` apart.
     ///
     /// Only borders of tiles need it, so it has no vector code.
     #[cold]
     #[inline(never)]
-    pub(crate) fn keep(&mut self, lanes: usize, fixed: &[bool], met: &[f32], stride: usize) {
+    pub(crate) fn restore_fixed(&mut self, lanes: usize, fixed: &[bool], old: &[f32], stride: usize) {
         for (lane, _) in fixed.iter().enumerate().filter(|(_, fixed)| **fixed) {
             for m in 0..self.frames {
-                self.values[m * lanes + lane] = met[m * stride + lane];
+                self.values[m * lanes + lane] = old[m * stride + lane];
             }
             self.gain[lane] = 0.0;
         }
     }
 
     #[inline(always)]
-    unsafe fn unsettled<V: Lanes>(&mut self, [low, high]: [f32; 2]) -> V {
+    unsafe fn kkt_residual<V: Lanes>(&mut self, [low, high]: [f32; 2]) -> V {
         let (n, frames) = (V::COUNT, self.frames);
         // SAFETY: see `kernel`
         unsafe {
@@ -340,7 +340,7 @@ pub(crate) type StepFunction = for<'a> unsafe fn(Step<'a>);
 pub(crate) fn step_function(backend: Backend, rule: Rule, levels: bool, frames: usize) -> StepFunction {
     match (rule, levels, frames) {
         (Rule::Multiplicative, ..) => backend.function::<Multiply>(),
-        (Rule::Probe | Rule::Settle, ..) => backend.function::<Unsettled>(),
+        (Rule::KktResidual | Rule::Darken, ..) => backend.function::<KktResidual>(),
         (Rule::Block { .. }, true, _) => backend.function::<DescendLevels>(),
         (Rule::Block { .. }, false, 1) => backend.function::<Descend<1>>(),
         (Rule::Block { .. }, false, 2) => backend.function::<Descend<2>>(),
@@ -377,7 +377,7 @@ macro_rules! kernel {
 }
 
 kernel!(Multiply, |step| multiply::<V>(step.range));
-kernel!(Unsettled, |step| unsettled::<V>(step.range));
+kernel!(KktResidual, |step| kkt_residual::<V>(step.range));
 kernel!(Descend<const M>, |step| descend_in_registers::<V, M>(step.sweeps, step.range));
 kernel!(DescendInMemory, |step| descend_in_memory::<V>(step.sweeps, step.range));
 

@@ -108,9 +108,9 @@ impl ChannelRun {
         Ok(())
     }
 
-    /// Ends the run; see [`crate::Run::settle`].
-    pub fn settle(&mut self) -> f64 {
-        self.engine.settle()
+    /// Ends the run; see [`crate::Run::darken_unlit`].
+    pub fn darken_unlit(&mut self) -> f64 {
+        self.engine.darken_unlit()
     }
 
     /// Computes the objective of the current patterns.

@@ -5,7 +5,7 @@
 //!
 //! 1. Expand the other factors along the row into a_m (M rows) and the residual e = βL − L̃.
 //! 2. Add w e a_m and w a_m a_k to the line's sums, by the share of the ray that a pixel has ([why
-//!    shares](crate::spread)).
+//!    shares](crate::scatter)).
 //!
 //! All loops run along columns.
 

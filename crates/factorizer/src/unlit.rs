@@ -1,7 +1,8 @@
 //! Unlit values: other layers block almost all their light, so the objective leaves them open.
 //!
 //! If another layer is black in frame m on all rays through a pixel, then a_m = 0. Every value of
-//! f_m then gives the same emission. A run ends with the darkest one ([`crate::Run::settle`]).
+//! f_m then gives the same emission. A run ends with the darkest one
+//! ([`crate::Run::darken_unlit`]).
 //!
 //! Two layers that are black behind each other cannot move any more, since each makes the other's
 //! a_m 0. A warm start therefore [lifts](lifted) black slightly, from where an exact step reaches
@@ -57,7 +58,7 @@ pub(crate) fn limits(plan: &Plan, n: usize) -> Vec<f32> {
             }
             limits.iter_mut().for_each(|limit| *limit = if *limit > 0.0 { *limit * share } else { -1.0 });
         },
-    // scale the sum to the limit, and exempt pixels without rays
+        // scale the sum to the limit, and exempt pixels without rays
     );
     limits
 }

@@ -31,7 +31,7 @@ struct Params {
     brightness: f32,
     low: f32,
     high: f32,
-    beyond: f32,
+    extrapolation: f32,
     unlit: f32,
 //@ factors
     cols_{k}: u32,

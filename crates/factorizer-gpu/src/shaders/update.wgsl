@@ -30,7 +30,7 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ if mixed
             let line_of_{own} = line_{own}(view_y, row);
 //@ end
-//@ if long
+//@ if long_sums
             // many rays: sums of partial sums lose fewer digits
 //@ sums
             let before_{s} = {s};
@@ -81,10 +81,10 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
                     g{m}_{j} += share * a{m} * a{j};
 //@ end
 //@ end
-//@ if bent
+//@ if nonlinear
                     // L̃ is not linear in the values: a bound of the curvature along them
 //@ if local
-                    let most = CURVATURE_HERE * abs(e);
+                    let most = LOCAL_CURVATURE * abs(e);
 //@ end
 //@ if !local
                     let most = CURVATURE * (1.0 + 2.0 * max(abs(wanted), abs(1.0 - wanted)));
@@ -96,7 +96,7 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ end
                 }
             }
-//@ if long
+//@ if long_sums
 //@ sums
             {s} += before_{s};
 //@ end
@@ -147,7 +147,7 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
     gain += step * step * curvature;
 //@ end
 //@ end
-//@ if settle
+//@ if darken
     let limit = select(-1.0, light * params.unlit, light > 0.0);
 //@ frames
     if (g{m}_{m} <= limit) {
@@ -158,17 +158,17 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ if moves
     // write the new values, and the extrapolated ones if requested
     let place = line * length + column - params.out_base;
-//@ if beyond
+//@ if extrapolated
     var at = place;
     var past = 0.0;
 //@ frames
     past = latest[at];
     latest[at] = v{m};
-    stepped[at] = clamp(v{m} + params.beyond * (v{m} - past), params.low, params.high);
+    stepped[at] = clamp(v{m} + params.extrapolation * (v{m} - past), params.low, params.high);
     at += params.own_cols;
 //@ end
 //@ end
-//@ if !beyond
+//@ if !extrapolated
 //@ frames
     stepped[place + {m}u * params.own_cols] = v{m};
 //@ end

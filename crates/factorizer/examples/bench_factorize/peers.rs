@@ -18,7 +18,7 @@ type Outcome<T = ()> = Result<T, Box<dyn Error>>;
 
 /// Time to wait after a request, since threads of a library may spin after their work and would
 /// slow the next timing.
-const SETTLE: Duration = Duration::from_millis(30);
+const PAUSE: Duration = Duration::from_millis(30);
 
 /// The process of a library.
 pub struct Peer {
@@ -61,7 +61,7 @@ impl Peer {
     pub fn update(&mut self, variant: &str) -> Outcome<f64> {
         writeln!(self.requests, "update\t{variant}")?;
         let answer = self.answer()?;
-        std::thread::sleep(SETTLE);
+        std::thread::sleep(PAUSE);
         Ok(answer["seconds"].as_f64().ok_or("no time")?)
     }
 

@@ -12,7 +12,7 @@ use crate::{Factorization, Problem, Settings, factorize};
 const ITERATIONS: u32 = 30;
 
 /// PSNR difference that counts as none after so few iterations, dB.
-const NOTHING: f64 = 0.2;
+const NEGLIGIBLE_DB: f64 = 0.2;
 
 fn solve(display: &Display, target: &LightField, levels: bool) -> Factorization {
     let problem = Problem { display, target, weights: &Weights::Uniform };
@@ -39,14 +39,14 @@ fn shown(display: &Display, stack: &LayerStack, target: &LightField) -> f64 {
 }
 
 /// PSNR in dB: [without the effect, ignored by the solver, modelled by the solver].
-fn effect(what: &str, target: &LightField, ideal: &Display, real: &Display) -> [f64; 3] {
+fn effect(name: &str, target: &LightField, ideal: &Display, real: &Display) -> [f64; 3] {
     let blind = solve(ideal, target, true).stack;
     let figures = [
         score(ideal, &blind, target, &Weights::Uniform).psnr_view(),
         shown(real, &blind, target),
         shown(real, &solve(real, target, true).stack, target),
     ];
-    println!("{what}: ideal {:.1}, ignored {:.1}, modelled {:.1} dB", figures[0], figures[1], figures[2]);
+    println!("{name}: ideal {:.1}, ignored {:.1}, modelled {:.1} dB", figures[0], figures[1], figures[2]);
     figures
 }
 
@@ -80,7 +80,7 @@ fn modelling_an_effect_recovers_at_least_half_of_what_it_costs() {
     ] {
         let [ideal, ignored, modelled] = effect(what, &target, &ideal, &real);
         let lost = ideal - ignored;
-        assert!(modelled >= ignored + if lost > NOTHING { lost / 2.0 } else { -NOTHING }, "{what}");
+        assert!(modelled >= ignored + if lost > NEGLIGIBLE_DB { lost / 2.0 } else { -NEGLIGIBLE_DB }, "{what}");
         assert!(what != "contrast 50:1" || modelled >= ideal - 1.0, "{what}");
     }
 }

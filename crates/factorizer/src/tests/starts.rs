@@ -58,7 +58,7 @@ fn plane(shift: f64, scene: f64, brightness: f64) -> Owned {
 }
 
 /// Greatest loss of the chosen start against the other after five iterations, dB.
-const AMISS_DB: f64 = 1.5;
+const WORST_LOSS_DB: f64 = 1.5;
 
 #[test]
 fn the_start_that_is_taken_is_not_the_worse_one() {
@@ -110,7 +110,10 @@ fn the_start_that_is_taken_is_not_the_worse_one() {
             };
             let (from_warm, from_fresh) = (after("block-exact", Some(&warm)), after("block-exact", None));
             let (taken, other) = if pays { (from_warm, from_fresh) } else { (from_fresh, from_warm) };
-            assert!(taken > other - AMISS_DB, "case {number}, {shift} {scene}: warm {from_warm}, fresh {from_fresh}");
+            assert!(
+                taken > other - WORST_LOSS_DB,
+                "case {number}, {shift} {scene}: warm {from_warm}, fresh {from_fresh}"
+            );
         }
     }
 }

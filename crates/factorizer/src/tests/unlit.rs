@@ -105,7 +105,7 @@ fn the_end_of_a_run_costs_nothing_and_is_the_same_by_every_kernel() {
     let owned = half_black();
     let problem = owned.problem();
     let (stack, _) = solve(&owned, &Settings { iterations: 0, ..Settings::default() }, None);
-    let mut settled = Vec::new();
+    let mut ended = Vec::new();
     for (set, fast) in Backend::available().iter().flat_map(|backend| [(*backend, false), (*backend, true)]) {
         let mut engine = Engine::new(&problem, stack.clone(), 0.0).unwrap();
         for _ in 0..10 {
@@ -115,23 +115,23 @@ fn the_end_of_a_run_costs_nothing_and_is_the_same_by_every_kernel() {
         }
         let before = engine.download();
         // every kernel ends the same patterns
-        let first = settled.first().map_or(before.clone(), |(first, _): &(LayerStack, LayerStack)| first.clone());
+        let first = ended.first().map_or(before.clone(), |(first, _): &(LayerStack, LayerStack)| first.clone());
         let mut engine = Engine::new(&problem, first.clone(), 0.0).unwrap();
         engine.use_kernel(set, fast);
         let psnr = engine.objective().psnr_view;
-        engine.settle();
+        engine.darken_unlit();
         assert!(engine.objective().psnr_view > psnr - COST_DB, "{set:?} {fast}: {psnr} dB before");
-        settled.push((first, engine.download()));
+        ended.push((first, engine.download()));
     }
-    let changed = settled[0].0.layers[0].data().iter().zip(settled[0].1.layers[0].data()).filter(|(a, b)| a != b);
+    let changed = ended[0].0.layers[0].data().iter().zip(ended[0].1.layers[0].data()).filter(|(a, b)| a != b);
     assert!(changed.count() > 100, "values that no light reaches were bright");
-    for (_, other) in &settled[1..] {
-        assert!(*other == settled[0].1);
+    for (_, other) in &ended[1..] {
+        assert!(*other == ended[0].1);
     }
 }
 
 #[test]
-fn settling_moves_nothing_that_light_reaches_whatever_the_display() {
+fn darkening_changes_no_value_that_light_reaches_on_any_display() {
     for kind in Kind::ALL {
         for seed in 0..6 {
             let owned = random(kind, seed);
@@ -141,7 +141,7 @@ fn settling_moves_nothing_that_light_reaches_whatever_the_display() {
                 engine.update(n, crate::step::Rule::Block { sweeps: 4 }, None);
             });
             let before = engine.objective();
-            engine.settle();
+            engine.darken_unlit();
             let after = engine.objective();
             let same = before.psnr_view.is_nan() || after.psnr_view > before.psnr_view.min(80.0) - COST_DB;
             assert!(same, "{kind:?} {seed}: {before:?} to {after:?}");

@@ -28,7 +28,7 @@ use std::ops::{AddAssign, Mul, Range};
 
 use lumistack_simd::{Backend, Function, Kernel, Lanes};
 
-use crate::buffers::{Buffers, GROUP, Group, Sight, buffered, sum_views};
+use crate::buffers::{Buffers, GROUP, Group, SumParams, buffered, sum_views};
 use crate::factor::{Factor, PAD};
 use crate::line::{LineOf, LineStep, Outcome, StepFunctions};
 use crate::map::{Access, ColumnTaps};
@@ -45,21 +45,21 @@ pub(crate) const BAND: usize = 16;
 const SHORT_ROWS: usize = 7;
 
 /// The functions of an update, for one instruction set and rule.
-pub(crate) struct SpreadFunctions {
+pub(crate) struct ScatterFunctions {
     lanes: usize,
     block: Function<Apart>,
-    spread: Function<Spread<f32>>,
-    spread_long: Function<Spread<f64>>,
+    scatter: Function<ScatterQuantities<f32>>,
+    scatter_long: Function<ScatterQuantities<f64>>,
     step: StepFunctions,
 }
 
-impl SpreadFunctions {
+impl ScatterFunctions {
     pub(crate) fn new(backend: Backend, step: StepFunctions) -> Self {
         Self {
             lanes: backend.lanes(),
             block: backend.function::<Apart>(),
-            spread: backend.function::<Spread<f32>>(),
-            spread_long: backend.function::<Spread<f64>>(),
+            scatter: backend.function::<ScatterQuantities<f32>>(),
+            scatter_long: backend.function::<ScatterQuantities<f64>>(),
             step,
         }
     }
@@ -115,16 +115,16 @@ impl Scratch {
 }
 
 /// Consecutive lines of one factor, to be updated in order.
-pub(crate) struct SpreadBand<'a> {
+pub(crate) struct ScatterBand<'a> {
     pub(crate) plan: &'a Plan,
     pub(crate) factors: &'a [Factor],
-    pub(crate) functions: &'a SpreadFunctions,
+    pub(crate) functions: &'a ScatterFunctions,
     pub(crate) scratch: &'a mut Scratch,
     /// The line before this one, whose high sums wait; `None` at the beginning.
     pub(crate) before: Option<LineOf>,
 }
 
-impl SpreadBand<'_> {
+impl ScatterBand<'_> {
     /// Sums and steps the next line.
     pub(crate) fn update(&mut self, at: LineOf, mut step: LineStep) -> Outcome {
         let needed = step.rule.sums();
@@ -173,7 +173,7 @@ impl SpreadBand<'_> {
         let lanes = functions.lanes;
         let (quantities, field_stride) = (needed.count(plan.frames), expanded_stride(plan));
         let together = if map.short_sums { GROUP } else { SHORT_ROWS };
-        let sight = Sight { brightness: plan.target.brightness, sums: needed };
+        let params = SumParams { brightness: plan.target.brightness, sums: needed };
         spare.mix_lines(plan, factors, at.channel);
         // per view column: sums by field columns, then by the pixels that these read
         for view_x in 0..plan.views[1] {
@@ -185,7 +185,7 @@ impl SpreadBand<'_> {
                     for x in (PAD + run.start..PAD + run.end).step_by(lanes) {
                         let to = columns.each_mut().map(|sums| &mut sums[x..]);
                         let (rays, views, buffers) = (&list, views.clone(), &mut *buffers);
-                        let block = ColumnBlock { rays, views, shares, is_high, x, sight, buffers, to, field_stride };
+                        let block = ColumnBlock { rays, views, shares, is_high, x, params, buffers, to, field_stride };
                         // SAFETY: x + lanes lies within padded rows
                         let squares = unsafe { (functions.block)(block) };
                         lines.iter_mut().zip(squares).for_each(|(line, squares)| line.error += squares);
@@ -197,10 +197,10 @@ impl SpreadBand<'_> {
                         unsafe {
                             if map.short_sums {
                                 let to = (&mut line.short[..], map.layout.stride);
-                                (functions.spread)((x, run, columns, to, quantities));
+                                (functions.scatter)((x, run, columns, to, quantities));
                             } else {
                                 let to = (&mut line.long[..], map.layout.stride);
-                                (functions.spread_long)((x, run, columns, to, quantities));
+                                (functions.scatter_long)((x, run, columns, to, quantities));
                             }
                         }
                     }
@@ -221,7 +221,7 @@ struct ColumnBlock<'a> {
     /// Some row of rays has a share in the next line.
     is_high: bool,
     x: usize,
-    sight: Sight,
+    params: SumParams,
     buffers: &'a mut Buffers,
     /// Destination of the low and high sums: rows that begin at the block.
     to: [&'a mut [f32]; 2],
@@ -237,7 +237,7 @@ impl Kernel for Apart {
 
     #[inline(always)]
     unsafe fn run<V: Lanes>(at: ColumnBlock<'_>) -> [f64; 2] {
-        let ColumnBlock { rays, views, shares, is_high, x, sight, buffers, to, field_stride } = at;
+        let ColumnBlock { rays, views, shares, is_high, x, params, buffers, to, field_stride } = at;
         let frames = buffers.block.frames;
         // SAFETY: guaranteed by the caller
         unsafe {
@@ -246,7 +246,7 @@ impl Kernel for Apart {
             let mut group = Group { frames, views: 0, add: false };
             for index in views {
                 let Some(weight) = rays.views[index].weight::<V>(x) else { continue };
-                let error = buffered::<V, true>(rays, index, x, weight, sight, (group.views, &mut *buffers));
+                let error = buffered::<V, true>(rays, index, x, weight, params, (group.views, &mut *buffers));
                 for half in 0..2 {
                     active[half][group.views] = shares[index][half];
                     squares[half] = error.mul(V::splat(shares[index][half])).mul_add(error, squares[half]);
@@ -255,7 +255,7 @@ impl Kernel for Apart {
             }
             // sum the buffers for each line, and keep the sums by field columns
             for (half, to) in to.into_iter().enumerate().take(if is_high { 2 } else { 1 }) {
-                sum_views::<V, true>(sight.sums, buffers, &active[half], group);
+                sum_views::<V, true>(params.sums, buffers, &active[half], group);
                 let mut rows = to.chunks_mut(field_stride);
                 let mut keep = |from: &[f32], at: usize| {
                     let to = &mut rows.next().unwrap_or_default()[..V::COUNT];
@@ -264,7 +264,7 @@ impl Kernel for Apart {
                 let block = &buffers.block;
                 (0..frames).for_each(|m| keep(&block.residual, m));
                 for m in 0..frames {
-                    match sight.sums {
+                    match params.sums {
                         Sums::Gram => (m..frames).for_each(|k| keep(&block.gram, m * frames + k)),
                         Sums::Ratio | Sums::Diagonal => keep(&block.emitted, m),
                     }
@@ -279,9 +279,9 @@ impl Kernel for Apart {
 /// Adds rows of field columns, `[quantity][x]`, to the pixels that they read.
 ///
 /// Rays that miss the line add to the padding, which no step reads.
-struct Spread<T>(std::marker::PhantomData<T>);
+struct ScatterQuantities<T>(std::marker::PhantomData<T>);
 
-impl<T: Copy + Default + From<f32> + AddAssign + Mul<Output = T> + 'static> Kernel for Spread<T> {
+impl<T: Copy + Default + From<f32> + AddAssign + Mul<Output = T> + 'static> Kernel for ScatterQuantities<T> {
     type Args<'a> = (&'a ColumnTaps, &'a Range<usize>, (&'a [f32], usize), (&'a mut [T], usize), usize);
     type Output = ();
 
