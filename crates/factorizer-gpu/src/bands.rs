@@ -1,8 +1,8 @@
 //! Bands of lines, so that the data of a dispatch fits into the device's bindings.
 //!
-//! Buffers hold whole channels. A dispatch binds windows of them: the lines that it writes, the
-//! field rows whose rays read these, and the lines of other factors that those rays read. A band
-//! whose windows are too large is halved.
+//! Buffers hold whole channels. A dispatch writes some lines and binds windows of the buffers that
+//! it needs for them. These are the field rows whose rays read the lines, and the lines of other
+//! factors that those rays read. A band whose windows are too large is halved.
 
 use std::ops::Range;
 

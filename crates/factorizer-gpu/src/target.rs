@@ -31,11 +31,13 @@ impl Target {
         row.max(weights) * plan.field()[0] as u64
     }
 
+    /// Copies target and weights to the device.
     pub(crate) fn upload(gpu: &Gpu, plan: &Plan) -> Self {
         let ([_, views_x], [rows, cols]) = (plan.views(), plan.field());
         let [row_words, weight_words] = Self::words(plan);
         let views = plan.views()[0] * views_x;
         let half_words = cols.div_ceil(2);
+        // an odd number of half floats is padded, so that a row begins on a word
         let of_row = |channel: usize, row: usize, to: &mut Vec<u8>| {
             for view in 0..views {
                 match plan.target_row(channel, [view / views_x, view % views_x], row) {
@@ -48,6 +50,7 @@ impl Target {
                 }
             }
         };
+        // channels are separate buffers, so that a dispatch binds one
         let channels = (0..plan.channels()).map(|channel| {
             let buffer = gpu.buffer(row_words * rows as u64);
             by_rows(gpu, &buffer, rows, row_words, |row, to| of_row(channel, row, to));

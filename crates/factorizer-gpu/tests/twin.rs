@@ -161,11 +161,11 @@ fn one_update_equals_the_processors() {
                 let what = format!("{kind:?} {name}, round {round}, factor {n}");
                 // every second update extrapolates, and takes the curvature at the current point
                 let odd = round % 2 == 1;
-                let beyond = (odd && name == "block-exact").then_some(0.35);
+                let extrapolation = (odd && name == "block-exact").then_some(0.35);
                 let local = odd && !plan.is_bounded(n);
                 let mut both = [begun(&Processor, &factors), begun(&device, &factors)];
                 let [expected, found] = both.each_mut().map(|state| {
-                    state.apply(n, rule, beyond, local);
+                    state.apply(n, rule, extrapolation, local);
                     let (update, errors) = (state.outcome(), state.errors());
                     let read = state.download();
                     state.swap_latest();

@@ -149,8 +149,9 @@ impl Between {
     }
 }
 
-/// Per coarse pixel of twice the pitch around the same centre: the first fine pixel that it covers,
-/// and the shares of that one and the next two.
+/// The pixels under each coarse pixel of twice the pitch around the same centre.
+///
+/// Returns the first fine pixel that it covers, and the shares of that one and the next two.
 pub(crate) fn cover(fine: usize, coarse: usize) -> Vec<(usize, [f32; 3])> {
     (0..coarse)
         .map(|i| {

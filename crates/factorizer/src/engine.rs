@@ -243,6 +243,7 @@ impl Engine {
         let latest = extrapolation.map(|_| &mut self.latest[n]);
         // a later step needs the sums of every line
         let all = sums.is_some();
+        // split the factor into lines, which threads share
         let mut lines = lines_of(layout, values, extrapolation.zip(latest), sums);
         let line_of = |index: usize| LineOf {
             factor: n,
@@ -252,6 +253,7 @@ impl Engine {
         // without a step here, nothing is darkened here
         let limits =
             (rule == Rule::Darken && lines.iter().all(|line| line.sums.is_none())).then(|| unlit::limits(plan, n));
+        // conditions and functions that all lines share
         let steps = Steps::new(plan, n, rule, self.ranges[n], self.levels[n].as_ref(), limits);
         let cancel = &self.cancel;
         let may_change = |at: &LineOf| at.line < layout.lines() && (all || plan.may_change(n, at.line));

@@ -105,8 +105,8 @@ unsafe fn squared_shifted<V: Lanes>(
     rays: &Rays,
     root_weights: Option<&[f32]>,
 ) -> ErrorSum {
+    // the line of each factor that the rays read, and its shift
     let lines: Vec<Line> = plan
-        // the line of each factor that the rays read, and its shift
         .maps
         .iter()
         .zip(factors)
@@ -124,16 +124,18 @@ unsafe fn squared_shifted<V: Lanes>(
         let (mean, brightness) = (V::splat(1.0 / plan.frames as f32), V::splat(plan.target.brightness));
         let zero = V::splat(0.0);
         let (mut weighted, mut plain) = (zero, zero);
+        // one vector of rays at a time
         for (index, col) in run.clone().step_by(V::COUNT).enumerate() {
+            // L̃, up to three frames at a time
             let mut emitted = zero;
             for m in (0..plan.frames).step_by(3) {
                 emitted = match plan.frames - m {
-                    // one vector of rays at a time
                     1 => emitted_by::<V, 1>(&lines, m, col, emitted),
                     2 => emitted_by::<V, 2>(&lines, m, col, emitted),
                     _ => emitted_by::<V, 3>(&lines, m, col, emitted),
                 };
             }
+            // the error βL − L̃, and 0 behind the last ray
             let wanted = match target {
                 Row::Half(row) => V::load_half(row[PAD + col..][..V::COUNT].as_ptr()),
                 Row::Float(row) => V::load(row[PAD + col..][..V::COUNT].as_ptr()),
@@ -142,6 +144,7 @@ unsafe fn squared_shifted<V: Lanes>(
             if run.end - col < V::COUNT {
                 error = error.mul(mask::<V>(0, run.end - col));
             }
+            // weights are applied before the squares, as √w
             if let Some(roots) = root_weights {
                 let root = V::load(roots[PAD + col..][..V::COUNT].as_ptr());
                 let rooted = root.mul(error);
@@ -149,6 +152,7 @@ unsafe fn squared_shifted<V: Lanes>(
                 error = error.where_else(zero.below(root), zero);
             }
             plain = error.mul_add(error, plain);
+            // f32 sums are short, so that they stay precise
             if (index + 1) % BLOCKS_PER_SUM == 0 || col + V::COUNT >= run.end {
                 total.plain += sum::<V>(plain);
                 total.weighted += if root_weights.is_some() { sum::<V>(weighted) } else { 0.0 };

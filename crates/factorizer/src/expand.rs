@@ -110,8 +110,8 @@ fn expand_product(plan: &Plan, factors: &[Factor], skip: Option<usize>, rays: &R
     }
 }
 
-/// Computes L̃ = (1/M) Σ_m P_m f_m with the values f of factor `own`, or (1/M) Σ_m P_m if the
-/// product holds every factor.
+/// Computes the emission along the rays: L̃ = (1/M) Σ_m P_m f_m, with the values f of factor `own`.
+/// Without `own` the product already holds every factor.
 fn emit_product(plan: &Plan, factors: &[Factor], own: Option<usize>, rays: &Rays, scratch: &mut Scratch) {
     let len = rays.run.len();
     let emitted = &mut scratch.emitted[..len];

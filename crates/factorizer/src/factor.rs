@@ -1,12 +1,13 @@
 //! Storage of one factor: a layer, or the directional backlight as one more layer.
 //!
-//! The order is `values[channel][line][frame][x]`. One line is contiguous over all frames, so a
-//! band of lines is a slice for one thread, and the rows that one row of rays needs are neighbours.
+//! The order is `values[channel][line][frame][x]`. One line is contiguous over all frames. So a
+//! band of lines is a slice for one thread, and a row of rays needs rows that are neighbours.
+//!
 //! Lines are padded by [`PAD`] and more values on both sides, and an extra line follows the last.
 //! Padding holds the value of a miss, so inner loops have no branch for misses.
 //!
-//! The line of the backlight is bin_y·R + lenslet row, its column bin_x·C + lenslet column, for R ×
-//! C lenslets; its map is separable too.
+//! The backlight has R × C lenslets per angular bin. Its line is bin_y·R + lenslet row, and its
+//! column is bin_x·C + lenslet column. So its map is separable too.
 
 use crate::aligned::Aligned;
 use crate::bands;

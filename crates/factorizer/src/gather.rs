@@ -1,5 +1,5 @@
-//! One line of one factor at a constant shift: every ray reads one pixel of the factor, at its own
-//! column plus a constant of the view.
+//! One line of one factor at a constant shift. Every ray reads one pixel of the factor, whose column
+//! is the ray's own plus a constant of the view.
 //!
 //! This is the paper's case: oblique views, equal pitch, nearest sampling. The simple version, for
 //! line j of layer n:
@@ -140,7 +140,7 @@ impl GatherLine<'_, '_> {
         let layout = &plan.maps[at.factor].layout;
         let (frames, stride, lanes) = (layout.frames, layout.stride, functions.lanes);
         // list the line's rays, with the line's own rows for prefetch
-        let latest = step.beyond.as_ref().map(|(_, latest)| latest.as_ptr());
+        let latest = step.extrapolation.as_ref().map(|(_, latest)| latest.as_ptr());
         let own = [Some(step.values.as_ptr()), latest].into_iter().flatten();
         let own = own.flat_map(|line| (0..frames).map(move |frame| line.wrapping_add(frame * stride)));
         let list = rays_through(std::mem::take(rays), plan, factors, at, own, spare);

@@ -89,7 +89,7 @@ impl LineStep<'_> {
         gain
     }
 
-    /// Steps the vector of pixels at x, whose sums and values are in `block`; writes the gain to
+    /// Steps the vector of pixels at x by the sums and values in `block`, and writes the gain to
     /// the block. x + lanes must lie within the padded rows.
     pub(crate) fn finish_block(&mut self, functions: &StepFunctions, block: &mut Block, x: usize) {
         let lanes = functions.lanes;

@@ -220,6 +220,7 @@ impl Plan {
 
 /// Converts the taps of layers and lenslets to one form; a miss is `None`.
 fn raw_maps(display: &Display, map: &RayMap, views: [usize; 2]) -> Vec<RawMap> {
+    // a layer's taps are in the map already
     let hit = |taps: &[Tap]| taps.iter().map(|tap| (!tap.is_missed()).then_some(*tap)).collect();
     let mut maps: Vec<RawMap> = map
         .layers
@@ -232,6 +233,7 @@ fn raw_maps(display: &Display, map: &RayMap, views: [usize; 2]) -> Vec<RawMap> {
             y: (0..views[0]).map(|view| hit(layer.y.of_view(view))).collect(),
         })
         .collect();
+    // a lenslet of an angular bin is a pixel of the backlight's factor
     if let (Backlight::Lenslets(lenslets), Some(map)) = (&display.backlight, &map.backlight) {
         let lit = |taps: &[BacklightTap], count: usize| {
             let tap = |tap: &BacklightTap| match tap {

@@ -193,7 +193,7 @@ impl ScatterBand<'_> {
                     // high sums follow low sums in the same way
                     for (columns, line) in columns.iter().zip(&mut *lines).take(if is_high { 2 } else { 1 }) {
                         let (x, columns) = (&map.x[view_x], (&columns[..], field_stride));
-                        // SAFETY: the kernels make no demands
+                        // SAFETY: the kernels have no requirements
                         unsafe {
                             if map.short_sums {
                                 let to = (&mut line.short[..], map.layout.stride);

@@ -46,10 +46,10 @@ pub trait Run {
     /// Ends a run: sets unlit values to the darkest that the hardware shows. Returns the KKT
     /// residual, see [`kkt_residual`](Self::kkt_residual).
     ///
-    /// Unlit values are those that almost no light reaches, so the objective leaves them open. A
-    /// real layer is not quite black and would leak light there. A value is unlit if the other
-    /// layers transmit, in its frame and over its rays, at most 10⁻⁴ of the brightness (root mean
-    /// square). Pixels without a weighted ray keep their values, since views between those of the
+    /// Almost no light reaches an unlit value, so the objective leaves it open. A real layer is not
+    /// quite black and would leak light there. The light is that which the other layers transmit in
+    /// the value's frame, over its rays. At most 10⁻⁴ of the brightness (root mean square) counts
+    /// as unlit. Pixels without a weighted ray keep their values, since views between those of the
     /// target may see them.
     fn darken_unlit(&mut self) -> f64;
 

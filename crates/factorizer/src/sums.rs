@@ -4,8 +4,8 @@
 //! For every field row whose rays hit the line, and for every view column:
 //!
 //! 1. Expand the other factors along the row into a_m (M rows) and the residual e = βL − L̃.
-//! 2. Add w e a_m and w a_m a_k to the line's sums, by the share of the ray that a pixel has ([why
-//!    shares](crate::scatter)).
+//! 2. Add w e a_m and w a_m a_k to the line's sums. Pixels share a ray;
+//!    [`scatter`](crate::scatter) has the reason.
 //!
 //! All loops run along columns.
 
@@ -24,8 +24,8 @@ pub(crate) struct SumLine<'a, 'b> {
     /// The line's own factor is read too, where layers are mixed with their neighbours.
     pub(crate) factors: &'a [Factor],
     pub(crate) at: LineOf,
-    /// Where L̃ is not linear in the values: use the curvature at the present point instead of the
-    /// bound that holds everywhere.
+    /// True for the curvature at the current point instead of the bound that holds everywhere,
+    /// where L̃ is not linear in the values.
     pub(crate) local: bool,
     pub(crate) functions: &'a StepFunctions,
     pub(crate) step: LineStep<'b>,

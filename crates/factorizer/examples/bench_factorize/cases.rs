@@ -1,7 +1,7 @@
 //! The cases that are timed, and the least number of operations and bytes of an update.
 //!
-//! Operations are counted per weighted ray and colour channel, with F factors (layers, and the
-//! directional backlight) and M frames, for an update of every factor:
+//! Operations are counted per weighted ray and colour channel, for an update of every factor. F is
+//! the number of factors (layers, and the directional backlight), M that of frames:
 //!
 //! ```text
 //! multiplicative   F · [ M (F−2)     products of the others
@@ -15,9 +15,9 @@
 //! A multiplication or multiply-add is one operation. The clamped coordinate steps, once per pixel,
 //! are not counted.
 //!
-//! Bytes are counted per factor: the target is read once (half floats, 2 bytes a value), all
-//! factors are read once (4 bytes a value), and the factor is written. This is the least traffic of
-//! the memory bus if caches keep only single rows and each factor has its own pass.
+//! Bytes are counted per factor. All factors are read once (4 bytes a value), the target is read
+//! once (half floats, 2 bytes a value), and the factor is written. This is the least traffic of the
+//! memory bus if caches keep only single rows and each factor has its own pass.
 
 use lumistack_display::{Backlight, Display, LayerStack, LensletBacklight, LightField, Sampling, Weights};
 use lumistack_factorizer::Problem;

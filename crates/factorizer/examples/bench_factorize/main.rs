@@ -121,7 +121,7 @@ fn bench(arguments: &Arguments) -> Outcome {
             machine.measure();
             runs[0].step()?;
         }
-        // a round times every solver, library and other step once
+        // then the other solvers, the objective, a start, and the default settings
         for run in &mut runs[1..] {
             run.step()?;
         }

@@ -68,7 +68,7 @@ fn modelling_an_effect_recovers_at_least_half_of_what_it_costs() {
         let row = |own: usize| [0, 1, 2].map(|c: usize| if c == own { 1.0 - 2.0 * share } else { share });
         Some([row(0), row(1), row(2)])
     };
-    for (what, real) in [
+    for (name, real) in [
         ("contrast 1000:1", each(&|layer| layer.black_level = 1e-3)),
         ("contrast 200:1", each(&|layer| layer.black_level = 5e-3)),
         ("contrast 50:1", each(&|layer| layer.black_level = 0.02)),
@@ -78,10 +78,10 @@ fn modelling_an_effect_recovers_at_least_half_of_what_it_costs() {
         ("crosstalk of 5 %", each(&|layer| layer.crosstalk = leak(0.05))),
         ("one layer without colour", rear(&|layer| layer.colour = LayerColour::Mono)),
     ] {
-        let [ideal, ignored, modelled] = effect(what, &target, &ideal, &real);
+        let [ideal, ignored, modelled] = effect(name, &target, &ideal, &real);
         let lost = ideal - ignored;
-        assert!(modelled >= ignored + if lost > NEGLIGIBLE_DB { lost / 2.0 } else { -NEGLIGIBLE_DB }, "{what}");
-        assert!(what != "contrast 50:1" || modelled >= ideal - 1.0, "{what}");
+        assert!(modelled >= ignored + if lost > NEGLIGIBLE_DB { lost / 2.0 } else { -NEGLIGIBLE_DB }, "{name}");
+        assert!(name != "contrast 50:1" || modelled >= ideal - 1.0, "{name}");
     }
 }
 

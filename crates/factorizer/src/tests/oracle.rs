@@ -124,8 +124,8 @@ impl Oracle {
     /// Updates factor n by the paper's rule (without `sweeps`), or by sweeps of coordinate steps on
     /// the bounding quadratic.
     ///
-    /// Returns the influence of every value on the emission: the root of the sum of squares of the
-    /// change of its rays per change of the value.
+    /// Returns the influence of every value on the emission. It is the root of the sum of squares,
+    /// over its rays, of their change per change of the value.
     pub(crate) fn update(&mut self, n: usize, sweeps: Option<u32>) -> Vec<f64> {
         let frames = self.frames;
         let size = self.factors[n].len() / frames;
@@ -259,12 +259,14 @@ fn rays(problem: &Problem) -> Vec<Ray> {
     let mut rays = Vec::new();
     for [view_y, view_x] in field.grid.iter() {
         for (row, col) in (0..field.rows).flat_map(|row| (0..field.cols).map(move |col| (row, col))) {
+            // the ray at z = 0: point and slope
             let x = (col as f64 - (field.cols as f64 - 1.0) / 2.0) * field.pitch_mm;
             let y = ((field.rows as f64 - 1.0) / 2.0 - row as f64) * field.pitch_mm;
             let (mut sx, mut sy) = (field.grid.slope_x[view_x], field.grid.slope_y[view_y]);
             if let Projection::Perspective { distance_mm } = field.grid.projection {
                 (sx, sy) = ((sx * distance_mm - x) / distance_mm, (sy * distance_mm - y) / distance_mm);
             }
+            // the pixels of each layer that it reads
             let mut reads = Vec::new();
             let mut counts = true;
             for layer in &display.layers {
@@ -285,6 +287,7 @@ fn rays(problem: &Problem) -> Vec<Ray> {
                     reads.push(Read::Entries(entries(layer, &pixels)));
                 }
             }
+            // the lenslet and angular bin that it hits
             if let Backlight::Lenslets(b) = &display.backlight {
                 let ([cols, rows], [bins_x, bins_y]) = (b.lenslets.map(|n| n as f64), b.views.map(|n| n as f64));
                 let i = ((x + b.d_mm * sx - b.offset_mm[0]) / b.pitch_mm + (cols - 1.0) / 2.0 + 0.5).floor();
@@ -303,6 +306,7 @@ fn rays(problem: &Problem) -> Vec<Ray> {
                 let entry = |channel: usize| vec![Entry { at: pixel as usize * 3 + channel, share: 1.0, bound: 1.0 }];
                 reads.push(if lit { Read::Entries([0, 1, 2].map(entry)) } else { Read::Constant(0.0) });
             }
+            // keep the rays that count
             let weight = f64::from(problem.weights.at([view_y, view_x], row, col));
             if counts && weight > 0.0 {
                 let at = (row * field.cols + col) * 3;

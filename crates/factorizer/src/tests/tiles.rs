@@ -1,5 +1,5 @@
-//! Tiles: the rays of a tile read the values that they read in the whole display, and the gain of a
-//! tile with fixed borders is that of the whole.
+//! Tiles: a tile's rays read the same values as in the whole display. With fixed borders, the whole
+//! gains as much as the tile.
 
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{LayerColour, LayerStack, RayMap, Region, Tap, Tile, Tiling, Weights};
@@ -41,6 +41,7 @@ fn every_pixel_is_one_tiles_own_and_all_rays_through_free_pixels_are_the_tiles()
     each(|kind, owned, tiling| {
         let (geometry, map) = (owned.target.geometry(), tiling.map());
         let tiles: Vec<Tile> = (0..tiling.count()).map(|number| tiling.tile(number)).collect();
+        // tiles partition the pixels of every part
         for (n, [rows, cols]) in tiles[0].whole.iter().copied().enumerate() {
             for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
                 let owners = tiles.iter().filter(|tile| {
@@ -50,6 +51,7 @@ fn every_pixel_is_one_tiles_own_and_all_rays_through_free_pixels_are_the_tiles()
                 assert_eq!(owners.count(), 1, "{kind:?}, part {n}, pixel {row}, {col}");
             }
         }
+        // each tile holds all that its rays read
         for (number, tile) in tiles.iter().enumerate() {
             let within = tile.map(map);
             for part in &tile.parts {

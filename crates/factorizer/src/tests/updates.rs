@@ -114,6 +114,7 @@ fn the_objective_never_rises_and_falls_by_what_the_step_says_at_least() {
                 let start = random_start(&owned.display, seed);
                 let mut oracle = Oracle::new(&problem, &start, floor);
                 let mut engine = Engine::new(&problem, start, floor).unwrap();
+                // rounding may raise the objective by so much
                 let slack = RISE_PER_VALUE * 3.0 * oracle.ray_count() as f64;
                 let rounding = ERROR_SEEN_PER_VALUE * 3.0 * oracle.ray_count() as f64;
                 let scale = engine.weight_scale();
@@ -125,6 +126,8 @@ fn the_objective_never_rises_and_falls_by_what_the_step_says_at_least() {
                         let outcome = engine.outcome();
                         oracle.upload(&engine.download());
                         let after = oracle.objective();
+                        // the objective must fall by the reported gain, and the reported error must
+                        // be its value
                         let what = format!("{rule:?} {kind:?} {seed}, step {step}, factor {n}");
                         assert!(after <= before * (1.0 + RISE_RELATIVE) + slack, "{what}: {before} to {after}");
                         if engine.plan().sees_all_rays(n) {
