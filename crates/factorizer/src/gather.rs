@@ -1,5 +1,5 @@
-//! One line of one factor at a constant shift. Every ray reads one pixel of the factor. Its column is
-//! the ray's own plus a constant of the view.
+//! One line of one factor at a constant shift. Every ray reads one pixel of the factor. Its
+//! column is the ray's own plus a constant of the view.
 //!
 //! This is the paper's case: oblique views, equal pitch, nearest sampling. The simple version, for
 //! line j of layer n:
