@@ -35,6 +35,7 @@ pub trait Executor: Sync {
 pub struct Begin {
     /// The problem as tables.
     pub plan: Arc<Plan>,
+    /// The display, whose hardware limits the values.
     pub display: Display,
     /// Box [low, high] of each factor's values.
     pub ranges: Vec<[f32; 2]>,
