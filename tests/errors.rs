@@ -306,7 +306,7 @@ fn one_pixel_views_work() {
     };
     // with a single pixel, rays of steep views leave the layers
     let error = fail(&mut factorize("20x20"));
-    assert!(error.contains("all layers"), "{error}");
+    assert!(error.contains("hits all layers"), "{error}");
     succeed(&mut factorize("1x1"));
     assert!(run.join("report.html").is_file());
 }

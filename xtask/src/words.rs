@@ -17,9 +17,6 @@ use crate::tools::{Outcome, command, output_of, root};
 /// Folders that need not keep the rules.
 #[rustfmt::skip]
 const EXCEPTIONS: &[&str] = &[
-    // their prose is being rewritten
-    "crates/factorizer",
-    "crates/factorizer-gpu",
     "crates/pipeline",
     // built from web/src
     "web/dist",

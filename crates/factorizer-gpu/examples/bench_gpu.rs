@@ -1,7 +1,15 @@
-//! Updates per second of an adapter on the paper's main case, beside the processor, and against what the adapter can do at most.
+//! Updates per second of an adapter on the paper's main case, beside the processor and the measured
+//! limits of the adapter.
 //!
-//! Per update and colour channel, with F factors and M frames: operations per ray F (M (F−2) + 2M + M(M+1)/2) block-exact and F M (F+1) multiplicative
-//! (multiply-adds); bytes F times the target and all factors once, and every factor written. The paper's two Quadro cards made about 10 updates a second.
+//! Operations and bytes per update and colour channel, with F factors and M frames:
+//!
+//! ```text
+//! multiply-adds per ray   block-exact      F (M (F−2) + 2M + M(M+1)/2)
+//!                         multiplicative   F M (F+1)
+//! bytes                   F times the target and all factors once, and every factor written
+//! ```
+//!
+//! The paper's two Quadro cards computed about 10 updates a second.
 
 #[path = "../../factorizer/examples/bench_factorize/scene.rs"]
 mod scene;
@@ -18,7 +26,7 @@ use lumistack_factorizer_gpu::{Device, adapters};
 const WIDTH_MM: f64 = 473.76;
 const FRAMES: usize = 12;
 
-/// Seconds of the first update, from the start on, and of one more.
+/// Seconds of the first update, including the start, and of one more.
 fn time(
     solver: &dyn Solver,
     problem: &Problem,
@@ -45,6 +53,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let quick = arguments.iter().any(|argument| argument == "--quick");
     arguments.retain(|argument| argument != "--quick");
     let name = arguments.first().map(String::as_str);
+    // list the adapters, and open the requested one or else any
     for adapter in adapters() {
         println!("{} ({}, {}, {})", adapter.name, adapter.kind, adapter.backend, adapter.driver);
     }
@@ -59,6 +68,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     if !adapter.is_hardware {
         println!("no graphics processor: what follows is the processor itself, by a driver in software");
     }
+    // the limits of this adapter, which bound every update
     let limits = device.measured_limits();
     println!(
         "on {}: copies {:.1} GB/s, {:.1} G multiply-adds/s",
@@ -66,6 +76,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         limits.bytes_per_s / 1e9,
         limits.multiply_adds_per_s / 1e9
     );
+    // the paper's main case
     let resolution = if quick { [210, 131] } else { [840, 525] };
     let pitch_mm = WIDTH_MM / resolution[0] as f64;
     let display = Display::uniform(resolution, pitch_mm, [5; 2], [20.0; 2], &[-40.0, 0.0, 40.0], FRAMES);
@@ -73,11 +84,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     let target = scene::light_field(&display)?;
     let problem = Problem { display: &display, target: &target, weights: &Weights::Uniform };
     let start = random_start(&display, 1);
+    // the least traffic of an update, see the top
     let (factors, frames) = (3.0, FRAMES as f64);
     let values = 3.0 * (resolution[0] * resolution[1]) as f64;
     let rays = 25.0 * values;
     println!("{}×{} pixels, 5×5 views, 3 layers, {FRAMES} frames", resolution[0], resolution[1]);
     let bytes = factors * (2.0 * rays + 4.0 * frames * factors * values + 4.0 * frames * values);
+    // time the device and the processor on the same updates
     for (name, per_ray) in [
         ("multiplicative", factors * frames * (factors + 1.0)),
         ("extrapolated", factors * (frames * (factors - 2.0) + 2.0 * frames + frames * (frames + 1.0) / 2.0)),

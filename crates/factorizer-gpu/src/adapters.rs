@@ -1,31 +1,32 @@
-//! Which adapters this machine has, and which of them a solver takes.
+//! The adapters of this machine, and the choice of one for a solver.
 
 use wgpu::{Backends, DeviceType};
 
-/// An adapter.
+/// A graphics adapter, as its driver describes it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Adapter {
-    /// The driver's name for it.
+    /// Name of the adapter.
     pub name: String,
-    /// Interface by which it is reached.
+    /// Interface to the adapter: Vulkan, Metal or Direct3D 12.
     pub backend: String,
-    /// `discrete`, `integrated`, `virtual`, `software` or `other`.
+    /// Kind: `discrete`, `integrated`, `virtual`, `software` or `other`.
     pub kind: &'static str,
-    /// The driver and its version.
+    /// Name and version of the driver.
     pub driver: String,
-    /// Bytes of the largest buffer and of the largest part of one that a shader can read.
+    /// Bytes of the largest buffer, and of the largest part of one that a shader can read.
     pub buffer_bytes: [u64; 2],
-    /// Whether it is a graphics processor, so that `auto` takes it.
+    /// True for a graphics processor; `auto` selects only such adapters.
     pub is_hardware: bool,
 }
 
-/// All adapters, those that `auto` prefers first.
+/// Returns all adapters, in the order in which `auto` prefers them.
 pub fn adapters() -> Vec<Adapter> {
     found().iter().map(|(adapter, _)| adapter.clone()).collect()
 }
 
 fn found() -> Vec<(Adapter, wgpu::Adapter)> {
-    // interfaces with compute shaders alone: OpenGL's driver writes to standard error without a session
+    // interfaces with compute shaders alone: without a session, OpenGL's driver writes to standard
+    // error
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle_from_env();
     descriptor.backends = Backends::PRIMARY;
     let instance = wgpu::Instance::new(descriptor);
@@ -57,10 +58,11 @@ fn described(adapter: &wgpu::Adapter) -> Adapter {
     }
 }
 
-/// The first graphics processor, or the first adapter of any kind whose name contains `name`, whatever its case.
+/// Chooses the first graphics processor, or the first adapter whose name contains `name`, ignoring
+/// case.
 ///
 /// # Errors
-/// If there is none; the error lists those that there are.
+/// If there is none; the error lists all adapters.
 pub(crate) fn choose(name: Option<&str>) -> Result<(Adapter, wgpu::Adapter), String> {
     let mut all = found();
     let fits = |adapter: &Adapter| match name {

@@ -1,16 +1,17 @@
-//! Work in bands of lines, so that all that a dispatch reads fits into the device's bindings.
+//! Bands of lines, so that the data of a dispatch fits into the device's bindings.
 //!
-//! Buffers hold whole channels. A dispatch binds windows of them: the lines that it writes, the field rows whose rays meet these, and the lines of other
+//! Buffers hold whole channels. A dispatch writes some lines and binds windows of the buffers that
+//! it needs for them. These are the field rows whose rays read the lines, and the lines of other
 //! factors that those rays read. A band whose windows are too large is halved.
 
 use std::ops::Range;
 
 use crate::tables::Tables;
 
-/// What one dispatch works on; ranges are in words of a channel's buffers.
+/// The windows of one dispatch; ranges are in words of a channel's buffers.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Band {
-    /// Lines, or field rows.
+    /// Lines of a factor, or field rows.
     pub(crate) lines: Range<usize>,
     pub(crate) own: Range<u64>,
     pub(crate) target: Range<u64>,
@@ -18,34 +19,34 @@ pub(crate) struct Band {
     pub(crate) factors: Vec<Range<u64>>,
 }
 
-/// Words of a line of each buffer, and the limits.
-pub(crate) struct Cut<'a> {
+/// Words per line of each buffer, and the device's limits.
+pub(crate) struct BandSizes<'a> {
     pub(crate) tables: &'a Tables,
-    /// Per factor.
+    /// Words per line of each factor.
     pub(crate) line_words: Vec<u64>,
-    /// Of a field row, all views.
+    /// Words per field row, all views.
     pub(crate) target_words: u64,
     pub(crate) weight_words: u64,
-    /// Bytes of a binding.
+    /// Largest binding, in bytes.
     pub(crate) limit: u64,
-    /// Bytes of which offsets are multiples.
+    /// Alignment of a binding's offset, in bytes.
     pub(crate) align: u64,
-    /// Workgroups along an axis.
+    /// Most workgroups along an axis.
     pub(crate) groups: usize,
 }
 
-impl Cut<'_> {
-    /// Bands of all lines of a factor, or `None` where a single line is too much.
+impl BandSizes<'_> {
+    /// Divides all lines of a factor into bands; `None` if a single line exceeds the limits.
     pub(crate) fn of_factor(&self, n: usize, lines: usize) -> Option<Vec<Band>> {
-        self.cut(Some(n), 0..lines)
+        self.divide(Some(n), 0..lines)
     }
 
-    /// Bands of all field rows.
+    /// Divides all field rows into bands; `None` if a single row exceeds the limits.
     pub(crate) fn of_rows(&self, rows: usize) -> Option<Vec<Band>> {
-        self.cut(None, 0..rows)
+        self.divide(None, 0..rows)
     }
 
-    fn cut(&self, own: Option<usize>, lines: Range<usize>) -> Option<Vec<Band>> {
+    fn divide(&self, own: Option<usize>, lines: Range<usize>) -> Option<Vec<Band>> {
         if lines.len() <= self.groups
             && let Some(band) = self.band(own, lines.clone())
         {
@@ -55,8 +56,8 @@ impl Cut<'_> {
             return None;
         }
         let half = lines.start + lines.len() / 2;
-        let mut bands = self.cut(own, lines.start..half)?;
-        bands.extend(self.cut(own, half..lines.end)?);
+        let mut bands = self.divide(own, lines.start..half)?;
+        bands.extend(self.divide(own, half..lines.end)?);
         Some(bands)
     }
 
@@ -71,7 +72,7 @@ impl Cut<'_> {
                 read =
                     if read.is_empty() { lines.clone() } else { read.start.min(lines.start)..read.end.max(lines.end) };
             }
-            // shaders look somewhere even where every ray misses
+            // a binding must not be empty, even if no ray hits the factor
             if read.is_empty() {
                 read = 0..1;
             }
@@ -89,7 +90,7 @@ impl Cut<'_> {
         })
     }
 
-    /// The words of some lines, from an aligned place on; `None` where they are too many.
+    /// The words of some lines, from an aligned offset on; `None` if they exceed a binding.
     fn window(&self, lines: Range<usize>, words: u64) -> Option<Range<u64>> {
         let align = self.align.div_ceil(4);
         let start = lines.start as u64 * words / align * align;
@@ -98,7 +99,7 @@ impl Cut<'_> {
     }
 }
 
-/// The range that spans some.
+/// The smallest range that contains all given ones.
 fn span(ranges: &[Option<[usize; 2]>]) -> Range<usize> {
     let all = ranges.iter().flatten();
     let first = all.clone().map(|range| range[0]).min();

@@ -1,4 +1,4 @@
-//! An open device: buffers, programs, and what went wrong.
+//! An open device: its buffers and programs, and the first failure.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -12,8 +12,8 @@ use crate::text::{FIRST_FACTOR, Program};
 /// Bytes that are written or read at a time.
 pub(crate) const CHUNK: u64 = 32 << 20;
 
-/// How long what was read may take to be told once it is there.
-const ANSWER: Duration = Duration::from_secs(30);
+/// Longest wait for the callback of a read whose data has arrived.
+const CALLBACK_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// An open device.
 pub struct Gpu {
@@ -26,10 +26,11 @@ pub struct Gpu {
 }
 
 impl Gpu {
-    /// Opens the first graphics processor, or the first adapter of any kind whose name contains `name`.
+    /// Opens the first graphics processor, or the first adapter whose name contains `name`,
+    /// ignoring case.
     ///
     /// # Errors
-    /// [`FactorizeError::Device`] if there is none, or it does not open.
+    /// [`FactorizeError::Device`] if there is none, or if it does not open.
     pub fn open(name: Option<&str>) -> Result<Self, FactorizeError> {
         let failed = |device: &str, why: String| FactorizeError::Device { device: device.into(), why };
         let (adapter, found) = adapters::choose(name).map_err(|why| failed(name.unwrap_or("gpu"), why))?;
@@ -39,13 +40,13 @@ impl Gpu {
         let (device, queue) = pollster::block_on(found.request_device(&descriptor))
             .map_err(|error| failed(&adapter.name, error.to_string()))?;
         let failure = Arc::new(Mutex::new(None));
-        let note = |failure: &Arc<Mutex<Option<String>>>| {
+        let record = |failure: &Arc<Mutex<Option<String>>>| {
             let failure = failure.clone();
             move |why: String| {
                 failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(why);
             }
         };
-        let (heard, lost) = (note(&failure), note(&failure));
+        let (heard, lost) = (record(&failure), record(&failure));
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| heard(error.to_string())));
         device.set_device_lost_callback(move |_, message| {
             lost(format!("the device was lost: {message}").trim_end_matches(": ").to_owned());
@@ -53,38 +54,40 @@ impl Gpu {
         Ok(Self { adapter, device, queue, limits, programs: Mutex::default(), failure })
     }
 
-    /// The adapter that was opened.
+    /// Returns the adapter.
     pub fn adapter(&self) -> &Adapter {
         &self.adapter
     }
 
-    /// Binds no more than so many bytes at a time, so that larger problems are cut into bands: for tests.
+    /// Lowers the limit of a binding, so that tests can divide small problems into bands.
     #[must_use]
     pub fn with_binding_bytes(mut self, bytes: u64) -> Self {
         self.limits.max_storage_buffer_binding_size = self.limits.max_storage_buffer_binding_size.min(bytes);
         self
     }
 
-    /// Gives the device up, as a driver does that was reset: for tests.
+    /// Destroys the device for tests, as a reset of the driver does.
     pub fn lose(&self) {
         self.device.destroy();
     }
 
-    pub(crate) fn note(&self, why: String) {
+    /// Records a failure; the first one is kept.
+    pub(crate) fn record(&self, why: String) {
         self.failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(why);
     }
 
+    /// Makes an error that names the device.
     pub(crate) fn error(&self, why: String) -> FactorizeError {
         FactorizeError::Device { device: self.adapter.name.clone(), why }
     }
 
-    /// Whether everything went well so far.
+    /// Returns the first failure as an error.
     pub(crate) fn check(&self) -> Result<(), FactorizeError> {
         let failure = self.failure.lock().unwrap_or_else(PoisonError::into_inner);
         failure.as_ref().map_or(Ok(()), |why| Err(self.error(why.clone())))
     }
 
-    /// A buffer of so many words, at least one.
+    /// Allocates a buffer of at least `words` words; an empty one could not be bound.
     pub(crate) fn buffer(&self, words: u64) -> wgpu::Buffer {
         let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC;
         self.device.create_buffer(&wgpu::BufferDescriptor {
@@ -95,14 +98,15 @@ impl Gpu {
         })
     }
 
-    /// Waits until all that was submitted is done.
+    /// Waits until all submitted work is done.
     pub(crate) fn wait(&self) {
         if let Err(error) = self.device.poll(wgpu::PollType::wait_indefinitely()) {
-            self.note(error.to_string());
+            self.record(error.to_string());
         }
     }
 
-    /// Writes words to a buffer, a part at a time: what is in flight lies in memory once more.
+    /// Writes words to a buffer, a part at a time, since words in flight occupy memory a second
+    /// time.
     pub(crate) fn write<T: Copy>(&self, buffer: &wgpu::Buffer, words: &[T], bytes: impl Fn(&[T]) -> Vec<u8>) {
         let per_chunk = (CHUNK / 4) as usize;
         for (index, part) in words.chunks(per_chunk).enumerate() {
@@ -114,7 +118,7 @@ impl Gpu {
         }
     }
 
-    /// Reads floats; zeros where the device is lost.
+    /// Reads floats; zeros if the device is lost.
     pub(crate) fn read(&self, buffer: &wgpu::Buffer, count: usize) -> Vec<f32> {
         let mut floats = Vec::with_capacity(count);
         let bytes = 4 * count as u64;
@@ -124,25 +128,26 @@ impl Gpu {
             usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });
+        // a part at a time, through one staging buffer
         for start in (0..bytes).step_by(CHUNK as usize) {
             let len = (bytes - start).min(CHUNK);
             let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
             encoder.copy_buffer_to_buffer(buffer, start, &staging, 0, len);
             self.queue.submit([encoder.finish()]);
-            let (tell, told) = std::sync::mpsc::channel();
-            staging.map_async(wgpu::MapMode::Read, 0..len, move |result| drop(tell.send(result)));
+            let (sender, receiver) = std::sync::mpsc::channel();
+            staging.map_async(wgpu::MapMode::Read, 0..len, move |result| drop(sender.send(result)));
             self.wait();
-            // another thread that waits may be the one that tells, a little later
-            let mapped = told.recv_timeout(ANSWER).map_err(|_| "the device does not answer".to_owned());
+            // another waiting thread may run the callback, a little later
+            let mapped = receiver.recv_timeout(CALLBACK_TIMEOUT).map_err(|_| "the device does not answer".to_owned());
             match mapped.and_then(|result| result.map_err(|error| error.to_string())) {
                 Ok(()) => match staging.get_mapped_range(0..len) {
                     Ok(view) => {
                         let words = view.as_chunks::<4>().0;
                         floats.extend(words.iter().map(|word| f32::from_le_bytes(*word)));
                     }
-                    Err(error) => self.note(error.to_string()),
+                    Err(error) => self.record(error.to_string()),
                 },
-                Err(error) => self.note(error),
+                Err(error) => self.record(error),
             }
             staging.unmap();
         }
@@ -150,7 +155,7 @@ impl Gpu {
         floats
     }
 
-    /// The bindings of all programs for so many factors.
+    /// The layout of the bindings of all programs for a number of factors.
     pub(crate) fn layout(&self, factors: usize) -> wgpu::BindGroupLayout {
         let binding = |binding: usize| {
             let ty = match binding {
@@ -169,7 +174,7 @@ impl Gpu {
         self.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &entries })
     }
 
-    /// The program as the device runs it; compiled once.
+    /// Compiles a program, or returns it from the cache.
     pub(crate) fn program(&self, program: &Program, layout: &wgpu::BindGroupLayout) -> wgpu::ComputePipeline {
         let text = program.text();
         let mut programs = self.programs.lock().unwrap_or_else(PoisonError::into_inner);

@@ -1,16 +1,23 @@
-//! The factorizer's updates as compute shaders, on any adapter of wgpu with Vulkan, Metal or Direct3D 12.
+//! The factorizer's updates as compute shaders, on any adapter of wgpu with Vulkan, Metal or
+//! Direct3D 12.
 //!
 //! ```text
 //! Plan ──tables──▶ words ┐
-//! target, weights ───────┼──▶ buffers ──▶ update.wgsl  one thread per pixel: sums over its rays, step   ──▶ next values
-//! start ─────────────────┘               errors.wgsl  one thread per field pixel: errors of all views
+//! target, weights ───────┼──▶ buffers ─┬─▶ update.wgsl ──▶ next values
+//! start ─────────────────┘             │   one thread per pixel: sums over its rays, step
+//!                                      └─▶ errors.wgsl ──▶ objective
+//!                                          one thread per field pixel: errors of all views
 //! ```
 //!
-//! The schedule is the processor's own: [`lumistack_factorizer::device::Updater`] is all that is done here. Every shader is written for the problem's N
-//! and M, so that sums stay in registers (`text.rs`). The results are the processor's up to rounding, and the same in every run on one device and driver.
+//! The schedule is that of the processor: this crate implements
+//! [`lumistack_factorizer::device::Updater`] alone. Every shader is generated for the problem's N
+//! and M, so sums stay in registers (`text.rs`). The results are those of the processor up to
+//! rounding. They are the same in every run on one device and driver.
 //!
-//! Targets of half floats stay half floats. A buffer holds a channel; a shader binds windows of buffers, in bands of lines that fit the device
-//! (`bands.rs`). Layers with blur, crosstalk, colour filters or tied channels are refused, and panels of few bits are re-optimized on the processor.
+//! Targets of half floats stay half floats. A buffer holds a channel. A shader binds windows of
+//! buffers, in bands of lines that fit the device (`bands.rs`). Layers with blur, crosstalk, colour
+//! filters or tied channels are an error. The processor re-optimizes patterns for panels of few
+//! bits.
 
 mod adapters;
 mod bands;
@@ -31,38 +38,41 @@ use lumistack_factorizer::{FactorizeError, Problem, Run, Solver, solver, start_o
 pub use adapters::{Adapter, adapters};
 pub use measure::Limits;
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, computed by the build script. It is part of the keys of all cached
+/// results that this code contributes to.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
-/// An open device; clones are the same one.
+/// An open device; its clones share it.
 #[derive(Clone)]
 pub struct Device {
     gpu: Arc<gpu::Gpu>,
 }
 
 impl Device {
-    /// Opens the first graphics processor, or the first adapter of any kind whose name contains `name`, whatever its case.
+    /// Opens the first graphics processor, or the first adapter whose name contains `name`,
+    /// ignoring case.
     ///
     /// # Errors
-    /// [`FactorizeError::Device`] if there is none, or it does not open.
+    /// [`FactorizeError::Device`] if there is none, or if it does not open.
     pub fn open(name: Option<&str>) -> Result<Self, FactorizeError> {
         Ok(Self { gpu: Arc::new(gpu::Gpu::open(name)?) })
     }
 
-    /// The adapter that was opened.
+    /// Returns the adapter of the device.
     pub fn adapter(&self) -> &Adapter {
         self.gpu.adapter()
     }
 
-    /// Whether the device is still there, and everything went well so far.
+    /// Checks that the device exists and that nothing has failed so far.
     ///
     /// # Errors
-    /// [`FactorizeError::Device`] with the first that did not. Another [`open`](Self::open) may find the device well again.
+    /// [`FactorizeError::Device`] with the first failure. A new [`open`](Self::open) may succeed.
     pub fn check(&self) -> Result<(), FactorizeError> {
         self.gpu.check()
     }
 
-    /// Binds no more than so many bytes at a time, so that larger problems are cut into bands; for tests. Opens the device again.
+    /// Opens the device again with a lower limit of `bytes` per binding, so that tests can divide
+    /// small problems into bands.
     ///
     /// # Errors
     /// As [`open`](Self::open).
@@ -71,22 +81,22 @@ impl Device {
         Ok(Self { gpu: Arc::new(gpu) })
     }
 
-    /// Gives the device up, as a driver does that was reset; for tests.
+    /// Destroys the device for tests, as a reset of the driver does.
     pub fn lose(&self) {
         self.gpu.lose();
     }
 
-    /// What the device can do at most, by two small kernels.
+    /// Measures the device's limits by two small kernels.
     pub fn measured_limits(&self) -> Limits {
         measure::limits(&self.gpu)
     }
 
-    /// A solver whose patterns live on this device.
+    /// Returns a solver whose patterns are on this device.
     ///
     /// # Errors
-    /// If there is none of that name; the error lists all names.
+    /// If no solver has this name; the error lists all names.
     pub fn solver(&self, name: &str) -> Result<OnDevice, FactorizeError> {
-        Ok(OnDevice { device: self.clone(), twin: solver(name)? })
+        Ok(OnDevice { device: self.clone(), on_processor: solver(name)? })
     }
 }
 
@@ -96,23 +106,23 @@ impl Executor for Device {
     }
 }
 
-/// A solver on a device.
+/// A solver whose patterns are on a device.
 pub struct OnDevice {
     device: Device,
-    /// The same on the processor.
-    twin: &'static dyn Solver,
+    /// The same solver on the processor.
+    on_processor: &'static dyn Solver,
 }
 
 impl Solver for OnDevice {
     fn name(&self) -> &'static str {
-        self.twin.name()
+        self.on_processor.name()
     }
 
     fn doc(&self) -> &'static str {
-        self.twin.doc()
+        self.on_processor.doc()
     }
 
     fn start<'a>(&self, problem: &Problem<'a>, start: LayerStack) -> Result<Box<dyn Run + 'a>, FactorizeError> {
-        start_on(&self.device, self.twin.name(), problem, start)
+        start_on(&self.device, self.on_processor.name(), problem, start)
     }
 }

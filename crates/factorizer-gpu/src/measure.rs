@@ -1,4 +1,4 @@
-//! What a device can do at most, measured: what an update is compared with.
+//! Measured limits of a device, with which its updates are compared.
 
 use std::time::Instant;
 
@@ -9,17 +9,19 @@ use crate::gpu::Gpu;
 pub struct Limits {
     /// Bytes read and written per second by a kernel that copies.
     pub bytes_per_s: f64,
-    /// Multiply-adds of single floats per second.
+    /// Multiply-adds of f32 per second.
     pub multiply_adds_per_s: f64,
 }
 
-/// Multiply-adds of a thread of `multiply_add`.
+/// Multiply-adds per thread of `multiply_add`.
 const MULTIPLY_ADDS: f64 = 8.0 * 4.0 * 64.0;
-/// Threads, of 16 bytes each.
+/// Number of threads, of 16 bytes each.
 const THREADS: u64 = 1 << 21;
 const ROUNDS: usize = 5;
 
+/// Runs each kernel several times; the fastest run counts.
 pub(crate) fn limits(gpu: &Gpu) -> Limits {
+    // buffers as large as the device allows
     let fits = gpu.limits.max_storage_buffer_binding_size.min(gpu.limits.max_buffer_size) / 16;
     let threads = THREADS.min(fits / 64 * 64);
     let [from, to] = [0; 2].map(|_| gpu.buffer(4 * threads));
@@ -33,6 +35,7 @@ pub(crate) fn limits(gpu: &Gpu) -> Limits {
         },
         count: None,
     };
+    // one layout for both kernels
     let entries = [entry(0, true), entry(1, false)];
     let layout =
         gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &entries });
@@ -48,6 +51,7 @@ pub(crate) fn limits(gpu: &Gpu) -> Limits {
     });
     let groups = (threads / 64) as u32;
     let across = groups.min(1 << 12);
+    // time a dispatch until the device is idle
     let fastest = |entry: &str| {
         let pipeline = gpu.pipeline(&module, &layout, entry);
         let once = || {
@@ -63,7 +67,7 @@ pub(crate) fn limits(gpu: &Gpu) -> Limits {
             gpu.wait();
             start.elapsed().as_secs_f64()
         };
-        // the first one compiles
+        // the first run compiles, so it is not timed
         once();
         (0..ROUNDS).map(|_| once()).fold(f64::INFINITY, f64::min)
     };

@@ -1,4 +1,4 @@
-//! Patterns under way on a device: the updates of [`Updater`] as dispatches.
+//! The patterns of a run on a device: the updates of [`Updater`] as dispatches.
 
 use std::sync::Arc;
 
@@ -7,50 +7,51 @@ use lumistack_display::{Display, LayerStack};
 use lumistack_factorizer::FactorizeError;
 use lumistack_factorizer::device::{Begin, ErrorSum, Factor, Outcome, Plan, Rule, Updater, stack_of};
 
-use crate::bands::{Band, Cut};
+use crate::bands::{Band, BandSizes};
 use crate::gpu::Gpu;
 use crate::tables::Tables;
 use crate::target::Target;
 use crate::text::{FIRST_FACTOR, Program, Update};
 use crate::values::Values;
 
-/// Threads of a workgroup, as the shaders have it.
+/// Threads per workgroup, as in the shaders.
 const GROUP: usize = 64;
 
-/// Patterns on a device.
+/// The patterns of a run on a device.
 pub(crate) struct State {
     gpu: Arc<Gpu>,
     plan: Arc<Plan>,
     display: Display,
     ranges: Vec<[f32; 2]>,
-    bold: bool,
+    tries_local: bool,
     cancel: Cancel,
     tables: Tables,
     table_words: wgpu::Buffer,
     target: Target,
     factors: Vec<Values>,
-    /// Per factor.
+    /// Bands of each factor's lines.
     bands: Vec<Vec<Band>>,
-    /// Of field rows.
+    /// Bands of the field rows.
     row_bands: Vec<Band>,
     layout: wgpu::BindGroupLayout,
     params: wgpu::Buffer,
-    /// Bytes from one dispatch's parameters to the next.
-    slot: u64,
+    /// Distance of the parameters of successive dispatches, in bytes.
+    params_stride: u64,
     sums: wgpu::Buffer,
-    /// What is bound where nothing is read or written.
+    /// Bound in place of buffers that a program does not use.
     unused: [wgpu::Buffer; 3],
-    /// Workgroups of the last update, whose outcomes lie in `sums`.
+    /// Number of workgroups of the last dispatch; their results are in `sums`.
     found: usize,
     submitted: Option<wgpu::SubmissionIndex>,
 }
 
 impl State {
-    /// Takes patterns over.
+    /// Copies the patterns of a run to the device.
     ///
     /// # Errors
-    /// [`FactorizeError::Device`] if the device cannot do this display or is too small.
+    /// [`FactorizeError::Device`] if the device cannot solve this display or is too small.
     pub(crate) fn begin(gpu: Arc<Gpu>, begin: Begin) -> Result<Self, FactorizeError> {
+        // refuse displays outside the device's limits with a clear message, before any allocation
         let (plan, n_factors) = (begin.plan.clone(), begin.plan.factor_count());
         if begin.display.layers.iter().any(|layer| layer.response().is_some()) {
             let why =
@@ -72,6 +73,7 @@ impl State {
                 "too little memory: a channel needs a buffer of {needed} MiB, it allows {allowed} MiB"
             )));
         }
+        // wgpu reports failed allocations through error scopes
         let scopes =
             [wgpu::ErrorFilter::Validation, wgpu::ErrorFilter::OutOfMemory].map(|f| gpu.device.push_error_scope(f));
         let state = Self::upload(gpu.clone(), begin);
@@ -85,16 +87,19 @@ impl State {
         state
     }
 
+    /// Allocates and fills all buffers, and divides the work into bands.
     fn upload(gpu: Arc<Gpu>, begin: Begin) -> Result<Self, FactorizeError> {
-        let Begin { plan, display, ranges, factors, bold } = begin;
+        let Begin { plan, display, ranges, factors, tries_local } = begin;
+        // the problem and the patterns
         let tables = Tables::new(&plan);
         let table_words = gpu.buffer(tables.words.len() as u64);
         gpu.write(&table_words, &tables.words, |part| part.iter().flat_map(|word| word.to_le_bytes()).collect());
         let target = Target::upload(&gpu, &plan);
         let factors: Vec<_> =
             factors.iter().enumerate().map(|(n, factor)| Values::upload(&gpu, &plan, n, factor)).collect();
+        // bands that fit the bindings
         let limits = &gpu.limits;
-        let cut = Cut {
+        let sizes = BandSizes {
             tables: &tables,
             line_words: (0..factors.len()).map(|n| (plan.frames() * plan.size(n)[1]) as u64).collect(),
             target_words: target.row_words,
@@ -104,24 +109,25 @@ impl State {
             groups: limits.max_compute_workgroups_per_dimension as usize,
         };
         let too_small = || gpu.error("too little memory: one line's rays read more than it binds at once".into());
-        let bands: Option<Vec<_>> = (0..factors.len()).map(|n| cut.of_factor(n, plan.size(n)[0])).collect();
+        let bands: Option<Vec<_>> = (0..factors.len()).map(|n| sizes.of_factor(n, plan.size(n)[0])).collect();
         let bands = bands.ok_or_else(too_small)?;
-        let row_bands = cut.of_rows(plan.field()[0]).ok_or_else(too_small)?;
+        let row_bands = sizes.of_rows(plan.field()[0]).ok_or_else(too_small)?;
+        // room for the parameters and results of the largest number of dispatches
         let dispatches = bands.iter().chain([&row_bands]).map(Vec::len).max().unwrap_or(0) * plan.channels();
         let places = (0..factors.len()).map(|n| plan.size(n)).chain([plan.field()]);
         let groups = places.map(|[lines, cols]| lines * cols.div_ceil(GROUP)).max().unwrap_or(0) * plan.channels();
-        let slot = u64::from(limits.min_uniform_buffer_offset_alignment)
+        let params_stride = u64::from(limits.min_uniform_buffer_offset_alignment)
             .max(4 * (PARAMS + 4 * factors.len()) as u64)
             .next_multiple_of(u64::from(limits.min_uniform_buffer_offset_alignment));
         Ok(Self {
             layout: gpu.layout(factors.len()),
             params: gpu.device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some("parameters"),
-                size: slot * dispatches as u64,
+                size: params_stride * dispatches as u64,
                 usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
                 mapped_at_creation: false,
             }),
-            slot,
+            params_stride,
             sums: gpu.buffer(2 * groups as u64),
             unused: [0; 3].map(|_| gpu.buffer(1)),
             found: 0,
@@ -131,7 +137,7 @@ impl State {
             plan,
             display,
             ranges,
-            bold,
+            tries_local,
             tables,
             table_words,
             target,
@@ -141,10 +147,11 @@ impl State {
         })
     }
 
-    /// Runs a program over all bands and channels; its outcomes are in `sums` then.
-    fn dispatch(&mut self, update: Option<Update>, beyond: f32) {
+    /// Runs a program over all bands and channels; it leaves its results in `sums`.
+    fn dispatch(&mut self, update: Option<Update>, extrapolation: f32) {
         let plan = self.plan.clone();
         let weighted = self.target.weights.is_some();
+        // one program serves all bands; the parameters differ
         let pipeline = self.gpu.program(&Program { plan: &plan, weighted, update }, &self.layout);
         let (bands, cols) = match update {
             Some(Update { own, .. }) => (&self.bands[own], plan.size(own)[1]),
@@ -155,19 +162,20 @@ impl State {
         for (channel, band) in (0..plan.channels()).flat_map(|channel| bands.iter().map(move |band| (channel, band))) {
             let at = words.len() as u64;
             words.extend(
-                self.parameters(update, band, beyond, [found, groups_x]).into_iter().flat_map(u32::to_le_bytes),
+                self.parameters(update, band, extrapolation, [found, groups_x]).into_iter().flat_map(u32::to_le_bytes),
             );
-            words.resize((at + self.slot) as usize, 0);
+            words.resize((at + self.params_stride) as usize, 0);
             found += groups_x * band.lines.len();
             calls.push((self.bind(update, channel, band, at), band.lines.len()));
         }
-        // one update waits on the device while another is prepared, no more
+        // at most one update waits on the device while the next is prepared
         if let Some(index) = self.submitted.take() {
             let waiting = wgpu::PollType::Wait { submission_index: Some(index), timeout: None };
             if let Err(error) = self.gpu.device.poll(waiting) {
                 self.gpu.note(error.to_string());
             }
         }
+        // submit all bands at once
         self.gpu.queue.write_buffer(&self.params, 0, &words);
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         {
@@ -183,7 +191,13 @@ impl State {
     }
 
     /// The parameters of a dispatch, in the order of `Params` in `read.wgsl`.
-    fn parameters(&self, update: Option<Update>, band: &Band, beyond: f32, [found, groups_x]: [usize; 2]) -> Vec<u32> {
+    fn parameters(
+        &self,
+        update: Option<Update>,
+        band: &Band,
+        extrapolation: f32,
+        [found, groups_x]: [usize; 2],
+    ) -> Vec<u32> {
         let (plan, tables) = (&self.plan, &self.tables);
         let ([views_y, views_x], [rows, cols]) = (plan.views(), plan.field());
         let own = update.map_or(0, |update| update.own);
@@ -199,7 +213,7 @@ impl State {
         words.extend([found as u32, groups_x as u32]);
         words.extend([tables.factors[own].own_lines, tables.factors[own].own_columns, own_lines as u32]);
         words.extend([tables.counted_rows, tables.counted_cols, sweeps]);
-        words.extend([plan.brightness(), low, high, beyond, plan.unlit_share()].map(f32::to_bits));
+        words.extend([plan.brightness(), low, high, extrapolation, plan.unlit_share()].map(f32::to_bits));
         debug_assert_eq!(words.len(), PARAMS);
         for (k, (window, of)) in band.factors.iter().zip(&tables.factors).enumerate() {
             words.extend([plan.size(k)[1] as u32, window.start as u32, of.y, of.x]);
@@ -207,13 +221,14 @@ impl State {
         words
     }
 
-    /// The windows of a dispatch.
+    /// Binds the windows of a dispatch.
     fn bind(&self, update: Option<Update>, channel: usize, band: &Band, params_at: u64) -> wgpu::BindGroup {
         fn window<'a>(buffer: &'a wgpu::Buffer, words: &std::ops::Range<u64>) -> wgpu::BindingResource<'a> {
             let size = std::num::NonZeroU64::new(4 * (words.end - words.start));
             wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer, offset: 4 * words.start, size })
         }
-        let size = std::num::NonZeroU64::new(self.slot);
+        // the order of the bindings in `read.wgsl`
+        let size = std::num::NonZeroU64::new(self.params_stride);
         let params = wgpu::BufferBinding { buffer: &self.params, offset: params_at, size };
         let [weights, next, latest] = &self.unused;
         let mut resources = vec![
@@ -222,16 +237,19 @@ impl State {
             window(&self.target.channels[channel], &band.target),
             self.target.weights.as_ref().map_or(weights.as_entire_binding(), |weights| window(weights, &band.weights)),
         ];
+        // outputs that this program does not write are bound to unused buffers
         let moving =
-            update.filter(|update| update.rule != Rule::Probe).map(|update| (&self.factors[update.own], update));
+            update.filter(|update| update.rule != Rule::KktResidual).map(|update| (&self.factors[update.own], update));
         resources.push(match moving {
             Some((factor, _)) => window(&factor.next[channel], &band.own),
             None => next.as_entire_binding(),
         });
-        resources.push(match moving.and_then(|(factor, update)| factor.latest.as_ref().filter(|_| update.beyond)) {
-            Some(buffers) => window(&buffers[channel], &band.own),
-            None => latest.as_entire_binding(),
-        });
+        resources.push(
+            match moving.and_then(|(factor, update)| factor.latest.as_ref().filter(|_| update.extrapolated)) {
+                Some(buffers) => window(&buffers[channel], &band.own),
+                None => latest.as_entire_binding(),
+            },
+        );
         resources.push(self.sums.as_entire_binding());
         resources.extend(self.factors.iter().zip(&band.factors).map(|(f, words)| window(&f.current[channel], words)));
         let numbered = resources.into_iter().enumerate();
@@ -241,7 +259,7 @@ impl State {
         self.gpu.device.create_bind_group(&wgpu::BindGroupDescriptor { label: None, layout, entries: &entries })
     }
 
-    /// The sum of what the workgroups of the last dispatch found.
+    /// Sums the results of the last dispatch over its workgroups.
     fn sum(&mut self) -> [f64; 2] {
         if self.found == 0 {
             return [0.0; 2];
@@ -264,25 +282,25 @@ impl Updater for State {
         &self.display
     }
 
-    fn bold(&self) -> bool {
-        self.bold
+    fn tries_local(&self) -> bool {
+        self.tries_local
     }
 
-    fn heed(&mut self, cancel: &Cancel) {
+    fn set_cancel(&mut self, cancel: &Cancel) {
         self.cancel = cancel.clone();
     }
 
-    fn apply(&mut self, n: usize, rule: Rule, beyond: Option<f32>, local: bool) {
+    fn apply(&mut self, n: usize, rule: Rule, extrapolation: Option<f32>, local: bool) {
         self.found = 0;
         if self.cancel.is_cancelled() {
             return;
         }
-        if beyond.is_some() {
+        if extrapolation.is_some() {
             self.factors.iter_mut().for_each(|factor| factor.begin_latest(&self.gpu));
         }
-        let update = Update { own: n, rule, beyond: beyond.is_some(), local };
-        self.dispatch(Some(update), beyond.unwrap_or(0.0));
-        if rule != Rule::Probe {
+        let update = Update { own: n, rule, extrapolated: extrapolation.is_some(), local };
+        self.dispatch(Some(update), extrapolation.unwrap_or(0.0));
+        if rule != Rule::KktResidual {
             self.factors[n].swap_next();
         }
     }
@@ -292,11 +310,11 @@ impl Updater for State {
         Outcome { error, gain }
     }
 
-    fn keep(&mut self, _: usize) {
-        // an update leaves the values before it where the next one writes
+    fn save(&mut self, _: usize) {
+        // an update leaves the values before it in the buffer that the next one overwrites
     }
 
-    fn take_back(&mut self, n: usize) {
+    fn restore(&mut self, n: usize) {
         self.factors[n].swap_next();
     }
 
@@ -310,7 +328,7 @@ impl Updater for State {
         self.factors.iter_mut().for_each(Values::swap_latest);
     }
 
-    fn return_to_latest(&mut self) {
+    fn restart(&mut self) {
         self.swap_latest();
         self.factors.iter().for_each(|factor| factor.copy_to_latest(&self.gpu));
     }

@@ -3,28 +3,30 @@
 use lumistack_display::Tap;
 use lumistack_factorizer::device::Plan;
 
-/// A tap that misses.
+/// Word of a tap that misses.
 const MISSED: u32 = u32::MAX;
 
-/// All tables, and where each begins.
+/// All tables, and the offset of each.
 pub(crate) struct Tables {
     pub(crate) words: Vec<u32>,
-    /// `[view row][field row]`, whether its rays count.
+    /// `[view row][field row]`: 1 if the rays count, else 0.
     pub(crate) counted_rows: u32,
-    /// `[view column][field column]`, whether its rays count.
+    /// `[view column][field column]`: 1 if the rays count, else 0.
     pub(crate) counted_cols: u32,
     pub(crate) factors: Vec<FactorTables>,
 }
 
-/// Tables of one factor.
+/// Offsets and ranges of one factor's tables.
 pub(crate) struct FactorTables {
-    /// `[view row][field row]` lines, in taps.
+    /// `[view row][field row]`: the lines that rays read; the offset counts taps.
     pub(crate) y: u32,
-    /// `[view column][field column]` columns, in taps.
+    /// `[view column][field column]`: the columns that rays read; the offset counts taps.
     pub(crate) x: u32,
-    /// `[view row][line]`: where the field rows that read the line begin, and end.
+    /// `[view row][line]`: the offset of the field rows that read the line. The next entry ends
+    /// them.
     pub(crate) own_lines: u32,
-    /// `[view column][column]`: where the field columns that read the column begin, and end.
+    /// `[view column][column]`: the offset of the field columns that read the column. The next
+    /// entry ends them.
     pub(crate) own_columns: u32,
     /// Per line, the first and last field row that read it from any view.
     pub(crate) rows_of_line: Vec<Option<[usize; 2]>>,
@@ -35,6 +37,7 @@ pub(crate) struct FactorTables {
 impl Tables {
     pub(crate) fn new(plan: &Plan) -> Self {
         let ([views_y, views_x], [rows, cols]) = (plan.views(), plan.field());
+        // the rays that count, as flags
         let mut words = Vec::new();
         let counted_rows = 0;
         for view_y in 0..views_y {
@@ -48,6 +51,7 @@ impl Tables {
                 words[at + range.start..at + range.end].fill(1);
             }
         }
+        // the taps and readers of every factor
         let mut tables = Self { words, counted_rows, counted_cols, factors: Vec::new() };
         for n in 0..plan.factor_count() {
             let factor = tables.add(plan, n);
@@ -81,9 +85,10 @@ impl Tables {
         FactorTables { y, x, own_lines, own_columns, rows_of_line, lines_of_row }
     }
 
-    /// Taps of all views and places: one word each, or three where two neighbours are mixed.
+    /// Appends the taps of all views and places: one word each, or three if two neighbours are
+    /// mixed.
     fn taps(&mut self, views: usize, count: usize, mixed: bool, tap: impl Fn(usize, usize) -> Option<Tap>) -> u32 {
-        // shaders count in taps
+        // shaders count in taps, so the offset must be a multiple of their width
         let width = if mixed { 3 } else { 1 };
         self.words.resize(self.words.len().next_multiple_of(width), 0);
         let at = self.words.len() / width;
@@ -98,7 +103,8 @@ impl Tables {
         at as u32
     }
 
-    /// For every view and place of a factor, the rays that read it with their shares, listed after the table of where they begin.
+    /// Appends, for every view and place of a factor, the rays that read it with their shares. A
+    /// table of their offsets precedes them.
     fn readers(&mut self, views: usize, places: usize, taps: impl Fn(usize) -> Vec<(usize, Tap)>) -> u32 {
         let at = self.words.len();
         self.words.resize(at + views * (places + 1), 0);

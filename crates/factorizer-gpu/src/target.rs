@@ -1,4 +1,5 @@
-//! The target and the weights on a device: `[field row][view][field column]`, the target a buffer per channel.
+//! The target and the weights on a device: `[field row][view][field column]`, one buffer per
+//! channel of the target.
 
 use lumistack_factorizer::device::{Plan, Row};
 
@@ -7,15 +8,15 @@ use crate::gpu::{CHUNK, Gpu};
 /// Target and weights.
 pub(crate) struct Target {
     pub(crate) channels: Vec<wgpu::Buffer>,
-    /// √w, if not all are 1.
+    /// √w; `None` if all are 1.
     pub(crate) weights: Option<wgpu::Buffer>,
-    /// Words of a field row, all views.
+    /// Words per field row, all views.
     pub(crate) row_words: u64,
     pub(crate) weight_words: u64,
 }
 
 impl Target {
-    /// Words of a field row of the target and of the weights.
+    /// Words per field row of the target and of the weights.
     fn words(plan: &Plan) -> [u64; 2] {
         let ([views_y, views_x], [_, cols]) = (plan.views(), plan.field());
         let views = (views_y * views_x) as u64;
@@ -30,11 +31,13 @@ impl Target {
         row.max(weights) * plan.field()[0] as u64
     }
 
+    /// Copies target and weights to the device.
     pub(crate) fn upload(gpu: &Gpu, plan: &Plan) -> Self {
         let ([_, views_x], [rows, cols]) = (plan.views(), plan.field());
         let [row_words, weight_words] = Self::words(plan);
         let views = plan.views()[0] * views_x;
         let half_words = cols.div_ceil(2);
+        // an odd number of half floats is padded, so that a row begins on a word
         let of_row = |channel: usize, row: usize, to: &mut Vec<u8>| {
             for view in 0..views {
                 match plan.target_row(channel, [view / views_x, view % views_x], row) {
@@ -47,6 +50,7 @@ impl Target {
                 }
             }
         };
+        // channels are separate buffers, so that a dispatch binds one
         let channels = (0..plan.channels()).map(|channel| {
             let buffer = gpu.buffer(row_words * rows as u64);
             by_rows(gpu, &buffer, rows, row_words, |row, to| of_row(channel, row, to));
@@ -67,7 +71,7 @@ impl Target {
     }
 }
 
-/// Writes a buffer some rows at a time, so that no second copy of it lies in memory.
+/// Writes a buffer some rows at a time, so that memory never holds a second copy.
 fn by_rows(gpu: &Gpu, buffer: &wgpu::Buffer, rows: usize, words: u64, fill: impl Fn(usize, &mut Vec<u8>)) {
     let together = (CHUNK / (4 * words)).max(1) as usize;
     let mut bytes = Vec::new();

@@ -1,14 +1,16 @@
-//! Shaders as text: what is repeated per factor and frame is written once.
+//! Generates the text of shaders: a part that repeats per factor and frame is written once.
 //!
 //! ```text
 //! //@ factors   all factors, {k}             //@ frames   {m} = 0 .. M
-//! //@ others    all but the own              //@ pairs    {m} ≤ {j}
-//! //@ layers    of these the layers          //@ row      within frames: all {j}, with {g} = g{m}_{j} of the upper triangle
-//! //@ lights    of these the backlight       //@ sums     the sums {s} that the rule needs
-//! //@ if FLAG, //@ if !FLAG                  //@ include coefficients
+//! //@ others    all but the own factor       //@ pairs    {m} ≤ {j}
+//! //@ layers    the layers among them        //@ row      within frames: all {j}, with
+//! //@ lights    the backlight among them                  {g} = g{m}_{j} of the upper triangle
+//! //@ if FLAG, //@ if !FLAG                  //@ sums     the sums {s} that the rule needs
+//! //@ include coefficients
 //! ```
 //!
-//! each to its `//@ end`. So N and M are constants of the program, loops over them are unrolled, and sums stay in registers.
+//! Each block ends at its `//@ end`. So N and M are constants of the program, loops over them are
+//! unrolled, and sums stay in registers.
 
 use std::fmt::Write;
 
@@ -19,10 +21,10 @@ const READ: &str = include_str!("shaders/read.wgsl");
 const UPDATE: &str = include_str!("shaders/update.wgsl");
 const ERRORS: &str = include_str!("shaders/errors.wgsl");
 
-/// Bindings before those of the factors.
+/// Number of bindings before those of the factors.
 pub(crate) const FIRST_FACTOR: usize = 7;
 
-/// What a program is written for.
+/// The properties that a program is generated for.
 pub(crate) struct Program<'a> {
     pub(crate) plan: &'a Plan,
     pub(crate) weighted: bool,
@@ -35,27 +37,29 @@ pub(crate) struct Program<'a> {
 pub(crate) struct Update {
     pub(crate) own: usize,
     pub(crate) rule: Rule,
-    pub(crate) beyond: bool,
-    /// Where L̃ is not linear in the values: by the curvature at this point.
+    pub(crate) extrapolated: bool,
+    /// True for the curvature at the current point, where L̃ is not linear in the values.
     pub(crate) local: bool,
 }
 
 impl Program<'_> {
-    /// The program in WGSL.
+    /// Generates the program in WGSL.
     pub(crate) fn text(&self) -> String {
         let plan = self.plan;
+        // constants of the problem
         let mut text = String::new();
         let _ = writeln!(text, "const FRAMES: u32 = {}u;", plan.frames());
         let _ = writeln!(text, "const MEAN: f32 = {:?};", 1.0 / plan.frames() as f32);
         let quarter = std::f64::consts::FRAC_PI_2.powi(2) * plan.frames() as f64;
         let _ = writeln!(text, "const CURVATURE: f32 = {quarter:?};");
-        let _ = writeln!(text, "const CURVATURE_HERE: f32 = {:?};", 2.0 * quarter);
+        let _ = writeln!(text, "const LOCAL_CURVATURE: f32 = {:?};", 2.0 * quarter);
         let _ = writeln!(text, "const HALF: bool = {};", plan.has_half_target());
         let _ = writeln!(text, "const WEIGHTED: bool = {};", self.weighted);
         for k in 0..plan.factor_count() {
             let _ = writeln!(text, "const MIXED_{k}: bool = {};", !plan.is_nearest(k));
             let _ = writeln!(text, "const OUTSIDE_{k}: f32 = {:?};", plan.outside(k));
         }
+        // the shader itself
         let place = Place::default();
         for file in [READ, if self.update.is_some() { UPDATE } else { ERRORS }] {
             self.expand(&mut file.lines(), &place, &mut text);
@@ -65,27 +69,27 @@ impl Program<'_> {
 
     fn is(&self, flag: &str) -> bool {
         let (plan, update) = (self.plan, self.update);
-        let Some(Update { own, rule, beyond, local }) = update else { return false };
-        let bent = !plan.is_bounded(own) && rule != Rule::Multiplicative;
+        let Some(Update { own, rule, extrapolated, local }) = update else { return false };
+        let nonlinear = !plan.is_bounded(own) && rule != Rule::Multiplicative;
         match flag {
             "own" => true,
             "backlight" => own >= plan.layer_count(),
             "mixed" => !plan.is_nearest(own),
-            "long" => !plan.has_short_sums(own),
+            "long_sums" => !plan.has_short_sums(own),
             "ratio" => rule == Rule::Multiplicative,
             "gram" => matches!(rule, Rule::Block { .. }),
-            "diagonal" => matches!(rule, Rule::Probe | Rule::Settle),
-            "settle" => rule == Rule::Settle,
-            "moves" => rule != Rule::Probe,
-            "products" => !bent || local,
-            "bent" => bent,
+            "diagonal" => matches!(rule, Rule::KktResidual | Rule::Darken),
+            "darken" => rule == Rule::Darken,
+            "moves" => rule != Rule::KktResidual,
+            "products" => !nonlinear || local,
+            "nonlinear" => nonlinear,
             "local" => local,
-            "beyond" => beyond,
+            "extrapolated" => extrapolated,
             _ => unreachable!("flag {flag} of a shader"),
         }
     }
 
-    /// The sums that the rule needs.
+    /// Names of the sums that the rule needs.
     fn sums(&self) -> Vec<String> {
         let frames = 0..self.plan.frames();
         if self.is("ratio") {
@@ -94,13 +98,13 @@ impl Program<'_> {
         frames.clone().map(|m| format!("r{m}")).chain(self.pairs().map(|(m, j)| format!("g{m}_{j}"))).collect()
     }
 
-    /// Frames whose products are summed.
+    /// Pairs of frames whose products are summed.
     fn pairs(&self) -> impl Iterator<Item = (usize, usize)> + use<> {
         let (frames, gram) = (self.plan.frames(), self.is("gram"));
         (0..frames).flat_map(move |m| (m..if gram { frames } else { m + 1 }).map(move |j| (m, j)))
     }
 
-    /// Expands lines up to the `//@ end` of their block, or all.
+    /// Expands lines up to the `//@ end` of their block, or to the last one.
     fn expand(&self, lines: &mut dyn Iterator<Item = &str>, place: &Place, to: &mut String) {
         while let Some(line) = lines.next() {
             let Some(directive) = line.trim_start().strip_prefix("//@ ") else {
@@ -126,7 +130,7 @@ impl Program<'_> {
         }
     }
 
-    /// Where the lines of a block stand, one after another.
+    /// The substitutions of each repetition of a block.
     fn places(&self, directive: &str, place: &Place) -> Vec<Place> {
         let plan = self.plan;
         let own = self.update.map(|update| update.own);
@@ -168,7 +172,7 @@ fn block_of<'a>(lines: &mut dyn Iterator<Item = &'a str>) -> Vec<&'a str> {
     inside.collect()
 }
 
-/// What names in braces stand for.
+/// Substitutions of the names in braces.
 #[derive(Clone, Default)]
 struct Place {
     own: Option<usize>,

@@ -6,11 +6,11 @@ use crate::gpu::Gpu;
 
 /// Buffers of one factor, per channel.
 pub(crate) struct Values {
-    /// What rays read.
+    /// Values that rays read.
     pub(crate) current: Vec<wgpu::Buffer>,
-    /// Where an update writes; after it, the values before.
+    /// Output of the next update; after it, the values from before.
     pub(crate) next: Vec<wgpu::Buffer>,
-    /// Where the last steps ended, while the patterns go beyond them.
+    /// The last iterate, while rays read extrapolated values.
     pub(crate) latest: Option<Vec<wgpu::Buffer>>,
     words: u64,
 }
@@ -30,7 +30,7 @@ impl Values {
         Self { current, next, latest: None, words }
     }
 
-    /// Values on this machine.
+    /// Copies the values to this machine.
     pub(crate) fn download(&self, gpu: &Gpu, plan: &Plan, n: usize) -> Factor {
         let ([lines, cols], frames) = (plan.size(n), plan.frames());
         let mut factor = Factor::of(plan, n);
@@ -43,7 +43,7 @@ impl Values {
         factor
     }
 
-    /// Notes that the last steps ended here.
+    /// Allocates the last iterate from the current values, before the first extrapolation.
     pub(crate) fn begin_latest(&mut self, gpu: &Gpu) {
         if self.latest.is_none() {
             self.latest = Some(self.current.iter().map(|_| gpu.buffer(self.words)).collect());
@@ -51,7 +51,7 @@ impl Values {
         }
     }
 
-    /// Copies the values to where the last steps ended.
+    /// Copies the values to the last iterate.
     pub(crate) fn copy_to_latest(&self, gpu: &Gpu) {
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         for (from, to) in self.current.iter().zip(self.latest.iter().flatten()) {
@@ -60,14 +60,14 @@ impl Values {
         gpu.queue.submit([encoder.finish()]);
     }
 
-    /// Exchanges the values for where the last steps ended.
+    /// Exchanges the values and the last iterate.
     pub(crate) fn swap_latest(&mut self) {
         if let Some(latest) = &mut self.latest {
             std::mem::swap(&mut self.current, latest);
         }
     }
 
-    /// Exchanges the values for those that the last update wrote or found.
+    /// Exchanges the values for those from before the last update, or back.
     pub(crate) fn swap_next(&mut self) {
         std::mem::swap(&mut self.current, &mut self.next);
     }

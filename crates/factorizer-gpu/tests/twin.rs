@@ -1,4 +1,5 @@
-//! The device against the processor. Any adapter will do, software too; without one the tests are skipped.
+//! The device against the processor, on any adapter, software included. Without an adapter the
+//! tests are skipped.
 
 use std::sync::{Mutex, OnceLock};
 
@@ -16,29 +17,30 @@ mod problems;
 
 use problems::{Kind, Owned, display, random};
 
-/// Largest difference of a pattern's value.
+/// Largest difference of a mask value.
 const PATTERN_TOLERANCE: f32 = 1e-4;
 /// Largest difference of the emission of a ray.
 const EMISSION_TOLERANCE: f32 = 1e-5;
-/// Relative difference of the objective, and per ray and channel where it is nearly 0.
+/// Relative difference of the objective, and per ray and channel near 0.
 const OBJECTIVE_TOLERANCE: f64 = 1e-4;
 const OBJECTIVE_PER_VALUE: f64 = 1e-11;
-/// Change of the emission by a change of a value, from which on the value counts as determined.
+/// Influence on the emission from which a value counts as determined.
 const DETERMINED: f32 = 0.1;
 /// Rounds of updates that are compared one by one.
 const ROUNDS: usize = 4;
 /// Updates of whole runs.
 const UPDATES: usize = 10;
-/// Of the random problems; the same for all tests, so that they share programs.
+/// Seeds of the random problems; the same for all tests, so that they share programs.
 const SEED: u64 = 4;
-/// By how much more the device may differ from the processor than the processor from itself, where start and target are moved by a rounding.
+/// Tolerance for the device, as a multiple of the processor's own difference between starts and
+/// targets that differ by a rounding.
 const OWN_ROUNDING: f32 = 4.0;
 /// Runs by which the processor's own differences are measured.
 const NUDGES: u32 = 4;
-/// How many of the runs may need that.
+/// Number of runs that may need that tolerance.
 const MOST_LED_ELSEWHERE: usize = 8;
 
-/// The adapter of the tests: `LUMISTACK_GPU`, or a graphics processor, or whatever there is.
+/// The adapter of the tests: that of `LUMISTACK_GPU`, a graphics processor, or any other.
 fn device() -> Option<Device> {
     static DEVICE: OnceLock<Option<Device>> = OnceLock::new();
     let open = || {
@@ -49,7 +51,7 @@ fn device() -> Option<Device> {
     DEVICE.get_or_init(open).clone()
 }
 
-/// Whether the device takes a display, and a solver of this name.
+/// True if the device and the solver accept a problem.
 fn takes(owned: &Owned, name: &str) -> bool {
     let fits = name != "multiplicative" || owned.display.formation != Formation::Polarization;
     fits && owned.display.layers.iter().all(|layer| layer.response().is_none())
@@ -76,7 +78,7 @@ fn largest<'a>(a: impl IntoIterator<Item = &'a f32>, b: impl IntoIterator<Item =
     a.into_iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
 }
 
-/// By how much the emission of any ray changes at most with each value, in the order of the stack's tensors: found by moving it.
+/// Largest change of any ray's emission per change of a value, found by moving the value.
 fn influence(owned: &Owned, stack: &LayerStack, tensor: usize, index: usize) -> f32 {
     let mut moved = stack.clone();
     let layers = moved.layers.iter_mut().map(|layer| layer.data_mut());
@@ -87,8 +89,8 @@ fn influence(owned: &Owned, stack: &LayerStack, tensor: usize, index: usize) -> 
     4.0 * largest(&emissions(owned, stack), &emissions(owned, &moved))
 }
 
-/// Moves values by a rounding, up or down at random. One factor for all values would be undone by
-/// the first exact step, and would say nothing about later ones.
+/// Changes values by a rounding, up or down at random. The first exact step would undo one factor
+/// for all values, and later steps would then show nothing.
 fn nudge(values: &mut [f32], state: &mut u32) {
     for value in values {
         *state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -97,7 +99,7 @@ fn nudge(values: &mut [f32], state: &mut u32) {
     }
 }
 
-/// Runs of the processor from starts and to targets that differ by rounding alone.
+/// Runs of the processor whose starts and targets differ by rounding alone.
 fn own_runs(kind: Kind, name: &str, start: &LayerStack) -> Vec<LayerStack> {
     let own_run = |number: u32| {
         let (mut state, mut owned, mut start) = (number, random(kind, SEED), start.clone());
@@ -113,7 +115,7 @@ fn own_runs(kind: Kind, name: &str, start: &LayerStack) -> Vec<LayerStack> {
     (1..=NUDGES).map(own_run).collect()
 }
 
-/// An executor that takes what a run begins with, and begins nothing.
+/// An executor that records the input of a run and starts none.
 struct Catch(Mutex<Option<Begin>>);
 
 impl Executor for Catch {
@@ -123,19 +125,21 @@ impl Executor for Catch {
     }
 }
 
-/// What a run of a solver begins with.
+/// Returns the input of a solver's run.
 fn begin_of(name: &str, problem: &Problem, start: LayerStack) -> Begin {
     let catch = Catch(Mutex::default());
     assert!(start_on(&catch, name, problem, start).is_err());
     catch.0.into_inner().unwrap().unwrap()
 }
 
-/// Whether sums of errors over so many values are equal, as parts of a sum.
+/// True if two sums of errors are equal within the tolerance for `values` values, as parts of
+/// `sum`.
 fn are_near(a: f64, b: f64, sum: f64, values: usize) -> bool {
     (a - b).abs() <= OBJECTIVE_TOLERANCE * sum + OBJECTIVE_PER_VALUE * values as f64
 }
 
-/// Every update on its own, from the processor's patterns before it, so that no rounding adds up.
+/// Compares every update alone, from the processor's patterns before it, so that rounding does not
+/// accumulate.
 #[test]
 fn one_update_equals_the_processors() {
     let Some(device) = device() else { return };
@@ -146,27 +150,27 @@ fn one_update_equals_the_processors() {
             if !takes(&owned, name) {
                 continue;
             }
-            let Begin { plan, display, ranges, mut factors, bold } =
+            let Begin { plan, display, ranges, mut factors, tries_local } =
                 begin_of(name, &owned.problem(), random_start(&owned.display, SEED));
             let begun = |executor: &dyn Executor, factors: &[Factor]| {
                 let (plan, display, ranges) = (plan.clone(), display.clone(), ranges.clone());
-                executor.begin(Begin { plan, display, ranges, factors: factors.to_vec(), bold }).unwrap()
+                executor.begin(Begin { plan, display, ranges, factors: factors.to_vec(), tries_local }).unwrap()
             };
             let each = factors.len();
             for (round, n) in (0..ROUNDS * each).map(|at| (at / each, at % each)) {
                 let what = format!("{kind:?} {name}, round {round}, factor {n}");
-                // every other time beyond the step, and by the curvature at this point
+                // every second update extrapolates, and takes the curvature at the current point
                 let odd = round % 2 == 1;
-                let beyond = (odd && name == "block-exact").then_some(0.35);
+                let extrapolation = (odd && name == "block-exact").then_some(0.35);
                 let local = odd && !plan.is_bounded(n);
                 let mut both = [begun(&Processor, &factors), begun(&device, &factors)];
                 let [expected, found] = both.each_mut().map(|state| {
-                    state.apply(n, rule, beyond, local);
+                    state.apply(n, rule, extrapolation, local);
                     let (update, errors) = (state.outcome(), state.errors());
                     let read = state.download();
                     state.swap_latest();
                     let stepped = state.download();
-                    state.apply(n, Rule::Probe, None, false);
+                    state.apply(n, Rule::KktResidual, None, false);
                     let seen = if plan.sees_all_rays(n) { update.error } else { 0.0 };
                     let probed = state.outcome().gain;
                     // each with the sum that it is a part of
@@ -189,7 +193,7 @@ fn one_update_equals_the_processors() {
                     for (tensor, (a, b)) in tensors(expected).zip(tensors(found)).enumerate() {
                         let mut far =
                             a.iter().zip(b).enumerate().filter(|(_, (a, b))| (*a - *b).abs() > PATTERN_TOLERANCE);
-                        // a value that next to no light reaches is decided by rounding
+                        // rounding decides a value that almost no light reaches
                         let lit = far.find(|(index, _)| influence(&owned, expected, tensor, *index) >= DETERMINED);
                         if let Some((index, (a, b))) = lit {
                             wrong.push(format!("{what}: value {index} of {tensor}: {a} and {b}"));
@@ -207,8 +211,10 @@ fn one_update_equals_the_processors() {
     assert!(count > 400, "{count}");
 }
 
-/// Whole runs. Single updates agree far better; later ones depend on values that rounding has decided, so a few runs lead elsewhere, as the processor's own do
-/// from a start that differs by rounding.
+/// Compares whole runs.
+///
+/// Single updates agree far better. Later ones depend on values that rounding has decided, so a few
+/// runs end elsewhere. So do the processor's own runs from a start that differs by rounding.
 #[test]
 fn ten_updates_equal_the_processors() {
     let Some(device) = device() else { return };
@@ -253,7 +259,7 @@ fn bands_change_nothing() {
         for bytes in [16 << 10, 8 << 10, 4 << 10, 2 << 10] {
             let cut = device.with_binding_bytes(bytes).unwrap();
             match cut.solver("extrapolated").unwrap().start(&owned.problem(), start.clone()) {
-                // as small as it gets
+                // the smallest bands possible
                 Err(error) => assert!(error.to_string().contains("too little memory"), "{error}"),
                 Ok(_) => {
                     let parts = run(&cut.solver("extrapolated").unwrap(), &owned.problem(), &start, 3);
@@ -292,10 +298,10 @@ fn a_whole_solve_is_as_good_as_the_processors() {
     let [a, b] = [found.levels, expected.levels].map(|levels| levels.unwrap().reoptimized);
     assert!((a - b).abs() < 0.2, "{a} and {b}");
     assert!(
-        (found.unsettled - expected.unsettled).abs() < 0.2 * expected.unsettled,
+        (found.kkt_residual - expected.kkt_residual).abs() < 0.2 * expected.kkt_residual,
         "{} {}",
-        found.unsettled,
-        expected.unsettled
+        found.kkt_residual,
+        expected.kkt_residual
     );
     // the same once more
     let again = factorize_on(&device, &owned.problem(), &settings, None, task, &mut |_| ()).unwrap();
@@ -333,7 +339,7 @@ fn what_a_device_cannot_do_is_one_clear_message() {
     owned.display.layers[0].blur_px = 0.0;
     let small = message(&device.with_binding_bytes(16).unwrap(), &owned);
     assert!(small.contains("too little memory"), "{small}");
-    // another handle: the others go on
+    // another handle: the others stay valid
     let doomed = device.with_binding_bytes(u64::MAX).unwrap();
     let mut run: Box<dyn Run> = doomed.solver("auto").unwrap().start(&owned.problem(), start.clone()).unwrap();
     run.step(&Cancel::default()).unwrap();

@@ -1,11 +1,14 @@
-//! PSNR after so many iterations for every solver, start and number of coarser levels, on fixed light fields, beside reference figures.
+//! Prints the PSNR per number of iterations of every solver, start and number of coarser levels,
+//! beside reference figures.
 //!
 //! ```text
-//! cargo run --release -p lumistack-factorizer --example bench_convergence -- [--quick] [--json FILE]
+//! cargo run --release -p lumistack-factorizer --example bench_convergence --
+//!     [--quick] [--json FILE]
 //! ```
 //!
-//! The light field `main_5x5_160x100_fov20` is read from the folder in `LUMISTACK_LIGHTFIELDS` (`../shared/lightfields` beside the workspace if that is
-//! not set); a second one is made in closed form, so that something is there on any machine. `--quick` stops after 50 iterations.
+//! The light field `main_5x5_160x100_fov20` comes from the folder in `LUMISTACK_LIGHTFIELDS`
+//! (default `../shared/lightfields` beside the workspace). A second one is computed in closed form,
+//! so every machine has one. `--quick` stops after 50 iterations.
 
 #[path = "bench_factorize/scene.rs"]
 mod scene;
@@ -23,17 +26,18 @@ use serde_json::{Value, json};
 
 /// Numbers of iterations after which the objective is evaluated.
 const ITERATIONS: [u32; 8] = [1, 3, 5, 10, 20, 50, 200, 500];
-/// How many of them `--quick` keeps.
+/// Number of those that `--quick` keeps.
 const QUICK: usize = 6;
 /// Width of the display, millimetres.
 const WIDTH_MM: f64 = 473.76;
 const RESOLUTION: [usize; 2] = [160, 100];
 const FIELD: &str = "main_5x5_160x100_fov20";
 
-/// What an independent implementation reached on the same light field: iterations and PSNR (dB, `psnr_view`).
+/// Figures of an independent implementation on the same light field: iterations and PSNR (dB,
+/// `psnr_view`).
 type Figures = &'static [(u32, f64)];
 
-/// A display, its light field, and what is known.
+/// A display, its light field, and reference figures.
 struct Group {
     name: String,
     display: Display,
@@ -68,6 +72,7 @@ fn main() -> ExitCode {
 fn bench(quick: bool, json: Option<&str>) -> Outcome {
     let iterations = if quick { &ITERATIONS[..QUICK] } else { &ITERATIONS };
     let mut results = Vec::new();
+    // measure and print every combination of solver, start and levels
     for group in groups()? {
         print_header(&group, iterations);
         let mut rows: Vec<Row> = Vec::new();
@@ -82,6 +87,7 @@ fn bench(quick: bool, json: Option<&str>) -> Outcome {
             );
             rows.push(row);
         }
+        // the references stand below our rows
         for (name, figures) in group.references {
             let known = iterations.iter().map(|at| figure(figures, *at));
             let cells = known.map(|psnr| psnr.map_or(format!("{:>8}", ""), |psnr| format!("{psnr:>8.1}")));
@@ -175,7 +181,7 @@ fn light_field(display: &Display, bytes: &[u8]) -> Outcome<LightField> {
     Ok(LightField::new(display.geometry()?, radiance)?)
 }
 
-/// Every solver with every start and with and without a coarser level.
+/// Every solver with every start, with and without a coarser level.
 fn combinations() -> Vec<Settings> {
     let mut all = Vec::new();
     for solver in solvers() {
@@ -193,7 +199,7 @@ fn combinations() -> Vec<Settings> {
     all
 }
 
-/// One combination's figures.
+/// Figures of one combination.
 struct Row {
     settings: Settings,
     start: LayerStack,
@@ -203,7 +209,10 @@ struct Row {
     update_ms: f64,
 }
 
-/// Iterates, evaluating the objective only where it is wanted. Where a display takes no coarser level, the row before is repeated.
+/// Iterates, and evaluates the objective at the given iterations alone.
+///
+/// If a display allows no coarser level, the start equals that of the row before, whose figures are
+/// then repeated.
 fn curve(group: &Group, settings: Settings, iterations: &[u32], before: Option<&Row>) -> Outcome<Row> {
     let problem = Problem { display: &group.display, target: &group.target, weights: &Weights::Uniform };
     let (warnings, cancel) = (Collector::default(), Cancel::default());
@@ -252,7 +261,7 @@ fn figure(figures: Figures, iterations: u32) -> Option<f64> {
     figures.iter().find(|(at, _)| *at == iterations).map(|(_, psnr)| *psnr)
 }
 
-/// How the paper's rule and the default stand to the references, and to each other.
+/// Prints the differences of the paper's rule and the default to the references, and to each other.
 fn print_verdict(group: &Group, rows: &[Row], iterations: &[u32]) {
     let find = |wanted: fn(&Settings) -> bool| rows.iter().find(|row| wanted(&row.settings));
     let (Some(paper), Some(default)) = (find(is_paper), find(is_default)) else { return };

@@ -1,7 +1,14 @@
-//! A display too large for memory: 3840×2160 pixels, 9×9 views, 3 layers, 12 frames, one channel, target in a mapped file.
+//! Solves a display that exceeds the memory: 3840×2160 pixels, 9×9 views, 3 layers, 12 frames, one
+//! channel.
 //!
-//! `cargo run --release -p lumistack-factorizer --example stream -- [FOLDER [COLUMNS ROWS ITERATIONS]]`: says what it will take, writes a target of
-//! several textured planes to FOLDER (default `target/stream`), factorizes it, and prints times, PSNR and the peak of anonymous memory.
+//! ```text
+//! cargo run --release -p lumistack-factorizer --example stream --
+//!     [FOLDER [COLUMNS ROWS ITERATIONS]]
+//! ```
+//!
+//! It prints an estimate, and writes a target of several textured planes to FOLDER (default
+//! `target/stream`). Then it factorizes the mapped target, and prints times, PSNR and the peak of
+//! anonymous memory.
 #![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "this program measures time and maps a file")]
 
 use std::fs::File;
@@ -29,7 +36,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let folder = PathBuf::from(args.first().map_or("target/stream", String::as_str));
     let number = |i: usize, default: usize| args.get(i).map_or(Ok(default), |text| text.parse());
     let (cols, rows, iterations) = (number(1, 3840)?, number(2, 2160)?, number(3, 3)?);
-    // 55 inches, the angle of a desk at 1.2 m
+    // a display of 55 inches
     let pitch_mm = 1210.0 / cols as f64;
     let display = Display {
         brightness: 0.2,
@@ -44,13 +51,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         gib(estimate.patterns),
         gib(estimate.working),
     );
+    // the target is written first, so that it is mapped instead of held
     std::fs::create_dir_all(&folder)?;
     let path = folder.join("target.f16");
     let begin = Instant::now();
     write_planes(&path, &geometry)?;
     println!("target written in {:.1} s", begin.elapsed().as_secs_f64());
-    // SAFETY: nobody else writes the file
+    // SAFETY: no other process writes the file
     let map = unsafe { memmap2::Mmap::map(&File::open(&path)?)? };
+    // solve, and check the memory against the promise
     let begin = Instant::now();
     let mut run = ChannelRun::start(&display, &geometry, Arc::new(Halves(map)), 1)?;
     println!("started in {:.1} s, {:.0} million rays", begin.elapsed().as_secs_f64(), run.rays() as f64 / 1e6);
@@ -70,7 +79,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Three textured planes behind, on and before the display, the nearer ones with holes; each view by its parallax.
+/// Writes three textured planes behind, on and before the display, the nearer ones with holes.
 fn write_planes(path: &Path, geometry: &FieldGeometry) -> std::io::Result<()> {
     let mut file = BufWriter::with_capacity(1 << 20, File::create(path)?);
     let texture = |x: f64, y: f64, scale: f64| 0.5 + 0.25 * (x / scale).sin() + 0.25 * (y / scale * 1.3).cos();
@@ -98,14 +107,14 @@ fn write_planes(path: &Path, geometry: &FieldGeometry) -> std::io::Result<()> {
     file.flush()
 }
 
-/// The nearest half float below a value in 0..1.
+/// Nearest half float below a value in 0..1.
 fn half(value: f64) -> u16 {
     let bits = (value as f32).to_bits();
     let exponent = (bits >> 23) as i32 - 112;
     if exponent <= 0 { 0 } else { (exponent as u16) << 10 | (bits >> 13 & 0x3ff) as u16 }
 }
 
-/// Anonymous memory of this process, from the system; 0 where it does not tell.
+/// Anonymous memory of this process according to the system; 0 if it is unknown.
 fn anonymous_bytes() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("RssAnon:"));

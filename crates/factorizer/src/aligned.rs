@@ -1,4 +1,4 @@
-//! `f32` storage whose start lies on a cache line, so that whole vectors never straddle two.
+//! `f32` storage that begins on a cache line, so that no aligned vector straddles two lines.
 
 use std::mem::MaybeUninit;
 use std::ops::{Deref, DerefMut};
@@ -14,7 +14,8 @@ pub(crate) const LINE: usize = 16;
 #[repr(C, align(64))]
 struct CacheLine([f32; LINE]);
 
-/// Cache lines that one thread makes at a time: large memory costs most where it is touched for the first time.
+/// Cache lines that one thread initializes at a time. The first access to a page is the costly one,
+/// so all threads share it.
 const PART: usize = 1 << 14;
 
 /// A fixed number of values.
@@ -25,7 +26,7 @@ pub(crate) struct Aligned {
 }
 
 impl Aligned {
-    /// `len` times `value`.
+    /// `len` values that all equal `value`.
     pub(crate) fn filled(value: f32, len: usize) -> Self {
         let lines = made(len.div_ceil(LINE), |_, lines| {
             lines.fill(MaybeUninit::new(CacheLine([value; LINE])));
@@ -43,11 +44,13 @@ impl Clone for Aligned {
     }
 }
 
-/// So many cache lines, made on all threads: `make(first, part)` writes every one of its part.
+/// Allocates `count` cache lines and initializes them on all threads.
+///
+/// `make(first, part)` writes every line of its part; `first` is the part's first index.
 fn made(count: usize, make: impl Fn(usize, &mut [MaybeUninit<CacheLine>]) + Sync + Send) -> Vec<CacheLine> {
     let mut lines = Vec::with_capacity(count);
     let spare = &mut lines.spare_capacity_mut()[..count];
-    // 7 % less for an update, a third less for preparation
+    // large pages shorten an update by 7 % and the preparation by a third
     prefer_large_pages(spare);
     bands::for_each_chunk(spare, PART, || (), |(), index, part| make(index * PART, part));
     // SAFETY: every part was written, and together they are the first `count` lines
@@ -60,7 +63,8 @@ impl Deref for Aligned {
 
     #[inline(always)]
     fn deref(&self) -> &[f32] {
-        // SAFETY: cache lines are arrays of f32 without padding, and `len` is at most what they hold
+        // SAFETY: cache lines are arrays of f32 without padding, and `len` is at most their number
+        // of values
         unsafe { std::slice::from_raw_parts(self.lines.as_ptr().cast(), self.len) }
     }
 }

@@ -1,9 +1,11 @@
 //! Work in bands: on all threads of the current rayon pool, or on one.
 //!
-//! Every band owns its part of the output and works in a fixed order, so results do not depend on the number of threads.
+//! Every band owns its part of the output and works in a fixed order, so results do not depend on
+//! the number of threads.
 
-/// Calls `work(scratch, index, chunk)` for every chunk of `data`; `scratch` is whatever `init` makes, reused between chunks in an order that is
-/// not defined.
+/// Calls `work(scratch, index, chunk)` for every chunk of `data`.
+///
+/// `init` makes a `scratch`, which later chunks reuse in an undefined order.
 pub(crate) fn for_each_chunk<T: Send, S>(
     data: &mut [T],
     chunk: usize,
@@ -25,7 +27,7 @@ pub(crate) fn for_each_chunk<T: Send, S>(
     }
 }
 
-/// `work(scratch, index)` for every index below `count`, in order.
+/// Returns `work(scratch, index)` for every index below `count`, in order.
 pub(crate) fn map<T: Send + Clone + Default, S>(
     count: usize,
     init: impl Fn() -> S + Sync + Send,
@@ -36,7 +38,7 @@ pub(crate) fn map<T: Send + Clone + Default, S>(
     results
 }
 
-/// Whether `holds` is true of every part of `data`.
+/// True if `holds` is true of every part of `data`.
 pub(crate) fn all<T: Sync>(data: &[T], holds: impl Fn(&[T]) -> bool + Sync + Send) -> bool {
     /// Values of one part.
     const PART: usize = 1 << 16;

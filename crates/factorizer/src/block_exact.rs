@@ -1,18 +1,25 @@
-//! The block-exact solve: every pixel's M values at once.
+//! The block-exact solver: updates the M values of a pixel together.
 //!
-//! With all other factors fixed, L̃ is linear in a pixel's values f = (f_1 … f_M), so that they minimize
+//! With all other factors fixed, L̃ is linear in a pixel's values f = (f_1 … f_M). They minimize
 //!
 //! ```text
-//! Σ_{r through the pixel} w (βL − (1/M) Σ_m P_m f_m)²   over the box,
+//! Σ_{r through the pixel} w (βL − (1/M) Σ_m P_m f_m)²   over the box.
 //! ```
 //!
-//! a least-squares problem of M unknowns whose Gram matrix and right-hand side are gathered from the rays; a few rounds of clamped coordinate steps
-//! (Gauss-Seidel) solve it. Under nearest sampling all pixels of a layer are independent, so a layer's update is exact in the limit of many rounds; under
-//! bilinear sampling it is exact for a separable quadratic that bounds the objective from above. Neither ever worsens. Where layers rotate
-//! polarization, L̃ is not linear: the step takes the curvature at the present point, is checked, and falls back to a bound that holds everywhere.
+//! This is a least-squares problem of M unknowns. Its Gram matrix and right-hand side are sums over
+//! the rays. A few rounds of clamped coordinate steps (Gauss-Seidel) solve it.
 //!
-//! Between iterations the patterns are extrapolated along the way they came, with restart when the objective rises (Ang and Gillis, "Accelerating
-//! nonnegative matrix factorization algorithms using extrapolation", Neural Computation 31, 2019).
+//! * Under nearest sampling the pixels of a layer are independent, so an update is exact in the
+//!   limit of many rounds.
+//! * Under bilinear sampling an update is exact for a separable quadratic that bounds the objective
+//!   from above. In both cases the objective never rises.
+//! * Where layers rotate polarization, L̃ is not linear. A step then takes the curvature at the
+//!   current point. If the objective rises, the step is repeated with a bound that holds
+//!   everywhere.
+//!
+//! Between iterations the patterns are extrapolated along their last step; a rise of the objective
+//! causes a restart. Source: Ang and Gillis, "Accelerating nonnegative matrix factorization
+//! algorithms using extrapolation", Neural Computation 31, 2019.
 
 use lumistack_core::Cancel;
 use lumistack_display::{Formation, LayerStack};
@@ -24,11 +31,14 @@ use crate::prepared::Prepared;
 use crate::step::Rule;
 use crate::{FactorizeError, Objective, Problem, Run, Solver};
 
-/// Rounds of coordinate steps per update. Measured after 5 and 50 iterations (3 layers, 6 frames, β = 0.2): one round loses 2.4 and 1.1 dB, two 0.7
-/// and 0.2 dB, eight gain 0.1 and 0; a round costs about 2 % of an update.
+/// Rounds of coordinate steps per update.
+///
+/// Measured after 5 and 50 iterations (3 layers, 6 frames, β = 0.2), against 4 rounds. One round
+/// loses 2.4 and 1.1 dB, two rounds lose 0.7 and 0.2 dB. Eight rounds gain 0.1 and 0 dB. A round
+/// costs about 2 % of an update.
 const SWEEPS: u32 = 4;
 
-/// Block-exact, each iteration from where the last one ended.
+/// The block-exact solver without extrapolation.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct BlockExact;
 
@@ -52,7 +62,7 @@ impl Method for BlockExact {
     }
 }
 
-/// Block-exact with extrapolation between iterations and restart.
+/// The block-exact solver with extrapolation between iterations and restart.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Extrapolated;
 
@@ -76,7 +86,7 @@ impl Method for Extrapolated {
     }
 }
 
-/// How far to extrapolate: Ang and Gillis' β_k, its bound, and how both change.
+/// The extrapolation's factor, Ang and Gillis' β_k, with its bound and the rates of both.
 #[derive(Clone, Copy, Debug)]
 struct Extrapolation {
     factor: f32,
@@ -84,19 +94,20 @@ struct Extrapolation {
     grow: f32,
     grow_bound: f32,
     shrink: f32,
-    /// Objective after the last accepted iteration.
+    /// Objective after the last iteration.
     error: f64,
 }
 
 impl Default for Extrapolation {
     fn default() -> Self {
-        // measured: a first factor of 0.5 costs 0.6 dB at 5 iterations and gains 0.02 at 500; faster growth restarts too often
+        // Measured: a first factor of 0.5 costs 0.6 dB at 5 iterations and gains 0.02 dB at 500.
+        // Faster growth restarts too often.
         Self { factor: 0.35, bound: 1.0, grow: 1.05, grow_bound: 1.01, shrink: 1.5, error: f64::INFINITY }
     }
 }
 
 impl Extrapolation {
-    /// Takes note of the objective; returns whether to restart.
+    /// Adapts factor and bound to a new objective; returns true if the extrapolation must restart.
     fn observe(&mut self, error: f64) -> bool {
         let worse = error > self.error;
         self.error = error;
@@ -111,41 +122,41 @@ impl Extrapolation {
     }
 }
 
-/// The patterns where the last steps ended, seen by `look`.
-fn at_latest<T>(state: &mut dyn Updater, look: impl FnOnce(&mut dyn Updater) -> T) -> T {
+/// Calls `read` with the last iterate in place of the extrapolated patterns.
+fn at_latest<T>(state: &mut dyn Updater, read: impl FnOnce(&mut dyn Updater) -> T) -> T {
     state.swap_latest();
-    let seen = look(state);
+    let result = read(state);
     state.swap_latest();
-    seen
+    result
 }
 
-/// State of a run.
 struct BlockExactRun {
     state: Box<dyn Updater>,
     extrapolation: Option<Extrapolation>,
-    seen: Option<Objective>,
+    known: Option<Objective>,
 }
 
 impl BlockExactRun {
     fn new(prepared: Prepared, extrapolation: Option<Extrapolation>) -> Result<Self, FactorizeError> {
-        // sin² bends too much for extrapolation, and enough for the local curvature to be worth its check
-        let bold = prepared.display.formation == Formation::Polarization;
-        let state = prepared.begin(0.0, bold)?;
-        Ok(Self { state, extrapolation: extrapolation.filter(|_| !bold), seen: None })
+        // sin² is too curved for extrapolation, and curved enough that trying the local curvature
+        // pays
+        let tries_local = prepared.display.formation == Formation::Polarization;
+        let state = prepared.begin(0.0, tries_local)?;
+        Ok(Self { state, extrapolation: extrapolation.filter(|_| !tries_local), known: None })
     }
 }
 
 impl Run for BlockExactRun {
     fn step(&mut self, cancel: &Cancel) -> Result<(), FactorizeError> {
-        self.state.heed(cancel);
-        let beyond = self.extrapolation.map(|extrapolation| extrapolation.factor);
+        self.state.set_cancel(cancel);
+        let extrapolation = self.extrapolation.map(|extrapolation| extrapolation.factor);
         let last = self.state.plan().factor_count() - 1;
         for n in 0..=last {
-            self.state.update(n, Rule::Block { sweeps: SWEEPS }, beyond);
+            self.state.update(n, Rule::Block { sweeps: SWEEPS }, extrapolation);
             cancel.check()?;
         }
         let outcome = self.state.outcome();
-        self.seen = self.state.seen(last, outcome);
+        self.known = self.state.objective_after(last, outcome);
         if let Some(extrapolation) = &mut self.extrapolation {
             let error = if self.state.plan().sees_all_rays(last) {
                 outcome.error - outcome.gain
@@ -153,8 +164,8 @@ impl Run for BlockExactRun {
                 self.state.objective().value
             };
             if extrapolation.observe(error) {
-                self.state.return_to_latest();
-                self.seen = None;
+                self.state.restart();
+                self.known = None;
             }
         }
         self.state.check()
@@ -164,12 +175,12 @@ impl Run for BlockExactRun {
         at_latest(&mut *self.state, |state| state.objective())
     }
 
-    fn unsettled(&mut self) -> f64 {
-        at_latest(&mut *self.state, |state| state.unsettled())
+    fn kkt_residual(&mut self) -> f64 {
+        at_latest(&mut *self.state, |state| state.kkt_residual())
     }
 
-    fn settle(&mut self) -> f64 {
-        at_latest(&mut *self.state, |state| state.settle())
+    fn darken_unlit(&mut self) -> f64 {
+        at_latest(&mut *self.state, |state| state.darken_unlit())
     }
 
     fn rays(&self) -> u64 {
@@ -186,8 +197,8 @@ impl Run for BlockExactRun {
 }
 
 impl Iterated for BlockExactRun {
-    fn seen(&self) -> Option<Objective> {
-        self.seen
+    fn known_objective(&self) -> Option<Objective> {
+        self.known
     }
 
     fn finish(mut self: Box<Self>) -> Box<dyn Updater> {

@@ -1,4 +1,6 @@
-//! The sums of one block by way of buffers, for any number of frames and factors, and what the ways have in common.
+//! Sums of one block by way of buffers, for any number of frames and factors.
+//!
+//! [`registers`](crate::registers) has faster functions for common cases and shares the types here.
 
 use lumistack_simd::{Kernel, Lanes, MAX_LANES, prefetch_far};
 
@@ -7,30 +9,35 @@ use crate::rays::{LineRays, Place, TargetRow};
 use crate::step::{Block, Sums};
 use crate::vector::{Vector, load, store};
 
-/// How many vectors ahead the factors' rows are asked for. One is a tenth slower, four no faster.
+/// The factors' rows are prefetched this many vectors ahead. With one vector an update is 10 %
+/// slower, with four no faster.
 pub(crate) const AHEAD: usize = 2;
-/// How many values ahead the target's rows are asked for, into the second-level cache: they are read once, and the first is full of the factors'.
+/// The target's rows are prefetched this many values ahead, into the second-level cache.
+///
+/// The target is read once, and the first-level cache is full of the factors' rows.
 const TARGET_AHEAD: usize = 64;
 
-/// How many views are buffered before their sums are added up. The buffers of 169 views at once would fill the first-level cache twice.
+/// Number of views that are buffered before their sums are added up. The buffers of 169 views at
+/// once would take twice the first-level cache.
 pub(crate) const GROUP: usize = 32;
 
-/// Buffers of one block.
+/// Buffers of one block. a_m, e, βL and L̃ carry a factor √w, so that their products carry w.
 pub(crate) struct Buffers {
     pub(crate) block: Block,
-    /// a_m of a group of views of a block, `[view][frame][lane]`.
+    /// a_m of a group of views, `[view][frame][lane]`.
     pub(crate) products: Aligned,
-    /// e (or βL), and L̃, of a group of views of a block, `[view][lane]`.
+    /// e (or βL) of a group of views, `[view][lane]`.
     pub(crate) errors: Aligned,
+    /// L̃ of a group of views, `[view][lane]`.
     pub(crate) emitted: Aligned,
     /// f/M.
     pub(crate) scaled: Aligned,
-    /// Σ w e², per lane.
+    /// Σ w e² per lane.
     pub(crate) squares: Vector,
 }
 
 impl Buffers {
-    /// For so many frames.
+    /// Allocates the buffers for `frames` frames.
     pub(crate) fn new(frames: usize) -> Self {
         let vectors = |count: usize| Aligned::filled(0.0, count * MAX_LANES);
         Self {
@@ -44,33 +51,37 @@ impl Buffers {
     }
 }
 
-/// How rays are compared.
+/// The target's scale and the sums that an update needs.
 #[derive(Clone, Copy)]
-pub(crate) struct Sight {
+pub(crate) struct SumParams {
     pub(crate) brightness: f32,
-    /// What is summed.
+    /// The sums that the rule needs.
     pub(crate) sums: Sums,
 }
 
-/// One block of a line: x to x + lanes lies within padded rows where it overlaps a view's valid range. Its sums and values go to the buffers.
+/// One block of a line, the pixels x to x + lanes; its sums and values go to `buffers`.
+///
+/// Where the block overlaps a view's valid range, it lies within that view's padded rows.
 pub(crate) struct BlockOfLine<'a> {
     pub(crate) rays: &'a LineRays<'a>,
     pub(crate) x: usize,
-    pub(crate) sight: Sight,
-    /// The line's own rows, `stride` apart.
+    pub(crate) params: SumParams,
+    /// The line's own rows, one per frame, `stride` apart.
     pub(crate) values: &'a [f32],
     pub(crate) stride: usize,
     pub(crate) buffers: &'a mut Buffers,
 }
 
 impl BlockOfLine<'_> {
-    /// Reads the block's values f, and f/M; `in_registers` says whether each view asks for rows ahead.
+    /// Copies the block's values f, and f/M, and prefetches rows.
+    ///
+    /// `in_registers`: the caller prefetches some rows view by view, so this leaves them out.
     ///
     /// # Safety
     /// The machine has V.
     #[inline(always)]
     pub(crate) unsafe fn begin<V: Lanes>(&mut self, frames: usize, in_registers: bool) {
-        // SAFETY: passed on from the caller
+        // SAFETY: guaranteed by the caller
         unsafe {
             for m in 0..frames {
                 let f = load::<V>(self.values, m * self.stride + self.x);
@@ -78,11 +89,11 @@ impl BlockOfLine<'_> {
                 store(f.mul(V::splat(1.0 / frames as f32)), &mut self.buffers.scaled, m * V::COUNT);
             }
         }
-        self.rays.ask_for_rest(self.x + AHEAD * V::COUNT, in_registers);
+        self.rays.prefetch_rest(self.x + AHEAD * V::COUNT, in_registers);
     }
 }
 
-/// Sums over all views by way of buffers.
+/// The sums over all views, by way of buffers.
 pub(crate) struct ByBuffers;
 
 impl Kernel for ByBuffers {
@@ -92,30 +103,33 @@ impl Kernel for ByBuffers {
     #[inline(always)]
     unsafe fn run<V: Lanes>(mut at: BlockOfLine<'_>) {
         let frames = at.buffers.block.frames;
-        // SAFETY: passed on from the caller
+        // SAFETY: guaranteed by the caller
         unsafe {
             at.begin::<V>(frames, false);
-            let BlockOfLine { rays, x, sight, buffers, .. } = at;
+            let BlockOfLine { rays, x, params, buffers, .. } = at;
             let (mut squares, mut active, mut add) = (V::splat(0.0), 0, false);
+            // buffer view after view; a full group is summed before the next begins
             for (index, view) in rays.views.iter().enumerate() {
                 if let Some(weight) = view.weight::<V>(x) {
                     if active == GROUP {
-                        sum_views::<V, false>(sight.sums, buffers, &[], Group { frames, views: active, add });
+                        sum_views::<V, false>(params.sums, buffers, &[], Group { frames, views: active, add });
                         (active, add) = (0, true);
                     }
-                    let error = buffered::<V, false>(rays, index, x, weight, sight, (active, &mut *buffers));
+                    let error = buffered::<V, false>(rays, index, x, weight, params, (active, &mut *buffers));
                     squares = error.mul_add(error, squares);
                     active += 1;
                 }
             }
             store(squares, &mut buffers.squares, 0);
-            sum_views::<V, false>(sight.sums, buffers, &[], Group { frames, views: active, add });
+            sum_views::<V, false>(params.sums, buffers, &[], Group { frames, views: active, add });
         }
     }
 }
 
-/// a_m, e (or βL) and L̃ of one view and block, times √w, written to place `to` of the buffers; returns e times √w. `OWN` where each view reads other values
-/// of the factor under update.
+/// Writes a_m, e (or βL) and L̃ of one view in the block, times √w, to place `to` of the buffers;
+/// returns e √w.
+///
+/// `OWN`: each view reads other values of the factor under update, as under bilinear sampling.
 ///
 /// # Safety
 /// The machine has V, and x lies within the rows of the view.
@@ -125,12 +139,13 @@ pub(crate) unsafe fn buffered<V: Lanes, const OWN: bool>(
     view: usize,
     x: usize,
     weight: V,
-    sight: Sight,
+    params: SumParams,
     (to, buffers): (usize, &mut Buffers),
 ) -> V {
     let (frames, others) = (buffers.block.frames, rays.others_of(view));
-    // SAFETY: see the caller
+    // SAFETY: guaranteed by the caller
     unsafe {
+        // f/M comes from the block, or along the rays where each view reads other values
         let products = &mut buffers.products[to * frames * V::COUNT..(to + 1) * frames * V::COUNT];
         let scaled = if OWN {
             Scaled::<V, OWN> {
@@ -141,6 +156,7 @@ pub(crate) unsafe fn buffered<V: Lanes, const OWN: bool>(
         } else {
             Scaled { first: buffers.scaled.as_ptr(), stride: V::COUNT, mean: V::splat(1.0) }
         };
+        // a_m and L̃; up to three other factors have loops of their own
         let emitted = match others {
             [a] => products_of::<V, OWN, 1>(rays, [a], x, frames, weight, products, scaled),
             [a, b] => products_of::<V, OWN, 2>(rays, [a, b], x, frames, weight, products, scaled),
@@ -158,15 +174,17 @@ pub(crate) unsafe fn buffered<V: Lanes, const OWN: bool>(
                 emitted
             }
         };
-        let wanted = wanted::<V>(&rays.targets[view], x, sight).mul(weight);
+        // the residual; the ratio rule sums βL in its place
+        let wanted = wanted::<V>(&rays.targets[view], x, params).mul(weight);
         let error = wanted.sub(emitted);
-        store(if sight.sums == Sums::Ratio { wanted } else { error }, &mut buffers.errors, to * V::COUNT);
+        store(if params.sums == Sums::Ratio { wanted } else { error }, &mut buffers.errors, to * V::COUNT);
         store(emitted, &mut buffers.emitted, to * V::COUNT);
         error
     }
 }
 
-/// f/M of the factor under update, frame by frame: of the block, or where each view reads other values, along the rays.
+/// f/M of the factor under update, frame by frame: from the block, or along the rays where each
+/// view reads other values.
 #[derive(Clone, Copy)]
 struct Scaled<V, const OWN: bool> {
     first: *const f32,
@@ -177,7 +195,7 @@ struct Scaled<V, const OWN: bool> {
 impl<V: Lanes, const OWN: bool> Scaled<V, OWN> {
     #[inline(always)]
     unsafe fn of(&self, frame: usize) -> V {
-        // SAFETY: see the caller
+        // SAFETY: guaranteed by the caller
         unsafe {
             let value = V::load(self.first.wrapping_add(frame * self.stride));
             if OWN { value.mul(self.mean) } else { value }
@@ -185,7 +203,7 @@ impl<V: Lanes, const OWN: bool> Scaled<V, OWN> {
     }
 }
 
-/// Products of K factors for all frames, times the weight; returns Σ_m a_m f_m/M.
+/// Writes the products of K factors and `weight` for all frames; returns Σ_m a_m f_m/M.
 #[inline(always)]
 unsafe fn products_of<V: Lanes, const OWN: bool, const K: usize>(
     rays: &LineRays,
@@ -197,7 +215,7 @@ unsafe fn products_of<V: Lanes, const OWN: bool, const K: usize>(
     scaled: Scaled<V, OWN>,
 ) -> V {
     let others: [_; K] = std::array::from_fn(|k| (others[k].at::<V>(x), rays.strides[k]));
-    // SAFETY: see the caller
+    // SAFETY: guaranteed by the caller
     unsafe {
         let mut emitted = V::splat(0.0);
         for m in 0..frames {
@@ -214,13 +232,13 @@ unsafe fn products_of<V: Lanes, const OWN: bool, const K: usize>(
     }
 }
 
-/// βL of one view and block.
+/// βL of one view in the block.
 ///
 /// # Safety
 /// The machine has V, and x lies within the row.
 #[inline(always)]
-pub(crate) unsafe fn wanted<V: Lanes>(row: &TargetRow, x: usize, sight: Sight) -> V {
-    // SAFETY: see the caller
+pub(crate) unsafe fn wanted<V: Lanes>(row: &TargetRow, x: usize, params: SumParams) -> V {
+    // SAFETY: guaranteed by the caller
     unsafe {
         let radiance = match row {
             TargetRow::Half(row) => {
@@ -234,23 +252,23 @@ pub(crate) unsafe fn wanted<V: Lanes>(row: &TargetRow, x: usize, sight: Sight) -
                 V::load(at)
             }
         };
-        radiance.mul(V::splat(sight.brightness))
+        radiance.mul(V::splat(params.brightness))
     }
 }
 
-/// The views that are buffered, and where their sums go.
+/// The buffered views and their frames.
 #[derive(Clone, Copy)]
 pub(crate) struct Group {
     pub(crate) frames: usize,
     pub(crate) views: usize,
-    /// Whether they are added to what is there.
+    /// Add to the sums in the block instead of replacing them.
     pub(crate) add: bool,
 }
 
-/// The sums over a group of views of a block; `SHARED` where each counts by its share.
+/// Adds up a group of views; with `SHARED` each view counts by its share.
 ///
 /// # Safety
-/// The machine has V, and as many views are buffered.
+/// The machine has V, and the buffers hold as many views as the group.
 #[inline(always)]
 pub(crate) unsafe fn sum_views<V: Lanes, const SHARED: bool>(
     sums: Sums,
@@ -260,8 +278,9 @@ pub(crate) unsafe fn sum_views<V: Lanes, const SHARED: bool>(
 ) {
     let Buffers { block, products, errors, emitted, .. } = buffers;
     let (frames, tiles) = (group.frames, Tiles::<SHARED> { group, shares, products, errors, emitted });
-    // SAFETY: see the caller
+    // SAFETY: guaranteed by the caller
     unsafe {
+        // r and the diagonal, or n and d: as many frames at a time as registers hold
         if sums != Sums::Gram {
             let mut m = 0;
             while m < frames {
@@ -280,6 +299,7 @@ pub(crate) unsafe fn sum_views<V: Lanes, const SHARED: bool>(
             }
             return;
         }
+        // G: first the tiles of 3×3 frames along the diagonal with r, then the rest
         for m in (0..frames).step_by(3) {
             match frames - m {
                 1 => tiles.diagonal::<V, 1>(m, block),
@@ -291,10 +311,10 @@ pub(crate) unsafe fn sum_views<V: Lanes, const SHARED: bool>(
     }
 }
 
-/// The buffers of a block's views, to be summed over.
+/// The buffers of a block's views, to be summed.
 pub(crate) struct Tiles<'a, const SHARED: bool> {
     pub(crate) group: Group,
-    /// What each view counts, where that differs.
+    /// The share of each view; empty without `SHARED`.
     pub(crate) shares: &'a [f32],
     pub(crate) products: &'a [f32],
     pub(crate) errors: &'a [f32],
@@ -302,39 +322,39 @@ pub(crate) struct Tiles<'a, const SHARED: bool> {
 }
 
 impl<const SHARED: bool> Tiles<'_, SHARED> {
-    /// Times the view's share.
+    /// `value` times the view's share.
     #[inline(always)]
     unsafe fn shared<V: Lanes>(&self, view: usize, value: V) -> V {
-        // SAFETY: see the caller
+        // SAFETY: guaranteed by the caller
         unsafe { if SHARED { value.mul(V::splat(self.shares[view])) } else { value } }
     }
 
     #[inline(always)]
     unsafe fn product<V: Lanes>(&self, view: usize, frame: usize) -> V {
-        // SAFETY: see the caller
+        // SAFETY: guaranteed by the caller
         unsafe { load::<V>(self.products, (view * self.group.frames + frame) * V::COUNT) }
     }
 
-    /// A sum as it stands.
+    /// The sum so far, or 0 for the first group.
     #[inline(always)]
-    unsafe fn begun<V: Lanes>(&self, sums: &[f32], quantity: usize) -> V {
-        // SAFETY: see the caller
+    unsafe fn sum_so_far<V: Lanes>(&self, sums: &[f32], quantity: usize) -> V {
+        // SAFETY: guaranteed by the caller
         unsafe { if self.group.add { load::<V>(sums, quantity * V::COUNT) } else { V::splat(0.0) } }
     }
 
     #[inline(always)]
     unsafe fn put<V: Lanes>(&self, sum: V, sums: &mut [f32], quantity: usize) {
-        // SAFETY: see the caller
+        // SAFETY: guaranteed by the caller
         unsafe { store(sum, sums, quantity * V::COUNT) }
     }
 
     /// n and d, or r and the diagonal of G, of frames m..m + R.
     #[inline(always)]
     unsafe fn pair<V: Lanes, const R: usize>(&self, m: usize, diagonal: bool, block: &mut Block) {
-        // SAFETY: see the caller
+        // SAFETY: guaranteed by the caller
         unsafe {
-            let mut residual: [V; R] = std::array::from_fn(|i| self.begun(&block.residual, m + i));
-            let mut below: [V; R] = std::array::from_fn(|i| self.begun(&block.emitted, m + i));
+            let mut residual: [V; R] = std::array::from_fn(|i| self.sum_so_far(&block.residual, m + i));
+            let mut below: [V; R] = std::array::from_fn(|i| self.sum_so_far(&block.emitted, m + i));
             for view in 0..self.group.views {
                 let error = load::<V>(self.errors, view * V::COUNT);
                 let emitted = load::<V>(self.emitted, view * V::COUNT);
@@ -352,15 +372,15 @@ impl<const SHARED: bool> Tiles<'_, SHARED> {
         }
     }
 
-    /// r of frames m..m + R and the upper triangle of their part of G.
+    /// r of frames m..m + R, and the upper triangle of G among them.
     #[inline(always)]
     unsafe fn diagonal<V: Lanes, const R: usize>(&self, m: usize, block: &mut Block) {
         let at = |i: usize, k: usize| (m + i) * self.group.frames + m + k;
-        // SAFETY: see the caller
+        // SAFETY: guaranteed by the caller
         unsafe {
-            let mut residual: [V; R] = std::array::from_fn(|i| self.begun(&block.residual, m + i));
+            let mut residual: [V; R] = std::array::from_fn(|i| self.sum_so_far(&block.residual, m + i));
             let mut gram: [[V; R]; R] =
-                std::array::from_fn(|i| std::array::from_fn(|k| self.begun(&block.gram, at(i, k.max(i)))));
+                std::array::from_fn(|i| std::array::from_fn(|k| self.sum_so_far(&block.gram, at(i, k.max(i)))));
             for view in 0..self.group.views {
                 let error = load::<V>(self.errors, view * V::COUNT);
                 let a: [V; R] = std::array::from_fn(|i| self.product::<V>(view, m + i));
@@ -385,10 +405,10 @@ impl<const SHARED: bool> Tiles<'_, SHARED> {
     #[inline(always)]
     unsafe fn rectangle<V: Lanes, const C: usize>(&self, m: usize, k: usize, block: &mut Block) {
         let at = |i: usize, c: usize| (m + i) * self.group.frames + k + c;
-        // SAFETY: see the caller
+        // SAFETY: guaranteed by the caller
         unsafe {
             let mut gram: [[V; C]; 3] =
-                std::array::from_fn(|i| std::array::from_fn(|c| self.begun(&block.gram, at(i, c))));
+                std::array::from_fn(|i| std::array::from_fn(|c| self.sum_so_far(&block.gram, at(i, c))));
             for view in 0..self.group.views {
                 let a: [V; 3] = std::array::from_fn(|i| self.shared(view, self.product::<V>(view, m + i)));
                 for c in 0..C {
@@ -407,7 +427,7 @@ impl<const SHARED: bool> Tiles<'_, SHARED> {
     }
 }
 
-/// G off the tiles of 3×3 frames along its diagonal.
+/// G outside the tiles of 3×3 frames along its diagonal.
 pub(crate) struct BetweenTiles<const SHARED: bool>;
 
 impl<const SHARED: bool> Kernel for BetweenTiles<SHARED> {
@@ -417,7 +437,7 @@ impl<const SHARED: bool> Kernel for BetweenTiles<SHARED> {
     #[inline(always)]
     unsafe fn run<V: Lanes>((tiles, block): Self::Args<'_>) {
         let frames = tiles.group.frames;
-        // SAFETY: passed on from the caller
+        // SAFETY: guaranteed by the caller
         unsafe {
             for m in (0..frames).step_by(3) {
                 for k in (m + 3..frames).step_by(3) {

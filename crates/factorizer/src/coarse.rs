@@ -1,8 +1,12 @@
-//! The same problem at half the resolution, and its solution as a start for the whole one.
+//! A problem at half the resolution, whose solution is a start for the whole problem.
 //!
-//! Low frequencies settle at a quarter of the cost. Field and layers lose every second pixel, and many views every second one, since what a step between
-//! views moves against each other halves too; lenslets, angular bins and frames stay. Coarse pixels are means over the fine ones that they cover, by
-//! area; a coarse solution is interpolated linearly where the fine pixels' centres are. All of it in the layout of the kernels.
+//! Low frequencies converge there at a quarter of the cost. Field and layers keep half their pixels
+//! per axis. Many views are thinned to every second one, since the parallax between views halves
+//! too. Lenslets, angular bins and frames stay.
+//!
+//! A coarse pixel is the area-weighted mean of the fine pixels that it covers. A coarse solution is
+//! interpolated linearly at the centres of the fine pixels. All values stay in the layout of the
+//! kernels.
 
 use std::sync::Arc;
 
@@ -12,12 +16,12 @@ use crate::bands;
 use crate::factor::{Factor, Layout};
 use crate::plan::Plan;
 
-/// Fewest pixels per axis of a field that is worth a level of its own.
+/// Least number of pixels per axis of a coarse field; fewer are not worth a level.
 const SMALLEST_FIELD: usize = 48;
-/// Fewest views per axis of which every second one will do.
+/// Least number of views per axis that are thinned to every second one.
 const MANY_VIEWS: usize = 9;
 
-/// A problem that owns its parts.
+/// A coarse problem that owns its parts.
 pub(crate) struct Coarse {
     pub(crate) display: Display,
     pub(crate) geometry: FieldGeometry,
@@ -25,8 +29,10 @@ pub(crate) struct Coarse {
 }
 
 impl Coarse {
-    /// The problem at half the resolution; `None` where that would be meaningless: hardly any pixels, fewer than two pixels to a lenslet, or
-    /// colour filters that stand on single columns.
+    /// Halves the resolution of a problem.
+    ///
+    /// Returns `None` if that has no use: too few pixels, fewer than two pixels per lenslet, or
+    /// colour filters on single columns.
     pub(crate) fn of(display: &Display, geometry: &FieldGeometry, fine: &Plan) -> Option<Self> {
         let layers = display.layers.iter();
         let smallest =
@@ -39,6 +45,7 @@ impl Coarse {
         {
             return None;
         }
+        // the same display and layers with pixels of twice the pitch
         let mut display = display.clone();
         display.field.resolution = display.field.resolution.map(|n| n.div_ceil(2));
         display.field.pitch_mm *= 2.0;
@@ -47,7 +54,7 @@ impl Coarse {
             layer.pitch_mm *= 2.0;
             layer.blur_px /= 2.0;
         }
-        // angular bins need all of their views, and an even number has no half that is symmetrical
+        // angular bins need all of their views, and an even number has no symmetrical half
         let thins = |count: usize| display.backlight == Backlight::Uniform && count >= MANY_VIEWS && count % 2 == 1;
         let views = geometry.grid.views().map(|count| (0..count).step_by(if thins(count) { 2 } else { 1 }));
         let mut coarse = FieldGeometry {
@@ -58,16 +65,18 @@ impl Coarse {
         };
         coarse.grid.slope_y = views[0].clone().map(|view| geometry.grid.slope_y[view]).collect();
         coarse.grid.slope_x = views[1].clone().map(|view| geometry.grid.slope_x[view]).collect();
+        // average the target over the coarse pixels
         let views: Vec<usize> =
             views[0].clone().flat_map(|view_y| views[1].clone().map(move |view_x| fine.view(view_y, view_x))).collect();
         let pixels = [cover(geometry.rows, coarse.rows), cover(geometry.cols, coarse.cols)];
         let mut plan = Plan::with_target(&display, &coarse, fine.target.averaged(&fine.row, &views, &pixels));
-        plan.cut = fine.cut.as_ref().map(|cut| cut.halved(&display));
+        plan.tile = fine.tile.as_ref().map(|tile| tile.halved(&display));
         Some(Self { display, geometry: coarse, plan: Arc::new(plan) })
     }
 }
 
-/// A coarse solution as values of a finer factor, within its box. A backlight has the same lenslets on both.
+/// Interpolates a coarse solution to a finer factor, clamped to its box. A backlight has the same
+/// lenslets on both levels.
 pub(crate) fn refine(coarse: &Factor, layout: &Layout, [low, high]: [f32; 2]) -> Factor {
     let channels = coarse.channels();
     let mut fine = Factor::blank(layout, channels);
@@ -91,7 +100,8 @@ pub(crate) fn refine(coarse: &Factor, layout: &Layout, [low, high]: [f32; 2]) ->
                     to.copy_from_slice(row(line));
                 } else {
                     let ([before, after], t) = steps_y.around(line);
-                    // the outermost pixels go on beyond the border
+                    // mix two coarse lines, then interpolate along the mixture; border pixels
+                    // extend outwards
                     let (upper, lower) = (row(before.saturating_sub(1)), row((after - 1).min(rows - 1)));
                     let inner = mixed[1..=cols].iter_mut().zip(upper).zip(lower);
                     inner.for_each(|((mixed, &a), &b)| *mixed = a + t * (b - a));
@@ -105,10 +115,12 @@ pub(crate) fn refine(coarse: &Factor, layout: &Layout, [low, high]: [f32; 2]) ->
     fine
 }
 
-/// Where fine pixels lie between coarse ones of twice the pitch on the same centre, whose border pixels are repeated once: every pair of fine pixels
-/// 2k, 2k + 1 between the pixels k, k + 1, k + 2 of these.
+/// Positions of fine pixels between coarse ones of twice the pitch around the same centre.
+///
+/// The coarse border pixels are repeated once. The fine pixels 2k and 2k + 1 then lie between the
+/// coarse pixels k, k + 1, k + 2.
 struct Between {
-    /// How far pixel 2k lies on the way from k to k + 1, and pixel 2k + 1 on that from k + 1 to k + 2.
+    /// Position of pixel 2k between k and k + 1, and of pixel 2k + 1 between k + 1 and k + 2, 0..1.
     t: [f32; 2],
 }
 
@@ -117,7 +129,7 @@ impl Between {
         Self { t: if fine == 2 * coarse { [0.75, 0.25] } else { [1.0, 0.5] } }
     }
 
-    /// The two coarse pixels around a fine one, and how far it lies on the way to the second.
+    /// The two coarse pixels around a fine one, and its position between them, 0..1.
     fn around(&self, fine: usize) -> ([usize; 2], f32) {
         let first = fine / 2 + fine % 2;
         ([first, first + 1], self.t[fine % 2])
@@ -137,11 +149,14 @@ impl Between {
     }
 }
 
-/// Per coarse pixel of twice the pitch on the same centre: the first fine pixel that it covers and the shares of it and the next two.
+/// The pixels under each coarse pixel of twice the pitch around the same centre.
+///
+/// Returns the first fine pixel that it covers, and the shares of that one and the next two.
 pub(crate) fn cover(fine: usize, coarse: usize) -> Vec<(usize, [f32; 3])> {
     (0..coarse)
         .map(|i| {
-            // in fine pixels: the coarse pixel's left edge, where the first fine pixel's left edge is 0
+            // the left edge of the coarse pixel in fine pixels, counted from the left edge of fine
+            // pixel 0
             let left = 2.0 * i as f64 - (coarse as f64 - 1.0) + fine as f64 / 2.0 - 1.0;
             let first = left.floor().max(0.0) as usize;
             let share = |k: usize| {

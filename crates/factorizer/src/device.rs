@@ -1,8 +1,10 @@
-//! Where patterns live and are updated: this machine's processor, or another device.
+//! The interface of devices that hold and update patterns: this machine's processor, or another.
 //!
-//! Solvers are schedules: which factor is updated when, how far to go beyond a step, when to restart. They hold an [`Updater`], which does the work, and
-//! never look at its patterns. [`Processor`](crate::Processor) is the executor of this crate; another one gets the same [`Plan`], whose tables say which
-//! pixels every ray reads, and gives the same results up to rounding.
+//! Solvers are schedules: they choose the factor to update, the extrapolation, and restarts. They
+//! call an [`Updater`], which computes, and never read its patterns.
+//! [`Processor`](crate::Processor) is the executor of this crate. Another executor gets the same
+//! [`Plan`], whose tables define the pixels that every ray reads. It returns the same results up to
+//! rounding.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -20,138 +22,149 @@ pub use crate::plan::Plan;
 pub use crate::row::Row;
 pub use crate::step::Rule;
 
-/// Makes [`Updater`]s.
+/// A device that can run factorizations.
 pub trait Executor: Sync {
-    /// Takes patterns over.
+    /// Takes over the patterns of a run.
     ///
     /// # Errors
-    /// [`FactorizeError::Device`] where the device cannot do this.
+    /// [`FactorizeError::Device`] if the device cannot solve the problem.
     fn begin(&self, begin: Begin) -> Result<Box<dyn Updater>, FactorizeError>;
 }
 
-/// What a run begins with.
+/// The initial state of a run.
 pub struct Begin {
     /// The problem as tables.
     pub plan: Arc<Plan>,
-    /// The display.
+    /// The display, whose hardware limits the values.
     pub display: Display,
-    /// The box of each factor's values.
+    /// Box [low, high] of each factor's values.
     pub ranges: Vec<[f32; 2]>,
     /// Layers rear to front, then the directional backlight; values within their boxes.
     pub factors: Vec<Factor>,
-    /// Where L̃ is not linear in a factor: whether updates try the curvature at the present point before the bound that holds everywhere.
-    pub bold: bool,
+    /// True if updates try the curvature at the current point before the bound that holds
+    /// everywhere. It matters where L̃ is not linear in a factor.
+    pub tries_local: bool,
 }
 
-/// Part of the objective that an update must leave for the rest to be known from its gain, whose terms are f32.
+/// Least share of the error that must remain after an update for a remainder computed from the
+/// gain, whose terms are f32.
 const LEAST_LEFT: f64 = 0.01;
 
-/// Patterns under way, wherever they live.
+/// The patterns of a run, on any device.
 pub trait Updater {
-    /// The problem.
+    /// Returns the problem's tables.
     fn plan(&self) -> &Arc<Plan>;
 
-    /// The display.
+    /// Returns the display.
     fn display(&self) -> &Display;
 
-    /// See [`Begin::bold`].
-    fn bold(&self) -> bool;
+    /// See [`Begin::tries_local`].
+    fn tries_local(&self) -> bool;
 
-    /// Asks this before parts of an update; where it is set, what is left stays as it is.
-    fn heed(&mut self, cancel: &Cancel);
+    /// Sets the flag that cancels updates: it is read before each part of an update, and later
+    /// parts then leave their values as they are.
+    fn set_cancel(&mut self, cancel: &Cancel);
 
-    /// Updates factor `n` from the present state of all. With `beyond`, rays then read the point that lies so much further along the way from the step
-    /// before, within the box. `local` takes the curvature at the present point where L̃ is not linear.
-    fn apply(&mut self, n: usize, rule: Rule, beyond: Option<f32>, local: bool);
+    /// Updates factor `n` by the current values of all factors.
+    ///
+    /// With `extrapolation` = β_k, rays then read the extrapolated values x + β_k (x − x'), clamped
+    /// to the box, where x and x' are this and the previous iterate. `local` takes the curvature at
+    /// the current point where L̃ is not linear.
+    fn apply(&mut self, n: usize, rule: Rule, extrapolation: Option<f32>, local: bool);
 
-    /// What the last [`apply`](Self::apply) saw and gained.
+    /// Returns error and gain of the last [`apply`](Self::apply).
     fn outcome(&mut self) -> Outcome;
 
-    /// Keeps factor `n` as it is now.
-    fn keep(&mut self, n: usize);
+    /// Saves the values of factor `n`.
+    fn save(&mut self, n: usize);
 
-    /// Returns factor `n` to what was kept.
-    fn take_back(&mut self, n: usize);
+    /// Restores the saved values of factor `n`.
+    fn restore(&mut self, n: usize);
 
-    /// Sums of errors of what rays read.
+    /// Sums the squared errors of the values that rays read.
     fn errors(&mut self) -> ErrorSum;
 
-    /// Exchanges the patterns for where the last steps ended, or back; nothing where no step went beyond.
+    /// Exchanges the extrapolated patterns and the last iterate; does nothing without an
+    /// extrapolation.
     fn swap_latest(&mut self);
 
-    /// Drops what lies beyond where the last steps ended.
-    fn return_to_latest(&mut self);
+    /// Replaces the extrapolated patterns by the last iterate.
+    fn restart(&mut self);
 
-    /// Whether the patterns are still there.
+    /// Checks that the patterns still exist.
     ///
     /// # Errors
-    /// [`FactorizeError::Device`] if not.
+    /// [`FactorizeError::Device`] if the device lost them.
     fn check(&self) -> Result<(), FactorizeError>;
 
-    /// The patterns that are stored.
+    /// Returns the stored patterns.
     fn download(&mut self) -> LayerStack;
 
-    /// The same, at the end.
+    /// Ends the run and returns its stored patterns.
     ///
     /// # Errors
     /// As [`check`](Self::check).
     fn into_stack(self: Box<Self>) -> Result<LayerStack, FactorizeError>;
 
-    /// The stored values, at the end.
+    /// Ends the run and returns the stored values of its factors.
     ///
     /// # Errors
     /// As [`check`](Self::check).
     fn into_factors(self: Box<Self>) -> Result<Vec<Factor>, FactorizeError>;
 
-    /// [`apply`](Self::apply) by the rule's best curvature.
+    /// Runs [`apply`](Self::apply) with the better curvature.
     ///
-    /// The local curvature is a guess that pays: where the objective rises all the same, the update is taken back and done by the bound.
-    fn update(&mut self, n: usize, rule: Rule, beyond: Option<f32>) {
-        if !self.bold() || self.plan().is_bounded(n) || rule == Rule::Probe {
-            return self.apply(n, rule, beyond, false);
+    /// The local curvature usually gains more, but may raise the objective. If so, the update is
+    /// undone and repeated with the bound.
+    fn update(&mut self, n: usize, rule: Rule, extrapolation: Option<f32>) {
+        if !self.tries_local() || self.plan().is_bounded(n) || rule == Rule::KktResidual {
+            return self.apply(n, rule, extrapolation, false);
         }
         let before = self.errors().weighted;
-        self.keep(n);
+        self.save(n);
         self.apply(n, rule, None, true);
         if self.errors().weighted > before {
-            self.take_back(n);
+            self.restore(n);
             self.apply(n, rule, None, false);
         }
     }
 
-    /// The objective of what rays read.
+    /// Computes the objective of the values that rays read.
     fn objective(&mut self) -> Objective {
         let sums = self.errors();
         objective_of(self.plan(), self.display(), sums)
     }
 
-    /// The objective after an update of factor `n` with this outcome, where that is known: every ray that counts reads one pixel of the factor, whose
-    /// steps are exact, and all count alike.
-    fn seen(&self, n: usize, outcome: Outcome) -> Option<Objective> {
+    /// Computes the objective after an update of factor `n` from the update's outcome.
+    ///
+    /// This needs exact steps: every weighted ray reads one pixel of the factor, and all weights
+    /// are equal. Otherwise the result is `None`.
+    fn objective_after(&self, n: usize, outcome: Outcome) -> Option<Objective> {
         let (plan, map) = (self.plan(), &self.plan().maps[n]);
-        let stored_is_met = self.display().layers.get(n).is_none_or(|layer| layer.response().is_none());
-        // pixels of a tile that may not change keep their error
+        let stored_is_read = self.display().layers.get(n).is_none_or(|layer| layer.response().is_none());
+        // fixed pixels of a tile keep their error
         let all_step = map.complete && plan.free(n).is_none();
-        let exact = plan.is_product() && map.nearest && all_step && stored_is_met;
-        // where next to nothing is left, that is rounding
+        let exact = plan.is_product() && map.nearest && all_step && stored_is_read;
+        // a remainder much smaller than the error is rounding
         let left = outcome.error - outcome.gain;
         let known = exact && plan.target.is_uniform() && left > LEAST_LEFT * outcome.error;
         known.then(|| objective_of(plan, self.display(), ErrorSum { weighted: left, plain: left }))
     }
 
-    /// Root mean square, over all values, of the change of the emission that an exact coordinate step within the box would still make: 0 at a
-    /// first-order (KKT) point.
-    fn unsettled(&mut self) -> f64 {
-        self.over_all(Rule::Probe)
+    /// Computes the KKT residual: the root mean square, over all values, of the change of the
+    /// emission by an exact coordinate step within the box. It is 0 at a first-order (KKT) point.
+    fn kkt_residual(&mut self) -> f64 {
+        self.over_all(Rule::KktResidual)
     }
 
-    /// The same, and each value that next to no light reaches becomes the darkest. Only where layers attenuate: elsewhere no value is darkness.
-    fn settle(&mut self) -> f64 {
-        let rule = if self.plan().is_product() { Rule::Settle } else { Rule::Probe };
+    /// As [`kkt_residual`](Self::kkt_residual), and darkens unlit values if layers attenuate. In
+    /// other formations no value is dark.
+    fn darken_unlit(&mut self) -> f64 {
+        let rule = if self.plan().is_product() { Rule::Darken } else { Rule::KktResidual };
         self.over_all(rule)
     }
 
-    /// Root mean square of what a rule finds in all factors.
+    /// Root mean square of a rule's gain over all values.
     fn over_all(&mut self, rule: Rule) -> f64 {
         let (mut sum, mut count) = (0.0, 0);
         for n in 0..self.plan().factor_count() {
@@ -164,7 +177,7 @@ pub trait Updater {
     }
 }
 
-/// From sums with weights relative to the largest.
+/// Computes the objective from sums with weights relative to the largest.
 fn objective_of(plan: &Plan, display: &Display, sums: ErrorSum) -> Objective {
     let target = &plan.target;
     let mean = sums.plain / (target.channels as u64 * plan.rays) as f64;
@@ -174,69 +187,71 @@ fn objective_of(plan: &Plan, display: &Display, sums: ErrorSum) -> Objective {
     }
 }
 
-/// The tables, as other crates read them.
+/// The tables for executors in other crates.
 impl Plan {
-    /// View rows and view columns.
+    /// Returns the numbers of view rows and view columns.
     pub fn views(&self) -> [usize; 2] {
         self.views
     }
 
-    /// Field rows and field columns.
+    /// Returns the numbers of field rows and field columns.
     pub fn field(&self) -> [usize; 2] {
         [self.rows, self.cols]
     }
 
-    /// Colour channels.
+    /// Returns the number of colour channels.
     pub fn channels(&self) -> usize {
         self.target.channels
     }
 
-    /// Frames M.
+    /// Returns the number of frames M.
     pub fn frames(&self) -> usize {
         self.frames
     }
 
-    /// Layers N, without a directional backlight.
+    /// Returns the number of layers N, without a directional backlight.
     pub fn layer_count(&self) -> usize {
         self.layers
     }
 
-    /// How layers act together.
+    /// Returns how the light of a ray follows from the layers.
     pub fn formation(&self) -> Formation {
         self.formation
     }
 
-    /// β.
+    /// Returns the brightness β, 0..1.
     pub fn brightness(&self) -> f32 {
         self.target.brightness
     }
 
-    /// Σ w a_m² of a pixel, relative to Σ w over its rays, up to which [`Rule::Settle`] takes it as unlit.
+    /// Returns the greatest Σ w a_m² of an unlit pixel, relative to Σ w over its rays; for
+    /// [`Rule::Darken`].
     pub fn unlit_share(&self) -> f32 {
         crate::unlit::share(self)
     }
 
-    /// Lines and columns of factor `n`: of a directional backlight bins times lenslets.
+    /// Returns lines and columns of factor `n`: for a directional backlight, bins times lenslets.
     pub fn size(&self, n: usize) -> [usize; 2] {
         [self.maps[n].layout.lines(), self.maps[n].layout.cols()]
     }
 
-    /// What a ray reads that misses factor `n`.
+    /// Returns the value of rays that miss factor `n`.
     pub fn outside(&self, n: usize) -> f32 {
         self.maps[n].layout.outside
     }
 
-    /// Whether every ray reads one pixel of factor `n` alone.
+    /// True if every ray reads one pixel of factor `n`.
     pub fn is_nearest(&self, n: usize) -> bool {
         self.maps[n].nearest
     }
 
-    /// Whether few enough rays meet every pixel of factor `n` for a plain sum in f32.
+    /// True if so few rays read each pixel of factor `n` that a plain sum in f32 is precise.
     pub fn has_short_sums(&self, n: usize) -> bool {
         self.maps[n].short_sums
     }
 
-    /// Column of factor `n` that rays of a view column and field column read; `None` where they miss it.
+    /// Returns the columns of factor `n` that rays of a view column and field column read; `None`
+    /// if they miss it.
     pub fn column(&self, n: usize, view_x: usize, col: usize) -> Option<Tap> {
         let (x, pad) = (&self.maps[n].x[view_x], self.maps[n].layout.pad as u32);
         // a miss reads the first value of the padding
@@ -244,53 +259,54 @@ impl Plan {
         Some(Tap { first: own(x.first[col])?, second: own(x.second[col])?, t: x.t[col] })
     }
 
-    /// Line of factor `n` that rays of a view row and field row read; `None` where they miss it.
+    /// Returns the lines of factor `n` that rays of a view row and field row read; `None` if they
+    /// miss it.
     pub fn line(&self, n: usize, view_y: usize, row: usize) -> Option<Tap> {
         let tap = self.maps[n].y[view_y][row];
         let hit = (tap.first as usize) < self.maps[n].layout.lines();
         hit.then_some(Tap { first: tap.first, second: tap.second, t: tap.t })
     }
 
-    /// Field columns whose rays count in a view column.
+    /// Returns the field columns whose rays count in a view column.
     pub fn counted_columns(&self, view_x: usize) -> &[Range<usize>] {
         &self.runs[view_x]
     }
 
-    /// Whether the rays of a field row count in a view row.
+    /// True if the rays of a field row count in a view row.
     pub fn counts_row(&self, view_y: usize, row: usize) -> bool {
         self.valid_rows[view_y][row]
     }
 
-    /// Whether L is kept in half floats.
+    /// True if L is stored in half floats.
     pub fn has_half_target(&self) -> bool {
         matches!(self.target.row(0, 0, 0), Row::Half(_))
     }
 
-    /// One row of L of a view.
+    /// Returns one row of L of a view `[view_y, view_x]`.
     pub fn target_row(&self, channel: usize, view: [usize; 2], row: usize) -> Row<'_> {
         self.target.row(channel, self.view(view[0], view[1]), row).part(0..self.cols)
     }
 
-    /// One row of √w of a view, weights relative to the largest; `None` where all are 1.
+    /// Returns one row of √w of a view, weights relative to the largest; `None` if all are 1.
     pub fn weights_row(&self, view: [usize; 2], row: usize) -> Option<&[f32]> {
         let weights = self.target.weights(self.view(view[0], view[1]), row)?;
         Some(&weights[crate::factor::PAD..][..self.cols])
     }
 }
 
-/// Values, as other crates read and write them.
+/// Values for executors in other crates.
 impl Factor {
-    /// Values of factor `n` of a plan, all as where rays miss it.
+    /// Allocates factor `n` of a plan; all values are those of a miss.
     pub fn of(plan: &Plan, n: usize) -> Self {
         Self::blank(&plan.maps[n].layout, plan.target.channels)
     }
 
-    /// One row of one frame.
+    /// Returns one row of one frame.
     pub fn values(&self, channel: usize, line: usize, frame: usize) -> &[f32] {
         &self.row(channel, line, frame)[self.layout.pad..][..self.layout.cols()]
     }
 
-    /// The same, to be written.
+    /// As [`Self::values`], for writing.
     pub fn values_mut(&mut self, channel: usize, line: usize, frame: usize) -> &mut [f32] {
         let layout = &self.layout;
         let at = (channel * layout.stored_lines() + line) * layout.line_len() + frame * layout.stride + layout.pad;
@@ -299,9 +315,9 @@ impl Factor {
     }
 }
 
-/// The patterns of a display from the values of its factors.
+/// Copies the values of a display's factors into a layer stack.
 pub fn stack_of<'a>(display: &Display, factors: impl Iterator<Item = &'a Factor>) -> LayerStack {
-    // zeros that nobody has touched are no memory yet
+    // zeros that were never written occupy no memory yet
     let mut stack = LayerStack::filled(display, 0.0);
     let layers = stack.layers.iter_mut().map(|layer| layer.data_mut());
     for (factor, tensor) in factors.zip(layers.chain(stack.emission.iter_mut().map(|e| e.data_mut()))) {

@@ -1,4 +1,4 @@
-//! State of a run on this machine's processor, and the update of one factor.
+//! The processor's state of a run, and the update of one factor.
 
 use std::sync::Arc;
 
@@ -13,14 +13,14 @@ use crate::gather::{self, GatherFunctions, GatherLine};
 use crate::line::{LineOf, LineStep, Outcome, StepFunctions};
 use crate::plan::Plan;
 use crate::prepared::ranges_of;
-use crate::respond::{self, Pulled, StepLine};
+use crate::respond::{self, AdjointSums, StepLine};
+use crate::scatter::{self, ScatterBand, ScatterFunctions};
 use crate::scratch::Scratch;
-use crate::spread::{self, SpreadBand, SpreadFunctions};
 use crate::step::{Block, Levels, Rule};
 use crate::sums::SumLine;
 use crate::{FactorizeError, bands, unlit};
 
-/// This machine's processor.
+/// The executor that runs on this machine's processor.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Processor;
 
@@ -30,46 +30,46 @@ impl Executor for Processor {
     }
 }
 
-/// Patterns under way.
+/// The patterns of a run on the processor.
 pub(crate) struct Engine {
     plan: Arc<Plan>,
     display: Display,
-    /// What rays read: layers rear to front, then the backlight.
+    /// Values that rays read: layers rear to front, then the backlight.
     factors: Vec<Factor>,
-    /// Per factor, what is stored where that is not what rays read.
+    /// Per factor, the stored values if rays read others because of a response.
     stored: Vec<Option<(Response, Factor)>>,
-    /// Per factor, the levels of its values and which frames keep to them.
+    /// Per factor, the levels of its values and the frames confined to them.
     pub(crate) levels: Vec<Option<Levels>>,
-    /// Where the last steps ended, while the patterns go beyond them; else empty.
+    /// The last iterate, while rays read extrapolated values; else empty.
     latest: Vec<Aligned>,
-    /// Spare storage for factors that cannot be updated in place.
+    /// Storage for factors that cannot be updated in place.
     spare: Aligned,
-    /// The boxes of the factors' values.
+    /// Box [low, high] of each factor's values.
     ranges: Vec<[f32; 2]>,
     fast: bool,
-    /// Asked before every line; where it is set, what is left stays as it is.
+    /// Read before every line; after it is set, the other lines keep their values.
     pub(crate) cancel: Cancel,
-    bold: bool,
+    tries_local: bool,
     outcome: Outcome,
-    /// What rays read of a factor, and what is stored of it, as it was.
-    kept: Option<(Aligned, Option<Aligned>)>,
+    /// The values saved by [`Updater::save`]: those that rays read, and the stored ones.
+    saved: Option<(Aligned, Option<Aligned>)>,
 }
 
 impl Engine {
     pub(crate) fn begin(begin: Begin) -> Self {
-        let Begin { plan, display, ranges, factors, bold } = begin;
-        Self { bold, ..Self::with_factors(plan, &display, ranges, factors) }
+        let Begin { plan, display, ranges, factors, tries_local } = begin;
+        Self { tries_local, ..Self::with_factors(plan, &display, ranges, factors) }
     }
 
     fn with_factors(plan: Arc<Plan>, display: &Display, ranges: Vec<[f32; 2]>, mut factors: Vec<Factor>) -> Self {
         let responses = display.layers.iter().map(|layer| layer.response()).chain(std::iter::repeat(None));
-        let stored = factors.iter_mut().zip(responses).map(|(met, response)| {
+        let stored = factors.iter_mut().zip(responses).map(|(effective, response)| {
             let response = response?;
-            let mut stored = met.clone();
+            let mut stored = effective.clone();
             if response.is_tied() {
                 respond::tie(&mut stored);
             }
-            respond::respond(&response, &stored, &mut met.values);
+            respond::respond(&response, &stored, &mut effective.values);
             Some((response, stored))
         });
         Self {
@@ -81,22 +81,23 @@ impl Engine {
             ranges,
             fast: true,
             cancel: Cancel::default(),
-            bold: false,
+            tries_local: false,
             outcome: Outcome::default(),
-            kept: None,
+            saved: None,
             plan,
             factors,
         }
     }
 
-    /// For one channel: begins at `start(plan, range, line, values)`, which fills a line's rows frame by frame.
+    /// Allocates the patterns of one channel. `start(plan, range, line, values)` fills one line,
+    /// all frames.
     pub(crate) fn by_lines(
         plan: Plan,
         display: &Display,
         start: impl Fn(&Plan, [f32; 2], LineOf, &mut [f32]) + Sync,
     ) -> Self {
         let ranges = ranges_of(display);
-        let begun = |(n, range): (usize, &[f32; 2])| {
+        let start_factor = |(n, range): (usize, &[f32; 2])| {
             let layout = &plan.maps[n].layout;
             let mut factor = Factor::blank(layout, plan.target.channels);
             bands::for_each_chunk(
@@ -116,57 +117,63 @@ impl Engine {
             );
             factor
         };
-        let factors = ranges.iter().enumerate().map(begun).collect();
+        let factors = ranges.iter().enumerate().map(start_factor).collect();
         Self::with_factors(Arc::new(plan), display, ranges, factors)
     }
 
-    /// What is stored of every factor.
+    /// The stored values of every factor.
     pub(crate) fn own(&self) -> impl Iterator<Item = &Factor> {
-        self.factors.iter().zip(&self.stored).map(|(met, stored)| stored.as_ref().map_or(met, |(_, stored)| stored))
+        self.factors
+            .iter()
+            .zip(&self.stored)
+            .map(|(effective, stored)| stored.as_ref().map_or(effective, |(_, stored)| stored))
     }
 
-    /// One row of a pattern.
+    /// One row of one frame, without padding.
     pub(crate) fn row(&self, n: usize, channel: usize, line: usize, frame: usize) -> &[f32] {
         let layout = &self.factors[n].layout;
         &self.factors[n].row(channel, line, frame)[layout.pad..layout.pad + layout.cols()]
     }
 
-    /// Chooses the instruction set and whether the fast kernel may be used.
+    /// Selects the instruction set; `fast` permits the fast kernel.
     #[cfg(test)]
     pub(crate) fn use_kernel(&mut self, backend: lumistack_simd::Backend, fast: bool) {
         Arc::make_mut(&mut self.plan).use_backend(backend);
         self.fast = fast;
     }
 
-    /// From scratch.
+    /// A run of a problem that nothing is prepared of yet.
     #[cfg(test)]
     pub(crate) fn new(problem: &crate::Problem, start: LayerStack, floor: f32) -> Result<Self, FactorizeError> {
         let prepared = crate::prepared::Prepared::new(problem, start, &Processor)?;
         Ok(Self::begin(prepared.into_begin(floor, false)))
     }
 
-    /// What sums of weighted errors are to be multiplied by.
+    /// Factor of all sums of weighted errors.
     #[cfg(test)]
     pub(crate) fn weight_scale(&self) -> f64 {
         self.plan.target.weight_scale
     }
 
-    /// Whether the fast kernel updates factor `n`.
+    /// True if the fast kernel updates factor `n`.
     pub(crate) fn is_fast(&self, n: usize) -> bool {
         self.fast && self.plan.is_product() && self.plan.maps[n].shifted
     }
 
-    fn update_by(&mut self, n: usize, rule: Rule, beyond: Option<f32>, local: bool) -> Outcome {
-        if beyond.is_some() && self.latest.is_empty() {
+    fn update_by(&mut self, n: usize, rule: Rule, extrapolation: Option<f32>, local: bool) -> Outcome {
+        // the first extrapolation needs a previous iterate
+        if extrapolation.is_some() && self.latest.is_empty() {
             self.latest = self.own().map(|factor| factor.values.clone()).collect();
         }
         if self.stored[n].is_some() {
-            return self.update_stored(n, rule, beyond, local);
+            return self.update_stored(n, rule, extrapolation, local);
         }
+        // update in place if no other line of the factor is read; else into the spare storage
         let in_place = self.is_fast(n);
         let mut values = std::mem::take(&mut self.factors[n].values);
         if !in_place {
-            // rays through one line read others: those keep their old values until all are done
+            // rays through a line read other lines of the factor, which must keep their values
+            // meanwhile
             let mut next = std::mem::take(&mut self.spare);
             if next.len() != values.len() {
                 next = Aligned::filled(0.0, values.len());
@@ -174,7 +181,8 @@ impl Engine {
             next.copy_from_slice(&values);
             self.factors[n].values = std::mem::replace(&mut values, next);
         }
-        let outcome = self.update_lines(n, rule, beyond, local, &mut values, None);
+        // step all lines, then exchange the storage
+        let outcome = self.update_lines(n, rule, extrapolation, local, &mut values, None);
         let before = std::mem::replace(&mut self.factors[n].values, values);
         if !in_place {
             self.spare = before;
@@ -182,19 +190,21 @@ impl Engine {
         outcome
     }
 
-    /// Updates a factor that stores other values than rays read.
-    fn update_stored(&mut self, n: usize, rule: Rule, beyond: Option<f32>, local: bool) -> Outcome {
+    /// Updates a factor whose stored values differ from those that rays read.
+    fn update_stored(&mut self, n: usize, rule: Rule, extrapolation: Option<f32>, local: bool) -> Outcome {
         let layout = self.plan.maps[n].layout.clone();
+        // collect the sums of all pixels that rays read
         let line_sums = rule.sums().count(layout.frames) * layout.stride;
         let mut sums = vec![0.0; self.plan.target.channels * layout.stored_lines() * line_sums];
-        let mut met = self.factors[n].values.clone();
-        let seen = self.update_lines(n, rule, None, local, &mut met, Some(&mut sums));
-        let Some((response, stored)) = &mut self.stored[n] else { return seen };
-        let pulled = Pulled::back(response, &layout, rule.sums(), &sums);
-        let limits = (rule == Rule::Settle).then(|| unlit::limits(&self.plan, n));
+        let mut effective = self.factors[n].values.clone();
+        let outcome = self.update_lines(n, rule, None, local, &mut effective, Some(&mut sums));
+        let Some((response, stored)) = &mut self.stored[n] else { return outcome };
+        // pull them back to the stored pixels, then step those
+        let adjoint = AdjointSums::of(response, &layout, rule.sums(), &sums);
+        let limits = (rule == Rule::Darken).then(|| unlit::limits(&self.plan, n));
         let steps = Steps::new(&self.plan, n, rule, self.ranges[n], self.levels[n].as_ref(), limits);
-        let latest = beyond.map(|_| &mut self.latest[n]);
-        let mut lines = lines_of(&layout, &mut stored.values, beyond.zip(latest), None);
+        let latest = extrapolation.map(|_| &mut self.latest[n]);
+        let mut lines = lines_of(&layout, &mut stored.values, extrapolation.zip(latest), None);
         let functions = steps.functions(&self.plan, layout.frames);
         bands::for_each_chunk(
             &mut lines,
@@ -205,46 +215,51 @@ impl Engine {
                 if at < layout.lines() && self.plan.may_change(n, at) {
                     let step = steps.of(at, &mut line[0]);
                     let line_of =
-                        StepLine { pulled: &pulled, channel, line: at, step, functions: &functions, block, sums };
+                        StepLine { adjoint: &adjoint, channel, line: at, step, functions: &functions, block, sums };
                     line[0].outcome = line_of.update();
                 }
             },
         );
         let gain: f64 = lines.iter().map(|line| line.outcome.gain).sum();
-        // tied channels are one unknown, stepped three times alike
+        // tied channels are one unknown, which is stepped three times alike
         let gain = if response.is_tied() { gain / 3.0 } else { gain };
         respond::respond(response, stored, &mut self.factors[n].values);
-        Outcome { error: seen.error, gain }
+        Outcome { error: outcome.error, gain }
     }
 
+    /// Sums and steps the lines of a factor. With `sums`, the sums of all lines are stored and no
+    /// line steps.
     fn update_lines(
         &mut self,
         n: usize,
         rule: Rule,
-        beyond: Option<f32>,
+        extrapolation: Option<f32>,
         local: bool,
         values: &mut [f32],
         sums: Option<&mut [f32]>,
     ) -> Outcome {
         let (plan, factors, fast) = (&self.plan, &self.factors, self.is_fast(n));
         let layout = &plan.maps[n].layout;
-        let latest = beyond.map(|_| &mut self.latest[n]);
-        // another step takes the sums of all lines
+        let latest = extrapolation.map(|_| &mut self.latest[n]);
+        // a later step needs the sums of every line
         let all = sums.is_some();
-        let mut lines = lines_of(layout, values, beyond.zip(latest), sums);
+        // split the factor into lines, which threads share
+        let mut lines = lines_of(layout, values, extrapolation.zip(latest), sums);
         let line_of = |index: usize| LineOf {
             factor: n,
             channel: index / layout.stored_lines(),
             line: index % layout.stored_lines(),
         };
-        // sums that another step takes are not acted on here
+        // without a step here, nothing is darkened here
         let limits =
-            (rule == Rule::Settle && lines.iter().all(|line| line.sums.is_none())).then(|| unlit::limits(plan, n));
+            (rule == Rule::Darken && lines.iter().all(|line| line.sums.is_none())).then(|| unlit::limits(plan, n));
+        // conditions and functions that all lines share
         let steps = Steps::new(plan, n, rule, self.ranges[n], self.levels[n].as_ref(), limits);
         let cancel = &self.cancel;
         let may_change = |at: &LineOf| at.line < layout.lines() && (all || plan.may_change(n, at.line));
         let is_line = |at: &LineOf| may_change(at) && !cancel.is_cancelled();
         let functions = steps.functions(plan, layout.frames);
+        // the fastest kernel that the factor's tables allow
         if fast {
             let functions = GatherFunctions::new(plan.backend, rule, layout.frames, factors.len() - 1, functions);
             bands::for_each_chunk(
@@ -261,15 +276,15 @@ impl Engine {
                 },
             );
         } else if plan.is_product() {
-            let functions = SpreadFunctions::new(plan.backend, functions);
+            let functions = ScatterFunctions::new(plan.backend, functions);
             bands::for_each_chunk(
                 &mut lines,
-                spread::BAND,
-                || spread::Scratch::new(plan, n, rule),
+                scatter::BAND,
+                || scatter::Scratch::new(plan, n, rule),
                 |scratch, index, lines| {
-                    let mut band = SpreadBand { plan, factors, functions: &functions, scratch, before: None };
+                    let mut band = ScatterBand { plan, factors, functions: &functions, scratch, before: None };
                     for (i, line) in lines.iter_mut().enumerate() {
-                        let at = line_of(index * spread::BAND + i);
+                        let at = line_of(index * scatter::BAND + i);
                         if is_line(&at) {
                             let step = steps.of(at.line, line);
                             line.outcome = band.update(at, step);
@@ -305,30 +320,30 @@ impl Updater for Engine {
         &self.display
     }
 
-    fn bold(&self) -> bool {
-        self.bold
+    fn tries_local(&self) -> bool {
+        self.tries_local
     }
 
-    fn heed(&mut self, cancel: &Cancel) {
+    fn set_cancel(&mut self, cancel: &Cancel) {
         self.cancel = cancel.clone();
     }
 
-    fn apply(&mut self, n: usize, rule: Rule, beyond: Option<f32>, local: bool) {
-        self.outcome = self.update_by(n, rule, beyond, local);
+    fn apply(&mut self, n: usize, rule: Rule, extrapolation: Option<f32>, local: bool) {
+        self.outcome = self.update_by(n, rule, extrapolation, local);
     }
 
     fn outcome(&mut self) -> Outcome {
         self.outcome
     }
 
-    fn keep(&mut self, n: usize) {
+    fn save(&mut self, n: usize) {
         let stored = self.stored[n].as_ref().map(|(_, factor)| factor.values.clone());
-        self.kept = Some((self.factors[n].values.clone(), stored));
+        self.saved = Some((self.factors[n].values.clone(), stored));
     }
 
-    fn take_back(&mut self, n: usize) {
-        let Some((met, stored)) = self.kept.take() else { return };
-        self.factors[n].values = met;
+    fn restore(&mut self, n: usize) {
+        let Some((effective, stored)) = self.saved.take() else { return };
+        self.factors[n].values = effective;
         if let (Some((_, factor)), Some(values)) = (&mut self.stored[n], stored) {
             factor.values = values;
         }
@@ -353,21 +368,21 @@ impl Updater for Engine {
 
     fn swap_latest(&mut self) {
         let own = self.factors.iter_mut().zip(&mut self.stored);
-        for ((met, stored), latest) in own.zip(&mut self.latest) {
+        for ((effective, stored), latest) in own.zip(&mut self.latest) {
             match stored {
-                None => std::mem::swap(&mut met.values, latest),
+                None => std::mem::swap(&mut effective.values, latest),
                 Some((response, stored)) => {
                     std::mem::swap(&mut stored.values, latest);
-                    respond::respond(response, stored, &mut met.values);
+                    respond::respond(response, stored, &mut effective.values);
                 }
             }
         }
     }
 
-    fn return_to_latest(&mut self) {
+    fn restart(&mut self) {
         self.swap_latest();
         let own = self.factors.iter().zip(&self.stored);
-        let own = own.map(|(met, stored)| stored.as_ref().map_or(met, |(_, stored)| stored));
+        let own = own.map(|(effective, stored)| stored.as_ref().map_or(effective, |(_, stored)| stored));
         self.latest.iter_mut().zip(own).for_each(|(latest, factor)| latest.copy_from_slice(&factor.values));
     }
 
@@ -379,7 +394,8 @@ impl Updater for Engine {
         stack_of(&self.display, self.own())
     }
 
-    /// Into the memory of what [`swap_latest`](Self::swap_latest) exchanged, where there is any: new memory costs more than what is written there.
+    /// As [`download`](Updater::download), into the memory of the previous iterate if there is one.
+    /// New memory costs more than the copy.
     fn into_stack(mut self: Box<Self>) -> Result<LayerStack, FactorizeError> {
         if self.latest.is_empty() {
             return Ok(self.download());
@@ -401,11 +417,11 @@ impl Updater for Engine {
 
     fn into_factors(self: Box<Self>) -> Result<Vec<Factor>, FactorizeError> {
         let own = self.factors.into_iter().zip(self.stored);
-        Ok(own.map(|(met, stored)| stored.map_or(met, |(_, stored)| stored)).collect())
+        Ok(own.map(|(effective, stored)| stored.map_or(effective, |(_, stored)| stored)).collect())
     }
 }
 
-/// Values of a tensor in the memory of a factor that is needed no more.
+/// A tensor's values in the memory of a factor that is no longer needed.
 struct Reused {
     values: Aligned,
     len: usize,
@@ -417,7 +433,7 @@ impl AsRef<[f32]> for Reused {
     }
 }
 
-/// A tensor's shape with other values.
+/// Copies a factor into the memory of `values`, as a tensor of the same shape as `tensor`.
 fn lent<const N: usize>(tensor: &Tensor<N>, own: &Factor, mut values: Aligned) -> Tensor<N> {
     let len = tensor.shape().iter().product();
     own.download(&mut values[..len]);
@@ -428,19 +444,19 @@ fn lent<const N: usize>(tensor: &Tensor<N>, own: &Factor, mut values: Aligned) -
 /// One line of the factor under update.
 struct Line<'a> {
     values: &'a mut [f32],
-    beyond: Option<(f32, &'a mut [f32])>,
+    extrapolation: Option<(f32, &'a mut [f32])>,
     sums: Option<&'a mut [f32]>,
     outcome: Outcome,
 }
 
-/// A factor's lines, with what goes along line by line.
+/// Splits a factor's storage, and all that belongs to it, into lines.
 fn lines_of<'a>(
     layout: &Layout,
     values: &'a mut [f32],
-    beyond: Option<(f32, &'a mut Aligned)>,
+    extrapolation: Option<(f32, &'a mut Aligned)>,
     sums: Option<&'a mut [f32]>,
 ) -> Vec<Line<'a>> {
-    let (far, latest) = beyond.unzip();
+    let (by, latest) = extrapolation.unzip();
     let mut latest = latest.map(|latest| latest.chunks_exact_mut(layout.line_len()));
     let count = values.len() / layout.line_len();
     let mut sums = sums.map(|sums| {
@@ -449,14 +465,14 @@ fn lines_of<'a>(
     });
     let lines = values.chunks_exact_mut(layout.line_len()).map(|values| Line {
         values,
-        beyond: far.zip(latest.as_mut().and_then(Iterator::next)),
+        extrapolation: by.zip(latest.as_mut().and_then(Iterator::next)),
         sums: sums.as_mut().and_then(Iterator::next),
         outcome: Outcome::default(),
     });
     lines.collect()
 }
 
-/// What the steps of all lines have in common.
+/// The parameters that the steps of all lines share.
 struct Steps<'a> {
     rule: Rule,
     range: [f32; 2],
@@ -497,7 +513,7 @@ impl<'s> Steps<'s> {
             columns: self.columns.clone(),
             stride: self.stride,
             values: &mut *line.values,
-            beyond: line.beyond.as_mut().map(|(far, latest)| (*far, &mut **latest)),
+            extrapolation: line.extrapolation.as_mut().map(|(by, latest)| (*by, &mut **latest)),
             sums: line.sums.as_deref_mut(),
         }
     }

@@ -1,4 +1,4 @@
-//! The objective: errors of one field row over all views.
+//! The objective: squared errors of one field row over all views.
 
 use lumistack_simd::{Function, Kernel, Lanes};
 
@@ -9,10 +9,10 @@ use crate::row::Row;
 use crate::scratch::Scratch;
 use crate::vector::{mask, sum};
 
-/// Error sums of some rays.
+/// Sums of squared errors over some rays.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ErrorSum {
-    /// Σ w (βL − L̃)², weights relative to the largest.
+    /// Σ w (βL − L̃)², with weights relative to the largest.
     pub weighted: f64,
     /// Σ (βL − L̃)² over rays with w > 0.
     pub plain: f64,
@@ -24,7 +24,7 @@ impl ErrorSum {
     }
 }
 
-/// Errors of one field row in one channel.
+/// One field row in one channel, whose errors are summed.
 pub(crate) struct RowErrors<'a> {
     pub(crate) plan: &'a Plan,
     pub(crate) factors: &'a [Factor],
@@ -34,7 +34,7 @@ pub(crate) struct RowErrors<'a> {
     pub(crate) scratch: &'a mut Scratch,
 }
 
-/// The functions of one instruction set.
+/// The kernels for one instruction set.
 pub(crate) struct ErrorFunctions {
     shifted: Function<Shifted>,
     squared: Function<Squared>,
@@ -47,7 +47,7 @@ impl ErrorFunctions {
 }
 
 impl RowErrors<'_> {
-    /// Over all views.
+    /// Sums the squared errors of the row over all views.
     pub(crate) fn sum(self) -> ErrorSum {
         let Self { plan, factors, channel, row, functions, scratch } = self;
         let mut total = ErrorSum::default();
@@ -59,7 +59,7 @@ impl RowErrors<'_> {
                     if plan.shifted {
                         // SAFETY: the tables are constant shifts
                         let errors = unsafe { (functions.shifted)((plan, factors, &rays, weights)) };
-                        // beyond 1e19 a square needs f64
+                        // squares above 1e38 overflow f32; the slow path below sums in f64
                         if errors.plain.is_finite() {
                             total = total.merged(errors);
                             continue;
@@ -69,7 +69,7 @@ impl RowErrors<'_> {
                     let e = &mut scratch.errors[..run.len()];
                     errors(plan, &rays, &scratch.emitted, e);
                     let weights = weights.map(|weights| &weights[PAD + run.start..PAD + run.end]);
-                    // SAFETY: the kernel makes no demands
+                    // SAFETY: the kernel has no requirements
                     total = total.merged(unsafe { (functions.squared)((e, weights)) });
                 }
             }
@@ -78,10 +78,11 @@ impl RowErrors<'_> {
     }
 }
 
-/// Blocks whose squares are added in f32 before they go to an f64 sum.
+/// Number of blocks whose squares are summed in f32 before the f64 sum.
 const BLOCKS_PER_SUM: usize = 4;
 
-/// Squared errors along rays, with L̃ = (1/M) Σ_m Π_k f_k, where every factor is at a constant shift: [`Plan::shifted`] must hold.
+/// Squared errors along rays, with L̃ = (1/M) Σ_m Π_k f_k, where every factor is at a constant
+/// shift. [`Plan::shifted`] must hold.
 struct Shifted;
 
 impl Kernel for Shifted {
@@ -90,7 +91,7 @@ impl Kernel for Shifted {
 
     #[inline(always)]
     unsafe fn run<V: Lanes>((plan, factors, rays, root_weights): Self::Args<'_>) -> ErrorSum {
-        // SAFETY: passed on from the caller
+        // SAFETY: guaranteed by the caller
         unsafe { squared_shifted::<V>(plan, factors, rays, root_weights) }
     }
 }
@@ -104,6 +105,7 @@ unsafe fn squared_shifted<V: Lanes>(
     rays: &Rays,
     root_weights: Option<&[f32]>,
 ) -> ErrorSum {
+    // the line of each factor that the rays read, and its shift
     let lines: Vec<Line> = plan
         .maps
         .iter()
@@ -122,7 +124,9 @@ unsafe fn squared_shifted<V: Lanes>(
         let (mean, brightness) = (V::splat(1.0 / plan.frames as f32), V::splat(plan.target.brightness));
         let zero = V::splat(0.0);
         let (mut weighted, mut plain) = (zero, zero);
+        // one vector of rays at a time
         for (index, col) in run.clone().step_by(V::COUNT).enumerate() {
+            // L̃, up to three frames at a time
             let mut emitted = zero;
             for m in (0..plan.frames).step_by(3) {
                 emitted = match plan.frames - m {
@@ -131,6 +135,7 @@ unsafe fn squared_shifted<V: Lanes>(
                     _ => emitted_by::<V, 3>(&lines, m, col, emitted),
                 };
             }
+            // the error βL − L̃, and 0 behind the last ray
             let wanted = match target {
                 Row::Half(row) => V::load_half(row[PAD + col..][..V::COUNT].as_ptr()),
                 Row::Float(row) => V::load(row[PAD + col..][..V::COUNT].as_ptr()),
@@ -139,6 +144,7 @@ unsafe fn squared_shifted<V: Lanes>(
             if run.end - col < V::COUNT {
                 error = error.mul(mask::<V>(0, run.end - col));
             }
+            // weights are applied before the squares, as √w
             if let Some(roots) = root_weights {
                 let root = V::load(roots[PAD + col..][..V::COUNT].as_ptr());
                 let rooted = root.mul(error);
@@ -146,6 +152,7 @@ unsafe fn squared_shifted<V: Lanes>(
                 error = error.where_else(zero.below(root), zero);
             }
             plain = error.mul_add(error, plain);
+            // f32 sums are short, so that they stay precise
             if (index + 1) % BLOCKS_PER_SUM == 0 || col + V::COUNT >= run.end {
                 total.plain += sum::<V>(plain);
                 total.weighted += if root_weights.is_some() { sum::<V>(weighted) } else { 0.0 };
@@ -159,17 +166,17 @@ unsafe fn squared_shifted<V: Lanes>(
     total
 }
 
-/// One factor's line as rays meet it at their column plus a shift.
+/// One factor's line, which rays read at their column plus a shift.
 struct Line<'a> {
     values: &'a [f32],
     stride: usize,
     shift: isize,
 }
 
-/// `emitted` and the products of frames m..m + R.
+/// Adds the products of frames m..m + R to `emitted`.
 #[inline(always)]
 unsafe fn emitted_by<V: Lanes, const R: usize>(lines: &[Line], m: usize, col: usize, emitted: V) -> V {
-    // SAFETY: see the caller
+    // SAFETY: guaranteed by the caller
     unsafe {
         let mut products = [V::splat(1.0); R];
         for line in lines {

@@ -12,7 +12,7 @@ use crate::row::Row;
 use crate::rows::Reading;
 use crate::scratch::Scratch;
 
-/// Rays of one view through a part of one field row.
+/// Rays of one view through a range of columns of one field row.
 pub(crate) struct Rays<'a> {
     pub(crate) channel: usize,
     pub(crate) view: [usize; 2],
@@ -20,11 +20,15 @@ pub(crate) struct Rays<'a> {
     pub(crate) run: &'a Range<usize>,
 }
 
-/// a_m = ∂L̃/∂(f_m/M) for the values f of factor `own`, and L̃, along the rays.
+/// Computes a_m = ∂L̃/∂(f_m/M) for the values f of factor `own`, and L̃, along the rays.
 ///
-/// Where layers attenuate, a_m = Π_{k ≠ own} f_k. Where they emit, a_m = 1. Where they rotate polarization, L̃ = (1/M) Σ b sin²((π/2) s_m) with
-/// the sum s_m of all layers: a_m = b (π/2) sin(π s_m) for a layer and sin²((π/2) s_m) for the backlight; there, the curvature along a
-/// layer's values is bounded by (π/2)² M (1 + 2 max|e|), from ‖sin‖² ≤ M and |cos| ≤ 1.
+/// * Attenuating layers: a_m = Π_{k≠own} f_k.
+/// * Emitting layers: a_m = 1.
+/// * Polarization-rotating layers: L̃ = (1/M) Σ_m b sin²((π/2) s_m) with the sum s_m of all layers.
+///   So a_m = b (π/2) sin(π s_m) for a layer, and a_m = sin²((π/2) s_m) for the backlight.
+///
+/// The curvature along the values of a rotating layer is at most (π/2)² M (1 + 2 max|e|), since
+/// ‖sin‖² ≤ M and |cos| ≤ 1.
 pub(crate) fn coefficients(plan: &Plan, factors: &[Factor], own: Option<usize>, rays: &Rays, scratch: &mut Scratch) {
     match plan.formation {
         Formation::Attenuating => {
@@ -52,13 +56,14 @@ pub(crate) fn coefficients(plan: &Plan, factors: &[Factor], own: Option<usize>, 
     }
 }
 
-/// [`coefficients`] of polarization-rotating layers.
+/// [`coefficients`] of polarization-rotating layers, and the bound of their curvature.
 fn rotate(plan: &Plan, factors: &[Factor], own: Option<usize>, rays: &Rays, scratch: &mut Scratch) {
     let len = rays.run.len();
     let Scratch { product, phase, values, emitted, curvature, .. } = scratch;
     let (values, emitted) = (&mut values[..len], &mut emitted[..len]);
     emitted.fill(0.0);
     let (layers, backlight) = (0..plan.layers, (plan.layers < factors.len()).then_some(plan.layers));
+    // per frame: the sum of rotations s_m, the backlight b, then a_m and the part of L̃
     for frame in 0..plan.frames {
         let phase = &mut phase[frame * plan.cols..][..len];
         phase.fill(0.0);
@@ -81,14 +86,14 @@ fn rotate(plan: &Plan, factors: &[Factor], own: Option<usize>, rays: &Rays, scra
     emitted.iter_mut().for_each(|sum| *sum *= mean);
     if own.is_some() && own != backlight {
         let curvature = &mut curvature[..len];
+        // the bound of the curvature: |βL − L̃| is largest at L̃ = 0 or L̃ = 1
         wanted(plan, rays, curvature);
         let most = FRAC_PI_2 * FRAC_PI_2 * plan.frames as f32;
-        // L̃ stays in 0..1
         curvature.iter_mut().for_each(|value| *value = most * (1.0 + 2.0 * value.abs().max((1.0 - *value).abs())));
     }
 }
 
-/// P_m = Π_{k ≠ skip} of the factors' values along the rays.
+/// Computes P_m = Π_{k≠skip} f_m^(k) along the rays.
 fn expand_product(plan: &Plan, factors: &[Factor], skip: Option<usize>, rays: &Rays, scratch: &mut Scratch) {
     let len = rays.run.len();
     let mut first = true;
@@ -105,7 +110,8 @@ fn expand_product(plan: &Plan, factors: &[Factor], skip: Option<usize>, rays: &R
     }
 }
 
-/// L̃ = (1/M) Σ_m P_m f_m with the values of factor `own`, or (1/M) Σ_m P_m where the product holds every factor.
+/// Computes the emission along the rays: L̃ = (1/M) Σ_m P_m f_m, with the values f of factor `own`.
+/// Without `own` the product already holds every factor.
 fn emit_product(plan: &Plan, factors: &[Factor], own: Option<usize>, rays: &Rays, scratch: &mut Scratch) {
     let len = rays.run.len();
     let emitted = &mut scratch.emitted[..len];
@@ -124,12 +130,12 @@ fn emit_product(plan: &Plan, factors: &[Factor], own: Option<usize>, rays: &Rays
     emitted.iter_mut().for_each(|sum| *sum *= scale);
 }
 
-/// One factor's values along the rays.
+/// Reads one factor's values along the rays.
 pub(crate) fn expand_factor(plan: &Plan, factors: &[Factor], k: usize, frame: usize, rays: &Rays, to: &mut [f32]) {
     plan.row.read(reading(plan, factors, k, frame, rays), to);
 }
 
-/// Where the rays read a factor.
+/// The rows and columns of a factor that the rays read.
 fn reading<'a>(plan: &'a Plan, factors: &'a [Factor], k: usize, frame: usize, rays: &Rays<'a>) -> Reading<'a> {
     let map = &plan.maps[k];
     let LineTap { first, second, t } = map.y[rays.view[0]][rays.row];
@@ -138,7 +144,7 @@ fn reading<'a>(plan: &'a Plan, factors: &'a [Factor], k: usize, frame: usize, ra
     Reading { x: &map.x[rays.view[1]], run: rays.run, upper: row(first), lower }
 }
 
-/// βL along rays.
+/// Computes βL along the rays.
 pub(crate) fn wanted(plan: &Plan, rays: &Rays, to: &mut [f32]) {
     let part = PAD + rays.run.start..PAD + rays.run.end;
     let row = match plan.target.row(rays.channel, plan.view(rays.view[0], rays.view[1]), rays.row) {
@@ -148,7 +154,7 @@ pub(crate) fn wanted(plan: &Plan, rays: &Rays, to: &mut [f32]) {
     plan.row.radiance(row, plan.target.brightness, to);
 }
 
-/// e = βL − L̃ along rays.
+/// Computes e = βL − L̃ along the rays.
 pub(crate) fn errors(plan: &Plan, rays: &Rays, emitted: &[f32], to: &mut [f32]) {
     wanted(plan, rays, to);
     to.iter_mut().zip(emitted).for_each(|(to, &emitted)| *to -= emitted);

@@ -1,15 +1,18 @@
-//! Storage of one factor: a layer, or the directional backlight seen as one more layer.
+//! Storage of one factor: a layer, or the directional backlight as one more layer.
 //!
-//! `values[channel][line][frame][x]`: one line of all frames is contiguous, so that a band of lines can be handed to a thread and the rows that
-//! one ray row needs lie together. Lines are padded by [`PAD`] and more values on both sides, and one more line follows the last: padding holds
-//! what a ray reads that misses the factor, so no inner loop asks whether it does.
+//! The order is `values[channel][line][frame][x]`. One line is contiguous over all frames. So a
+//! band of lines is a slice for one thread, and a row of rays needs rows that are neighbours.
 //!
-//! The backlight's line is bin_y·R + lenslet row and its column bin_x·C + lenslet column: its map is separable too.
+//! Lines are padded by [`PAD`] and more values on both sides, and an extra line follows the last.
+//! Padding holds the value of a miss, so inner loops have no branch for misses.
+//!
+//! The backlight has R × C lenslets per angular bin. Its line is bin_y·R + lenslet row, and its
+//! column is bin_x·C + lenslet column. So its map is separable too.
 
 use crate::aligned::Aligned;
 use crate::bands;
 
-/// Padding on both sides of every line; the widest vector.
+/// Least padding on both sides of a line, in values: the widest vector.
 pub(crate) const PAD: usize = 16;
 
 /// Sizes of a factor.
@@ -19,33 +22,33 @@ pub struct Layout {
     pub(crate) bins: [usize; 2],
     /// Rows and columns within one bin.
     pub(crate) size: [usize; 2],
-    /// Frames M.
+    /// Number of frames M.
     pub(crate) frames: usize,
-    /// Values before the first column.
+    /// Number of values before the first column.
     pub(crate) pad: usize,
-    /// Values from one line of a frame to that of the next.
+    /// Distance of the rows of successive frames, in values.
     pub(crate) stride: usize,
-    /// What a ray reads that misses the factor: 1 for a layer, 0 for a backlight's bins.
+    /// Value of rays that miss the factor: 1 for a layer, 0 for a backlight's bins.
     pub(crate) outside: f32,
 }
 
 impl Layout {
-    /// Lines that rays can meet.
+    /// Number of lines that rays can hit.
     pub(crate) fn lines(&self) -> usize {
         self.bins[0] * self.size[0]
     }
 
-    /// Columns that rays can meet.
+    /// Number of columns that rays can hit.
     pub(crate) fn cols(&self) -> usize {
         self.bins[1] * self.size[1]
     }
 
-    /// Values of one line, all frames.
+    /// Number of values of one line, all frames.
     pub(crate) fn line_len(&self) -> usize {
         self.frames * self.stride
     }
 
-    /// Lines of one channel, with the one that stands for a miss.
+    /// Number of lines of one channel, with the extra line for misses.
     pub(crate) fn stored_lines(&self) -> usize {
         self.lines() + 1
     }
@@ -66,7 +69,7 @@ pub struct Factor {
 }
 
 impl Factor {
-    /// From a tensor's values, moved into `low`..`high`.
+    /// Copies a tensor's values, clamped to `low`..`high`.
     pub(crate) fn upload(layout: &Layout, tensor: &[f32], [low, high]: [f32; 2]) -> Self {
         let mut factor = Self::blank(layout, 3);
         // a line of all channels at a time, so that every pixel is read once
@@ -99,13 +102,13 @@ impl Factor {
         factor
     }
 
-    /// All of it as where rays miss.
+    /// Allocates a factor; all values are those of a miss.
     pub(crate) fn blank(layout: &Layout, channels: usize) -> Self {
         let values = Aligned::filled(layout.outside, channels * layout.stored_lines() * layout.line_len());
         Self { layout: layout.clone(), values }
     }
 
-    /// Into a tensor's values.
+    /// Copies the values to a tensor.
     pub(crate) fn download(&self, tensor: &mut [f32]) {
         let ([bins_y, bins_x], [rows, cols]) = (self.layout.bins, self.layout.size);
         bands::for_each_chunk(
@@ -113,7 +116,7 @@ impl Factor {
             cols * 3,
             || (),
             |(), index, pixels| {
-                // `[frame][bin_y][bin_x][row]`
+                // the index counts `[frame][bin_y][bin_x][row]`
                 let (row, bin_x) = (index % rows, index / rows % bins_x);
                 let (bin_y, frame) = (index / rows / bins_x % bins_y, index / rows / bins_x / bins_y);
                 let from = self.layout.pad + bin_x * cols;
@@ -126,19 +129,19 @@ impl Factor {
         );
     }
 
-    /// Number of colour channels.
+    /// Returns the number of colour channels.
     pub(crate) fn channels(&self) -> usize {
         self.values.len() / (self.layout.stored_lines() * self.layout.line_len())
     }
 
-    /// One padded row.
+    /// One padded row of one frame.
     #[inline(always)]
     pub(crate) fn row(&self, channel: usize, line: usize, frame: usize) -> &[f32] {
         let at = (channel * self.layout.stored_lines() + line) * self.layout.line_len() + frame * self.layout.stride;
         &self.values[at..at + self.layout.stride]
     }
 
-    /// One line of all frames, padded rows one after another.
+    /// One line of all frames: padded rows one after another.
     #[inline(always)]
     pub(crate) fn line(&self, channel: usize, line: usize) -> &[f32] {
         let at = (channel * self.layout.stored_lines() + line) * self.layout.line_len();

@@ -1,4 +1,4 @@
-//! Start, iterate, report: what the pipeline calls.
+//! The entry points: start a solver, iterate, report the objective, quantize.
 
 use std::sync::Arc;
 
@@ -10,7 +10,7 @@ use crate::device::{Executor, Updater};
 use crate::engine::{Engine, Processor};
 use crate::factor::Factor;
 use crate::method::{Iterated, Method};
-use crate::plan::{Cut, Plan};
+use crate::plan::{Plan, TilePlace};
 use crate::prepared::{Patterns, Prepared};
 use crate::quantize::{has_levels, reoptimize, round_to_levels};
 use crate::solver::AUTO;
@@ -18,29 +18,33 @@ use crate::solvers::method;
 use crate::start::start_patterns;
 use crate::{Extrapolated, FactorizeError, Multiplicative, Objective, Problem, Solver, StartKind, unlit};
 
-/// Iterations that serve a light field all over the zone: its score stands still before that.
+/// Iterations that suffice for a score over the whole viewing zone; more do not raise it.
 pub const ZONE_ITERATIONS: u32 = 16;
 
-/// How to factorize.
+/// Settings of a factorization.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Settings {
     /// Name of the solver, see [`crate::solvers`], or [`AUTO`].
     pub solver: String,
-    /// Number of iterations; 0 hands the start back.
+    /// Number of iterations; 0 returns the start.
     pub iterations: u32,
-    /// Seed of everything random.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// How starting patterns are made, unless a warm start is given; `None` for what suits the solver.
+    /// Kind of start, unless a warm start is given; `None` chooses by solver.
     pub start: Option<StartKind>,
-    /// Coarser levels at which to begin, each at half the resolution of the next; fewer where the problem gets too small. `None` for what suits the
-    /// solver. Not for warm starts.
+    /// Number of coarser levels at which a run begins, each at half the resolution of the next.
+    /// Levels that are too small are left out; `None` chooses by solver. A warm start uses none.
     pub coarse_levels: Option<u32>,
     /// Iterations at each coarser level.
     pub coarse_iterations: u32,
-    /// The objective is evaluated after every so many iterations and after the last. Block-exact solvers find it on their way where all rays count alike
-    /// and read one pixel per layer; else it costs about a third of an iteration. At least 1.
+    /// Iterations between evaluations of the objective, at least 1; the last iteration always has
+    /// one.
+    ///
+    /// Block-exact solvers get it for free if all rays have one weight and read one pixel per
+    /// layer. Else it costs about a third of an iteration.
     pub report_every: u32,
-    /// Whether patterns for layers of few bits are re-optimized on the panels' levels; otherwise they stay continuous.
+    /// Re-optimizes patterns of layers with few bits on their panels' levels; else they stay
+    /// continuous.
     pub levels: bool,
 }
 
@@ -60,13 +64,16 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// `report_every` for a curve of convergence with some 40 points: enough for a plot; each costs a part of an update.
+    /// Returns `report_every` for a plot with some 40 points; each costs a part of an update.
     pub fn curve_interval(iterations: u32) -> u32 {
         (iterations / 40).max(1)
     }
 
-    /// The same with every choice made. The paper's rule begins as the paper leaves open, at random; all else begins near the content, at half the
-    /// resolution. On every light field measured that reached any quality first.
+    /// Replaces every automatic choice by its value.
+    ///
+    /// The paper's rule starts at random, since the paper leaves the start open. All other solvers
+    /// start from the content at half the resolution: on every light field measured, that reached
+    /// any quality first.
     pub fn resolved(&self) -> Self {
         let paper = self.solver == Multiplicative.name();
         let solver = if self.solver == AUTO { Extrapolated.name().into() } else { self.solver.clone() };
@@ -79,49 +86,56 @@ impl Settings {
     }
 }
 
-/// Where the run stands after some iterations. Before the last, a solver that extrapolates may report the point that its last step met, not the one it
-/// would hand back.
+/// The objective after some iterations.
+///
+/// Before the last iteration, a solver that extrapolates may report the extrapolated point of its
+/// last step instead of the iterate that it would return.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Iteration {
-    /// Iterations done.
+    /// Number of iterations done.
     pub iteration: u32,
     /// Σ w (βL − L̃)² over all rays and channels.
     pub objective: f64,
-    /// PSNR in dB of L̃/β against L over all rays with w > 0; NaN when no ray counts, infinite when exact.
+    /// PSNR in dB of L̃/β against L over all rays with w > 0; NaN without such a ray, infinite if
+    /// exact.
     pub psnr_view: f64,
 }
 
-/// Patterns and how the run came to them.
+/// The result of a factorization.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Factorization {
-    /// The patterns, all values in 0..1.
+    /// The patterns, values in 0..1.
     pub stack: LayerStack,
-    /// Every evaluation of the objective; the first is that of the start (iteration 0).
+    /// All evaluations of the objective; the first is that of the start (iteration 0).
     pub history: Vec<Iteration>,
-    /// The settings with every choice made.
+    /// The settings, with every automatic choice replaced by its value.
     pub settings: Settings,
-    /// How far the patterns are from the first-order (KKT) conditions, before quantization; see [`crate::Run::unsettled`].
-    pub unsettled: f64,
-    /// What few levels cost, where layers have few.
+    /// KKT residual before quantization; see [`crate::Run::kkt_residual`].
+    pub kkt_residual: f64,
+    /// PSNR lost by few levels; `None` if no layer has few bits.
     pub levels: Option<LevelsLoss>,
 }
 
 /// PSNR (dB, `psnr_view`) of patterns for panels of few bits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LevelsLoss {
-    /// Of the continuous patterns.
+    /// PSNR of the continuous patterns.
     pub continuous: f64,
-    /// Of their values rounded to the nearest levels.
+    /// PSNR of their values rounded to the nearest levels.
     pub rounded: f64,
-    /// Of the patterns that were re-optimized on the levels; those are handed back.
+    /// PSNR of the patterns re-optimized on the levels, which are the result.
     pub reoptimized: f64,
 }
 
-/// Factorizes a light field. A warm start replaces the start of the settings: patterns of the same display, for example of the time before.
-/// `on_iteration` sees every evaluation as it comes, that of the start included.
+/// Factorizes a light field.
+///
+/// `warm` replaces the start of the settings: patterns of the same display, for example of the
+/// previous time step. `on_iteration` receives every evaluation of the objective, including that of
+/// the start.
 ///
 /// # Errors
-/// If the problem, the settings or the warm start are unusable, no ray counts, or when cancelled.
+/// If the problem, the settings or the warm start are unusable, if no ray has a weight above 0, or
+/// when cancelled.
 pub fn factorize(
     problem: &Problem,
     settings: &Settings,
@@ -132,10 +146,10 @@ pub fn factorize(
     factorize_on(&Processor, problem, settings, warm, task, on_iteration)
 }
 
-/// [`factorize`] by another executor. Patterns for panels of few bits are re-optimized on the processor.
+/// Runs [`factorize`] on another executor. The processor re-optimizes patterns for few bits.
 ///
 /// # Errors
-/// As [`factorize`], and where the device cannot do this or is lost.
+/// As [`factorize`], and if the device cannot solve the problem or is lost.
 pub fn factorize_on(
     executor: &dyn Executor,
     problem: &Problem,
@@ -147,12 +161,15 @@ pub fn factorize_on(
     solve(executor, (problem, Plan::new(problem)?), settings, warm, task, on_iteration)
 }
 
-/// Factorizes a [`Tile`] of a larger problem: `problem` is that of the tile, [`Tile::display`] and [`Tile::light_field`], and `whole` is where the rays of all meet
-/// the display. With `fixed` border patterns, those of `warm` around the tile's free pixels stay as they are, their black
-/// lifted as that of every warm start; else all that the tile holds is solved. A start of the settings is that of the whole display, as far as the tile holds it.
+/// Factorizes a [`Tile`] of a larger problem.
+///
+/// `problem` is the tile's own: [`Tile::display`] and [`Tile::light_field`]. `whole` maps the rays
+/// of the whole display. With `fixed`, the pixels of `warm` around the tile's free pixels keep
+/// their values, except that black is lifted as in every warm start. Otherwise all pixels of the
+/// tile are solved. A start by the settings is the tile's part of the start of the whole display.
 ///
 /// # Errors
-/// As [`factorize`], and [`FactorizeError::NoRays`] where no ray of the tile counts.
+/// As [`factorize`], and [`FactorizeError::NoRays`] if no ray of the tile has a weight above 0.
 pub fn factorize_tile(
     problem: &Problem,
     (tile, whole): (&Tile, &RayMap),
@@ -164,7 +181,7 @@ pub fn factorize_tile(
     let place = tile.parts.iter().zip(&tile.whole);
     let place = place.map(|(part, whole)| [[part.held.rows.start, part.held.cols.start], *whole]).collect();
     let free = fixed.then(|| tile.parts.iter().map(|part| part.free.within(&part.held)).collect());
-    let plan = Plan::of_tile(problem, &tile.map(whole), Cut { place, free })?;
+    let plan = Plan::of_tile(problem, &tile.map(whole), TilePlace { place, free })?;
     solve(&Processor, (problem, plan), settings, warm, task, on_iteration)
 }
 
@@ -176,26 +193,30 @@ fn solve(
     task: Task,
     on_iteration: &mut dyn FnMut(&Iteration),
 ) -> Result<Factorization, FactorizeError> {
+    // choose solver and start, and prepare the problem once for all uses of it
     let settings = &settings.resolved();
     let (plan, display) = (Arc::new(plan), problem.display);
-    let mut run = begun(executor, (problem, &plan), settings, warm, task)?;
+    let mut run = start_run(executor, (problem, &plan), settings, warm, task)?;
     let prepared = |patterns| Prepared { plan: plan.clone(), display, patterns, executor };
-    let (mut history, mut unsettled) = (Vec::new(), 0.0);
+    let (mut history, mut kkt_residual) = (Vec::new(), 0.0);
+    // iterate; evaluate the objective at the requested interval
     task.progress.begin("factorize", u64::from(settings.iterations), "iterations");
     let mut iterate = || -> Result<(), FactorizeError> {
         for iteration in 0..=settings.iterations {
             if iteration > 0 {
                 run.step(task.cancel)?;
             }
-            // before the last evaluation, which is that of what is handed back
+            // darken before the last evaluation, so that it describes the returned patterns
             if iteration == settings.iterations {
-                unsettled = if iteration > 0 { run.settle() } else { run.unsettled() };
+                kkt_residual = if iteration > 0 { run.darken_unlit() } else { run.kkt_residual() };
                 task.cancel.check()?;
             }
             let mut note = String::new();
+            // a step may have found the objective already; the last value must be that of the
+            // iterate
             if iteration == settings.iterations || iteration % settings.report_every.max(1) == 0 {
-                let seen = run.seen().filter(|_| iteration < settings.iterations);
-                let objective = seen.unwrap_or_else(|| run.objective());
+                let known = run.known_objective().filter(|_| iteration < settings.iterations);
+                let objective = known.unwrap_or_else(|| run.objective());
                 run.check()?;
                 let entry = Iteration { iteration, objective: objective.value, psnr_view: objective.psnr_view };
                 note = format!("{:.2} dB", entry.psnr_view);
@@ -211,6 +232,7 @@ fn solve(
     let result = iterate();
     task.progress.end();
     result?;
+    // confine layers of few bits to their levels, and measure the loss by that
     let (mut stack, mut levels) = (run.finish().into_stack()?, None);
     if settings.levels && has_levels(problem) {
         let psnr_view = |stack: &LayerStack| {
@@ -222,11 +244,11 @@ fn solve(
         stack = reoptimize(prepared(Patterns::Stack(stack)), task)?;
         levels = Some(LevelsLoss { continuous, rounded, reoptimized: psnr_view(&stack) });
     }
-    Ok(Factorization { stack, history, settings: settings.clone(), unsettled, levels })
+    Ok(Factorization { stack, history, settings: settings.clone(), kkt_residual, levels })
 }
 
-/// A run on the plan of a problem, begun at `warm` patterns or at what the settings choose.
-fn begun(
+/// Starts a run on a plan, from `warm` patterns or by the settings.
+fn start_run(
     executor: &dyn Executor,
     (problem, plan): (&Problem, &Arc<Plan>),
     settings: &Settings,
@@ -236,9 +258,10 @@ fn begun(
     let method = method(&settings.solver)?;
     let display = problem.display;
     let run = match warm {
+        // a warm start overrides the start of the settings; else solve coarser levels first
         Some(warm) => {
             warm.check(display)?;
-            // a part of patterns that others go on with may be the same in all frames
+            // equal frames stay equal; in a tile with fixed pixels that may be intended
             if display.frames > 1 && plan.free(0).is_none() && frames_are_equal(warm) {
                 let message = "all frames are equal and will stay equal: more frames than one have no effect";
                 task.warn("warm start", message);
@@ -246,7 +269,7 @@ fn begun(
             let start = if settings.iterations > 0 { unlit::lifted(warm) } else { warm.clone() };
             method.begin(Prepared { plan: plan.clone(), display, patterns: Patterns::Stack(start), executor })?
         }
-        None => begin(executor, method, plan, (display, problem.target.geometry()), settings, task)?,
+        None => start_fresh(executor, method, plan, (display, problem.target.geometry()), settings, task)?,
     };
     if run.rays() == 0 {
         return Err(FactorizeError::NoRays);
@@ -254,12 +277,14 @@ fn begun(
     Ok(run)
 }
 
-/// A factorization under way, for callers that look at the patterns between iterations: after as many iterations its patterns are those of
-/// [`factorize`], before layers of few bits are re-optimized.
+/// A factorization for callers that read the patterns between iterations.
+///
+/// After as many iterations its patterns are those of [`factorize`] before re-optimization on few
+/// levels.
 pub struct Ongoing(Box<dyn Iterated>);
 
 impl Ongoing {
-    /// Begins as [`factorize`] does. The target is copied.
+    /// Starts as [`factorize`] does; copies the target.
     ///
     /// # Errors
     /// As [`factorize`].
@@ -270,10 +295,10 @@ impl Ongoing {
         task: Task,
     ) -> Result<Self, FactorizeError> {
         let plan = Arc::new(Plan::new(problem)?);
-        begun(&Processor, (problem, &plan), &settings.resolved(), warm, task).map(Self)
+        start_run(&Processor, (problem, &plan), &settings.resolved(), warm, task).map(Self)
     }
 
-    /// One iteration.
+    /// Runs one iteration.
     ///
     /// # Errors
     /// When cancelled.
@@ -281,12 +306,13 @@ impl Ongoing {
         self.0.step(cancel)
     }
 
-    /// The objective: of the patterns that the last step met, where the solver found it on its way, else of the present ones.
+    /// Returns the objective: that of the last step if the solver found it on the way, else that of
+    /// the current patterns.
     pub fn objective(&mut self) -> Objective {
-        self.0.seen().unwrap_or_else(|| self.0.objective())
+        self.0.known_objective().unwrap_or_else(|| self.0.objective())
     }
 
-    /// The present patterns.
+    /// Returns the current patterns.
     pub fn patterns(&mut self) -> LayerStack {
         self.0.download()
     }
@@ -294,21 +320,25 @@ impl Ongoing {
     /// Ends the run as [`factorize`] does, and returns its patterns and their objective.
     ///
     /// # Errors
-    /// When the patterns cannot be read back.
+    /// If the patterns cannot be read back.
     pub fn finish(mut self) -> Result<(LayerStack, Objective), FactorizeError> {
-        self.0.settle();
+        self.0.darken_unlit();
         let objective = self.0.objective();
         Ok((self.0.finish().into_stack()?, objective))
     }
 }
 
-/// Whether a warm start gets nearer to the target than the start that `fresh` makes, coarse levels included. Where it is nearer already, that says so; else
-/// what an iteration of `warm_solver` makes of either: the objectives of the starts themselves mislead, since patterns of moved content
-/// are far off at first and quickly put right. The warm start must then be ahead by 1 dB. Costs a fresh start, and two iterations where it comes to
-/// that.
+/// Returns whether a warm start is nearer to the target than the start by `fresh`, including its
+/// coarse levels.
 ///
-/// Measured on a plane of waves and on a striped card (64 × 40 pixels, 5 × 3 views, 4 frames), moved by 0 to 20 pixels: whichever was ahead by so much after
-/// one iteration was not behind by more than 1.4 dB after five.
+/// If the warm start has the lower objective, the answer is yes. Else both starts take one
+/// iteration of `warm_solver`, and the warm start must then lead by 1 dB. The objectives of the
+/// starts themselves mislead: patterns of moved content begin far off and improve quickly. The cost
+/// is a fresh start, and sometimes two iterations.
+///
+/// Measured on a plane of waves and on a striped card (64 × 40 pixels, 5 × 3 views, 4 frames),
+/// moved by 0 to 20 pixels. A start that led by 1 dB after one iteration was never more than 1.4 dB
+/// behind after five.
 ///
 /// # Errors
 /// If the problem, the settings or the warm start are unusable, or when cancelled.
@@ -322,24 +352,26 @@ pub fn warm_start_pays(
     let fresh = &fresh.resolved();
     let (plan, display) = (Arc::new(Plan::new(problem)?), problem.display);
     warm.check(display)?;
-    // the same rule for both: the first steps of different rules do not compare
+    // both starts use one rule, since the first steps of different rules do not compare
     let rule = method(&Settings { solver: warm_solver.into(), ..Settings::default() }.resolved().solver)?;
-    let mut from_fresh = begin(&Processor, rule, &plan, (display, problem.target.geometry()), fresh, task)?;
+    let mut from_fresh = start_fresh(&Processor, rule, &plan, (display, problem.target.geometry()), fresh, task)?;
     let mut from_warm =
         rule.begin(Prepared { plan, display, patterns: Patterns::Stack(unlit::lifted(warm)), executor: &Processor })?;
+    // a warm start that leads already needs no iteration
     if from_warm.objective().value <= from_fresh.objective().value {
         return Ok(true);
     }
+    // else compare after one iteration of each
     from_warm.step(task.cancel)?;
     from_fresh.step(task.cancel)?;
     Ok(from_warm.objective().value * 10f64.powf(0.1 * AHEAD_DB) <= from_fresh.objective().value)
 }
 
-/// By how much a warm start must be ahead of a fresh one after an iteration, dB.
+/// Lead in dB that a warm start must have over a fresh one after an iteration.
 const AHEAD_DB: f64 = 1.0;
 
-/// Begins a run without a warm start.
-fn begin(
+/// Starts a run without a warm start.
+fn start_fresh(
     executor: &dyn Executor,
     method: &dyn Method,
     plan: &Arc<Plan>,
@@ -356,7 +388,8 @@ fn begin(
     method.begin(Prepared { plan: plan.clone(), display, patterns, executor })
 }
 
-/// What a few iterations reach at half the resolution, begun at a quarter, and so on for every level; `None` where there is no level left.
+/// Solves coarser levels, each from the result of the one before; returns the factors of the finest
+/// of them. Returns `None` if there is no coarser level.
 fn solve_coarse(
     executor: &dyn Executor,
     plan: &Plan,
@@ -368,14 +401,14 @@ fn solve_coarse(
     let Some(coarse) = (levels > 0).then(|| Coarse::of(display, geometry, plan)).flatten() else { return Ok(None) };
     let settings = &Settings { coarse_levels: Some(levels - 1), ..settings.clone() };
     let parts = (&coarse.display, &coarse.geometry);
-    let mut run = begin(executor, method(&settings.solver)?, &coarse.plan, parts, settings, task)?;
+    let mut run = start_fresh(executor, method(&settings.solver)?, &coarse.plan, parts, settings, task)?;
     for _ in 0..settings.coarse_iterations {
         run.step(task.cancel)?;
     }
     Ok(Some(run.finish().into_factors()?))
 }
 
-/// Whether every layer and the backlight show the same in all frames.
+/// True if every layer and the backlight have equal masks in all frames.
 fn frames_are_equal(stack: &LayerStack) -> bool {
     let frames = stack.frames();
     let equal = |data: &[f32]| {

@@ -1,40 +1,62 @@
-//! One line of one factor, the fast way: every ray reads one pixel of the factor, at its own column plus a constant of the view.
+//! One line of one factor at a constant shift. Every ray reads one pixel of the factor. Its
+//! column is the ray's own plus a constant of the view.
 //!
-//! That is the paper's case: oblique views, equal pitch, nearest sampling. The simple version, for line j of layer n:
+//! This is the paper's case: oblique views, equal pitch, nearest sampling. The simple version, for
+//! line j of layer n:
 //!
 //! ```text
-//! for every view (a_y, a_x), every field row r that meets line j, every column x of the line, with c = x − shift_n:
-//!     a_m = Π_{k≠n} f_k[line of r][m][c + shift_k]      e = βL[a][r][c] − (1/M) Σ_m a_m f_n[j][m][x]
-//!     r[m][x] += w e a_m                                G[m][k][x] += w a_m a_k
+//! for every view (a_y, a_x), every field row i that reads line j, every column x of the line:
+//!     c = x − shift_n
+//!     a_m = Π_{k≠n} f_k[line of i][m][c + shift_k]
+//!     e = βL[a][i][c] − (1/M) Σ_m a_m f_n[j][m][x]
+//!     r[m][x] += w e a_m
+//!     G[m][k][x] += w a_m a_k
 //! step f_n[j][..][x] by r and G
 //! ```
 //!
 //! Departures:
-//! 1. Columns go in blocks of one vector, and a block meets all views before the next begins: its values stay in the first-level cache, and
-//!    no accumulator ever moves to memory.
-//! 2. Where registers hold a_m and the sums of all frames (with AVX-512 and NEON up to 8 for the paper's rule, up to 4 for G, and 6), that is all. G of
-//!    6 frames is too large for that: 3×3 tiles along its diagonal are summed at once, what lies between them afterwards from a_m in a small
-//!    buffer. Otherwise all views' a_m and e are buffered (10 kB for 25 views and 6 frames) before the sums are made tile by tile, each in registers;
-//!    so any number of frames takes the same code, and 12 frames spill as little as 6. Views are buffered and summed in groups that leave room in the
-//!    first-level cache. Buffering alone took 1.3 times as long (multiplicative) and
-//!    1.2 times (block-exact) on Zen 4.
-//! 3. Many rows are read side by side (frames × layers × view rows, and all views of the target), more than hardware prefetchers follow: each view asks
-//!    for a few rows' values of two vectors later (all 60 at the block's start took 4 % longer), and for its own target's, which are read once, only
-//!    into the second-level cache: the first is full of factors. With everything in the first-level cache a view of a block would take 26 cycles on
-//!    Zen 4; it takes 45 to 50. Tiles of fewer columns, AVX2's vectors with AVX-512's registers, and the sum over frames in two chains gained nothing.
-//!    Measured apart, again on Zen 4: 54 cycles as it is, 48 where no load straddles cache lines, 38 where moreover all view rows read one line. So neither
-//!    alone is worth much: aligned loads and a permutation took 63 cycles, groups of one to three view rows 58 to 75, lines in steps of a view's shift 60.
-//! 4. The target is read in 16 bits where that is what it holds. √w multiplies a and e, so that no sum needs w.
-//! 5. Blocks that the border of the valid rays crosses, and all where rays have weights, are masked; padding makes their loads legal.
-//! 6. Where another factor is not at a constant shift (a lenslet grid, a layer of another pitch), its values along the rays are expanded into rows
-//!    first; then it is at shift 0. Rows are kept from line to line as long as they read the same lenslets.
-//! 7. A case (rule, frames, factors, masked or not) is a function of its own in [`registers`](crate::registers), chosen once per update and
-//!    called once per block; all others share one in [`buffers`](crate::buffers). One function for everything, inlined, was 400 kB of code and took
-//!    four times as long to compile.
+//!
+//! 1. **Blocks.** Columns go in blocks of one vector, and a block sums all views before the next
+//!    begins. Its values stay in the first-level cache, and accumulators stay in registers.
+//! 2. **Registers.** If registers hold a_m and the sums of all frames,
+//!    [`registers`](crate::registers) has the loop. AVX-512 and NEON hold up to 8 frames for the
+//!    paper's rule, and up to 4 for G. For G of 6 frames, 3×3 tiles along its diagonal are summed
+//!    at once. The rest of G follows from a_m in a small buffer.
+//! 3. **Buffers.** Otherwise the a_m and e of a group of views are buffered, 10 kB for 25 views and
+//!    6 frames. Then the sums are made tile by tile, each in registers. So any number of frames
+//!    runs the same code, and 12 frames spill as little as 6. Groups leave room in the first-level
+//!    cache.
+//! 4. **Prefetch.** An update reads frames × layers × view rows, and all views of the target, side
+//!    by side. Hardware prefetchers do not follow so many rows. So each view prefetches a few rows
+//!    two vectors ahead, and its row of the target into the second-level cache alone.
+//! 5. **Target.** It is read in 16 bits if half floats hold it exactly. √w multiplies a_m and e, so
+//!    that no sum needs w.
+//! 6. **Masks.** A block is masked if it crosses the border of the valid rays or if rays have
+//!    weights. Padding makes its loads legal.
+//! 7. **Expanded factors.** A factor that is not at a constant shift is first expanded along the
+//!    rays, which puts it at shift 0. Examples are a lenslet grid and a layer of another pitch.
+//!    Rows are kept from line to line as long as they read the same lenslets.
+//! 8. **Functions.** Each case of rule, frames, factors and masking is a function of its own,
+//!    chosen once per update and called once per block.
+//!
+//! Measured on Zen 4, and tried without gain:
+//!
+//! * Buffers alone took 1.3 times as long as registers for the multiplicative rule, and 1.2 times
+//!   for the block-exact one.
+//! * A prefetch of all 60 rows at the start of a block took 4 % longer.
+//! * A view of a block takes 45 to 54 cycles. If no load straddles cache lines, it takes 48 instead
+//!   of 54. If in addition all view rows read one line, it takes 38. With everything in the
+//!   first-level cache it would take 26.
+//! * Aligned loads with a permutation took 63 cycles, groups of one to three view rows 58 to 75,
+//!   and lines in steps of a view's shift 60.
+//! * Tiles of fewer columns, vectors of AVX2 with the registers of AVX-512, and two chains for the
+//!   sum over frames changed nothing.
+//! * A single function for all cases, inlined, was 400 kB of code and took four times as long to
+//!   compile.
 
 use lumistack_simd::{Backend, Function};
 
-use crate::buffers::{BlockOfLine, Buffers, ByBuffers, Sight};
+use crate::buffers::{BlockOfLine, Buffers, ByBuffers, SumParams};
 use crate::factor::Factor;
 use crate::line::{LineOf, LineStep, Outcome, StepFunctions};
 use crate::plan::Plan;
@@ -43,20 +65,22 @@ use crate::registers::{Gram, Pairs};
 use crate::step::{Rule, Sums};
 use crate::vector::{self, Vector};
 
-/// How many blocks' errors are added in f32 before they go to an f64 sum.
+/// Number of blocks whose errors are added in f32 before an f64 sum takes them.
 const BLOCKS_PER_SUM: usize = 4;
 
-/// The functions of an update, for one instruction set, rule, and number of frames and of factors.
+/// The functions of an update, for one instruction set, rule, number of frames and number of
+/// factors.
 pub(crate) struct GatherFunctions {
     lanes: usize,
-    /// For blocks where the rays of every view count in full, and for all others.
+    /// For blocks where the rays of every view count in full.
     whole: Function<ByBuffers>,
+    /// For all other blocks.
     masked: Function<ByBuffers>,
     step: StepFunctions,
 }
 
 impl GatherFunctions {
-    /// `others`: number of factors beside the one under update.
+    /// `others` is the number of factors beside the one under update.
     pub(crate) fn new(backend: Backend, rule: Rule, frames: usize, others: usize, step: StepFunctions) -> Self {
         macro_rules! in_registers {
             ($kernel:ident($whole:tt, $masked:tt) for $($frames:literal),*) => {
@@ -71,11 +95,11 @@ impl GatherFunctions {
                 [backend.function::<$kernel<$frames, $others, $($whole),*>>(), backend.function::<$kernel<$frames, $others, $($masked),*>>()]
             };
         }
-        // more do not fit into the registers of any instruction set
+        // more frames do not fit into the registers of any instruction set
         let [whole, masked] = match rule.sums() {
             Sums::Gram => in_registers!(Gram((false), (true)) for 1, 2, 3, 4, 6),
             Sums::Ratio => in_registers!(Pairs((false, false), (true, false)) for 1, 2, 3, 4, 6, 8),
-            // once per solve: one for all blocks
+            // one function for all blocks, since this rule runs once per solve
             Sums::Diagonal => in_registers!(Pairs((true, true), (true, true)) for 3, 4, 6),
         };
         Self { lanes: backend.lanes(), whole, masked, step }
@@ -84,10 +108,10 @@ impl GatherFunctions {
 
 /// Buffers of one thread, reused from line to line.
 pub(crate) struct Scratch {
-    /// Other factors that are not at a constant shift.
+    /// Rows of other factors that are not at a constant shift.
     spare: Spare,
     buffers: Buffers,
-    /// Storage for the list of a line's rays.
+    /// Storage of a line's list of rays.
     rays: LineRays<'static>,
 }
 
@@ -97,10 +121,10 @@ impl Scratch {
     }
 }
 
-/// One line and what becomes of it.
+/// One line and its update.
 pub(crate) struct GatherLine<'a, 'b> {
     pub(crate) plan: &'a Plan,
-    /// The line's own factor is not read.
+    /// The line's own factor is not read here; `step` has its values.
     pub(crate) factors: &'a [Factor],
     pub(crate) at: LineOf,
     pub(crate) functions: &'a GatherFunctions,
@@ -109,20 +133,22 @@ pub(crate) struct GatherLine<'a, 'b> {
 }
 
 impl GatherLine<'_, '_> {
-    /// Sums and steps, block by block.
+    /// Sums and steps the line, block by block.
     pub(crate) fn update(self) -> Outcome {
         let Self { plan, factors, at, functions, mut step, scratch } = self;
         let Scratch { spare, buffers, rays } = scratch;
         let layout = &plan.maps[at.factor].layout;
         let (frames, stride, lanes) = (layout.frames, layout.stride, functions.lanes);
-        let latest = step.beyond.as_ref().map(|(_, latest)| latest.as_ptr());
+        // list the line's rays, with the line's own rows for prefetch
+        let latest = step.extrapolation.as_ref().map(|(_, latest)| latest.as_ptr());
         let own = [Some(step.values.as_ptr()), latest].into_iter().flatten();
         let own = own.flat_map(|line| (0..frames).map(move |frame| line.wrapping_add(frame * stride)));
         let list = rays_through(std::mem::take(rays), plan, factors, at, own, spare);
+        // blocks begin on whole vectors from the line's first column that any ray reads
         let (outer, inner) = (list.outer(), list.inner());
         let first = layout.pad + (outer.start.max(layout.pad) - layout.pad) / lanes * lanes;
         let end = outer.end.min(layout.pad + layout.cols());
-        let sight = Sight { brightness: plan.target.brightness, sums: step.rule.sums() };
+        let params = SumParams { brightness: plan.target.brightness, sums: step.rule.sums() };
         let mut outcome = Outcome::default();
         let (mut squares, mut gain) = (Vector::default(), Vector::default());
         let mut x = first;
@@ -130,13 +156,14 @@ impl GatherLine<'_, '_> {
             let is_whole = inner.start <= x && x + lanes <= inner.end;
             let sums = if is_whole { functions.whole } else { functions.masked };
             let values = &*step.values;
-            // SAFETY: x + lanes lies within padded rows for every block that overlaps a view's valid range
-            unsafe { sums(BlockOfLine { rays: &list, x, sight, values, stride, buffers: &mut *buffers }) };
+            // SAFETY: x + lanes lies within padded rows for every block that overlaps a view's
+            // valid range
+            unsafe { sums(BlockOfLine { rays: &list, x, params, values, stride, buffers: &mut *buffers }) };
             vector::add(&mut squares, &buffers.squares);
             step.finish_block(&functions.step, &mut buffers.block, x);
             vector::add(&mut gain, &buffers.block.gain);
             x += lanes;
-            // a few blocks may share an f32 sum, a line may not
+            // a few blocks may share an f32 sum; a whole line would lose digits
             if x >= end || (x - first) % (BLOCKS_PER_SUM * lanes) == 0 {
                 outcome.error += vector::sum_of(&squares[..lanes]);
                 outcome.gain += vector::sum_of(&gain[..lanes]);

@@ -1,19 +1,30 @@
-//! Weighted nonnegative tensor factorization of a light field into layer patterns.
+//! Weighted nonnegative tensor factorization of a light field into the patterns of a layer stack.
 //!
-//! Minimizes Σ w (βL − L̃)² over the box that the hardware allows, with L̃ = (1/M) Σ_m b_m Π_n f_m^(n) (eqs. 18 and 27 of Wetzstein et al. 2012), or the
-//! sum or the sin² of the sum of the layers ([`lumistack_display::Formation`]): N layers, M frames, a uniform or a directional backlight. Rays
-//! are never expanded into a list; the separable tables of [`lumistack_display::RayMap`] describe them all.
+//! Minimizes, over the box of values that the hardware allows, the objective (eqs. 18 and 27 of
+//! Wetzstein et al. 2012)
 //!
 //! ```text
-//! Problem ──start: warm, or content at half the resolution──▶ Solver::start ──▶ Run::step × iterations ──▶ levels of few bits ──▶ LayerStack
-//!
-//! Run::step, factor by factor:  gather (constant shifts), spread (any table) or sums (other formations)
-//!                                ──▶ respond (blur, crosstalk, tied channels) ──▶ step (the rule)
+//! Σ_r w (βL − L̃)²,   L̃ = (1/M) Σ_m b_m Π_n f_m^(n)
 //! ```
 //!
-//! [`factorize`] drives a solver; [`solvers`] lists them. [`held_bytes`] says what that takes beside the target, which is read once and may lie in a mapped
-//! file; [`ChannelRun`] takes one channel whose target stays there. Results are the same bytes on
-//! any number of threads, for a given seed and instruction set.
+//! for N layers, M frames and a uniform or directional backlight. Other formations replace the
+//! product by the sum of the layers or the sin² of that sum ([`lumistack_display::Formation`]).
+//! Rays are never listed; the separable tables of [`lumistack_display::RayMap`] describe them all.
+//!
+//! ```text
+//! Problem ──start: warm, or content at half the resolution──▶ Solver::start
+//!         ──▶ Run::step × iterations
+//!         ──▶ re-optimization on the levels of panels of few bits ──▶ LayerStack
+//!
+//! Run::step, factor by factor:
+//!     gather (constant shifts), scatter (any table) or sums (other formations)
+//!     ──▶ respond (blur, crosstalk, tied channels) ──▶ step (the rule)
+//! ```
+//!
+//! [`factorize`] runs a solver; [`solvers`] lists them. [`held_bytes`] computes the memory beside
+//! the target. The target is read once and may lie in a mapped file. [`ChannelRun`] solves one
+//! colour channel whose target stays in that file. For a given seed and instruction set, results
+//! are the same bytes on any number of threads.
 
 mod aligned;
 mod bands;
@@ -41,10 +52,10 @@ mod registers;
 mod respond;
 mod row;
 mod rows;
+mod scatter;
 mod scratch;
 mod solver;
 mod solvers;
-mod spread;
 mod start;
 mod step;
 mod stream;
@@ -72,5 +83,6 @@ pub use start::{FLOOR, StartKind, random_start};
 pub use stream::{ChannelRun, Estimate};
 pub use target::LentTarget;
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, computed by the build script. It is part of the keys of all cached
+/// results that this code contributes to.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

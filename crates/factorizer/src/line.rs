@@ -1,11 +1,11 @@
-//! What becomes of one line of a factor once its sums are known.
+//! The step of one line of a factor by its sums.
 
 use lumistack_simd::{Backend, Function, Kernel, Lanes};
 
 use crate::step::{Block, Levels, Rule, Step, StepFunction, Sums, step_function};
 use crate::vector::{self, Vector, load};
 
-/// Which line is updated.
+/// Position of a line.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LineOf {
     pub(crate) factor: usize,
@@ -13,13 +13,15 @@ pub(crate) struct LineOf {
     pub(crate) line: usize,
 }
 
-/// What an update saw and gained, weights relative to the largest.
+/// Error and gain of an update, with weights relative to the largest.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outcome {
-    /// Σ w e² over the rays through the line, before the step; rays that several pixels share count by their share. Rays that miss the factor may count or
-    /// not: this is the whole sum only where [`Plan::sees_all_rays`](crate::device::Plan::sees_all_rays).
+    /// Σ w e² over the rays through the line, before the step. A ray through several pixels counts
+    /// by their shares. Rays that miss the factor may be included or not, so this is the whole sum
+    /// only if [`Plan::sees_all_rays`](crate::device::Plan::sees_all_rays).
     pub error: f64,
-    /// By how much the step lowers Σ w e², at least; 0 where the rule does not know. What [`Rule::Probe`] and [`Rule::Settle`] return.
+    /// Lower bound of the decrease of Σ w e² by the step; 0 if the rule does not compute it.
+    /// [`Rule::KktResidual`] and [`Rule::Darken`] return their result here.
     pub gain: f64,
 }
 
@@ -29,33 +31,35 @@ impl Outcome {
     }
 }
 
-/// A line's values and how they move; x counts in padded storage, frames are `stride` apart.
+/// A line's values and the limits of their step. x counts in padded storage; frames are `stride`
+/// apart.
 pub(crate) struct LineStep<'a> {
     pub(crate) rule: Rule,
-    /// The box of the values.
+    /// Box [low, high] of the values.
     pub(crate) range: [f32; 2],
     pub(crate) levels: Option<&'a Levels>,
-    /// For [`Rule::Settle`]: the Σ w a_m² up to which a pixel of the line counts as unlit, `[x]`.
+    /// For [`Rule::Darken`], the greatest Σ w a_m² of an unlit pixel, `[x]`.
     pub(crate) limits: Option<&'a [f32]>,
-    /// Within a tile: whether a pixel keeps its values, `[x]`.
+    /// In a tile, true for pixels that keep their values, `[x]`.
     pub(crate) fixed: Option<&'a [bool]>,
-    /// Columns that rays can meet.
+    /// Columns that rays can hit.
     pub(crate) columns: std::ops::Range<usize>,
     pub(crate) stride: usize,
-    /// The line, all frames: what rays read.
+    /// The values that rays read, all frames.
     pub(crate) values: &'a mut [f32],
-    /// How far to go beyond the step, and the line where the last steps ended.
-    pub(crate) beyond: Option<(f32, &'a mut [f32])>,
-    /// Where the sums go instead, `[quantity][x]` in the order of [`Sums`], when the step needs those of other lines too.
+    /// The extrapolation's factor β_k, and the line of the last iterate.
+    pub(crate) extrapolation: Option<(f32, &'a mut [f32])>,
+    /// Where the sums are stored instead of a step, `[quantity][x]` in the order of [`Sums`]. The
+    /// step then needs the sums of other lines too.
     pub(crate) sums: Option<&'a mut [f32]>,
 }
 
-/// The functions of an update after the sums, for one instruction set, rule and number of frames.
+/// The functions that follow the sums, for one instruction set, rule and number of frames.
 pub(crate) struct StepFunctions {
     lanes: usize,
     step: StepFunction,
     fetch: Function<Fetch>,
-    hand_over: Function<HandOver>,
+    store_sums: Function<StoreSums>,
     put: Function<Put>,
 }
 
@@ -65,19 +69,19 @@ impl StepFunctions {
             lanes: backend.lanes(),
             step: step_function(backend, rule, levels, frames),
             fetch: backend.function::<Fetch>(),
-            hand_over: backend.function::<HandOver>(),
+            store_sums: backend.function::<StoreSums>(),
             put: backend.function::<Put>(),
         }
     }
 }
 
 impl LineStep<'_> {
-    /// Steps all pixels from their sums, `[quantity][x]` in the order of [`Sums`]; returns the gain.
+    /// Steps all pixels by their sums, `[quantity][x]` in the order of [`Sums`]; returns the gain.
     pub(crate) fn by_sums(&mut self, functions: &StepFunctions, sums: &[f32], block: &mut Block) -> f64 {
         let mut gain = 0.0;
         let lanes = functions.lanes;
         for x in self.columns.clone().step_by(lanes) {
-            // SAFETY: the kernel makes no demands
+            // SAFETY: the kernel has no requirements
             unsafe { (functions.fetch)((self, sums, block, x)) };
             self.finish_block(functions, block, x);
             gain += vector::sum_of(&block.gain[..lanes]);
@@ -85,17 +89,19 @@ impl LineStep<'_> {
         gain
     }
 
-    /// Steps one vector of pixels from x on, whose sums and values are in `block`, and leaves there what is gained; x + lanes lies within the padded rows.
+    /// Steps the vector of pixels at x by the sums and values in `block`, and writes the gain to
+    /// the block. x + lanes must lie within the padded rows.
     pub(crate) fn finish_block(&mut self, functions: &StepFunctions, block: &mut Block, x: usize) {
         let lanes = functions.lanes;
-        // rays that miss the layer add to its padding
+        // lanes past the last column are padding, to which rays that miss the layer add
         let room = (self.columns.end - x).min(lanes);
         if let Some(sums) = &mut self.sums {
             block.gain = Vector::default();
-            // SAFETY: the kernel makes no demands
-            unsafe { (functions.hand_over)((block, &mut sums[x..], self.stride, self.rule.sums())) };
+            // SAFETY: the kernel has no requirements
+            unsafe { (functions.store_sums)((block, &mut sums[x..], self.stride, self.rule.sums())) };
             return;
         }
+        // step by the rule, then apply what holds for single pixels: darkening and fixed values
         let step = Step { block: &mut *block, sweeps: self.rule.sweeps(), range: self.range, levels: self.levels };
         // SAFETY: the function is for the block's number of frames
         unsafe { (functions.step)(step) };
@@ -103,19 +109,19 @@ impl LineStep<'_> {
             block.darken(lanes, &limits[x..x + room], self.range[0]);
         }
         if let Some(fixed) = self.fixed.map(|fixed| &fixed[x..x + room]).filter(|fixed| fixed.contains(&true)) {
-            block.keep(lanes, fixed, &self.values[x..], self.stride);
+            block.restore_fixed(lanes, fixed, &self.values[x..], self.stride);
         }
         block.gain[room..].fill(0.0);
-        if self.rule != Rule::Probe {
-            let beyond = self.beyond.as_mut().map(|(far, latest)| (*far, &mut latest[x..]));
-            let to = Stepped { values: &mut self.values[x..], beyond, stride: self.stride, range: self.range };
-            // SAFETY: the kernel makes no demands
+        if self.rule != Rule::KktResidual {
+            let extrapolation = self.extrapolation.as_mut().map(|(by, latest)| (*by, &mut latest[x..]));
+            let to = Stepped { values: &mut self.values[x..], extrapolation, stride: self.stride, range: self.range };
+            // SAFETY: the kernel has no requirements
             unsafe { (functions.put)((block, to, room)) };
         }
     }
 }
 
-/// Fills a block with the values from x on, and with sums.
+/// Fills a block with the values from x on, and with their sums.
 struct Fetch;
 
 impl Kernel for Fetch {
@@ -147,10 +153,10 @@ impl Kernel for Fetch {
     }
 }
 
-/// Hands the sums of a block over to rows that begin at the block.
-pub(crate) struct HandOver;
+/// Copies the sums of a block to rows that begin at the block.
+pub(crate) struct StoreSums;
 
-impl Kernel for HandOver {
+impl Kernel for StoreSums {
     type Args<'a> = (&'a Block, &'a mut [f32], usize, Sums);
     type Output = ();
 
@@ -158,30 +164,30 @@ impl Kernel for HandOver {
     unsafe fn run<V: Lanes>((block, to, stride, sums): Self::Args<'_>) {
         let frames = block.frames;
         let mut rows = to.chunks_mut(stride);
-        let mut hand_over = |from: &[f32], at: usize| {
+        let mut store_sums = |from: &[f32], at: usize| {
             let (from, to) = (&from[at * V::COUNT..][..V::COUNT], &mut rows.next().unwrap_or_default()[..V::COUNT]);
             // SAFETY: the machine has V; both parts have COUNT values
             unsafe { V::load(from.as_ptr()).store(to.as_mut_ptr()) };
         };
-        (0..frames).for_each(|m| hand_over(&block.residual, m));
+        (0..frames).for_each(|m| store_sums(&block.residual, m));
         for m in 0..frames {
             match sums {
-                Sums::Gram => (m..frames).for_each(|k| hand_over(&block.gram, m * frames + k)),
-                Sums::Ratio | Sums::Diagonal => hand_over(&block.emitted, m),
+                Sums::Gram => (m..frames).for_each(|k| store_sums(&block.gram, m * frames + k)),
+                Sums::Ratio | Sums::Diagonal => store_sums(&block.emitted, m),
             }
         }
     }
 }
 
-/// Where a block's values go: lines from its first pixel on, and their box.
+/// The destination of a block's values: lines from its first pixel on, and their box.
 struct Stepped<'a> {
     values: &'a mut [f32],
-    beyond: Option<(f32, &'a mut [f32])>,
+    extrapolation: Option<(f32, &'a mut [f32])>,
     stride: usize,
     range: [f32; 2],
 }
 
-/// Writes the first so many of a block's stepped values to the line, or goes beyond them.
+/// Writes the first `room` values of a block to the line, extrapolated if requested.
 struct Put;
 
 impl Kernel for Put {
@@ -190,27 +196,27 @@ impl Kernel for Put {
 
     #[inline(always)]
     unsafe fn run<V: Lanes>((block, to, room): Self::Args<'_>) {
-        let Stepped { values, mut beyond, stride, range } = to;
+        let Stepped { values, mut extrapolation, stride, range } = to;
         for m in 0..block.frames {
             let at = m * stride;
             // SAFETY: the machine has V; slices check lengths
             unsafe {
                 let moved = load::<V>(&block.values, m * V::COUNT);
-                let Some((far, latest)) = &mut beyond else {
+                let Some((by, latest)) = &mut extrapolation else {
                     put(moved, &mut values[at..], room);
                     continue;
                 };
                 let before = V::load(latest[at..at + V::COUNT].as_ptr());
-                let further = moved.sub(before).mul_add(V::splat(*far), moved);
-                let further = further.max(V::splat(range[0])).min(V::splat(range[1]));
+                let extrapolated = moved.sub(before).mul_add(V::splat(*by), moved);
+                let extrapolated = extrapolated.max(V::splat(range[0])).min(V::splat(range[1]));
                 put(moved, &mut latest[at..], room);
-                put(further, &mut values[at..], room);
+                put(extrapolated, &mut values[at..], room);
             }
         }
     }
 }
 
-/// Stores the first `room` lanes: what follows the last column is padding that rays read.
+/// Stores the first `room` lanes. The values behind the last column are padding, which rays read.
 #[inline(always)]
 unsafe fn put<V: Lanes>(vector: V, to: &mut [f32], room: usize) {
     // SAFETY: the machine has V; lengths are checked

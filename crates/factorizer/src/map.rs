@@ -1,4 +1,4 @@
-//! Where rays meet one factor: per view column the columns that they read, per view row the lines.
+//! Where rays read one factor: the columns per view column, the lines per view row.
 
 use std::ops::Range;
 
@@ -7,48 +7,53 @@ use lumistack_display::Tap;
 use crate::aligned::LINE;
 use crate::factor::{Layout, PAD};
 
-/// Weights of neighbouring pixels that differ by less than this are the same weight; a mask value changes by no more.
+/// Weights of neighbouring pixels that differ by less count as equal; a mask value changes by no
+/// more than this.
 const SAME_WEIGHT: f32 = 1e-6;
-/// Shorter pieces of equal shift are not worth a loop of their own.
+/// Shorter pieces of equal shift read by table, since a loop of their own would not pay.
 const SHORTEST_PIECE: usize = 8;
-/// Number of rays, by their shares, up to which a pixel's sums stay in f32. A mean over more is alike in all frames, so the Gram matrix is nearly
-/// singular and shows their rounding: sums over 64 rays in f32 moved values by 4e-5. In f64 bilinear updates take 30 % longer.
+/// Number of rays, by their shares, up to which a pixel's sums stay in f32.
+///
+/// A mean over more rays is alike in all frames. So the Gram matrix is nearly singular, and the
+/// rounding of its sums shows. Sums over 64 rays in f32 moved values by 4e-5. In f64 bilinear
+/// updates take 30 % longer.
 const SHORT_SUM: f32 = 40.0;
 
-/// Where rays meet one factor.
+/// The places where rays read one factor, and the rays of each line.
 #[derive(Clone, Debug)]
 pub(crate) struct FactorMap {
     pub(crate) layout: Layout,
-    /// Per view column.
+    /// Per view column, the columns that rays read.
     pub(crate) x: Vec<ColumnTaps>,
-    /// Per view row: one entry per field row.
+    /// Per view row, the lines that each field row's rays read.
     pub(crate) y: Vec<Vec<LineTap>>,
-    /// Per view row.
+    /// Per view row, the field rows that read each line.
     rays: Vec<RaysOfLine>,
-    /// Per view row, the field rows by the first of the two lines that they read, with the weight of the second.
+    /// Per view row and line, the field rows that read this line first and the next one second,
+    /// with the weight of the second.
     after: Vec<RaysOfLine>,
-    /// Whether few enough rays meet every pixel for their sum to be exact enough in f32.
+    /// Few enough rays read every pixel for exact sums in f32.
     pub(crate) short_sums: bool,
-    /// Whether every ray reads exactly one pixel, at a column that is the field column plus a constant of the view.
+    /// Every ray reads one pixel, at the field column plus a constant of the view.
     pub(crate) shifted: bool,
-    /// Whether each view column's rays read it at a constant shift, whatever the rows.
+    /// Each view column's rays read at a constant shift; rows may be mixed.
     pub(crate) columns_shifted: bool,
-    /// Whether every ray reads one pixel alone.
+    /// Every ray reads one pixel alone.
     pub(crate) nearest: bool,
-    /// Whether every ray that counts meets the factor.
+    /// Every ray that counts hits the factor.
     pub(crate) complete: bool,
 }
 
-/// Columns of one view column's rays, as indices into a padded line.
+/// The columns that one view column's rays read, as indices into a padded line.
 #[derive(Clone, Debug)]
 pub(crate) struct ColumnTaps {
     pub(crate) first: Vec<u32>,
     pub(crate) second: Vec<u32>,
-    /// Weight of `second`.
+    /// Weight of `second`, 0..1.
     pub(crate) t: Vec<f32>,
-    /// The same in pieces that inner loops can take at once; together all field columns.
+    /// The same as pieces for the inner loops; together all field columns.
     pub(crate) pieces: Vec<Piece>,
-    /// Index minus field column, where that is the same for every ray that counts and every `t` is 0.
+    /// Index minus field column, if it is the same for every ray that counts and every `t` is 0.
     pub(crate) shift: Option<isize>,
 }
 
@@ -59,10 +64,10 @@ pub(crate) struct Piece {
     pub(crate) access: Access,
 }
 
-/// How consecutive columns read a factor.
+/// How consecutive field columns read a factor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Access {
-    /// At their own column plus `by`, mixed with the next by the weight `t`.
+    /// At their own column plus `by`, mixed with the next pixel by the weight `t`.
     Shift { by: isize, t: f32 },
     /// One pixel each, by table.
     Indexed,
@@ -70,41 +75,43 @@ pub(crate) enum Access {
     Mixed,
 }
 
-/// Lines of one field row's rays.
+/// The lines that one field row's rays read.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct LineTap {
     pub(crate) first: u32,
     pub(crate) second: u32,
-    /// Weight of `second`.
+    /// Weight of `second`, 0..1.
     pub(crate) t: f32,
 }
 
-/// The field rows whose rays meet each line, for one view row: 0, 1 or 2 of them at equal pitch.
+/// The field rows whose rays read each line, for one view row: at equal pitch up to two.
 #[derive(Clone, Debug)]
 struct RaysOfLine {
-    /// Range of `entries` per line.
+    /// Line j has `entries[starts[j]..starts[j + 1]]`.
     starts: Vec<u32>,
-    /// Field row and weight of the line in its rays.
+    /// Field row, and the weight of the line in its rays.
     entries: Vec<(u32, f32)>,
 }
 
 impl FactorMap {
-    /// Field rows whose rays count and meet `line`, with the line's weight.
+    /// Field rows that count and whose rays read `line`, with the line's weight.
     #[inline(always)]
     pub(crate) fn rays_of_line(&self, view_y: usize, line: usize) -> &[(u32, f32)] {
         self.rays[view_y].of_line(line)
     }
 
-    /// Field rows whose rays count and read `line` or lie between it and the next, with the next line's weight.
+    /// Field rows that count and whose rays read between `line` and the next, with the next line's
+    /// weight.
     #[inline(always)]
     pub(crate) fn rays_after_line(&self, view_y: usize, line: usize) -> &[(u32, f32)] {
         self.after[view_y].of_line(line)
     }
 
+    /// Builds the tables; `runs` and `valid_rows` say which rays count.
     pub(crate) fn new(raw: RawMap, frames: usize, runs: &[Vec<Range<usize>>], valid_rows: &[Vec<bool>]) -> Self {
         let (lines, cols) = (raw.bins[0] * raw.size[0], raw.bins[1] * raw.size[1]);
         let shifts: Vec<_> = raw.x.iter().zip(runs).map(|(taps, runs)| constant_shift(taps, runs, cols)).collect();
-        // a shifted line reads beyond the layer's edge where rays may miss it
+        // padding: at a constant shift, rays that miss the layer read past its edges
         let (mut before, mut after) = (0, 0);
         for (shift, runs) in shifts.iter().zip(runs) {
             if let (Some(shift), [first, ..]) = (*shift, runs.as_slice()) {
@@ -115,10 +122,12 @@ impl FactorMap {
         }
         // own columns start on a cache line
         let pad = (PAD + before as usize).next_multiple_of(PAD);
-        // an odd number of cache lines: rows of all frames a multiple of 4 KiB apart share the same sets of the first-level cache (1.7 times as
-        // long), a multiple of 1 KiB costs a fifth
+        // The stride is an odd number of cache lines. If the rows of all frames lie a multiple of 4
+        // KiB apart, they share the same sets of the first-level cache. An update then takes 1.7
+        // times as long. A multiple of 1 KiB costs a fifth.
         let stride = ((pad + cols + after as usize + PAD).div_ceil(LINE) | 1) * LINE;
         let layout = Layout { bins: raw.bins, size: raw.size, frames, pad, stride, outside: raw.outside };
+        // where rays read; the line after the last stands for a miss
         let x: Vec<_> = raw.x.iter().zip(&shifts).map(|(taps, shift)| ColumnTaps::new(taps, *shift, pad)).collect();
         let y: Vec<Vec<LineTap>> = raw
             .y
@@ -131,25 +140,26 @@ impl FactorMap {
                 taps.iter().map(line).collect()
             })
             .collect();
-        // field rows that count and meet a line
-        let met = |(taps, valid): (&Vec<LineTap>, &Vec<bool>)| -> Vec<(u32, LineTap)> {
+        // the rays of each line: field rows that count and hit the factor
+        let read_by_view = |(taps, valid): (&Vec<LineTap>, &Vec<bool>)| -> Vec<(u32, LineTap)> {
             let rows = taps.iter().zip(valid).enumerate();
             rows.filter(|(_, (tap, valid))| **valid && tap.first as usize != lines)
                 .map(|(row, (tap, _))| (row as u32, *tap))
                 .collect()
         };
-        let met: Vec<_> = y.iter().zip(valid_rows).map(met).collect();
-        let rays: Vec<_> = met
+        let reads: Vec<_> = y.iter().zip(valid_rows).map(read_by_view).collect();
+        let rays: Vec<_> = reads
             .iter()
             .map(|rows| {
                 let both = |&(row, tap): &(u32, LineTap)| [(tap.first, (row, 1.0 - tap.t)), (tap.second, (row, tap.t))];
                 RaysOfLine::new(lines, rows.iter().flat_map(both).filter(|(_, (_, share))| *share > 0.0))
             })
             .collect();
-        let after: Vec<_> = met
+        let after: Vec<_> = reads
             .iter()
             .map(|rows| RaysOfLine::new(lines, rows.iter().map(|&(row, tap)| (tap.first, (row, tap.t)))))
             .collect();
+        // the largest number of rays of a pixel decides if f32 is exact enough
         let shares_of_line =
             |line: usize| rays.iter().flat_map(|rays| rays.of_line(line)).map(|(_, share)| share).sum();
         let mut shares_of_col = vec![0.0f32; cols];
@@ -159,6 +169,7 @@ impl FactorMap {
         }
         let most_shares: f32 = (0..lines).map(shares_of_line).fold(0.0, f32::max);
         let short_sums = most_shares * shares_of_col.into_iter().fold(0.0, f32::max) <= SHORT_SUM;
+        // the properties that select a kernel
         let one_shift = |x: &ColumnTaps, runs: &[Range<usize>]| runs.is_empty() || x.shift.is_some() && runs.len() == 1;
         let shifted =
             x.iter().zip(runs).all(|(x, runs)| one_shift(x, runs)) && y.iter().flatten().all(|tap| tap.t == 0.0);
@@ -177,7 +188,7 @@ impl FactorMap {
 }
 
 impl ColumnTaps {
-    /// The pieces of a run.
+    /// The pieces of a run, each with its access.
     #[inline(always)]
     pub(crate) fn pieces_within<'a>(
         &'a self,
@@ -202,7 +213,7 @@ impl ColumnTaps {
     }
 }
 
-/// Splits the columns where the way they read the factor changes.
+/// Splits the field columns where their access changes.
 fn pieces(taps: &[Option<Tap>], pad: isize) -> Vec<Piece> {
     let access = |col: usize| match taps[col] {
         Some(tap) => Access::Shift { by: tap.first as isize + pad - col as isize, t: tap.t },
@@ -220,6 +231,7 @@ fn pieces(taps: &[Option<Tap>], pad: isize) -> Vec<Piece> {
             _ => even.push(Piece { cols: col..col + 1, access: access(col) }),
         }
     }
+    // short pieces read by table, and neighbouring tables become one
     let mut pieces: Vec<Piece> = Vec::new();
     for mut piece in even {
         if let Access::Shift { t, .. } = piece.access
@@ -250,7 +262,7 @@ impl RaysOfLine {
         &self.entries[self.starts[line] as usize..self.starts[line + 1] as usize]
     }
 
-    /// From a line and an entry of it each.
+    /// Sorts entries into lists per line.
     fn new(lines: usize, all: impl Iterator<Item = (u32, (u32, f32))>) -> Self {
         let mut of_line: Vec<Vec<(u32, f32)>> = vec![Vec::new(); lines];
         all.for_each(|(line, entry)| of_line[line as usize].push(entry));
@@ -264,7 +276,7 @@ impl RaysOfLine {
     }
 }
 
-/// A factor's taps before padding is known; `None` where a ray misses it.
+/// The pixels that rays read in a factor, before its padding is known; `None` for a miss.
 pub(crate) struct RawMap {
     pub(crate) bins: [usize; 2],
     pub(crate) size: [usize; 2],
@@ -273,7 +285,9 @@ pub(crate) struct RawMap {
     pub(crate) y: Vec<Vec<Option<Tap>>>,
 }
 
-/// Pixel index minus field column, where that is one number for all rays of the runs that hit, and the others would fall outside under it.
+/// Pixel index minus field column, if it is the same for all rays of the runs that hit.
+///
+/// Rays that miss must then lie outside of the factor under this shift.
 fn constant_shift(taps: &[Option<Tap>], runs: &[Range<usize>], cols: usize) -> Option<isize> {
     let mut counted = runs.iter().flat_map(Clone::clone);
     let shift = counted.clone().find_map(|c| taps[c].map(|tap| tap.first as isize - c as isize))?;

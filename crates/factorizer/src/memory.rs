@@ -1,29 +1,41 @@
-//! How much memory a solve takes, said before it begins.
+//! The memory that a factorization takes, estimated before it begins.
 
 use lumistack_display::{Backlight, Display, FieldGeometry, Sampling};
 
 use crate::factor::PAD;
 use crate::step::Sums;
 
-/// Bytes of a table per factor, and per column of a view column or row of a view row: where rays meet it, as floats and as tables for the kernels.
+/// Bytes of the tables of one factor, per column of a view column or row of a view row.
+///
+/// They hold the places where rays hit the factor, once as floats and once for the kernels.
 const TABLE_BYTES: u64 = 96;
-/// Bytes of all that is small.
+/// Bytes of everything else, which is small.
 const SMALL: u64 = 1 << 20;
 
-/// The most bytes that [`factorize`](crate::factorize()) holds at a time, from above: the target in half floats, at this and at coarser levels, the patterns
-/// under way and those that are handed over, tables, and buffers of so many threads. The target itself, which may lie in a mapped file, and the weights are
-/// not counted; one with values that are no half floats is kept in full floats, twice as large.
+/// Upper bound of the bytes that [`factorize`](crate::factorize()) holds at any time, on `threads`
+/// threads.
+///
+/// Counted are:
+/// * the target in half floats, at full resolution and at the coarser levels,
+/// * the factors during the run, and the patterns before and after it,
+/// * tables, and the buffers of each thread.
+///
+/// The caller's own target, which may lie in a mapped file, and the weights are not counted. A
+/// target whose values half floats cannot hold exactly is kept in f32, which takes twice as much.
 pub fn held_bytes(display: &Display, geometry: &FieldGeometry, threads: usize) -> u64 {
     let [view_rows, view_cols] = geometry.grid.views().map(|count| count as u64);
     let (rows, cols, threads) = (geometry.rows as u64, geometry.cols as u64, threads as u64);
     let (frames, pad) = (display.frames as u64, PAD as u64);
+    // the factorizer's own copy of the target: half floats in padded rows
     let target = 2 * 3 * view_rows * view_cols * rows * (cols + 2 * pad);
     let factors = factors(display, geometry);
+    // factors: f32 in padded lines, with one line more than the layer has
     let padded = |[factor_cols, factor_rows]: [u64; 2], reach: u64| {
         4 * 3 * frames * (factor_rows + 1) * (factor_cols + 2 * reach + 6 * pad)
     };
     let patterns: u64 = factors.iter().map(|&(size, reach)| padded(size, reach)).sum();
-    // layers that rays do not meet as they are stored hold the sums of all pixels, twice
+    // a layer with a response keeps the sums of all its pixels, once as rays read it and once as it
+    // is stored
     let summed = |(n, &(size, reach)): (usize, &([u64; 2], u64))| match display.layers.get(n) {
         Some(layer) if layer.response().is_some() => {
             2 * padded(size, reach) * Sums::Gram.count(display.frames) as u64 / frames
@@ -31,8 +43,10 @@ pub fn held_bytes(display: &Display, geometry: &FieldGeometry, threads: usize) -
         _ => 0,
     };
     let sums: u64 = factors.iter().enumerate().map(summed).sum();
+    // tables of the rays
     let tables = TABLE_BYTES * factors.len() as u64 * (view_cols * cols + view_rows * rows);
-    // values of factors that rays do not read in their place: of the field rows that meet a line or lie next to it
+    // values along rays for factors without a constant shift: a row for every field row that reads
+    // a line or lies next to it
     let longest = factors.iter().map(|([factor_cols, _], reach)| factor_cols + 2 * reach).max().unwrap_or(0).max(cols);
     let lines = 3 * view_rows * frames * (longest + 6 * pad) * 4;
     let expanded = match (&display.backlight, display.sampling) {
@@ -40,11 +54,14 @@ pub fn held_bytes(display: &Display, geometry: &FieldGeometry, threads: usize) -
         (Backlight::Uniform, _) => lines * 2 * factors.len() as u64,
         (Backlight::Lenslets(_), _) => lines * (2 * factors.len() as u64 + view_cols * (factors.len() as u64 - 1)),
     };
-    // each level takes a quarter of the one below it; patterns: rays' and those before extrapolation, one spare, and tensors at the begin and the end
+    // A coarser level has a quarter of the pixels, so all levels take 4/3 of the finest. The four
+    // times of the factors are: the values that rays read, those before an extrapolation, the
+    // stored ones and a spare. The patterns are held as tensors before and after the run.
     4 * (target + 4 * patterns + sums + tables) / 3 + 2 * patterns + threads * expanded + SMALL
 }
 
-/// Columns and rows of layers and backlight, and how many columns beyond their edges rays may meet them.
+/// Columns and rows of every layer and the backlight, and how many columns past their edges rays
+/// may read.
 fn factors(display: &Display, geometry: &FieldGeometry) -> Vec<([u64; 2], u64)> {
     let steepest = geometry.grid.slope_x.iter().fold(0.0f64, |most, slope| most.max(slope.abs()));
     let width = geometry.cols as f64 * geometry.pitch_mm;
@@ -64,7 +81,7 @@ fn factors(display: &Display, geometry: &FieldGeometry) -> Vec<([u64; 2], u64)> 
     factors
 }
 
-/// Whether every layer's pixels are as large as those of the field.
+/// True if every layer has the pixel pitch of the field.
 fn same_pitch(display: &Display, geometry: &FieldGeometry) -> bool {
     display.layers.iter().all(|layer| (layer.pitch_mm / geometry.pitch_mm - 1.0).abs() < 1e-9)
 }

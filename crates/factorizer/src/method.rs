@@ -1,22 +1,24 @@
-//! Solvers and runs as this crate sees them: on problems that are prepared once for several.
+//! The internal interface of solvers: runs on problems that several of them share.
 
 use crate::FactorizeError;
 use crate::device::Updater;
 use crate::prepared::Prepared;
 use crate::solver::{Objective, Run, Solver};
 
-/// A solver as this crate sees it.
+/// A solver that can start on a prepared problem.
 pub(crate) trait Method: Solver {
-    /// [`Solver::start`] on what is prepared already.
+    /// As [`Solver::start`], on a prepared problem.
     fn begin(&self, prepared: Prepared) -> Result<Box<dyn Iterated>, FactorizeError>;
 }
 
-/// A run as this crate sees it.
+/// A run whose patterns can be taken over.
 pub(crate) trait Iterated: Run {
-    /// The objective of the patterns that the last step met when it ended, which it found on its way. `None` where only [`Run::objective`] knows, or
-    /// where the step was taken back.
-    fn seen(&self) -> Option<Objective>;
+    /// The objective that the last step found on its way; its patterns may be the extrapolated
+    /// ones.
+    ///
+    /// `None` if only [`Run::objective`] can compute it, or after a restart.
+    fn known_objective(&self) -> Option<Objective>;
 
-    /// The patterns, where they are.
+    /// Ends the run and returns its patterns where they are.
     fn finish(self: Box<Self>) -> Box<dyn Updater>;
 }

@@ -1,14 +1,21 @@
 //! The paper's multiplicative rule (eqs. 16 and 17), per ray.
 //!
-//! With P_m(r) = b_m(r) Π_{k≠n} f_m^(k) and L̃(r) = (1/M) Σ_m b_m(r) Π_k f_m^(k), for every pixel j of layer n:
+//! For every pixel j of layer n:
 //!
 //! ```text
+//! P_m(r) = b_m(r) Π_{k≠n} f_m^(k)
+//! L̃(r)   = (1/M) Σ_m b_m(r) Π_k f_m^(k)
+//!
 //! f_m[j] ← clamp( f_m[j] · Σ_{r through j} w βL P_m / Σ_{r through j} w L̃ P_m )
 //! ```
 //!
-//! Layers in sequence, rear to front, then the directional backlight by the same rule. Each step minimizes a separable quadratic majorizer over the
-//! box, whose lower end is at least [`FLOOR`], so the objective never rises, for real weights w ≥ 0 and for bilinear sampling too, where each
-//! sum carries the sample's weight. A pixel without a weighted ray, or whose denominator is 0 (below f32's normal range), is left alone.
+//! Layers are updated in sequence, rear to front, then the directional backlight by the same rule.
+//! Each step minimizes a separable quadratic majorizer over the box, so the objective never rises.
+//! This holds for all weights w ≥ 0, and under bilinear sampling, where each sum carries the weight
+//! of the sample.
+//!
+//! The lower end of the box is at least [`FLOOR`], since a value of 0 would stay 0. A pixel keeps
+//! its value if no weighted ray hits it or if its denominator is below f32's normal range.
 
 use lumistack_core::Cancel;
 use lumistack_display::{Formation, LayerStack};
@@ -20,7 +27,7 @@ use crate::prepared::Prepared;
 use crate::step::Rule;
 use crate::{FLOOR, FactorizeError, Objective, Problem, Run, Solver};
 
-/// The paper's rule; the reference for every other solver.
+/// The paper's rule; the reference for the other solvers.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Multiplicative;
 
@@ -50,14 +57,13 @@ impl Method for Multiplicative {
     }
 }
 
-/// State of a run.
 struct MultiplicativeRun {
     state: Box<dyn Updater>,
 }
 
 impl Run for MultiplicativeRun {
     fn step(&mut self, cancel: &Cancel) -> Result<(), FactorizeError> {
-        self.state.heed(cancel);
+        self.state.set_cancel(cancel);
         for n in 0..self.state.plan().factor_count() {
             self.state.update(n, Rule::Multiplicative, None);
             cancel.check()?;
@@ -69,12 +75,12 @@ impl Run for MultiplicativeRun {
         self.state.objective()
     }
 
-    fn unsettled(&mut self) -> f64 {
-        self.state.unsettled()
+    fn kkt_residual(&mut self) -> f64 {
+        self.state.kkt_residual()
     }
 
-    fn settle(&mut self) -> f64 {
-        self.state.settle()
+    fn darken_unlit(&mut self) -> f64 {
+        self.state.darken_unlit()
     }
 
     fn rays(&self) -> u64 {
@@ -91,8 +97,8 @@ impl Run for MultiplicativeRun {
 }
 
 impl Iterated for MultiplicativeRun {
-    fn seen(&self) -> Option<Objective> {
-        // the rule does not know by how much a step lowers the objective
+    fn known_objective(&self) -> Option<Objective> {
+        // the rule does not compute how much a step lowers the objective
         None
     }
 

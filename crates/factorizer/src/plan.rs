@@ -1,6 +1,8 @@
-//! The tables of a run: which line and column of every factor a ray reads, and which rays meet a line.
+//! The tables of a run: the line and column of every factor that a ray reads, and the rays through
+//! a line.
 //!
-//! All follow from [`RayMap`]: one entry per view column and field column, and one per view row and field row.
+//! All follow from [`RayMap`]: one entry per view column and field column, and one per view row and
+//! field row.
 
 use std::ops::Range;
 
@@ -14,52 +16,52 @@ use crate::problem::{FactorizeError, Problem};
 use crate::rows::RowFunctions;
 use crate::target::Target;
 
-/// Everything about a problem that does not change between steps.
+/// The constants of a problem during a run.
 #[derive(Clone, Debug)]
 pub struct Plan {
-    /// View rows and view columns.
+    /// Numbers of view rows and view columns.
     pub(crate) views: [usize; 2],
-    /// Field rows.
+    /// Number of field rows.
     pub(crate) rows: usize,
-    /// Field columns.
+    /// Number of field columns.
     pub(crate) cols: usize,
-    /// Frames M.
+    /// Number of frames M.
     pub(crate) frames: usize,
-    /// Layers N; the backlight's map, if any, follows theirs.
+    /// Number of layers N; the backlight's map, if any, follows theirs.
     pub(crate) layers: usize,
-    /// How layers act together.
+    /// How the light of a ray follows from the layers.
     pub(crate) formation: Formation,
-    /// Whether layers attenuate and every map is a constant shift per view.
+    /// True if layers attenuate and every map is a constant shift per view.
     pub(crate) shifted: bool,
-    /// As many ones as there are columns.
+    /// As many ones as field columns.
     pub(crate) ones: Vec<f32>,
     /// Layers rear to front, then the directional backlight.
     pub(crate) maps: Vec<FactorMap>,
-    /// Per view column: the field columns whose rays count, normally one range.
+    /// Per view column, the ranges of field columns whose rays count; normally one.
     pub(crate) runs: Vec<Vec<Range<usize>>>,
-    /// Per view row: whether a field row's rays count.
+    /// Per view row, true for field rows whose rays count.
     pub(crate) valid_rows: Vec<Vec<bool>>,
     pub(crate) target: Target,
     /// Number of rays that count.
     pub(crate) rays: u64,
-    /// Of a tile: where it lies in the whole, and what may change.
-    pub(crate) cut: Option<Cut>,
-    /// The instruction set for all kernels of the run.
+    /// For a tile, its place in the whole display and its free pixels.
+    pub(crate) tile: Option<TilePlace>,
+    /// Instruction set of all kernels of the run.
     pub(crate) backend: Backend,
     pub(crate) row: RowFunctions,
 }
 
 /// A tile's place in its display.
 #[derive(Clone, Debug)]
-pub(crate) struct Cut {
-    /// Per factor, the first [row, column] of the whole that the tile holds, and the rows and columns of the whole.
+pub(crate) struct TilePlace {
+    /// Per factor: first [row, column] of the tile in the whole, and [rows, columns] of the whole.
     pub(crate) place: Vec<[[usize; 2]; 2]>,
-    /// Per factor, the pixels that may change, counted within the tile; `None`: all.
+    /// Per factor, the pixels that may change, counted within the tile; `None` if all may.
     pub(crate) free: Option<Vec<Region>>,
 }
 
-impl Cut {
-    /// The same at half the resolution, where everything is free.
+impl TilePlace {
+    /// The same tile at half the resolution, with all pixels free.
     pub(crate) fn halved(&self, display: &Display) -> Self {
         let halve = |(n, place): (usize, &[[usize; 2]; 2])| match display.layers.get(n) {
             Some(_) => place.map(|both| both.map(|pixels| pixels.div_ceil(2))),
@@ -70,7 +72,7 @@ impl Cut {
 }
 
 impl Plan {
-    /// Checks the problem on the way.
+    /// Builds the tables, and checks the problem.
     pub(crate) fn new(problem: &Problem) -> Result<Self, FactorizeError> {
         problem.check_all_but_target()?;
         let target = Target::new(problem);
@@ -80,17 +82,17 @@ impl Plan {
         Ok(Self::with_target(problem.display, problem.target.geometry(), target))
     }
 
-    /// Of a tile: `map` says where its rays meet its pixels.
-    pub(crate) fn of_tile(problem: &Problem, map: &RayMap, cut: Cut) -> Result<Self, FactorizeError> {
+    /// As [`Self::new`] for a tile; `map` maps its rays to its pixels.
+    pub(crate) fn of_tile(problem: &Problem, map: &RayMap, tile: TilePlace) -> Result<Self, FactorizeError> {
         problem.check_all_but_target()?;
         let target = Target::new(problem);
         if target.may_be_infinite() {
             problem.check_target()?;
         }
-        Ok(Self { cut: Some(cut), ..Self::with_map(problem.display, problem.target.geometry(), map, target) })
+        Ok(Self { tile: Some(tile), ..Self::with_map(problem.display, problem.target.geometry(), map, target) })
     }
 
-    /// For rays of `geometry`, whose radiance is `target`.
+    /// Builds the tables for rays of `geometry` with the radiance `target`.
     pub(crate) fn with_target(display: &Display, geometry: &FieldGeometry, target: Target) -> Self {
         Self::with_map(display, geometry, &RayMap::new(display, geometry), target)
     }
@@ -98,6 +100,7 @@ impl Plan {
     fn with_map(display: &Display, geometry: &FieldGeometry, map: &RayMap, target: Target) -> Self {
         let views = geometry.grid.views();
         let (rows, cols) = (geometry.rows, geometry.cols);
+        // a ray counts if it hits every layer (or the display allows misses) and a lit lenslet
         let drop = display.missing == Missing::Drop;
         let valid = |view: usize, i: usize, axis: fn(&LayerMap) -> &AxisTaps, lit: &dyn Fn(usize, usize) -> bool| {
             (!drop || map.layers.iter().all(|layer| !axis(layer).of_view(view)[i].is_missed())) && lit(view, i)
@@ -110,6 +113,7 @@ impl Plan {
             .collect();
         let valid_rows: Vec<Vec<bool>> =
             (0..views[0]).map(|view| (0..rows).map(|i| valid(view, i, |l| &l.y, &lit_y)).collect()).collect();
+        // the maps of layers and backlight; constant shifts allow the fast kernels
         let frames = display.frames;
         let maps: Vec<_> = raw_maps(display, map, views)
             .into_iter()
@@ -131,7 +135,7 @@ impl Plan {
             valid_rows,
             target,
             rays: 0,
-            cut: None,
+            tile: None,
             backend: Backend::best(),
             row: RowFunctions::new(Backend::best()),
         };
@@ -139,45 +143,46 @@ impl Plan {
         plan
     }
 
-    /// Chooses the instruction set.
+    /// Selects the instruction set.
     #[cfg(test)]
     pub(crate) fn use_backend(&mut self, backend: Backend) {
         self.backend = backend;
         self.row = RowFunctions::new(backend);
     }
 
-    /// Number of factors: layers and backlight.
+    /// Returns the number of factors: layers and backlight.
     pub fn factor_count(&self) -> usize {
         self.maps.len()
     }
 
-    /// Whether the outcome of updating factor `n` covers all rays.
+    /// True if the outcome of an update of factor `n` covers all rays.
     pub fn sees_all_rays(&self, n: usize) -> bool {
         self.maps[n].complete
     }
 
-    /// Whether layers attenuate.
+    /// True if layers attenuate.
     pub(crate) fn is_product(&self) -> bool {
         self.formation == Formation::Attenuating
     }
 
-    /// Whether L̃ is linear in the values of factor `n`, so that its Gram matrix bounds the curvature.
+    /// True if L̃ is linear in the values of factor `n`, so that its Gram matrix bounds the
+    /// curvature.
     pub fn is_bounded(&self, n: usize) -> bool {
         self.formation != Formation::Polarization || n >= self.layers
     }
 
-    /// The pixels of factor `n` that may change, where not all may.
+    /// The pixels of factor `n` that may change; `None` if all may.
     pub(crate) fn free(&self, n: usize) -> Option<&Region> {
-        self.cut.as_ref()?.free.as_ref()?.get(n)
+        self.tile.as_ref()?.free.as_ref()?.get(n)
     }
 
-    /// Returns whether a line of factor `n` has pixels that may change.
+    /// True if a line of factor `n` has pixels that may change.
     pub(crate) fn may_change(&self, n: usize, line: usize) -> bool {
         let rows = self.maps[n].layout.size[0];
         self.free(n).is_none_or(|free| free.rows.contains(&(line % rows)))
     }
 
-    /// The columns of factor `n` that may not change, `[x]` of its padded lines, where there may be any.
+    /// The columns of factor `n` that may not change, `[x]` of its padded lines; `None` if all may.
     pub(crate) fn fixed_columns(&self, n: usize) -> Option<Vec<bool>> {
         let (free, layout) = (self.free(n)?, &self.maps[n].layout);
         let mut fixed = vec![true; layout.stride];
@@ -187,7 +192,7 @@ impl Plan {
         Some(fixed)
     }
 
-    /// Number of pixels, in all bins, of factor `n` that may change.
+    /// Number of pixels of factor `n` that may change, in all bins.
     pub(crate) fn changing(&self, n: usize) -> usize {
         let layout = &self.maps[n].layout;
         let [rows, cols] = self.free(n).map_or(layout.size, Region::size);
@@ -213,7 +218,9 @@ impl Plan {
     }
 }
 
+/// Converts the taps of layers and lenslets to one form; a miss is `None`.
 fn raw_maps(display: &Display, map: &RayMap, views: [usize; 2]) -> Vec<RawMap> {
+    // a layer's taps are in the map already
     let hit = |taps: &[Tap]| taps.iter().map(|tap| (!tap.is_missed()).then_some(*tap)).collect();
     let mut maps: Vec<RawMap> = map
         .layers
@@ -226,6 +233,7 @@ fn raw_maps(display: &Display, map: &RayMap, views: [usize; 2]) -> Vec<RawMap> {
             y: (0..views[0]).map(|view| hit(layer.y.of_view(view))).collect(),
         })
         .collect();
+    // a lenslet of an angular bin is a pixel of the backlight's factor
     if let (Backlight::Lenslets(lenslets), Some(map)) = (&display.backlight, &map.backlight) {
         let lit = |taps: &[BacklightTap], count: usize| {
             let tap = |tap: &BacklightTap| match tap {

@@ -1,4 +1,4 @@
-//! What a run begins with: the problem in the kernels' layout, patterns, and where they shall live.
+//! The input of a run: the problem in the kernels' layout, patterns, and the device.
 
 use std::sync::Arc;
 
@@ -10,7 +10,8 @@ use crate::factor::Factor;
 use crate::plan::Plan;
 use crate::{FactorizeError, Problem};
 
-/// A checked problem and the patterns that a run begins with. Several may share one plan: it holds the target, which takes longest to prepare.
+/// A checked problem and initial patterns. Several runs may share a plan, since it holds the
+/// target, which takes longest to prepare.
 #[derive(Clone)]
 pub(crate) struct Prepared<'a> {
     pub(crate) plan: Arc<Plan>,
@@ -19,7 +20,7 @@ pub(crate) struct Prepared<'a> {
     pub(crate) executor: &'a dyn Executor,
 }
 
-/// Where patterns come from.
+/// The source of the initial patterns.
 #[derive(Clone)]
 pub(crate) enum Patterns<'a> {
     Stack(LayerStack),
@@ -28,7 +29,7 @@ pub(crate) enum Patterns<'a> {
 }
 
 impl<'a> Prepared<'a> {
-    /// From scratch.
+    /// Checks and prepares a problem.
     pub(crate) fn new(
         problem: &Problem<'a>,
         start: LayerStack,
@@ -39,14 +40,15 @@ impl<'a> Prepared<'a> {
         Ok(Self { plan, display: problem.display, patterns: Patterns::Stack(start), executor })
     }
 
-    /// Hands the patterns over to the executor; see [`Begin`].
-    pub(crate) fn begin(self, floor: f32, bold: bool) -> Result<Box<dyn Updater>, FactorizeError> {
+    /// Starts the run on its executor. `floor` and `tries_local` are those of [`Self::into_begin`].
+    pub(crate) fn begin(self, floor: f32, tries_local: bool) -> Result<Box<dyn Updater>, FactorizeError> {
         let executor = self.executor;
-        executor.begin(self.into_begin(floor, bold))
+        executor.begin(self.into_begin(floor, tries_local))
     }
 
-    /// Values, now and later, stay within the hardware's box and at `floor` or above.
-    pub(crate) fn into_begin(self, floor: f32, bold: bool) -> Begin {
+    /// Converts the patterns to factors. All values, now and later, are at least `floor` and within
+    /// the hardware's box. `tries_local`: see [`Begin::tries_local`].
+    pub(crate) fn into_begin(self, floor: f32, tries_local: bool) -> Begin {
         let Self { plan, display, patterns, .. } = self;
         let mut ranges = ranges_of(display);
         ranges.iter_mut().for_each(|[low, high]| *low = low.max(floor).min(*high));
@@ -60,11 +62,11 @@ impl<'a> Prepared<'a> {
                 layouts.zip(coarse).map(|((layout, range), own)| coarse::refine(own, layout, *range)).collect()
             }
         };
-        Begin { plan, display: display.clone(), ranges, factors, bold }
+        Begin { plan, display: display.clone(), ranges, factors, tries_local }
     }
 }
 
-/// The boxes of a display's values: layers, then the backlight.
+/// Returns the box of each factor's values: layers, then the backlight.
 pub(crate) fn ranges_of(display: &Display) -> Vec<[f32; 2]> {
     let mut ranges: Vec<[f32; 2]> = display.layers.iter().map(|layer| layer.range()).collect();
     if let Backlight::Lenslets(lenslets) = &display.backlight {

@@ -1,4 +1,4 @@
-//! What is to be factorized, and what can be wrong with it.
+//! The problem of a factorization, its checks and its errors.
 
 use lumistack_core::Cancelled;
 use lumistack_display::{Display, DisplayError, LayerStack, LightField, StackError, WeightError, Weights};
@@ -6,38 +6,40 @@ use thiserror::Error;
 
 use crate::bands;
 
-/// A display, the light field that it shall show, and how much each ray counts.
+/// A display, its target light field, and the weight of every ray.
 ///
-/// Brightness β, sampling, frames M and what rays read beside a layer come from the display; where rays are comes from the target, whose
-/// resolution and views need not be the display's own.
+/// The display defines brightness β, sampling, the number of frames M, and the values of rays that
+/// miss a layer. The target defines the rays; its resolution and views may differ from the
+/// display's.
 #[derive(Clone, Copy, Debug)]
 pub struct Problem<'a> {
-    /// The display.
+    /// The display that shows the target.
     pub display: &'a Display,
     /// Target L, `[view_y][view_x][row][col][rgb]`, linear.
     pub target: &'a LightField,
-    /// Weights w of the rays.
+    /// Weights w of the rays, w ≥ 0.
     pub weights: &'a Weights,
 }
 
 impl Problem<'_> {
-    /// Checks that everything is usable and fits together.
+    /// Checks that display, target and weights are usable together.
     ///
     /// # Errors
-    /// If the display or the weights are wrong, the target holds a value that is not finite, or the patterns do not fit into memory addresses.
+    /// If the display or the weights are invalid, the target has a value that is not finite, or the
+    /// patterns exceed the address space.
     pub fn check(&self) -> Result<(), FactorizeError> {
         self.check_all_but_target()?;
         self.check_target()
     }
 
-    /// [`check`](Self::check) without a look at every value of the target.
+    /// As [`check`](Self::check), without reading the values of the target.
     pub(crate) fn check_all_but_target(&self) -> Result<(), FactorizeError> {
         self.display.check()?;
         self.weights.check(self.target.geometry())?;
         self.check_size()
     }
 
-    /// The target's part of [`check`](Self::check).
+    /// Checks that every value of the target is finite.
     pub(crate) fn check_target(&self) -> Result<(), FactorizeError> {
         let radiance = self.target.radiance();
         if bands::all(radiance.data(), |part| part.iter().all(|value| value.is_finite())) {
@@ -60,28 +62,28 @@ impl Problem<'_> {
         let layers = (0..self.display.layers.len()).map(|n| LayerStack::layer_shape(self.display, n).to_vec());
         let emission = LayerStack::emission_shape(self.display).map(|shape| shape.to_vec());
         let values: u128 = layers.chain(emission).map(|shape| shape.iter().map(|&n| n as u128).product::<u128>()).sum();
-        // patterns as handed over, padded working copies and one spare
+        // the input patterns, padded working copies and one spare copy, in f32
         let bytes = 4 * 4 * values;
         if bytes > isize::MAX as u128 { Err(FactorizeError::TooLarge { values }) } else { Ok(()) }
     }
 }
 
-/// A factorization that cannot be done, or was stopped.
+/// A factorization that failed or was cancelled.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum FactorizeError {
-    /// The display makes no sense.
+    /// The display is invalid.
     #[error("display: {0}")]
     Display(#[from] DisplayError),
-    /// The weights do not fit the target or are not weights.
+    /// The weights do not fit the target, or some are negative or not finite.
     #[error(transparent)]
     Weights(#[from] WeightError),
-    /// The starting patterns do not fit the display.
+    /// The start does not fit the display.
     #[error("starting patterns: {0}")]
     Start(#[from] StackError),
-    /// A target value is not a number, or infinite.
+    /// A target value is NaN or infinite.
     #[error("target, view [{}, {}], row {row}, column {col}, {channel}: expected a finite value, found {found}", view[0], view[1])]
     Target {
-        /// [view_y, view_x].
+        /// View index [view_y, view_x].
         view: [usize; 2],
         /// Pixel row.
         row: usize,
@@ -92,15 +94,15 @@ pub enum FactorizeError {
         /// The value.
         found: f32,
     },
-    /// The patterns exceed what this machine can address.
+    /// The patterns exceed the address space.
     #[error("the display's patterns have {values} values: more than fit into memory")]
     TooLarge {
         /// Number of values over all layers, frames and channels.
         values: u128,
     },
-    /// No ray counts: the patterns could show anything.
+    /// No ray has a weight above 0, so no patterns are better than others.
     #[error(
-        "no ray with a weight above 0 meets all layers: expected layers and weights through which the display shows something of the target"
+        "no ray with a weight above 0 hits all layers: expected layers and weights through which the display shows something of the target"
     )]
     NoRays,
     /// No solver has this name.
@@ -108,26 +110,26 @@ pub enum FactorizeError {
     UnknownSolver {
         /// All names.
         expected: String,
-        /// The name.
+        /// The given name.
         found: String,
     },
     /// The solver does not fit the display.
     #[error("solver {solver}: {why}")]
     Unsuitable {
-        /// Its name.
+        /// Name of the solver.
         solver: &'static str,
         /// The reason.
         why: &'static str,
     },
-    /// A device cannot do this solve, or no longer answers.
+    /// A device cannot solve this problem, or is lost.
     #[error("device {device}: {why}")]
     Device {
-        /// Its name.
+        /// Name of the device.
         device: String,
         /// The reason.
         why: String,
     },
-    /// Somebody asked to stop.
+    /// The caller cancelled the task.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
 }

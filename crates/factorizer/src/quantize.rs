@@ -1,9 +1,11 @@
-//! Patterns for panels of few bits: one mask at a time goes to the panel's levels, and what is left makes up for it.
+//! Patterns for panels of few bits: confines one mask at a time to the panel's levels, and lets the
+//! others compensate.
 //!
-//! Frame by frame and layer by layer, a mask's values are confined to the levels that the panel can show ([`lumistack_display::Layer::levels`]), and
-//! its layer is updated: a coordinate step between levels goes to the level nearest to the minimum, which is exact for a parabola; frames of
-//! the layer that are still free, and all layers after it, move to where the error is least. Masks that are on their levels keep moving from
-//! level to level, so that a last few rounds still gain. From the first fully confined state on, the objective never rises.
+//! The masks are confined frame by frame and layer by layer to the levels that the panel can show
+//! ([`lumistack_display::Layer::levels`]). After each, its layer is updated. A coordinate step goes
+//! to the level nearest to its minimum, which is exact for a parabola. Free frames and later layers
+//! then reduce the error. Confined masks still move from level to level, so a few last rounds gain
+//! more. Once all masks are confined, the objective never rises.
 
 use lumistack_core::Task;
 use lumistack_display::{Display, LayerStack};
@@ -19,12 +21,12 @@ const SWEEPS: u32 = 4;
 /// Rounds over all layers at the end.
 const LAST_ROUNDS: u32 = 3;
 
-/// Whether any layer has few levels.
+/// True if any layer has few levels.
 pub fn has_levels(problem: &Problem) -> bool {
     problem.display.layers.iter().any(|layer| layer.bits.is_some())
 }
 
-/// Every value rounded to the nearest level of its layer.
+/// Rounds every value to the nearest level of its layer.
 pub fn round_to_levels(problem: &Problem, stack: &LayerStack) -> LayerStack {
     round(problem.display, stack)
 }
@@ -39,7 +41,7 @@ fn round(display: &Display, stack: &LayerStack) -> LayerStack {
     rounded
 }
 
-/// Patterns on the layers' levels, re-optimized from a solution without them.
+/// Re-optimizes a continuous solution on the layers' levels.
 ///
 /// # Errors
 /// If the problem or the stack are unusable, or when cancelled.
@@ -47,12 +49,13 @@ pub fn reoptimize_on_levels(problem: &Problem, stack: LayerStack, task: Task) ->
     reoptimize(Prepared::new(problem, stack, &Processor)?, task)
 }
 
-/// [`reoptimize_on_levels`] on what is prepared, whatever its executor: on the processor.
+/// As [`reoptimize_on_levels`], on a prepared problem. It runs on the processor for every executor.
 pub(crate) fn reoptimize(prepared: Prepared, task: Task) -> Result<LayerStack, FactorizeError> {
     let display = prepared.display;
     let (frames, layers) = (display.frames, &display.layers);
     let mut engine = Engine::begin(prepared.into_begin(0.0, false));
     engine.cancel = task.cancel.clone();
+    // all frames of the layers with few bits begin free
     let few: Vec<usize> = (0..layers.len()).filter(|&n| layers[n].bits.is_some()).collect();
     for &n in &few {
         let values = layers[n].levels();
@@ -67,6 +70,7 @@ pub(crate) fn reoptimize(prepared: Prepared, task: Task) -> Result<LayerStack, F
         task.progress.advance(1, "");
         Ok(())
     };
+    // confine frame by frame, so that the frames that are still free compensate
     let mut confine = || -> Result<(), FactorizeError> {
         for frame in 0..frames {
             for &n in &few {
@@ -83,6 +87,6 @@ pub(crate) fn reoptimize(prepared: Prepared, task: Task) -> Result<LayerStack, F
     };
     let done = confine();
     task.progress.end();
-    // a value that no ray depends on moved to no level: round what is left
+    // a value that no ray reads was not moved to a level, so it is rounded here
     done.map(|()| round(display, &engine.download()))
 }

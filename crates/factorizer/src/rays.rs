@@ -1,4 +1,5 @@
-//! Which rows the rays through one line read, listed as inner loops want them: a pointer per row and view.
+//! The rows that the rays through one line read, as inner loops need them: a pointer per row and
+//! view.
 
 use std::marker::PhantomData;
 use std::ops::Range;
@@ -13,18 +14,20 @@ use crate::row::Row;
 use crate::rows::Reading;
 use crate::vector::mask;
 
-/// Where the value of a row at x = 0 would stand; x counts in the padded storage of the line under update.
+/// Pointer to the value at x = 0 of a row; x counts in the padded storage of the line under update.
+///
+/// Rows may begin later than x = 0, so the pointer itself may lie outside of its row.
 #[derive(Clone)]
 pub(crate) struct Place<'a, T> {
     zero: *const T,
-    /// To check bounds with.
+    /// The row, to check bounds.
     #[cfg(debug_assertions)]
     row: Range<*const T>,
     life: PhantomData<&'a [T]>,
 }
 
 impl<'a, T> Place<'a, T> {
-    /// The value of x stands at `row[x + offset]`.
+    /// A row whose `row[x + offset]` is the value at x.
     #[inline(always)]
     fn new(row: &'a [T], offset: isize) -> Self {
         Self {
@@ -35,7 +38,7 @@ impl<'a, T> Place<'a, T> {
         }
     }
 
-    /// The values of x and of the next, as many as a vector has.
+    /// Pointer to the values from x on, as many as a vector has.
     #[inline(always)]
     pub(crate) fn at<V: Lanes>(&self, x: usize) -> *const T {
         let at = self.zero.wrapping_add(x);
@@ -54,7 +57,7 @@ pub(crate) struct View<'a> {
 }
 
 impl View<'_> {
-    /// √w of the rays of a block, 0 where they do not count; `None` where none does.
+    /// √w of the rays of a block, 0 for rays that do not count; `None` if none counts.
     ///
     /// # Safety
     /// The machine has V.
@@ -75,46 +78,48 @@ pub(crate) enum TargetRow<'a> {
     Float(Place<'a, f32>),
 }
 
-/// How many rows each view asks for. All rows at once would wait for each other.
-const ASKED: usize = 3;
+/// Number of rows that each view prefetches. All rows at once would stall the loads.
+const PREFETCHED: usize = 3;
 
-/// What is read along one view's rays.
+/// The rows along one view's rays.
 pub(crate) struct RowsOfView<'a, const K: usize> {
     pub(crate) view: &'a View<'a>,
     pub(crate) target: &'a TargetRow<'a>,
     pub(crate) others: &'a [Place<'a, f32>; K],
-    ahead: &'a [*const f32; ASKED],
+    ahead: &'a [*const f32; PREFETCHED],
 }
 
 impl<const K: usize> RowsOfView<'_, K> {
-    /// Asks for what will be read at x of some rows.
+    /// Prefetches the values at x of this view's part of the rows.
     #[inline(always)]
-    pub(crate) fn ask(&self, x: usize) {
+    pub(crate) fn prefetch(&self, x: usize) {
         for row in self.ahead {
             prefetch(row.wrapping_add(x));
         }
     }
 }
 
-/// The rays through one line; per view, everything in the same order.
+/// The rays through one line. All lists have the views in the same order.
 #[derive(Default)]
 pub(crate) struct LineRays<'a> {
     pub(crate) views: Vec<View<'a>>,
     pub(crate) targets: Vec<TargetRow<'a>>,
-    /// The other factors' lines, all frames; `others_per_view` for each view.
+    /// The other factors' lines, all frames; `others_per_view` per view.
     pub(crate) others: Vec<Place<'a, f32>>,
     pub(crate) others_per_view: usize,
-    /// Per other factor: from one frame to the next.
+    /// Per other factor: values from one frame to the next.
     pub(crate) strides: Vec<usize>,
-    /// The line's own factor per view, all frames, where views read it at different places; else empty.
+    /// The line's own factor per view, all frames, if views read it at different places; else
+    /// empty.
     pub(crate) own: Vec<Place<'a, f32>>,
     pub(crate) own_stride: usize,
-    /// Rows to be asked for ahead of their use, at x = 0: those of other factors where the foremost view reads them, and the line's own.
+    /// Rows to prefetch, as pointers to x = 0: the line's own, and the other factors' where the
+    /// foremost view reads them.
     ahead: Vec<*const f32>,
 }
 
 impl LineRays<'_> {
-    /// x where the rays of every view count in full.
+    /// The range of x where the rays of every view count in full.
     pub(crate) fn inner(&self) -> Range<usize> {
         if self.views.iter().any(|view| view.weights.is_some()) {
             return 0..0;
@@ -123,17 +128,17 @@ impl LineRays<'_> {
         start..self.views.iter().map(|view| view.valid.end).min().unwrap_or(0)
     }
 
-    /// x where the rays of any view count.
+    /// The range of x where the rays of any view count.
     pub(crate) fn outer(&self) -> Range<usize> {
         let start = self.views.iter().map(|view| view.valid.start).min().unwrap_or(0);
         start..self.views.iter().map(|view| view.valid.end).max().unwrap_or(0)
     }
 
-    /// Some views' rows, K other factors.
+    /// The rows of some views, with K other factors each.
     #[inline(always)]
     pub(crate) fn by_view<const K: usize>(&self, views: Range<usize>) -> impl Iterator<Item = RowsOfView<'_, K>> {
         let others = &self.others.as_chunks::<K>().0[views.clone()];
-        let ahead = &self.ahead.as_chunks::<ASKED>().0[views.clone()];
+        let ahead = &self.ahead.as_chunks::<PREFETCHED>().0[views.clone()];
         let views = self.views[views.clone()].iter().zip(&self.targets[views]).zip(others).zip(ahead);
         views.map(|(((view, target), others), ahead)| RowsOfView { view, target, others, ahead })
     }
@@ -143,15 +148,16 @@ impl LineRays<'_> {
         &self.others[view * self.others_per_view..(view + 1) * self.others_per_view]
     }
 
-    /// Asks for what will be read at x of the rows that no view asks for.
+    /// Prefetches the values at x of the rows that no view prefetches; of all rows without
+    /// `by_views`.
     #[inline(always)]
-    pub(crate) fn ask_for_rest(&self, x: usize, by_views: bool) {
-        for row in &self.ahead[if by_views { (ASKED * self.views.len()).min(self.ahead.len()) } else { 0 }..] {
+    pub(crate) fn prefetch_rest(&self, x: usize, by_views: bool) {
+        for row in &self.ahead[if by_views { (PREFETCHED * self.views.len()).min(self.ahead.len()) } else { 0 }..] {
             prefetch(row.wrapping_add(x));
         }
     }
 
-    /// No rays, with the storage of these.
+    /// An empty list that keeps the storage of this one.
     pub(crate) fn emptied(self) -> LineRays<'static> {
         LineRays {
             views: emptied(self.views),
@@ -165,26 +171,26 @@ impl LineRays<'_> {
     }
 }
 
-/// An empty vector in the storage of another, whose elements may have borrowed for shorter.
+/// An empty vector that keeps the storage of `from`, whose elements may have a shorter lifetime.
 fn emptied<A, B>(mut from: Vec<A>) -> Vec<B> {
     from.clear();
-    // collecting in place keeps the allocation: growing these for each line anew took 5 % of an update
+    // collecting in place keeps the allocation; allocation per line took 5 % of an update
     from.into_iter().filter_map(|_| None).collect()
 }
 
-/// Values of one expanded row.
+/// Length of one expanded row, in values.
 pub(crate) fn expanded_stride(plan: &Plan) -> usize {
     (PAD + plan.cols + PAD).next_multiple_of(PAD)
 }
 
-/// Storage of what rays read where that does not stand in a factor, for one thread.
+/// Storage of one thread for values along rays that do not stand in a factor as they are read.
 #[derive(Default)]
 pub(crate) struct Spare {
-    /// Lines between two of a factor, all frames, one after another.
+    /// Mixtures of two neighbouring lines of a factor, all frames, one after another.
     mixed: Vec<f32>,
-    /// Rows along the rays, all frames, one after another.
+    /// Values along rays, all frames, one row after another.
     expanded: Vec<f32>,
-    /// What each of these holds: factor, channel, view column, first column, line.
+    /// The content of each expanded row: factor, channel, view column, first column, line.
     held: Vec<Option<[usize; 5]>>,
     /// The rows of rays that are listed.
     pub(crate) rows: Vec<RowOfRays>,
@@ -198,7 +204,7 @@ pub(crate) struct RowOfRays {
 }
 
 impl Spare {
-    /// Mixes the lines between which the listed rows of rays read the factors.
+    /// Mixes two lines of a factor for every listed row of rays that reads it between lines.
     pub(crate) fn mix_lines(&mut self, plan: &Plan, factors: &[Factor], channel: usize) {
         let mut end = 0;
         for &RowOfRays { view_y, row } in &self.rows {
@@ -218,7 +224,8 @@ impl Spare {
     }
 }
 
-/// What is left of storage, and of the mixed lines, in the order in which they were made.
+/// The storage that is still free, and the mixed lines that are still unread, in the order of their
+/// making.
 struct Left<'a> {
     mixed: &'a [f32],
     expanded: &'a mut [f32],
@@ -226,7 +233,7 @@ struct Left<'a> {
 }
 
 impl<'a> Left<'a> {
-    /// Storage for the rows that are listed, each expanded so many times.
+    /// Storage for the listed rows of rays, each expanded `times` times.
     fn of(spare: &'a mut Spare, plan: &Plan, times: usize) -> (Self, &'a [RowOfRays]) {
         let Spare { mixed, expanded, held, rows } = spare;
         let count = rows.len() * times;
@@ -237,8 +244,10 @@ impl<'a> Left<'a> {
         (Self { mixed, expanded, held: held.iter_mut() }, rows)
     }
 
-    /// The line of the next factor, all frames, that a row of rays reads; to be asked for every factor in turn. Nothing of a factor that is under update
-    /// in its place.
+    /// The line of factor `k` that a row of rays reads, all frames.
+    ///
+    /// Call it for every factor in turn, since mixed lines are taken in order. A factor under
+    /// update in place has no values; its line is empty.
     fn line(&mut self, plan: &Plan, factors: &'a [Factor], k: usize, channel: usize, rays: RowOfRays) -> &'a [f32] {
         let (map, factor) = (&plan.maps[k], &factors[k]);
         let tap = map.y[rays.view_y][rays.row];
@@ -250,7 +259,10 @@ impl<'a> Left<'a> {
         line
     }
 
-    /// Where the rays of a view read a line of a factor, from `offset` on: in its place, or expanded along the rays.
+    /// The values that the rays of a view read from a line of a factor: in place, or expanded along
+    /// the rays.
+    ///
+    /// `offset` is added to x, as in [`Place`].
     fn place(
         &mut self,
         plan: &Plan,
@@ -268,7 +280,8 @@ impl<'a> Left<'a> {
         let stride = expanded_stride(plan);
         let (values, rest) = std::mem::take(&mut self.expanded).split_at_mut(plan.frames * stride);
         self.expanded = rest;
-        // a lenslet's line is read by several field rows, one after another
+        // several successive field rows read the same lenslets, so an expanded row may be there
+        // already
         let tap = map.y[rays.view[0]][rays.row];
         let holds = (tap.t == 0.0).then_some([k, rays.channel, rays.view[1], rays.run.start, tap.first as usize]);
         if let Some(held) = self.held.next()
@@ -285,12 +298,15 @@ impl<'a> Left<'a> {
     }
 }
 
-/// From one frame to the next where rays of a view column read a factor.
+/// Values from one frame to the next where rays of a view column read factor `k`.
 fn stride_of(plan: &Plan, k: usize, view_x: usize) -> usize {
     if plan.maps[k].x[view_x].shift.is_some() { plan.maps[k].layout.stride } else { expanded_stride(plan) }
 }
 
-/// Lists the rays of one view column through rows of rays, by field columns: column c at x = [`PAD`] + c. The lines that they read are mixed already.
+/// Lists the rays of one view column by field columns: column c stands at x = [`PAD`] + c.
+///
+/// `spare.rows` has the rows of rays; [`Spare::mix_lines`] must have mixed the lines that they
+/// read.
 pub(crate) fn rays_of_column<'a>(
     mut rays: LineRays<'a>,
     plan: &'a Plan,
@@ -316,6 +332,7 @@ pub(crate) fn rays_of_column<'a>(
             Row::Half(row) => TargetRow::Half(Place::new(row, 0)),
             Row::Float(row) => TargetRow::Float(Place::new(row, 0)),
         });
+        // neighbouring field rows often read the same lines; then they share the place
         for k in 0..factors.len() {
             let line = left.line(plan, factors, k, at.channel, row_of);
             let list = if k == at.factor { &mut rays.own } else { &mut rays.others };
@@ -332,7 +349,9 @@ pub(crate) fn rays_of_column<'a>(
     rays
 }
 
-/// Lists the rays of a line in the storage of `rays`, and expands what is not at a constant shift. `own` are the line's rows, to be asked for ahead.
+/// Lists the rays of a line, and expands factors that are not at a constant shift.
+///
+/// `rays` gives its storage; `own` are the line's rows, which are prefetched.
 pub(crate) fn rays_through<'a>(
     mut rays: LineRays<'a>,
     plan: &'a Plan,
@@ -344,12 +363,14 @@ pub(crate) fn rays_through<'a>(
     let map = &plan.maps[at.factor];
     rays.others_per_view = factors.len() - 1;
     let others = || (0..factors.len()).filter(|&k| k != at.factor);
-    // one stride for all views of a factor
+    // all views of a factor have one stride, so a factor is expanded for all views or for none
     let is_there = |k: usize| plan.maps[k].columns_shifted;
     let layout = |k: usize| &plan.maps[k].layout;
     rays.strides.extend(others().map(|k| if is_there(k) { layout(k).stride } else { expanded_stride(plan) }));
     let elsewhere = others().filter(|&k| !is_there(k)).count();
     rays.ahead.extend(own);
+    // list the field rows whose rays read the line, and mix lines between which they read other
+    // factors
     spare.rows.clear();
     for view_y in 0..plan.views[0] {
         let of_line = map.rays_of_line(view_y, at.line).iter();
@@ -363,6 +384,7 @@ pub(crate) fn rays_through<'a>(
         let before = rays.others.len();
         lines.clear();
         lines.extend((0..factors.len()).map(|k| left.line(plan, factors, k, at.channel, row_of)));
+        // per view: its valid range, weights and target, then the other factors
         for view_x in 0..plan.views[1] {
             let ([run], Some(own)) = (plan.runs[view_x].as_slice(), map.x[view_x].shift) else { continue };
             let view = plan.view(view_y, view_x);
@@ -380,7 +402,8 @@ pub(crate) fn rays_through<'a>(
                 rays.others.push(left.place(plan, lines[k], k, &part, is_there(k), offset));
             }
         }
-        // all views of a view row read the same lines, side by side
+        // all views of a view row read the same lines, side by side, so the foremost prefetches for
+        // all
         for (k, &stride) in rays.strides.iter().enumerate() {
             let of_factor = rays.others[before..].iter().skip(k).step_by(rays.others_per_view);
             if let Some(lead) = of_factor.map(|other| other.zero).max() {
@@ -388,8 +411,8 @@ pub(crate) fn rays_through<'a>(
             }
         }
     }
-    // every view asks for the same number
+    // every view prefetches the same number of rows
     let last = rays.ahead.last().copied().unwrap_or(std::ptr::null());
-    rays.ahead.resize(rays.ahead.len().max(ASKED * rays.views.len()), last);
+    rays.ahead.resize(rays.ahead.len().max(PREFETCHED * rays.views.len()), last);
     rays
 }

@@ -1,28 +1,36 @@
-//! The sums of one block with accumulators that stay in registers, for a fixed number of frames M and of other factors K.
+//! Sums of one block with accumulators in registers, for fixed numbers of frames M and other
+//! factors K.
 
 use lumistack_simd::{Kernel, Lanes};
 
-use crate::buffers::{AHEAD, BetweenTiles, BlockOfLine, Buffers, ByBuffers, GROUP, Group, Sight, Tiles, wanted};
+use crate::buffers::{AHEAD, BetweenTiles, BlockOfLine, Buffers, ByBuffers, GROUP, Group, SumParams, Tiles, wanted};
 use crate::rays::{LineRays, RowsOfView};
 use crate::vector::{load, store};
 
-/// n and d of all frames, or r and the diagonal of G; `MASKED` where the rays of some view do not count in full.
+/// n and d of all frames, or r and the diagonal of G.
+///
+/// `MASKED`: the rays of some view do not all count in full. `DIAGONAL`: r and the diagonal.
 pub(crate) struct Pairs<const M: usize, const K: usize, const MASKED: bool, const DIAGONAL: bool>;
 
-/// r of all frames and G: tiles along its diagonal at once, the rest from buffered a_m. `MASKED` as in [`Pairs`].
+/// r of all frames, and G.
+///
+/// G's tiles along the diagonal are summed at once, the rest from buffered a_m. `MASKED` as in
+/// [`Pairs`].
 pub(crate) struct Gram<const M: usize, const K: usize, const MASKED: bool>;
 
-/// Accumulators, a_m, and a few values more.
+/// Registers that [`Pairs`] needs: two accumulators and a_m per frame, and a few more.
 const fn registers_for_pairs(frames: usize) -> usize {
     3 * frames + 4
 }
 
+/// Registers that [`Gram`] needs: r, a_m, the upper triangles of the tiles, and a few more.
 const fn registers_for_gram(frames: usize) -> usize {
     let (tile, tiles) = (tile_of(frames), frames.div_ceil(tile_of(frames)));
     2 * frames + tiles * tile * (tile + 1) / 2 + 5
 }
 
-/// Which part of G is summed while a_m is at hand: all of it, or tiles of so many frames along its diagonal.
+/// Frames per tile of G. While a_m is in registers, only the tiles along the diagonal are summed;
+/// up to 4 frames, one tile is all of G.
 const fn tile_of(frames: usize) -> usize {
     if frames <= 4 { frames } else { 3 }
 }
@@ -35,18 +43,22 @@ impl<const M: usize, const K: usize, const MASKED: bool, const DIAGONAL: bool> K
 
     #[inline(always)]
     unsafe fn run<V: Lanes>(mut at: BlockOfLine<'_>) {
-        // SAFETY: passed on from the caller
+        // SAFETY: guaranteed by the caller
         unsafe {
+            // an instruction set with too few registers would spill; buffers are faster there
             if registers_for_pairs(M) > V::REGISTERS {
                 return V::call::<ByBuffers>(at);
             }
             at.begin::<V>(M, true);
-            let BlockOfLine { rays, x, sight, buffers, .. } = at;
-            let lit = Lit::<K>::new(rays, x, sight, &buffers.scaled);
+            let BlockOfLine { rays, x, params, buffers, .. } = at;
+            // one pass over the views, with all sums in registers
+            let shared = SharedInputs::<K>::new(rays, x, params, &buffers.scaled);
             let mut squares = V::splat(0.0);
             let (mut above, mut below) = ([V::splat(0.0); M], [V::splat(0.0); M]);
             for rows in rays.by_view::<K>(0..rays.views.len()) {
-                let Some(Seen { products, wanted, emitted }) = lit.seen::<V, M, MASKED>(&rows) else { continue };
+                let Some(ViewTerms { products, wanted, emitted }) = shared.terms_of::<V, M, MASKED>(&rows) else {
+                    continue;
+                };
                 let error = wanted.sub(emitted);
                 squares = error.mul_add(error, squares);
                 for m in 0..M {
@@ -54,6 +66,7 @@ impl<const M: usize, const K: usize, const MASKED: bool, const DIAGONAL: bool> K
                     below[m] = products[m].mul_add(if DIAGONAL { products[m] } else { emitted }, below[m]);
                 }
             }
+            // the block takes n and d, or r and the diagonal
             for m in 0..M {
                 store(above[m], &mut buffers.block.residual, m * V::COUNT);
                 store(below[m], &mut buffers.block.emitted, m * V::COUNT);
@@ -69,19 +82,21 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
 
     #[inline(always)]
     unsafe fn run<V: Lanes>(mut at: BlockOfLine<'_>) {
-        // SAFETY: passed on from the caller
+        // SAFETY: guaranteed by the caller
         unsafe {
+            // as in `Pairs`
             if registers_for_gram(M) > V::REGISTERS {
                 return V::call::<ByBuffers>(at);
             }
             at.begin::<V>(M, true);
-            let BlockOfLine { rays, x, sight, buffers, .. } = at;
+            let BlockOfLine { rays, x, params, buffers, .. } = at;
             let Buffers { block, products: buffered, errors, emitted, scaled, squares: all } = buffers;
             let tile = tile_of(M);
-            let lit = Lit::<K>::new(rays, x, sight, scaled);
+            let shared = SharedInputs::<K>::new(rays, x, params, scaled);
             let views = rays.views.len();
             let mut first = 0;
-            // sums wait in memory between groups: the call at the end of this loop leaves no registers
+            // groups of views: their a_m fit the buffer. Sums wait in memory between groups, since
+            // the call at the end of this loop saves no registers
             loop {
                 let add = first > 0;
                 let mut squares = if add { load::<V>(all, 0) } else { V::splat(0.0) };
@@ -96,9 +111,12 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
                         }
                     }
                 }
+                // sum the tiles along the diagonal in registers, and buffer a_m for the rest
                 let mut active = 0;
                 for rows in rays.by_view::<K>(first..views.min(first + GROUP)) {
-                    let Some(Seen { products, wanted, emitted }) = lit.seen::<V, M, MASKED>(&rows) else { continue };
+                    let Some(ViewTerms { products, wanted, emitted }) = shared.terms_of::<V, M, MASKED>(&rows) else {
+                        continue;
+                    };
                     let error = wanted.sub(emitted);
                     squares = error.mul_add(error, squares);
                     for m in 0..M {
@@ -114,6 +132,7 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
                     }
                     active += 1;
                 }
+                // the sums so far go to the block
                 for m in 0..M {
                     store(residual[m], &mut block.residual, m * V::COUNT);
                     for k in m..M {
@@ -123,6 +142,7 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
                     }
                 }
                 store(squares, all, 0);
+                // the rest of G, from the buffered a_m
                 if tile < M {
                     let group = Group { frames: M, views: active, add };
                     let tiles = Tiles { group, shares: &[], products: buffered, errors, emitted };
@@ -137,39 +157,44 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
     }
 }
 
-/// a_m of all frames, βL and L̃ of one view and block, times √w.
-struct Seen<V, const M: usize> {
+/// a_m of all frames, βL and L̃, each times √w, of one view in a block.
+struct ViewTerms<V, const M: usize> {
     products: [V; M],
     wanted: V,
     emitted: V,
 }
 
-/// What is alike for all views of a block, at hand.
-struct Lit<'a, const K: usize> {
+/// The inputs that all views of a block share.
+struct SharedInputs<'a, const K: usize> {
     x: usize,
-    sight: Sight,
+    params: SumParams,
     /// f/M.
     scaled: &'a [f32],
     strides: [usize; K],
 }
 
-impl<'a, const K: usize> Lit<'a, K> {
+impl<'a, const K: usize> SharedInputs<'a, K> {
     #[inline(always)]
-    fn new(rays: &LineRays, x: usize, sight: Sight, scaled: &'a [f32]) -> Self {
-        Self { x, sight, scaled, strides: std::array::from_fn(|k| rays.strides[k]) }
+    fn new(rays: &LineRays, x: usize, params: SumParams, scaled: &'a [f32]) -> Self {
+        Self { x, params, scaled, strides: std::array::from_fn(|k| rays.strides[k]) }
     }
 
-    /// What one view sees of the block; `None` where none of its rays counts.
+    /// Computes a_m, βL and L̃ of one view in the block; `None` where no ray counts.
     #[inline(always)]
-    unsafe fn seen<V: Lanes, const M: usize, const MASKED: bool>(&self, rows: &RowsOfView<K>) -> Option<Seen<V, M>> {
-        // SAFETY: see the caller
+    unsafe fn terms_of<V: Lanes, const M: usize, const MASKED: bool>(
+        &self,
+        rows: &RowsOfView<K>,
+    ) -> Option<ViewTerms<V, M>> {
+        // SAFETY: guaranteed by the caller
         unsafe {
-            rows.ask(self.x + AHEAD * V::COUNT);
+            // the rows of a later block travel to the cache during this one's arithmetic
+            rows.prefetch(self.x + AHEAD * V::COUNT);
             let weight = if MASKED { rows.view.weight::<V>(self.x)? } else { V::splat(1.0) };
-            let mut wanted = wanted::<V>(rows.target, self.x, self.sight);
+            let mut wanted = wanted::<V>(rows.target, self.x, self.params);
             if MASKED {
                 wanted = wanted.mul(weight);
             }
+            // P_m = Π_{k≠n} f_m^(k), and L̃ = Σ_m P_m f_m/M
             let others: [_; K] = std::array::from_fn(|k| rows.others[k].at::<V>(self.x));
             let (mut products, mut emitted) = ([V::splat(0.0); M], V::splat(0.0));
             for m in 0..M {
@@ -183,7 +208,7 @@ impl<'a, const K: usize> Lit<'a, K> {
                 }
                 emitted = products[m].mul_add(load::<V>(self.scaled, m * V::COUNT), emitted);
             }
-            Some(Seen { products, wanted, emitted })
+            Some(ViewTerms { products, wanted, emitted })
         }
     }
 }

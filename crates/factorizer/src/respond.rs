@@ -1,15 +1,19 @@
-//! Layers whose stored values f are not what rays meet: F = A f with a blur, crosstalk, colour filters or tied channels
-//! ([`lumistack_display::Response`]).
+//! Layers whose stored values f differ from the values F = A f that rays read, because of blur,
+//! crosstalk, colour filters or tied channels ([`lumistack_display::Response`]).
 //!
-//! With G_i the Gram matrix and r_i the residual sums of what rays meet at pixel i, a change d of the stored values changes the objective by
+//! G_i is the Gram matrix and r_i the residual sums of pixel i as rays read it. A change d of the
+//! stored values changes the objective by
 //!
 //! ```text
 //! Σ_i −2 r_iᵀ (Σ_j A_ij d_j) + (Σ_j A_ij d_j)ᵀ G_i (Σ_j A_ij d_j)
-//!     ≤ Σ_j −2 (Σ_i A_ij r_i)ᵀ d_j + d_jᵀ (Σ_i A_ij ρ_i G_i) d_j,      ρ_i = Σ_j A_ij  (A ≥ 0, Jensen)
+//!     ≤ Σ_j −2 (Σ_i A_ij r_i)ᵀ d_j + d_jᵀ (Σ_i A_ij ρ_i G_i) d_j
+//!
+//! ρ_i = Σ_j A_ij,  by Jensen's inequality for A ≥ 0
 //! ```
 //!
-//! which touches it at d = 0 and is separable over the stored pixels: the same step on Aᵀr and Aᵀ(ρG) never worsens. Without blur and crosstalk
-//! (tied channels behind filters) the bound is exact. The multiplicative rule takes Aᵀn and Aᵀd.
+//! The bound equals the change at d = 0 and is separable over the stored pixels. So the usual step
+//! on Aᵀr and Aᵀ(ρG) never raises the objective. Without blur and crosstalk (tied channels behind
+//! filters) the bound is exact. The multiplicative rule takes Aᵀn and Aᵀd.
 
 use lumistack_display::Response;
 
@@ -19,27 +23,30 @@ use crate::factor::{Factor, Layout};
 use crate::line::{LineStep, Outcome, StepFunctions};
 use crate::step::{Block, Sums};
 
-/// Sums of all lines of a factor as planes of stored pixels: `[quantity][channel][line · cols + col]`.
-pub(crate) struct Pulled {
+/// Sums of all lines of a factor, carried over to the stored pixels as planes:
+/// `[quantity][channel][line · cols + col]`.
+pub(crate) struct AdjointSums {
     planes: Vec<[Vec<f32>; 3]>,
 }
 
-impl Pulled {
-    /// From what rays meet to what is stored. `sums` is `[channel and stored line][quantity][x]`.
-    pub(crate) fn back(response: &Response, layout: &Layout, needed: Sums, sums: &[f32]) -> Self {
+impl AdjointSums {
+    /// Applies Aᵀ to the sums of the pixels that rays read. `sums` is `[channel and stored
+    /// line][quantity][x]`.
+    pub(crate) fn of(response: &Response, layout: &Layout, needed: Sums, sums: &[f32]) -> Self {
         let (rows, cols) = (layout.lines(), layout.cols());
         let quantities = needed.count(layout.frames);
         let line_len = quantities * layout.stride;
         let filters: Vec<[f32; 3]> = (0..cols).map(|col| response.filter(col)).collect();
         let mix = response.mix();
         let mut scratch = Vec::new();
-        // blur(filter_c')[i], the same in every row
+        // blur(filter_c')[i], the same in every row: its mixture over channels is ρ
         let passed = [0, 1, 2].map(|c: usize| {
             let filter: Vec<f32> = filters.iter().map(|filter| filter[c]).collect();
             let mut blurred = vec![0.0; cols];
             response.blur(1, cols, &filter, &mut blurred, &mut scratch);
             blurred
         });
+        // Aᵀ: mix the channels, blur by the adjoint, then filter; entries of G also carry ρ
         let plane_of = |quantity: usize| -> [Vec<f32>; 3] {
             let bounded = needed != Sums::Ratio && quantity >= layout.frames;
             let (mut mixed, mut plane, mut scratch) = (vec![0.0; rows * cols], vec![0.0; rows * cols], Vec::new());
@@ -60,6 +67,7 @@ impl Pulled {
                 let columns = filters.iter().cycle();
                 plane.iter().zip(columns).map(|(&value, filter)| value * filter[to]).collect::<Vec<f32>>()
             });
+            // tied channels are one variable, so their sums add up
             if response.is_tied() {
                 let [red, green, blue] = &stored;
                 let sum: Vec<f32> = red.iter().zip(green).zip(blue).map(|((r, g), b)| r + g + b).collect();
@@ -71,9 +79,9 @@ impl Pulled {
     }
 }
 
-/// Steps one line of stored values.
+/// One line of stored values and its step.
 pub(crate) struct StepLine<'a, 'b> {
-    pub(crate) pulled: &'a Pulled,
+    pub(crate) adjoint: &'a AdjointSums,
     pub(crate) channel: usize,
     pub(crate) line: usize,
     pub(crate) step: LineStep<'b>,
@@ -84,18 +92,18 @@ pub(crate) struct StepLine<'a, 'b> {
 }
 
 impl StepLine<'_, '_> {
-    /// Steps.
+    /// Copies the line's sums from the planes and steps its pixels.
     pub(crate) fn update(self) -> Outcome {
-        let Self { pulled, channel, line, mut step, functions, block, sums } = self;
+        let Self { adjoint, channel, line, mut step, functions, block, sums } = self;
         let columns = step.columns.clone();
-        for (plane, row) in pulled.planes.iter().zip(sums.chunks_exact_mut(step.stride)) {
+        for (plane, row) in adjoint.planes.iter().zip(sums.chunks_exact_mut(step.stride)) {
             row[columns.clone()].copy_from_slice(&plane[channel][line * columns.len()..][..columns.len()]);
         }
         Outcome { gain: step.by_sums(functions, sums, block), ..Outcome::default() }
     }
 }
 
-/// Tied channels begin equal: at their mean.
+/// Sets tied channels to their mean, since they are one value.
 pub(crate) fn tie(stored: &mut Factor) {
     let (left, right) = stored.values.split_at_mut(stored.layout.stored_lines() * stored.layout.line_len());
     let (middle, right) = right.split_at_mut(left.len());
@@ -105,11 +113,12 @@ pub(crate) fn tie(stored: &mut Factor) {
     }
 }
 
-/// What rays meet of the stored values.
-pub(crate) fn respond(response: &Response, stored: &Factor, met: &mut Aligned) {
+/// Computes the values that rays read, F = A f.
+pub(crate) fn respond(response: &Response, stored: &Factor, effective: &mut Aligned) {
     let layout = &stored.layout;
     let (rows, cols) = (layout.lines(), layout.cols());
     let mix = response.mix();
+    // filter and blur each channel of a frame
     let frame_of = |frame: usize| -> [Vec<f32>; 3] {
         let (mut plane, mut scratch) = (vec![0.0; rows * cols], Vec::new());
         [0, 1, 2].map(|channel: usize| {
@@ -124,9 +133,10 @@ pub(crate) fn respond(response: &Response, stored: &Factor, met: &mut Aligned) {
             blurred
         })
     };
+    // then mix the channels of each pixel into the lines that rays read
     let frames: Vec<[Vec<f32>; 3]> = bands::map(layout.frames, || (), |(), frame| frame_of(frame));
     bands::for_each_chunk(
-        met,
+        effective,
         layout.line_len(),
         || (),
         |(), index, values| {

@@ -1,4 +1,4 @@
-//! Rows of the target, as they are kept.
+//! Rows of the target in their stored form.
 
 use std::ops::Range;
 
@@ -14,7 +14,7 @@ pub enum Row<'a> {
 }
 
 impl<'a> Row<'a> {
-    /// Some columns.
+    /// Returns a range of columns; the row is padded.
     #[inline(always)]
     pub(crate) fn part(self, cols: Range<usize>) -> Self {
         let part = PAD + cols.start..PAD + cols.end;
@@ -25,10 +25,10 @@ impl<'a> Row<'a> {
     }
 }
 
-/// The first of three pixels next to each other, and the share of each in a mean.
+/// A mean over three neighbouring pixels: the first of them, and the share of each.
 pub(crate) type Cover = (usize, [f32; 3]);
 
-/// A row that is written.
+/// A row to be written.
 pub(crate) enum RowMut<'a> {
     Half(&'a mut [u16]),
     Float(&'a mut [f32]),

@@ -1,5 +1,7 @@
-//! Loops along one row, each a small function compiled for the instruction set: reading a factor by its map, adding to a line's sums, and plain
-//! arithmetic. The compiler makes their vectors; no result depends on the instruction set.
+//! Loops along one row, each a small function compiled per instruction set.
+//!
+//! They read a factor by its map, add to a line's sums, and do plain arithmetic. The compiler
+//! vectorizes them; no result depends on the instruction set.
 
 use std::marker::PhantomData;
 use std::ops::{AddAssign, Mul, Range};
@@ -9,7 +11,7 @@ use lumistack_simd::{Backend, Function, Kernel, Lanes, float_from_half, nearest_
 use crate::map::{Access, ColumnTaps};
 use crate::row::{Cover, Row, RowMut};
 
-/// The functions of one instruction set. None makes demands on its arguments that are not checked.
+/// The functions of one instruction set. They check their arguments themselves.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RowFunctions {
     read: Function<Read<false>>,
@@ -24,7 +26,8 @@ pub(crate) struct RowFunctions {
     add_products: Function<AddProducts>,
 }
 
-// SAFETY of every block below: the kernels make no demands beyond the instruction set, which the functions were chosen for
+// SAFETY of every block below: the kernels demand only the instruction set for which `new` chose
+// them
 #[expect(clippy::undocumented_unsafe_blocks, reason = "one reason for all, above")]
 impl RowFunctions {
     pub(crate) fn new(backend: Backend) -> Self {
@@ -52,42 +55,47 @@ impl RowFunctions {
         unsafe { (self.multiply)((from, to)) }
     }
 
-    /// Adds a·b of every ray to the pixels that it reads, by their shares; rays that miss the line add to the padding, which is never read.
+    /// Adds a·b of every ray to the pixels that it reads, by their shares.
+    ///
+    /// Rays that miss the line add to the padding, which no step reads.
     pub(crate) fn scatter(&self, x: &ColumnTaps, run: &Range<usize>, a: &[f32], b: &[f32], sums: &mut [f32]) {
         unsafe { (self.scatter)((x, run, a, b, sums)) }
     }
 
-    /// [`scatter`](Self::scatter) into sums of 64 bits.
+    /// As [`scatter`](Self::scatter), with sums in f64.
     pub(crate) fn scatter_long(&self, x: &ColumnTaps, run: &Range<usize>, a: &[f32], b: &[f32], sums: &mut [f64]) {
         unsafe { (self.scatter_long)((x, run, a, b, sums)) }
     }
 
-    /// value · share · w; `root_weights` is √w.
+    /// Writes values · share · w; `root_weights` is √w.
     pub(crate) fn weigh(&self, values: &[f32], share: f32, root_weights: Option<&[f32]>, to: &mut [f32]) {
         unsafe { (self.weigh)((values, share, root_weights, to)) }
     }
 
-    /// βL of the first columns of a row of the target.
+    /// Writes βL of the first columns of a row of the target.
     pub(crate) fn radiance(&self, row: Row, brightness: f32, to: &mut [f32]) {
         unsafe { (self.radiance)((row, brightness, to)) }
     }
 
-    /// A row of coarser pixels: means of rows by their shares, then of the pixels that each covers. `mixed` has two values more than the rows.
+    /// Writes one row of coarser pixels: the weighted mean of `rows`, then the mean over the
+    /// columns that each pixel covers.
+    ///
+    /// `mixed` is scratch, two values longer than the rows.
     pub(crate) fn average(&self, rows: &[(Row, f32)], cols: &[Cover], mixed: &mut [f32], to: RowMut) {
         unsafe { (self.average)((rows, cols, mixed, to)) }
     }
 
-    /// (1 − t)·first + t·second.
+    /// Writes (1 − t)·first + t·second.
     pub(crate) fn mix(&self, rows: [&[f32]; 2], t: f32, to: &mut [f32]) {
         unsafe { (self.mix)((rows, t, to)) }
     }
 
-    /// sum + value.
+    /// Adds `values` to `sum`.
     pub(crate) fn add(&self, sum: &mut [f32], values: &[f32]) {
         unsafe { (self.add)((sum, values)) }
     }
 
-    /// sum + a·b.
+    /// Adds a·b to `sum`.
     pub(crate) fn add_products(&self, sum: &mut [f32], a: &[f32], b: &[f32]) {
         unsafe { (self.add_products)((sum, a, b)) }
     }
@@ -100,7 +108,7 @@ pub(crate) struct Reading<'a> {
     pub(crate) run: &'a Range<usize>,
     /// The row that the rays read.
     pub(crate) upper: &'a [f32],
-    /// A second row, and its weight.
+    /// A second row with its weight, for bilinear sampling.
     pub(crate) lower: Option<(&'a [f32], f32)>,
 }
 
@@ -108,6 +116,7 @@ fn mix(a: f32, b: f32, t: f32) -> f32 {
     a + t * (b - a)
 }
 
+/// Reads a factor along rays, and writes or multiplies.
 struct Read<const MULTIPLY: bool>;
 
 impl<const MULTIPLY: bool> Kernel for Read<MULTIPLY> {
@@ -117,6 +126,7 @@ impl<const MULTIPLY: bool> Kernel for Read<MULTIPLY> {
     #[inline(always)]
     unsafe fn run<V: Lanes>((Reading { x, run, upper, lower }, to): Self::Args<'_>) {
         let put = |to: &mut f32, value: f32| if MULTIPLY { *to *= value } else { *to = value };
+        // each piece of a run has one kind of access, so its loop has no branches
         for (cols, access) in x.pieces_within(run) {
             let to = &mut to[cols.start - run.start..cols.end - run.start];
             let len = to.len();
@@ -160,6 +170,7 @@ impl<const MULTIPLY: bool> Kernel for Read<MULTIPLY> {
     }
 }
 
+/// [`RowFunctions::scatter`] with sums of type T.
 struct Scatter<T>(PhantomData<T>);
 
 impl<T: Copy + From<f32> + AddAssign + Mul<Output = T> + 'static> Kernel for Scatter<T> {

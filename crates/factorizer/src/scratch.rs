@@ -1,4 +1,4 @@
-//! Buffers of loops along rows, for one thread.
+//! Buffers of the loops along rows, for one thread.
 
 use crate::factor::PAD;
 use crate::plan::Plan;
@@ -8,27 +8,27 @@ use crate::step::{Block, Sums};
 pub(crate) struct Scratch {
     /// a_m, `[frame][column of the run]`.
     pub(crate) product: Vec<f32>,
-    /// Sums of rotations per frame, where layers rotate.
+    /// Per frame, the sum of all layers' rotations; empty unless layers rotate polarization.
     pub(crate) phase: Vec<f32>,
-    /// One factor's values along a run.
+    /// Values of one factor along a run.
     pub(crate) values: Vec<f32>,
     /// L̃ along a run.
     pub(crate) emitted: Vec<f32>,
     /// e along a run.
     pub(crate) errors: Vec<f32>,
-    /// Curvature along a run, where the Gram matrix does not bound it.
+    /// Curvature along a run, for formations whose curvature the Gram matrix does not bound.
     pub(crate) curvature: Vec<f32>,
-    /// Weights times e, L̃, a_m or the curvature.
+    /// e, L̃, a_m or the curvature, times the weights.
     pub(crate) weighted: Vec<f32>,
     /// r and the upper triangle of G, or n and d: `[quantity][x]`.
     pub(crate) sums: Vec<f32>,
-    /// The same while it is added up, where pixels may get very many rays; else empty.
+    /// The same sums in f64 where a pixel may get many rays; else empty.
     pub(crate) long_sums: Vec<f64>,
     pub(crate) block: Block,
 }
 
 impl Scratch {
-    /// For lines of factor `n`.
+    /// Allocates the buffers for lines of factor `n`.
     pub(crate) fn new(plan: &Plan, n: usize) -> Self {
         let frames = plan.frames;
         let row = || vec![0.0; plan.cols + PAD];

@@ -1,70 +1,78 @@
-//! What every solver offers: start on a problem, step, report the objective, hand the patterns back.
+//! The interface of all solvers: start on a problem, step, report the objective, return the
+//! patterns.
 
 use lumistack_core::Cancel;
 use lumistack_display::LayerStack;
 
 use crate::problem::{FactorizeError, Problem};
 
-/// Name of the choice of solver by what the benchmarks show to be best.
+/// Name that selects the solver with the best results in the benchmarks.
 pub const AUTO: &str = "auto";
 
-/// A method that improves patterns iteration by iteration.
+/// An algorithm that finds patterns iteration by iteration.
 pub trait Solver: Sync {
-    /// Name by which it is chosen.
+    /// Name that selects the solver.
     fn name(&self) -> &'static str;
 
-    /// One sentence for people who choose.
+    /// One sentence that helps users choose.
     fn doc(&self) -> &'static str;
 
-    /// Prepares a run that begins at `start`; values outside the solver's box are moved into it.
+    /// Prepares a run from the patterns `start`; clamps their values to the solver's box.
     ///
     /// # Errors
     /// If the problem or the start is unusable.
     fn start<'a>(&self, problem: &Problem<'a>, start: LayerStack) -> Result<Box<dyn Run + 'a>, FactorizeError>;
 }
 
-/// A factorization under way. The patterns may live elsewhere (on a GPU) until they are downloaded.
+/// A factorization in progress. Its patterns may be on a device (a GPU) until they are downloaded.
 pub trait Run {
-    /// One iteration: every factor once.
+    /// Runs one iteration: updates every factor once.
     ///
     /// # Errors
-    /// When cancelled, which is asked for every line of a factor (of a device: for every factor); the patterns so far remain usable. When the device is
-    /// lost; the patterns are lost with it.
+    /// When cancelled; the patterns so far remain usable. The check is made per line of a factor,
+    /// on a device per factor. Also if the device is lost, and the patterns with it.
     fn step(&mut self, cancel: &Cancel) -> Result<(), FactorizeError>;
 
-    /// The objective of the present patterns.
+    /// Computes the objective of the current patterns.
     fn objective(&mut self) -> Objective;
 
-    /// How far the patterns are from the first-order (KKT) conditions: root mean square, over all values, of the change of the emission (root of
-    /// the weighted sum of squares over the rays through the pixel, weights relative to the largest) that an exact coordinate step within the
-    /// box would still make.
-    fn unsettled(&mut self) -> f64;
-
-    /// Ends a run: values that next to no light reaches, and which the objective therefore leaves open, become the darkest that the hardware can show.
-    /// Else a real layer, whose black is not quite black, would leak there. Returns [`unsettled`](Self::unsettled).
+    /// Computes the KKT residual: the distance of the patterns from the first-order conditions.
     ///
-    /// A value counts as unlit where the other layers pass, in its frame and over its rays, at most a ten-thousandth of the brightness (root mean
-    /// square); pixels without a weighted ray keep what they have, since views between the target's may see them.
-    fn settle(&mut self) -> f64;
+    /// It is the root mean square, over all values, of the change of the emission by an exact
+    /// coordinate step within the box. A step's change of the emission is √Σ w ΔL̃² over the rays
+    /// through the pixel, with weights relative to the largest.
+    fn kkt_residual(&mut self) -> f64;
 
-    /// Number of rays with w > 0 that meet the display.
+    /// Ends a run: sets unlit values to the darkest that the hardware shows. Returns the KKT
+    /// residual, see [`kkt_residual`](Self::kkt_residual).
+    ///
+    /// Almost no light reaches an unlit value, so the objective leaves it open. A real layer is not
+    /// quite black and would leak light there. The light is that which the other layers transmit in
+    /// the value's frame, over its rays. At most 10⁻⁴ of the brightness (root mean square) counts
+    /// as unlit. Pixels without a weighted ray keep their values, since views between those of the
+    /// target may see them.
+    fn darken_unlit(&mut self) -> f64;
+
+    /// Number of rays with w > 0 that hit all layers.
     fn rays(&self) -> u64;
 
-    /// Whether the patterns are still there, and so whether the objective and the patterns last returned were theirs: a device may be lost.
+    /// Checks that the patterns still exist, since a device may be lost. If so, the values that
+    /// this run returned last are valid.
     ///
     /// # Errors
-    /// If they are not.
+    /// If the patterns are lost.
     fn check(&self) -> Result<(), FactorizeError>;
 
-    /// The present patterns.
+    /// Returns the current patterns.
     fn download(&mut self) -> LayerStack;
 }
 
-/// How far patterns are from the target.
+/// Distance of patterns from the target.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Objective {
     /// Σ w (βL − L̃)² over all rays and channels (eq. 27).
     pub value: f64,
-    /// PSNR in dB of L̃/β against L, peak 1, over all rays with w > 0 and all channels; NaN when no ray counts.
+    /// PSNR in dB of L̃/β against L, peak 1, over all rays with w > 0 and all channels; NaN without
+    /// such a ray.
     pub psnr_view: f64,
 }

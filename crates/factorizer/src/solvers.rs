@@ -10,31 +10,31 @@ use crate::prepared::Prepared;
 use crate::problem::{FactorizeError, Problem};
 use crate::solver::{AUTO, Run, Solver};
 
-/// All of them.
+/// All solvers, by their internal interface.
 static METHODS: [&dyn Method; 3] = [&Multiplicative, &BlockExact, &Extrapolated];
 
-/// All solvers.
+/// Returns all solvers.
 pub fn solvers() -> &'static [&'static dyn Solver] {
     &[&Multiplicative, &BlockExact, &Extrapolated]
 }
 
-/// All names by which a solver is chosen; the first is [`AUTO`].
+/// Returns all names that select a solver; the first is [`AUTO`].
 pub fn solver_names() -> impl Iterator<Item = &'static str> {
     std::iter::once(AUTO).chain(solvers().iter().map(|solver| solver.name()))
 }
 
-/// The solver of a name; [`AUTO`] is the best known.
+/// Returns the solver of a name; [`AUTO`] selects the best one.
 ///
 /// # Errors
-/// If there is none; the error lists all names.
+/// If no solver has this name; the error lists all names.
 pub fn solver(name: &str) -> Result<&'static dyn Solver, FactorizeError> {
     method(name).map(|method| method as &dyn Solver)
 }
 
-/// [`Solver::start`] of the solver of a name, by an executor.
+/// Runs [`Solver::start`] of the named solver on an executor.
 ///
 /// # Errors
-/// As [`solver`] and [`Solver::start`], and where the executor cannot do this.
+/// As [`solver`] and [`Solver::start`], and if the executor cannot solve the problem.
 pub fn start_on(
     executor: &dyn Executor,
     name: &str,
@@ -44,7 +44,7 @@ pub fn start_on(
     Ok(method(name)?.begin(Prepared::new(problem, start, executor)?)?)
 }
 
-/// [`solver`], as this crate sees it.
+/// As [`solver`], by the internal interface.
 pub(crate) fn method(name: &str) -> Result<&'static dyn Method, FactorizeError> {
     let name = if name == AUTO { Extrapolated.name() } else { name };
     METHODS.into_iter().find(|method| method.name() == name).ok_or_else(|| FactorizeError::UnknownSolver {

@@ -1,4 +1,5 @@
-//! Where a run begins. Frames that start equal stay equal, and an exact 0 can never grow again under a multiplicative rule.
+//! Starting patterns. Frames that start equal stay equal, and a multiplicative rule never changes
+//! an exact 0.
 
 use lumistack_core::seed::{Stream, derive};
 use lumistack_display::{Display, Formation, Layer, LayerStack};
@@ -6,23 +7,23 @@ use lumistack_display::{Display, Formation, Layer, LayerStack};
 use crate::bands;
 use crate::expand::{Rays, wanted};
 use crate::line::LineOf;
-use crate::plan::{Cut, Plan};
+use crate::plan::{Plan, TilePlace};
 
-/// Smallest value of a pattern: solvers whose rule multiplies never go below it.
+/// Least value of a start, and of solvers with a multiplicative rule.
 pub const FLOOR: f32 = 1e-4;
 
-/// How starting patterns are made.
+/// Kind of start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum StartKind {
-    /// Every value of every frame independently uniform in [`FLOOR`]..1. The paper does not state its start; narrower ranges gain a few
-    /// tenths of a dB in the first updates and change the ranking of no method.
+    /// Independent uniform noise in [`FLOOR`]..1. The paper does not state its start. Narrower
+    /// ranges gain a few tenths of a dB in the first updates and change the ranking of no solver.
     #[default]
     Random,
-    /// The same noise, blurred by 1.5 pixels and stretched to the same range: neighbouring rays see nearly the same, so that the
-    /// first updates are not spent on smoothing.
+    /// The same noise, blurred by 1.5 pixels and stretched to the same range. Neighbouring rays
+    /// then see nearly the same, so the first updates need not smooth.
     Smooth,
-    /// Every pixel begins where N equal factors emit the mean of βL over its rays (its N-th root where layers attenuate), times smooth noise per
-    /// frame.
+    /// The value at which N equal factors emit the mean of βL over the pixel's rays, times smooth
+    /// noise per frame. Where layers attenuate, it is the N-th root of the mean.
     Content,
 }
 
@@ -31,17 +32,17 @@ impl StartKind {
     pub const ALL: [(&'static str, Self); 3] =
         [("random", Self::Random), ("smooth", Self::Smooth), ("content", Self::Content)];
 
-    /// All names by which a start is chosen; the first is [`AUTO`](crate::AUTO).
+    /// Returns all names that select a start; the first is [`AUTO`](crate::AUTO).
     pub fn names() -> impl Iterator<Item = &'static str> {
         std::iter::once(crate::AUTO).chain(Self::ALL.iter().map(|(name, _)| *name))
     }
 
-    /// The kind of a name.
+    /// Returns the kind of a name; `None` if no kind has it.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.iter().find(|(known, _)| *known == name).map(|(_, kind)| *kind)
     }
 
-    /// Its name.
+    /// Returns the name.
     pub fn name(self) -> &'static str {
         match self {
             Self::Random => "random",
@@ -50,7 +51,7 @@ impl StartKind {
         }
     }
 
-    /// One sentence for people who choose.
+    /// One sentence that helps users choose.
     pub fn doc(self) -> &'static str {
         match self {
             Self::Random => "Independent uniform noise.",
@@ -62,27 +63,37 @@ impl StartKind {
 
 /// Standard deviation of the blur of smooth noise, pixels.
 const NOISE_BLUR_PX: f64 = 1.5;
-/// Between which multiples of its level a pixel of a content start begins, over frames. Narrow noise starts closer (20 dB) and still lets frames part.
-/// Measured after 5 iterations (3 layers, 6 frames, β = 0.2 and 1): 0.8..1.2 reaches 30.0 and 25.8 dB, 0.4..1.4 29.3 and 25.3, 0..1 26.0 and 24.2.
+/// Range of the noise by which a content start multiplies its level.
+///
+/// Narrow noise starts closer (20 dB) and still lets frames diverge. PSNR measured after 5
+/// iterations (3 layers, 6 frames, β = 0.2 and 1):
+///
+/// | range | β = 0.2 | β = 1 |
+/// |---|---|---|
+/// | 0.8..1.2 | 30.0 dB | 25.8 dB |
+/// | 0.4..1.4 | 29.3 dB | 25.3 dB |
+/// | 0..1 | 26.0 dB | 24.2 dB |
 pub(crate) const CONTENT_NOISE: [f32; 2] = [0.8, 1.2];
 
-/// Patterns to start from; the same for the same problem, kind and seed.
+/// Makes starting patterns. The same problem, kind and seed give the same patterns.
 pub(crate) fn start_patterns(plan: &Plan, display: &Display, kind: StartKind, seed: u64) -> LayerStack {
-    let mut stack = noise(display, seed, plan.cut.as_ref());
+    let mut stack = noise(display, seed, plan.tile.as_ref());
     if kind == StartKind::Random {
         return stack;
     }
-    let spread = Layer { blur_px: NOISE_BLUR_PX, ..display.layers[0].clone() }.response();
+    // blur the noise and stretch it to the full range
+    let response = Layer { blur_px: NOISE_BLUR_PX, ..display.layers[0].clone() }.response();
     for_each_plane(&mut stack, |plane, rows, cols, [blurred, scratch]| {
         blurred.resize(plane.len(), 0.0);
-        if let Some(spread) = &spread {
-            spread.blur(rows, cols, plane, blurred, scratch);
+        if let Some(response) = &response {
+            response.blur(rows, cols, plane, blurred, scratch);
             plane.copy_from_slice(blurred);
         }
         let range = plane.iter().fold((f32::MAX, f32::MIN), |(low, high), &v| (low.min(v), high.max(v)));
         let scale = (1.0 - FLOOR) / (range.1 - range.0).max(f32::MIN_POSITIVE);
         plane.iter_mut().for_each(|value| *value = FLOOR + (*value - range.0) * scale);
     });
+    // scale the noise by the level of each pixel
     if kind == StartKind::Content {
         let factors = plan.maps.len() as f32;
         for (n, values) in parts(&mut stack).enumerate() {
@@ -99,7 +110,7 @@ pub(crate) fn start_patterns(plan: &Plan, display: &Display, kind: StartKind, se
     stack
 }
 
-/// The value that all of so many factors must have to emit `mean`.
+/// Returns the value that `factors` equal factors need to emit `mean`.
 pub(crate) fn level(formation: Formation, mean: f32, factors: f32) -> f32 {
     match formation {
         Formation::Attenuating => mean.powf(1.0 / factors),
@@ -108,13 +119,13 @@ pub(crate) fn level(formation: Formation, mean: f32, factors: f32) -> f32 {
     }
 }
 
-/// Patterns of [`StartKind::Random`].
+/// Returns patterns of [`StartKind::Random`].
 pub fn random_start(display: &Display, seed: u64) -> LayerStack {
     noise(display, seed, None)
 }
 
-/// [`random_start`], of a tile the part of that of the whole.
-fn noise(display: &Display, seed: u64, cut: Option<&Cut>) -> LayerStack {
+/// As [`random_start`]; for a tile, its part of the whole display's noise.
+fn noise(display: &Display, seed: u64, tile: Option<&TilePlace>) -> LayerStack {
     let mut stack = LayerStack::filled(display, 0.0);
     let sizes = sizes(&stack);
     let mut parts: Vec<&mut [f32]> = parts(&mut stack).collect();
@@ -125,7 +136,9 @@ fn noise(display: &Display, seed: u64, cut: Option<&Cut>) -> LayerStack {
         |(), part, values| {
             let stream = Stream::new(derive(seed, &[part as u64]));
             let size @ [rows, cols] = sizes[part];
-            let [first, whole] = cut.map_or([[0, 0], size], |cut| cut.place[part]);
+            let [first, whole] = tile.map_or([[0, 0], size], |tile| tile.place[part]);
+            // every row has its place in the random stream of the whole, so tiles get the same
+            // noise
             for (index, line) in values[0].chunks_exact_mut(3 * cols).enumerate() {
                 let (plane, row) = (index / rows, index % rows);
                 let pixel = (plane * whole[0] + first[0] + row) * whole[1] + first[1];
@@ -138,19 +151,19 @@ fn noise(display: &Display, seed: u64, cut: Option<&Cut>) -> LayerStack {
     stack
 }
 
-/// Rows and columns of a plane of every layer, and of the lenslets.
+/// Rows and columns of a plane, per layer, then of the lenslets.
 fn sizes(stack: &LayerStack) -> Vec<[usize; 2]> {
     let layers = stack.layers.iter().map(|layer| [layer.shape()[1], layer.shape()[2]]);
     layers.chain(stack.emission.iter().map(|emission| [emission.shape()[3], emission.shape()[4]])).collect()
 }
 
-/// Layers, then the backlight.
+/// The values of the layers, then of the backlight.
 fn parts(stack: &mut LayerStack) -> impl Iterator<Item = &mut [f32]> {
     let layers = stack.layers.iter_mut().map(|layer| layer.data_mut());
     layers.chain(stack.emission.iter_mut().map(|emission| emission.data_mut()))
 }
 
-/// Hands every picture of one frame (and angular bin) in one channel to `change`, with its rows and columns and two buffers to use.
+/// Calls `change(plane, rows, cols, buffers)` for every plane: one frame, angular bin and channel.
 fn for_each_plane(stack: &mut LayerStack, change: impl Fn(&mut [f32], usize, usize, &mut [Vec<f32>; 2]) + Sync + Send) {
     let sizes = sizes(stack);
     for (values, [rows, cols]) in parts(stack).zip(sizes) {
@@ -171,7 +184,7 @@ fn for_each_plane(stack: &mut LayerStack, change: impl Fn(&mut [f32], usize, usi
     }
 }
 
-/// Sum of βL over the rays through every pixel of a line, and their number.
+/// Returns Σ βL over the rays through every pixel of a line, and the number of rays.
 pub(crate) fn line_means(plan: &Plan, at: LineOf) -> Vec<[f32; 2]> {
     let map = &plan.maps[at.factor];
     let layout = &map.layout;
@@ -194,7 +207,8 @@ pub(crate) fn line_means(plan: &Plan, at: LineOf) -> Vec<[f32; 2]> {
     sum[columns.clone()].iter().zip(&count[columns]).map(|(&sum, &count)| [sum, count]).collect()
 }
 
-/// Mean of βL over the rays through every pixel of factor `n`, ordered as a tensor of one frame; where no ray passes, the mean of all pixels.
+/// Returns the mean of βL over the rays through every pixel of factor `n`, ordered as a tensor of
+/// one frame. A pixel without rays gets the mean of all pixels.
 fn mean_target(plan: &Plan, n: usize) -> Vec<f32> {
     let layout = &plan.maps[n].layout;
     let lines = bands::map(

@@ -1,16 +1,17 @@
-//! What a step does with the sums of a pixel: the rules, for one vector of pixels at a time.
+//! The rules of a step: new values of pixels from their sums, one vector of pixels at a time.
 //!
-//! For pixel j of one factor, over the rays r through it, with a_m(r) = ∂L̃/∂(f_m/M) (the other factors' product P_m where layers attenuate) and
-//! e = βL − L̃ before the step:
+//! For pixel j of one factor, all sums are over the rays r through it:
 //!
 //! ```text
+//! a_m(r) = ∂L̃/∂(f_m/M)   where layers attenuate, the product P_m of the other factors
+//! e(r)   = βL − L̃        before the step
+//!
 //! residual   r_m  = Σ w e a_m          Gram     G_mk = Σ w a_m a_k
 //! wanted     n_m  = Σ w βL a_m         emitted  d_m  = Σ w L̃ a_m
 //! ```
 //!
-//! In u = f/M the pixel's part of the objective is the quadratic −2 rᵀδ + δᵀGδ + constant, δ the change of u.
-//!
-//! Sums are kept in units of u, so that no inner loop multiplies by 1/M.
+//! In u = f/M the pixel's part of the objective is the quadratic −2 rᵀδ + δᵀGδ + constant, with δ
+//! the change of u. All sums are in units of u, so no inner loop multiplies by 1/M.
 
 use lumistack_display::quantize;
 use lumistack_simd::{Backend, Kernel, Lanes, MAX_LANES};
@@ -18,40 +19,42 @@ use lumistack_simd::{Backend, Kernel, Lanes, MAX_LANES};
 use crate::aligned::Aligned;
 use crate::vector::{Vector, load as get, store as put};
 
-/// How a pixel's M values follow from its sums.
+/// The computation of a pixel's M new values from its sums.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rule {
-    /// f ← clamp(f·n/d): the paper's rule (eq. 16). n = r + d is summed apart: values may shrink by orders of magnitude in one step, and keep
-    /// their relative precision.
+    /// f ← clamp(f·n/d): the paper's rule (eq. 16).
+    ///
+    /// n is a sum of its own instead of r + d. Values may shrink by orders of magnitude in one
+    /// step, and must keep their relative precision.
     Multiplicative,
-    /// `sweeps` rounds of exact coordinate steps on the quadratic within the box.
+    /// Rounds of exact coordinate steps on the quadratic within the box.
     Block {
-        /// Rounds over the M frames.
+        /// Number of rounds over the M frames.
         sweeps: u32,
     },
-    /// Nothing moves: the gain is Σ δᵀδ G_mm over the coordinate steps δ that could be made, the squared change of the emission.
-    Probe,
-    /// The same gain; values that next to no light reaches become the darkest, see [`crate::Run::settle`].
-    Settle,
+    /// Changes nothing. The gain is the squared change of the emission, Σ_m G_mm δ_m², over the
+    /// coordinate steps δ_m that are still possible.
+    KktResidual,
+    /// The same gain; sets unlit values to the darkest, see [`crate::Run::darken_unlit`].
+    Darken,
 }
 
 impl Rule {
-    /// The sums that the rule needs.
     pub(crate) fn sums(self) -> Sums {
         match self {
             Self::Multiplicative => Sums::Ratio,
             Self::Block { .. } => Sums::Gram,
-            Self::Probe | Self::Settle => Sums::Diagonal,
+            Self::KktResidual | Self::Darken => Sums::Diagonal,
         }
     }
 
-    /// Rounds of coordinate steps.
+    /// Rounds of coordinate steps; 0 for rules without.
     pub(crate) fn sweeps(self) -> u32 {
         if let Self::Block { sweeps } = self { sweeps } else { 0 }
     }
 }
 
-/// The sums of a pixel.
+/// The sums that a rule needs, per pixel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Sums {
     /// n and d.
@@ -63,50 +66,52 @@ pub(crate) enum Sums {
 }
 
 impl Sums {
-    /// How many there are per pixel: the first M, then the others, of G its upper triangle.
+    /// Number of sums per pixel: M of r or n first, then the others. G counts as its
+    /// upper triangle.
     pub(crate) fn count(self, frames: usize) -> usize {
         if self == Self::Gram { frames + frames * (frames + 1) / 2 } else { 2 * frames }
     }
 }
 
-/// Which values a factor may take where they are few.
+/// The levels of a factor whose panel has few bits.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Levels {
-    /// The levels, rising.
+    /// The levels, in rising order.
     pub(crate) values: Vec<f32>,
-    /// Per frame.
+    /// Constraint of each frame.
     pub(crate) frames: Vec<Freedom>,
 }
 
-/// How a frame's values may move.
+/// Constraint on the values of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Freedom {
-    /// Anywhere in the box.
+    /// Any value in the box.
     Free,
-    /// From level to level.
+    /// Levels alone.
     Levels,
 }
 
-/// The smallest diagonal of a Gram matrix; what is less is a pixel that next to no light reaches, and any value of it is as good until
-/// [`Rule::Settle`] makes it dark.
+/// Least diagonal entry of a Gram matrix. A smaller one belongs to a pixel that almost no light
+/// reaches. Its value is arbitrary until [`Rule::Darken`] darkens it.
 const LEAST_CURVATURE: f32 = 1e-30;
 
 /// Sums and values of one vector of pixels, `[frame][lane]`.
 pub(crate) struct Block {
     pub(crate) frames: usize,
-    /// r, or n.
+    /// r or n.
     pub(crate) residual: Aligned,
-    /// d, or G_mm, or M/G_mm while solving in memory.
+    /// d or G_mm; during a descent M/G_mm.
     pub(crate) emitted: Aligned,
-    /// G, `[frame][frame][lane]`; the upper triangle is given.
+    /// G, `[frame][frame][lane]`; the upper triangle is the input.
     pub(crate) gram: Aligned,
     /// f.
     pub(crate) values: Aligned,
     /// r before the step.
     before: Aligned,
-    /// Change of u.
+    /// δ, the change of u.
     change: Aligned,
-    /// By how much the last step lowers the objective, per lane, in weights relative to the largest; 0 by the multiplicative rule, which does not know.
+    /// Decrease of the objective by the last step, per lane, with weights relative to the largest.
+    /// The multiplicative rule does not compute it and leaves 0.
     pub(crate) gain: Vector,
 }
 
@@ -133,23 +138,26 @@ impl Block {
                 let at = m * V::COUNT;
                 let (f, n, d) = (get::<V>(&self.values, at), get::<V>(&self.residual, at), get::<V>(&self.emitted, at));
                 let moved = f.mul(n.div(d)).max(V::splat(low)).min(V::splat(high));
-                // where d is 0 (below f32's normal range) the value is left alone
+                // below f32's normal range d counts as 0, and the value stays
                 put(moved.where_else(V::splat(f32::MIN_POSITIVE).below(d), f), &mut self.values, at);
             }
             V::splat(0.0)
         }
     }
 
-    /// Every coordinate step waits for the one before: through registers that takes 5 instructions' latencies, through memory three times as long. Two vectors
-    /// side by side do not fit into registers and gained nothing; to keep each frame's best value up to date instead of r gained 6 % of an update, but lost
-    /// digits where G is nearly singular.
+    /// Coordinate descent with values and r in registers.
+    ///
+    /// Every coordinate step waits for the one before: 5 instructions' latencies through registers,
+    /// three times as long through memory. Two vectors side by side do not fit into registers and
+    /// gained nothing. To update each frame's best value instead of r gained 6 % of an update, but
+    /// lost digits where G is nearly singular.
     #[inline(always)]
     unsafe fn descend_in_registers<V: Lanes, const M: usize>(&mut self, sweeps: u32, [low, high]: [f32; 2]) -> V {
         let n = V::COUNT;
         // SAFETY: see `kernel`
         unsafe {
             let (low, high, mean) = (V::splat(low), V::splat(high), V::splat(1.0 / M as f32));
-            // G/M in the upper triangle, M/G_mm apart
+            // store G/M in the upper triangle and M/G_mm, so that the rounds have no divisions
             for m in 0..M {
                 for k in m + 1..M {
                     let g = get::<V>(&self.gram, (m * M + k) * n).mul(mean);
@@ -158,6 +166,7 @@ impl Block {
                 let curvature = get::<V>(&self.gram, (m * M + m) * n).max(V::splat(LEAST_CURVATURE));
                 put(V::splat(M as f32).div(curvature), &mut self.emitted, m * n);
             }
+            // rounds of coordinate steps: move u_m to its clamped minimum, then update r
             let start: [V; M] = std::array::from_fn(|m| get::<V>(&self.values, m * n));
             let before: [V; M] = std::array::from_fn(|m| get::<V>(&self.residual, m * n));
             let (mut values, mut residual) = (start, before);
@@ -174,7 +183,7 @@ impl Block {
                     }
                 }
             }
-            // −2 rᵀδ + δᵀGδ = −(r + r')ᵀδ with r' = r − Gδ
+            // the gain, by −2 rᵀδ + δᵀGδ = −(r + r')ᵀδ with r' = r − Gδ
             let mut gain = V::splat(0.0);
             for m in 0..M {
                 gain = before[m].add(residual[m]).mul_add(values[m].sub(start[m]).mul(mean), gain);
@@ -184,6 +193,7 @@ impl Block {
         }
     }
 
+    /// As [`Self::descend_in_registers`], for any number of frames.
     #[inline(always)]
     unsafe fn descend_in_memory<V: Lanes>(&mut self, sweeps: u32, [low, high]: [f32; 2]) -> V {
         let n = V::COUNT;
@@ -191,6 +201,7 @@ impl Block {
         // SAFETY: see `kernel`
         unsafe {
             let (low, high, mean) = (V::splat(low), V::splat(high), V::splat(1.0 / frames as f32));
+            // mirror G, so that the rounds read its rows in order
             for m in 0..frames {
                 for k in 0..m {
                     let mirrored = get::<V>(&self.gram, (k * frames + m) * n);
@@ -201,6 +212,7 @@ impl Block {
                 put(get::<V>(&self.residual, m * n), &mut self.before, m * n);
                 put(V::splat(0.0), &mut self.change, m * n);
             }
+            // the rounds, as in registers
             for _ in 0..sweeps {
                 for m in 0..frames {
                     let f = get::<V>(&self.values, m * n);
@@ -219,6 +231,7 @@ impl Block {
                     }
                 }
             }
+            // the gain, as in registers
             let mut gain = V::splat(0.0);
             for m in 0..frames {
                 let both = get::<V>(&self.before, m * n).add(get::<V>(&self.residual, m * n));
@@ -228,7 +241,8 @@ impl Block {
         }
     }
 
-    /// Coordinate steps where some frames move between levels: the level nearest to the minimum of a coordinate's parabola is the best one.
+    /// Coordinate steps for values on levels. The level nearest to the minimum of a coordinate's
+    /// parabola is the best one.
     #[inline(always)]
     unsafe fn descend_levels<V: Lanes>(&mut self, sweeps: u32, [low, high]: [f32; 2], levels: &Levels) -> V {
         let (n, frames) = (V::COUNT, self.frames);
@@ -257,10 +271,10 @@ impl Block {
         unsafe { V::load(gains.as_ptr()) }
     }
 
-    /// Sets to `low` each value whose frame passes so little light through the other factors that Σ w a_m² is at most that lane's limit. A negative limit leaves
-    /// all values of a lane alone.
+    /// Sets unlit values to `low`: those with Σ w a_m² at most the limit of their lane.
     ///
-    /// Once per solve, so no vectors: inlined into the kernels, it cost every update a fifth.
+    /// A negative limit exempts a lane. It runs once per solve, so it has no vector code. Inlined
+    /// into the kernels it cost every update a fifth.
     #[cold]
     #[inline(never)]
     pub(crate) fn darken(&mut self, lanes: usize, limits: &[f32], low: f32) {
@@ -275,22 +289,23 @@ impl Block {
         }
     }
 
-    /// Takes the step back in the lanes of fixed pixels, whose values before it are `met`, frames `stride` apart.
+    /// Restores the values `old` from before the step in the lanes of fixed pixels. `old` has one
+    /// row per frame, `stride` apart.
     ///
-    /// Only for borders of tiles, so no vectors either.
+    /// Only borders of tiles need it, so it has no vector code.
     #[cold]
     #[inline(never)]
-    pub(crate) fn keep(&mut self, lanes: usize, fixed: &[bool], met: &[f32], stride: usize) {
+    pub(crate) fn restore_fixed(&mut self, lanes: usize, fixed: &[bool], old: &[f32], stride: usize) {
         for (lane, _) in fixed.iter().enumerate().filter(|(_, fixed)| **fixed) {
             for m in 0..self.frames {
-                self.values[m * lanes + lane] = met[m * stride + lane];
+                self.values[m * lanes + lane] = old[m * stride + lane];
             }
             self.gain[lane] = 0.0;
         }
     }
 
     #[inline(always)]
-    unsafe fn unsettled<V: Lanes>(&mut self, [low, high]: [f32; 2]) -> V {
+    unsafe fn kkt_residual<V: Lanes>(&mut self, [low, high]: [f32; 2]) -> V {
         let (n, frames) = (V::COUNT, self.frames);
         // SAFETY: see `kernel`
         unsafe {
@@ -307,7 +322,7 @@ impl Block {
     }
 }
 
-/// One vector of pixels, to be moved within `range` by the rule.
+/// One vector of pixels and the limits of its step.
 pub(crate) struct Step<'a> {
     pub(crate) block: &'a mut Block,
     /// Rounds over the frames.
@@ -316,14 +331,16 @@ pub(crate) struct Step<'a> {
     pub(crate) levels: Option<&'a Levels>,
 }
 
-/// Moves the values of a block whose sums are known, and leaves the gain there. The block's number of frames must be the function's.
+/// Steps the values of a block by its sums and writes the gain to the block. The block's number of
+/// frames must be that of the function.
 pub(crate) type StepFunction = for<'a> unsafe fn(Step<'a>);
 
-/// The function for an instruction set and a case; `levels` says whether some frames keep to levels.
+/// Returns the function for an instruction set, a rule and a number of frames. `levels`: some
+/// frames are confined to levels.
 pub(crate) fn step_function(backend: Backend, rule: Rule, levels: bool, frames: usize) -> StepFunction {
     match (rule, levels, frames) {
         (Rule::Multiplicative, ..) => backend.function::<Multiply>(),
-        (Rule::Probe | Rule::Settle, ..) => backend.function::<Unsettled>(),
+        (Rule::KktResidual | Rule::Darken, ..) => backend.function::<KktResidual>(),
         (Rule::Block { .. }, true, _) => backend.function::<DescendLevels>(),
         (Rule::Block { .. }, false, 1) => backend.function::<Descend<1>>(),
         (Rule::Block { .. }, false, 2) => backend.function::<Descend<2>>(),
@@ -337,7 +354,7 @@ pub(crate) fn step_function(backend: Backend, rule: Rule, levels: bool, frames: 
     }
 }
 
-/// A kernel of one method of [`Block`].
+/// Defines a kernel that calls one method of [`Block`].
 macro_rules! kernel {
     ($name:ident $(<const $frames:ident>)?, |$step:ident| $method:ident::<V $(, $arg:ident)?>($($value:expr),*)) => {
         struct $name $(<const $frames: usize>)?;
@@ -348,7 +365,8 @@ macro_rules! kernel {
 
             #[inline(always)]
             unsafe fn run<V: Lanes>($step: Step<'_>) {
-                // SAFETY: passed on from the caller; every buffer holds `frames` (or frames²) vectors of at most MAX_LANES values
+                // SAFETY: guaranteed by the caller; every buffer holds `frames` (or frames²)
+                // vectors of at most MAX_LANES values
                 unsafe {
                     let gain = $step.block.$method::<V $(, $arg)?>($($value),*);
                     put(gain, &mut $step.block.gain, 0);
@@ -359,7 +377,7 @@ macro_rules! kernel {
 }
 
 kernel!(Multiply, |step| multiply::<V>(step.range));
-kernel!(Unsettled, |step| unsettled::<V>(step.range));
+kernel!(KktResidual, |step| kkt_residual::<V>(step.range));
 kernel!(Descend<const M>, |step| descend_in_registers::<V, M>(step.sweeps, step.range));
 kernel!(DescendInMemory, |step| descend_in_memory::<V>(step.sweeps, step.range));
 

@@ -1,8 +1,9 @@
-//! One colour channel of a display that is too large to hold everything: the target stays where it lies (a mapped file) and is read row by row, the
-//! patterns exist once, and leave row by row.
+//! One colour channel of a display that is larger than memory.
 //!
-//! Channels are independent, so a colour display is three such problems, one after another. Block-exact steps without extrapolation, which
-//! would need the patterns a second time.
+//! The target stays in its mapped file and is read row by row. The patterns exist once, and are
+//! returned row by row. Channels are independent, so a colour display is three such problems in
+//! sequence. Updates are block-exact without extrapolation, which would need a second copy of the
+//! patterns.
 
 use lumistack_core::seed::{Stream, derive};
 use lumistack_core::{Cancel, Cancelled};
@@ -21,53 +22,55 @@ use crate::{FactorizeError, Objective};
 /// Rounds of coordinate steps per update.
 const SWEEPS: u32 = 2;
 
-/// What one channel takes, bytes.
+/// Storage of one channel, in bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Estimate {
-    /// The target where it lies: half floats.
+    /// The target in its file: half floats.
     pub target: u64,
-    /// Patterns in memory.
+    /// The patterns in memory.
     pub patterns: u64,
-    /// All else in memory, about.
+    /// Estimate of all other memory.
     pub working: u64,
 }
 
 impl Estimate {
-    /// For one channel of a display and the rays of a geometry.
+    /// Estimates the storage of one channel of a display, for the rays of a geometry.
     pub fn of(display: &Display, geometry: &FieldGeometry) -> Self {
         let [view_rows, view_cols] = geometry.grid.views();
         let (views, frames) = ((view_rows * view_cols) as u64, display.frames as u64);
         let (rows, cols) = (geometry.rows as u64, geometry.cols as u64);
         let layer = |[layer_cols, layer_rows]: [usize; 2]| {
-            // lines are padded by the largest shift and two vectors
+            // padding: the largest shift and two vectors per line
             4 * frames * (layer_rows as u64 + 1) * (layer_cols as u64 + cols / 8 + 4 * PAD as u64)
         };
         let mut patterns: u64 = display.layers.iter().map(|l| layer(l.resolution)).sum();
         if let Backlight::Lenslets(b) = &display.backlight {
             patterns += layer([b.lenslets[0] * b.views[0], b.lenslets[1] * b.views[1]]);
         }
-        // ray tables, and per thread the buffers of a line
+        // ray tables, and the buffers of a line per thread
         let tables = display.layers.len() as u64 * (view_rows as u64 * rows + view_cols as u64 * cols) * 32;
         Self { target: 2 * views * rows * cols, patterns, working: tables + (64 << 20) }
     }
 }
 
-/// A factorization of one channel under way.
+/// A factorization of one colour channel in progress.
 pub struct ChannelRun {
     engine: Engine,
 }
 
 impl ChannelRun {
-    /// Begins near the content; target half floats `[view_y][view_x][row][col]`.
+    /// Starts from the content. `target` has half floats in the order `[view_y][view_x][row][col]`.
     ///
     /// # Errors
-    /// If the display makes no sense, layers mix channels or neighbours, or the target has another size or values that are not finite.
+    /// If the display is invalid, if layers mix channels or neighbouring pixels, or if the target
+    /// has another size or values that are not finite.
     pub fn start(
         display: &Display,
         geometry: &FieldGeometry,
         target: LentTarget,
         seed: u64,
     ) -> Result<Self, FactorizeError> {
+        // refuse all that one channel alone cannot have
         display.check()?;
         let [view_rows, view_cols] = geometry.grid.views();
         let count = view_rows * view_cols * geometry.rows * geometry.cols;
@@ -83,6 +86,7 @@ impl ChannelRun {
         if !crate::bands::all(values, |part| part.iter().all(|half| half & EXPONENT != EXPONENT)) {
             return unsuitable("the target has values that are not finite");
         }
+        // start each line from the mean of its rays
         let plan = Plan::with_target(display, geometry, Target::lent(geometry, display.brightness, target));
         let (factors, formation) = (plan.maps.len() as f32, display.formation);
         let start = |plan: &Plan, range: [f32; 2], at: LineOf, values: &mut [f32]| {
@@ -91,10 +95,10 @@ impl ChannelRun {
         Ok(Self { engine: Engine::by_lines(plan, display, start) })
     }
 
-    /// One iteration: every layer, and the backlight, once.
+    /// Runs one iteration: updates every layer and the backlight once.
     ///
     /// # Errors
-    /// When cancelled, which is asked for every line.
+    /// When cancelled; the check is made per line.
     pub fn step(&mut self, cancel: &Cancel) -> Result<(), Cancelled> {
         self.engine.cancel = cancel.clone();
         for n in 0..self.engine.plan().factor_count() {
@@ -104,29 +108,29 @@ impl ChannelRun {
         Ok(())
     }
 
-    /// Ends the run, see [`crate::Run::settle`].
-    pub fn settle(&mut self) -> f64 {
-        self.engine.settle()
+    /// Ends the run; see [`crate::Run::darken_unlit`].
+    pub fn darken_unlit(&mut self) -> f64 {
+        self.engine.darken_unlit()
     }
 
-    /// The objective of the present patterns.
+    /// Computes the objective of the current patterns.
     pub fn objective(&mut self) -> Objective {
         self.engine.objective()
     }
 
-    /// Number of rays that meet the display.
+    /// Number of rays with w > 0 that hit all layers.
     pub fn rays(&self) -> u64 {
         self.engine.plan().rays
     }
 
-    /// Row `line` of layer `n` in frame `frame`; the backlight follows the layers, its lines ordered `[bin_y][lenslet_row]` and its columns
-    /// `[bin_x][lenslet_col]`.
+    /// Returns row `line` of layer `n` in frame `frame`. The backlight follows the layers; its
+    /// lines are ordered `[bin_y][lenslet_row]` and its columns `[bin_x][lenslet_col]`.
     pub fn row(&self, n: usize, frame: usize, line: usize) -> &[f32] {
         self.engine.row(n, 0, line, frame)
     }
 }
 
-/// The content start of one line, with noise that is not blurred.
+/// Fills one line with the content start; its noise is not blurred.
 fn fill_line(
     plan: &Plan,
     at: LineOf,

@@ -1,8 +1,13 @@
-//! One line of one factor where layers do not attenuate: any tables, any number of frames and factors.
+//! Sums of one line of one factor where layers do not attenuate: any tables, any number of frames
+//! and factors.
 //!
-//! For every field row whose rays meet the line and every view column: expand the other factors along the row into a_m (M rows) and the residual
-//! e = βL − L̃, and add w e a_m and w a_m a_k to the line's accumulators, by the share of the ray that a pixel has
-//! ([why shares](crate::spread)). All loops run along columns.
+//! For every field row whose rays hit the line, and for every view column:
+//!
+//! 1. Expand the other factors along the row into a_m (M rows) and the residual e = βL − L̃.
+//! 2. Add w e a_m and w a_m a_k to the line's sums. Pixels share a ray;
+//!    [`scatter`](crate::scatter) has the reason.
+//!
+//! All loops run along columns.
 
 use std::f32::consts::{FRAC_PI_2, PI};
 
@@ -13,13 +18,14 @@ use crate::plan::Plan;
 use crate::scratch::Scratch;
 use crate::step::Sums;
 
-/// One line and what becomes of it.
+/// One line and its update.
 pub(crate) struct SumLine<'a, 'b> {
     pub(crate) plan: &'a Plan,
-    /// The line's own factor is read where layers are mixed with their neighbours.
+    /// The line's own factor is read too, where layers are mixed with their neighbours.
     pub(crate) factors: &'a [Factor],
     pub(crate) at: LineOf,
-    /// Where L̃ is not linear in the values: whether to take the curvature at this point instead of a bound that holds everywhere.
+    /// True for the curvature at the current point instead of the bound that holds everywhere,
+    /// where L̃ is not linear in the values.
     pub(crate) local: bool,
     pub(crate) functions: &'a StepFunctions,
     pub(crate) step: LineStep<'b>,
@@ -27,13 +33,14 @@ pub(crate) struct SumLine<'a, 'b> {
 }
 
 impl SumLine<'_, '_> {
-    /// Sums and steps.
+    /// Sums the line's rays and steps its pixels.
     pub(crate) fn update(self) -> Outcome {
         let Self { plan, factors, at, local, functions, mut step, scratch } = self;
         scratch.sums.fill(0.0);
         scratch.long_sums.fill(0.0);
         let error = add_line(plan, factors, at, step.rule.sums(), local, scratch);
         let Scratch { sums, long_sums, block, .. } = scratch;
+        // the step reads f32, so long sums are rounded once, at their end
         if !plan.maps[at.factor].short_sums {
             sums.iter_mut().zip(long_sums).for_each(|(to, sum)| *to = *sum as f32);
         }
@@ -41,7 +48,7 @@ impl SumLine<'_, '_> {
     }
 }
 
-/// Adds all rays of a line to its accumulators; returns Σ w e² by shares.
+/// Adds all rays of a line to its sums; returns Σ w e², each ray by its share in the line.
 fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bool, scratch: &mut Scratch) -> f64 {
     let map = &plan.maps[at.factor];
     let (frames, stride) = (plan.frames, map.layout.stride);
@@ -51,6 +58,7 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bo
             for view_x in 0..plan.views[1] {
                 for run in &plan.runs[view_x] {
                     let rays = Rays { channel: at.channel, view: [view_y, view_x], row: row as usize, run };
+                    // the coefficients a_m and the emission L̃ of these rays
                     coefficients(plan, factors, Some(at.factor), &rays, scratch);
                     let len = run.len();
                     let weights = plan.target.weights(plan.view(view_y, view_x), row as usize);
@@ -59,6 +67,7 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bo
                         &mut *scratch;
                     let (e, weighted) = (&mut e[..len], &mut weighted[..len]);
                     let weigh = |values: &[f32], to: &mut [f32]| plan.row.weigh(values, line_weight, weights, to);
+                    // the residual, which also gives the objective
                     errors(plan, &rays, emitted, e);
                     weigh(e, weighted);
                     error += e.iter().zip(&*weighted).map(|(&e, &we)| f64::from(e) * f64::from(we)).sum::<f64>();
@@ -71,6 +80,7 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bo
                         }
                     };
                     let row_of = |m: usize| &product[m * plan.cols..][..len];
+                    // the paper's rule: n = Σ w βL a_m and d = Σ w L̃ a_m
                     if needed == Sums::Ratio {
                         wanted(plan, &rays, e);
                         weigh(e, weighted);
@@ -79,6 +89,7 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bo
                         (0..frames).for_each(|m| add(frames + m, row_of(m), weighted));
                         continue;
                     }
+                    // r = Σ w e a_m; then G, unless a bound of the curvature replaces it
                     (0..frames).for_each(|m| add(m, row_of(m), weighted));
                     let mut quantity = frames;
                     let bounded = plan.is_bounded(at.factor);
@@ -91,6 +102,7 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bo
                             }
                         }
                     }
+                    // polarization: the curvature that G does not bound goes to the diagonal
                     if !bounded {
                         if local {
                             // |∂²L̃/∂u²| = (π²/2) M |cos|, times |e|

@@ -1,4 +1,5 @@
-//! The target and the weights in the order in which the inner loops read them: `[channel][view][row][x]`, rows padded on both sides.
+//! The target and the weights in the order of the inner loops: `[channel][view][row][x]`, rows
+//! padded on both sides.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -28,11 +29,12 @@ pub(crate) struct Target {
     pub(crate) brightness: f32,
     /// √w.
     weights: RayWeights,
-    /// The largest weight; kept weights are divided by it, since only ratios matter to a step.
+    /// The largest weight. Kept weights are divided by it, since only their ratios matter to a
+    /// step.
     pub(crate) weight_scale: f64,
 }
 
-/// L in 16 bits where that is all it holds: the inner loops wait for memory.
+/// L, in 16 bits if half floats hold it exactly, since the inner loops wait for memory.
 #[derive(Clone, Debug)]
 enum Radiance {
     Half(Vec<u16>),
@@ -40,10 +42,10 @@ enum Radiance {
     Lent(Lent),
 }
 
-/// Half floats `[view_y][view_x][row][col]` that lie elsewhere, for example in a mapped file.
+/// Half floats `[view_y][view_x][row][col]` in the caller's memory, for example a mapped file.
 pub type LentTarget = Arc<dyn AsRef<[u16]> + Send + Sync>;
 
-/// Rows without padding: a row's neighbours are read in its place, except at the ends.
+/// Rows without padding: a row is padded by its neighbours, except at the ends.
 #[derive(Clone)]
 struct Lent {
     values: LentTarget,
@@ -60,13 +62,14 @@ impl std::fmt::Debug for Lent {
 #[derive(Clone, Debug)]
 enum RayWeights {
     Uniform,
-    /// `[view][x]`, constant rows.
+    /// `[view][x]`, constant along a row.
     PerView(Vec<f32>),
     /// `[view][row][x]`.
     PerRay(Vec<f32>),
 }
 
 impl Target {
+    /// Copies the problem's target and weights.
     pub(crate) fn new(problem: &Problem) -> Self {
         let geometry = problem.target.geometry();
         let (rows, cols) = (geometry.rows, geometry.cols);
@@ -74,8 +77,9 @@ impl Target {
         let views = view_rows * view_cols;
         let stride = PAD + cols + PAD;
         let radiance = problem.target.radiance().data();
+        // half floats if they hold all values exactly, else f32
         let halve = Backend::best().function::<Halve>();
-        // SAFETY: the kernel makes no demands
+        // SAFETY: the kernel has no requirements
         let halves = rows_of(radiance, cols, stride, |from, to| unsafe { halve((from, to)) });
         let values = match halves {
             Some(halves) => Radiance::Half(halves),
@@ -86,10 +90,12 @@ impl Target {
         Self { stride, rows, views, channels: 3, values, brightness, weights, weight_scale }
     }
 
-    /// One channel of half floats that are not copied; all weights are 1.
+    /// One channel of half floats that stay where they are; all weights are 1.
+    ///
+    /// `brightness` is β.
     ///
     /// # Panics
-    /// If the values are not those of the geometry, or rows are narrower than [`PAD`].
+    /// If the number of values does not fit the geometry, or rows are narrower than [`PAD`].
     pub(crate) fn lent(geometry: &FieldGeometry, brightness: f64, lent: LentTarget) -> Self {
         let [view_rows, view_cols] = geometry.grid.views();
         let (views, cols) = (view_rows * view_cols, geometry.cols);
@@ -109,11 +115,14 @@ impl Target {
         }
     }
 
-    /// The target of coarser pixels, means over the fine ones, for some of the views. Half floats become half floats again, rounded: no more than a start
-    /// depends on them.
+    /// The target of coarser pixels: means over the fine ones, for the given views.
+    ///
+    /// `pixels` has rows and columns; a coarse pixel is the weighted mean of three fine ones per
+    /// axis. Half floats are rounded to half floats again, since only a start depends on them.
     pub(crate) fn averaged(&self, functions: &RowFunctions, views: &[usize], pixels: &[Vec<Cover>; 2]) -> Self {
         let [rows, cols] = [&pixels[0], &pixels[1]];
         let (stride, fine_cols) = (PAD + cols.len() + PAD, self.stride - 2 * PAD);
+        // one coarse row: three fine rows are mixed, then three columns of the mixture
         let mix = |mixed: &mut Vec<f32>, index: usize, to: RowMut| {
             let (picture, (first, shares)) = (index / rows.len(), rows[index % rows.len()]);
             let (channel, view) = (picture / views.len(), views[picture % views.len()]);
@@ -121,6 +130,7 @@ impl Target {
             let fine = fine.map(|(k, &share)| (self.row(channel, view, first + k).part(0..fine_cols), share));
             functions.average(&fine.collect::<Vec<_>>(), cols, mixed, to);
         };
+        // the last coarse column reads up to two values past the row
         let scratch = || vec![0.0f32; fine_cols + 2];
         let len = self.channels * views.len() * rows.len() * stride;
         let inner = PAD..PAD + cols.len();
@@ -139,6 +149,7 @@ impl Target {
             });
             Radiance::Half(values)
         };
+        // weights w are averaged, not their roots
         let weights = match &self.weights {
             RayWeights::Uniform => RayWeights::Uniform,
             RayWeights::PerView(fine) => {
@@ -165,12 +176,12 @@ impl Target {
         Self { stride, rows: rows.len(), views: views.len(), values, weights, ..*self }
     }
 
-    /// Whether all rays count alike.
+    /// True if all rays have weight 1.
     pub(crate) fn is_uniform(&self) -> bool {
         matches!(self.weights, RayWeights::Uniform)
     }
 
-    /// Whether any value may be no number: what half floats hold is finite.
+    /// True if L may hold infinite values or NaN; half floats hold finite values alone.
     pub(crate) fn may_be_infinite(&self) -> bool {
         matches!(self.values, Radiance::Float(_))
     }
@@ -192,7 +203,7 @@ impl Target {
         }
     }
 
-    /// One padded row of √w, weights relative to the largest, or `None` where all are 1.
+    /// One padded row of √w, with w relative to the largest weight; `None` if all weights are 1.
     #[inline(always)]
     pub(crate) fn weights(&self, view: usize, row: usize) -> Option<&[f32]> {
         match &self.weights {
@@ -205,7 +216,7 @@ impl Target {
         }
     }
 
-    /// Number of rays with w > 0 in a part of a row.
+    /// Number of rays with w > 0 in a range of columns.
     pub(crate) fn count(&self, view: usize, row: usize, cols: &Range<usize>) -> u64 {
         match self.weights(view, row) {
             None => cols.len() as u64,
@@ -214,7 +225,10 @@ impl Target {
     }
 }
 
-/// `[view][row][col][rgb]` into padded rows `[channel][view][row][x]`; `None` where `convert` says of a row that not all values have a counterpart.
+/// Sorts `[view][row][col][rgb]` into padded rows `[channel][view][row][x]`.
+///
+/// `convert` fills one row per channel. It returns false if T cannot hold a value; then the result
+/// is `None`.
 fn rows_of<T: Copy + Default + Send>(
     radiance: &[f32],
     cols: usize,
@@ -246,7 +260,7 @@ fn rows_of<T: Copy + Default + Send>(
     complete.into_inner().then_some(values)
 }
 
-/// Pixels into a row per channel.
+/// Splits pixels into one row per channel.
 fn apart(pixels: &[f32], [red, green, blue]: [&mut [f32]; 3]) -> bool {
     let rows = red.iter_mut().zip(green).zip(blue);
     for (((red, green), blue), pixel) in rows.zip(pixels.as_chunks::<3>().0) {
@@ -255,7 +269,8 @@ fn apart(pixels: &[f32], [red, green, blue]: [&mut [f32]; 3]) -> bool {
     true
 }
 
-/// Pixels into a row of half floats per channel; whether all values have one that is exactly them.
+/// Splits pixels into one row of half floats per channel; false if half floats cannot hold a value
+/// exactly.
 struct Halve;
 
 impl Kernel for Halve {
@@ -265,7 +280,7 @@ impl Kernel for Halve {
     #[inline(always)]
     unsafe fn run<V: Lanes>((pixels, [red, green, blue]): Self::Args<'_>) -> bool {
         let pixels = pixels.as_chunks::<3>().0;
-        // zeros and what is normal in both formats, without branches
+        // zeros, and values that are normal in both formats, without branches
         let mut others = 0;
         let mut simple = |value: f32| {
             let (sign, bits) = ((value.to_bits() >> 16 & 0x8000) as u16, value.to_bits() & 0x7fff_ffff);
@@ -281,7 +296,7 @@ impl Kernel for Halve {
     }
 }
 
-/// [`Halve`] for any values.
+/// As [`Halve`], for any values.
 #[cold]
 fn exact_halves(pixels: &[[f32; 3]], rows: [&mut [u16]; 3]) -> bool {
     rows.into_iter().enumerate().all(|(channel, row)| {
@@ -295,12 +310,12 @@ fn exact_halves(pixels: &[[f32; 3]], rows: [&mut [u16]; 3]) -> bool {
     })
 }
 
-/// The half float that is exactly `value`, if there is one and it is finite.
+/// The finite half float that equals `value`; `None` if there is none.
 #[inline(always)]
 fn half_from_float(value: f32) -> Option<u16> {
     let bits = value.to_bits();
     let (sign, exponent, mantissa) = ((bits >> 16 & 0x8000) as u16, (bits >> 23 & 0xff) as i32, bits & 0x7f_ffff);
-    // f32 has 13 mantissa bits more; below 2^-14 a half float loses one more per power of two
+    // f32 has 13 mantissa bits more; below 2^-14 a half float has one fewer per power of two
     let lost = 13 + (113 - exponent).max(0);
     match exponent {
         0 if mantissa == 0 => Some(sign),
@@ -314,6 +329,7 @@ fn half_from_float(value: f32) -> Option<u16> {
     }
 }
 
+/// √w per view or per ray, relative to the largest weight, which is the second result.
 fn ray_weights(weights: &Weights, [views, rows, cols]: [usize; 3], stride: usize) -> (RayWeights, f64) {
     let data = match weights {
         Weights::Uniform => return (RayWeights::Uniform, 1.0),
@@ -322,7 +338,7 @@ fn ray_weights(weights: &Weights, [views, rows, cols]: [usize; 3], stride: usize
     };
     let largest = data.iter().copied().fold(0.0f32, f32::max);
     let scale = if largest > 0.0 { f64::from(largest) } else { 1.0 };
-    // a tiny weight must not become 0: PSNR counts every ray with w > 0
+    // a tiny weight must not become 0, since PSNR counts every ray with w > 0
     let relative = |w: f32| if w > 0.0 { ((f64::from(w) / scale).sqrt() as f32).max(f32::MIN_POSITIVE) } else { 0.0 };
     let ray_weights = match weights {
         Weights::PerRay(_) => {
@@ -349,7 +365,7 @@ mod tests {
 
     #[test]
     fn half_floats_are_found_exactly() {
-        // SAFETY: the kernel makes no demands
+        // SAFETY: the kernel has no requirements
         let halve =
             |pixel: [f32; 3], rows: [&mut [u16]; 3]| unsafe { Backend::best().function::<Halve>()((&pixel, rows)) };
         for bits in 0..=u16::MAX {

@@ -1,29 +1,39 @@
-//! Values that next to no light reaches, since other layers block it: the objective leaves them open.
+//! Unlit values: other layers block almost all their light, so the objective leaves them open.
 //!
-//! Where another layer is black in frame m on all rays through a pixel, a_m = 0 there, and f_m may take any value at the same emission. A run ends with
-//! the darkest one ([`crate::Run::settle`]). Layers that are black behind each other no longer move each other, since every a_m is then 0; a
-//! warm start therefore [lifts](lifted) black a little, from where an exact step finds any value.
+//! If another layer is black in frame m on all rays through a pixel, then a_m = 0. Every value of
+//! f_m then gives the same emission. A run ends with the darkest one
+//! ([`crate::Run::darken_unlit`]).
+//!
+//! Two layers that are black behind each other cannot move any more, since each makes the other's
+//! a_m 0. A warm start therefore [lifts](lifted) black slightly, from where an exact step reaches
+//! any value.
 
 use lumistack_display::LayerStack;
 
 use crate::bands;
 use crate::plan::Plan;
 
-/// Root mean square of a_m over a pixel's rays, relative to the brightness β, up to which the pixel counts as unlit in frame m. The whole range of
-/// its value then changes what a viewer sees by a third of the smallest step of an 8-bit sRGB picture at most.
+/// Greatest root mean square of a_m over the rays of an unlit pixel, relative to the brightness β.
+///
+/// The full range of such a value changes the seen picture by at most a third of the smallest step
+/// of an 8-bit sRGB picture.
 const UNLIT: f64 = 1e-4;
 
-/// The least value in a warm start. Steps have no scale, so that any number that squares well above 0 in single precision frees a black pixel.
+/// Least value of a warm start. Exact steps have no scale, so any number suffices whose square is a
+/// normal f32.
 const LIFTED: f32 = 1e-4;
 
-/// Per pixel of factor `n` the Σ w a_m² up to which it counts as unlit: `[line][x]` as the factor's lines are stored, (UNLIT β)² Σ w over the rays
-/// through it. Negative where there are none.
+/// Per pixel of factor `n`, the greatest Σ w a_m² of an unlit pixel: (UNLIT β)² Σ w over its rays.
+///
+/// The order is `[line][x]` as the factor's lines are stored. It is negative for pixels without
+/// rays.
 pub(crate) fn limits(plan: &Plan, n: usize) -> Vec<f32> {
     let map = &plan.maps[n];
     let stride = map.layout.stride;
     let share = share(plan);
     let mut limits = vec![0.0f32; map.layout.lines() * stride];
     bands::for_each_chunk(
+        // sum the weights w over the rays through each pixel of the line
         &mut limits,
         stride,
         || vec![0.0; plan.cols],
@@ -48,16 +58,17 @@ pub(crate) fn limits(plan: &Plan, n: usize) -> Vec<f32> {
             }
             limits.iter_mut().for_each(|limit| *limit = if *limit > 0.0 { *limit * share } else { -1.0 });
         },
+        // scale the sum to the limit, and exempt pixels without rays
     );
     limits
 }
 
-/// Σ w a_m² relative to Σ w over a pixel's rays.
+/// Σ w a_m² of an unlit pixel relative to Σ w over its rays.
 pub(crate) fn share(plan: &Plan) -> f32 {
     ((UNLIT * f64::from(plan.target.brightness)).powi(2)) as f32
 }
 
-/// Patterns to start from: no value is so dark that layers behind each other hold each other there.
+/// Raises black to a value from which layers behind each other can move.
 pub(crate) fn lifted(stack: &LayerStack) -> LayerStack {
     let mut stack = stack.clone();
     let tensors = stack.layers.iter_mut().map(|layer| layer.data_mut());

@@ -1,11 +1,12 @@
-//! Vectors as parts of slices.
+//! Loads and stores of vectors in slices.
 
 use lumistack_simd::{Lanes, MAX_LANES};
 
-/// The lanes of one vector, the rest 0: what functions for different instruction sets exchange.
+/// The lanes of one vector, padded with zeros: the form in which functions of different instruction
+/// sets exchange vectors.
 pub(crate) type Vector = [f32; MAX_LANES];
 
-/// The vector at `at`.
+/// Loads the vector that begins at `at`.
 ///
 /// # Safety
 /// The machine has V, and `at` + COUNT is at most the length.
@@ -16,7 +17,7 @@ pub(crate) unsafe fn load<V: Lanes>(from: &[f32], at: usize) -> V {
     unsafe { V::load(from.as_ptr().add(at)) }
 }
 
-/// Writes a vector to `at`.
+/// Stores a vector at `at`.
 ///
 /// # Safety
 /// As [`load`].
@@ -27,11 +28,12 @@ pub(crate) unsafe fn store<V: Lanes>(vector: V, to: &mut [f32], at: usize) {
     unsafe { vector.store(to.as_mut_ptr().add(at)) }
 }
 
-/// 1 in lanes low..high, else 0.
+/// 1 in lanes low..high, 0 in all others.
 ///
 /// # Safety
 /// The machine has V; low and high are at most COUNT.
 #[inline(always)]
+// a table of zeros, ones and zeros; a window of it masks one end, the product of two both ends
 pub(crate) unsafe fn mask<V: Lanes>(low: usize, high: usize) -> V {
     static STEPS: [f32; 3 * MAX_LANES] = {
         let mut steps = [0.0; 3 * MAX_LANES];
@@ -46,7 +48,7 @@ pub(crate) unsafe fn mask<V: Lanes>(low: usize, high: usize) -> V {
     unsafe { load::<V>(&STEPS, MAX_LANES - low).mul(load::<V>(&STEPS, 2 * MAX_LANES - high)) }
 }
 
-/// Sum of all lanes in f64.
+/// Sum of all lanes, in f64.
 ///
 /// # Safety
 /// The machine has V.
@@ -58,7 +60,9 @@ pub(crate) unsafe fn sum<V: Lanes>(vector: V) -> f64 {
     sum_of(&lanes[..V::COUNT])
 }
 
-/// Sum in f64, of numbers of lanes that four divides: in four chains, since each addition waits for the one before.
+/// Sum of lanes, in f64; their number is a multiple of four.
+///
+/// There are four chains of additions, since each addition waits for the one before it.
 pub(crate) fn sum_of(lanes: &[f32]) -> f64 {
     let mut sums = [0.0; 4];
     for part in lanes.as_chunks::<4>().0 {
@@ -67,7 +71,7 @@ pub(crate) fn sum_of(lanes: &[f32]) -> f64 {
     (sums[0] + sums[1]) + (sums[2] + sums[3])
 }
 
-/// Adds lane by lane.
+/// Adds `other` to `sum` lane by lane.
 pub(crate) fn add(sum: &mut Vector, other: &Vector) {
     sum.iter_mut().zip(other).for_each(|(sum, other)| *sum += other);
 }

@@ -1,4 +1,4 @@
-//! Targets in a mapped file: what a solve holds beside them, counted, is what is said before.
+//! Targets in a mapped file: the memory of a solve beside the target must agree with `held_bytes`.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::io::Write;
@@ -10,29 +10,29 @@ use lumistack_display::{Backlight, Display, LensletBacklight, LightField, Sampli
 use lumistack_factorizer::{Problem, Settings, factorize, held_bytes};
 use lumistack_simd::{float_from_half, nearest_half};
 
-/// Counts what is held, of all threads.
+/// Counts the bytes that all threads hold.
 struct Counting;
 
 static HELD: AtomicUsize = AtomicUsize::new(0);
 static MOST: AtomicUsize = AtomicUsize::new(0);
 
-// SAFETY: all is done by the system's allocator
+// SAFETY: the system's allocator does all the work
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         MOST.fetch_max(HELD.fetch_add(layout.size(), Ordering::Relaxed) + layout.size(), Ordering::Relaxed);
-        // SAFETY: passed on
+        // SAFETY: guaranteed by the caller
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
         MOST.fetch_max(HELD.fetch_add(layout.size(), Ordering::Relaxed) + layout.size(), Ordering::Relaxed);
-        // SAFETY: passed on
+        // SAFETY: guaranteed by the caller
         unsafe { System.alloc_zeroed(layout) }
     }
 
     unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
         HELD.fetch_sub(layout.size(), Ordering::Relaxed);
-        // SAFETY: passed on
+        // SAFETY: guaranteed by the caller
         unsafe { System.dealloc(at, layout) }
     }
 }
@@ -40,7 +40,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Peak of the bytes that are held while `work` runs, beyond those before.
+/// Returns the result of `work`, and the peak of the bytes that it holds.
 fn peak<T>(work: impl FnOnce() -> T) -> (T, u64) {
     let before = HELD.load(Ordering::Relaxed);
     MOST.store(before, Ordering::Relaxed);
@@ -48,9 +48,10 @@ fn peak<T>(work: impl FnOnce() -> T) -> (T, u64) {
     (result, (MOST.load(Ordering::Relaxed) - before) as u64)
 }
 
-/// A light field in a mapped file: waves and edges that move from view to view, half floats.
+/// A light field in a mapped file: waves and edges that move from view to view, rounded to half
+/// floats.
 fn on_disk(display: &Display) -> LightField {
-    /// Values that lie in a file.
+    /// Values in a mapped file.
     struct Mapped(memmap2::Mmap);
 
     impl AsRef<[f32]> for Mapped {
@@ -73,7 +74,7 @@ fn on_disk(display: &Display) -> LightField {
         let bytes: Vec<u8> = (0..size).flat_map(|i| (0..3).flat_map(move |channel| value(i, channel))).collect();
         file.write_all(&bytes).unwrap();
     }
-    // SAFETY: the file has no name: nobody else writes it
+    // SAFETY: the file has no name, so no other process writes it
     let mapped = Mapped(unsafe { memmap2::Mmap::map(&file) }.unwrap());
     let [views_y, views_x] = geometry.grid.views();
     let shape = [views_y, views_x, geometry.rows, geometry.cols, 3];

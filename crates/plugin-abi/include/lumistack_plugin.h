@@ -673,11 +673,11 @@ typedef struct LumistackStackSink {
                           const struct LumistackErrorSink *error);
   /**
    * Reports the result of an iterative method: `{"solver", "start", "coarse_levels",
-   * "unsettled", "levels"}`. Optional, once. Since version 0.3.
+   * "kkt_residual", "levels"}`. Optional, once. Since version 0.3.
    *
    * * `coarse_levels`: levels of half the resolution before the first iteration.
-   * * `unsettled`: the KKT residual, as the root mean square of the emission's change in a
-   *   further exact step.
+   * * `kkt_residual`: root mean square of the emission's change in a further exact step. The
+   *   older key `unsettled` is accepted too.
    * * `levels`: PSNR in dB of [continuous, rounded, re-optimized] patterns for panels of few
    *   bits, or null.
    */

@@ -40,7 +40,9 @@ pub struct Solution {
     /// Number of coarser levels before the first iteration, each at half the resolution.
     pub coarse_levels: u32,
     /// KKT residual: root mean square change of the emission by one further exact step.
-    pub unsettled: f64,
+    /// The older key `unsettled` is accepted too.
+    #[serde(alias = "unsettled")]
+    pub kkt_residual: f64,
     /// PSNR in dB for panels of few bits: of continuous, rounded and re-optimized masks. `None` for
     /// panels of many bits.
     pub levels: Option<[f64; 3]>,

@@ -62,7 +62,7 @@ impl Solved {
                 solver: settings.solver.clone(),
                 start: start.into(),
                 coarse_levels: if warm { 0 } else { settings.coarse_levels.unwrap_or(0) },
-                unsettled: made.unsettled,
+                kkt_residual: made.kkt_residual,
                 levels: made.levels.map(|loss| [loss.continuous, loss.rounded, loss.reoptimized]),
             },
             steps: made.history.iter().zip(seconds).map(step).collect(),
@@ -174,9 +174,9 @@ impl LayerStack {
         steps.map(|step| (step.iteration, step.objective, step.psnr_view)).collect()
     }
 
-    /// For factorized patterns: the effective solver, start and coarse_levels, and `unsettled`, the
-    /// KKT residual (rms). For layers with few bits also the PSNRs of continuous, rounded and
-    /// re-optimized masks. Otherwise None.
+    /// For factorized patterns: the effective solver, start and coarse_levels, and `kkt_residual`
+    /// (rms). For layers with few bits also the PSNRs of continuous, rounded and re-optimized
+    /// masks. Otherwise None.
     #[getter]
     fn solution<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
         let Some(Solved { solution, .. }) = &self.solved else { return Ok(None) };
@@ -184,7 +184,7 @@ impl LayerStack {
         dict.set_item("solver", &solution.solver)?;
         dict.set_item("start", &solution.start)?;
         dict.set_item("coarse_levels", solution.coarse_levels)?;
-        dict.set_item("unsettled", solution.unsettled)?;
+        dict.set_item("kkt_residual", solution.kkt_residual)?;
         dict.set_item("levels", solution.levels)?;
         Ok(Some(dict))
     }

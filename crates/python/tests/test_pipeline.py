@@ -83,7 +83,7 @@ def test_settings_reach_the_solver(light_field: LightField, display: Display) ->
         "solver": "multiplicative",
         "start": "random",
         "coarse_levels": 0,
-        "unsettled": pytest.approx(paper.solution["unsettled"] if paper.solution else 0),
+        "kkt_residual": pytest.approx(paper.solution["kkt_residual"] if paper.solution else 0),
         "levels": None,
     }
     assert [step[0] for step in paper.history] == [0, 1, 2, 3, 4]

@@ -32,7 +32,7 @@ pub struct Solution {
     pub coarse_levels: u32,
     /// KKT residual: root mean square change of the emission by one further exact coordinate step
     /// of a value.
-    pub unsettled: f64,
+    pub kkt_residual: f64,
     /// For layers of few bits, `psnr_view` (dB) of three stacks: continuous, rounded to the panels'
     /// levels, and re-optimized on the levels, which is the result.
     pub levels: Option<[f64; 3]>,

@@ -65,7 +65,7 @@ pub(crate) fn report(input: &ReportInput, measured: &Measured, found: &Found) ->
             "solver": solution.solver,
             "start": solution.start,
             "coarse_levels": solution.coarse_levels,
-            "unsettled": figure(solution.unsettled),
+            "kkt_residual": figure(solution.kkt_residual),
             "levels": solution.levels.map(|[continuous, rounded, reoptimized]| json!({
                 "continuous": figure(continuous),
                 "rounded": figure(rounded),

@@ -232,7 +232,7 @@ fn texts_are_escaped_and_everything_given_is_shown() {
         solver: "extrapolated".into(),
         start: "content".into(),
         coarse_levels: 1,
-        unsettled: 2.5e-4,
+        kkt_residual: 2.5e-4,
         levels: Some([40.0, 30.0, 36.5]),
     };
     let input = ReportInput {

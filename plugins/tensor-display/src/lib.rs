@@ -114,7 +114,7 @@ fn solution(made: &Factorization, warm: bool) -> Solution {
         solver: settings.solver.clone(),
         start: start.into(),
         coarse_levels: if warm { 0 } else { settings.coarse_levels.unwrap_or(0) },
-        unsettled: made.unsettled,
+        kkt_residual: made.kkt_residual,
         levels: made.levels.as_ref().map(of_levels),
     }
 }

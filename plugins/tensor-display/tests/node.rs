@@ -54,7 +54,7 @@ fn its_result_is_that_of_the_factorizer() {
         let history: Vec<_> = wanted.history.iter().map(|at| (at.iteration, at.objective, at.psnr_view)).collect();
         assert_eq!(steps, history, "{solver}");
         let solution = made.solution.unwrap();
-        assert_eq!((solution.solver, solution.unsettled), (wanted.settings.solver, wanted.unsettled));
+        assert_eq!((solution.solver, solution.kkt_residual), (wanted.settings.solver, wanted.kkt_residual));
         assert_eq!(solution.start == "warm", warm.is_some());
     }
 }

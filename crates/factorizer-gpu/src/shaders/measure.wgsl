@@ -1,4 +1,4 @@
-// What a device can do at most: copies, and multiply-adds.
+// Kernels that measure a device's limits: copies, and multiply-adds.
 
 @group(0) @binding(0) var<storage, read> from_values: array<vec4<f32>>;
 @group(0) @binding(1) var<storage, read_write> to_values: array<vec4<f32>>;

@@ -1,25 +1,27 @@
-// How rays read factors, the target and weights; the twin of expand.rs and rows.rs.
+// Functions by which rays read factors, the target and weights; the twin of expand.rs and rows.rs.
 //
-// One channel: factors are [line][frame][column], the target is [field row][view][field column], both cut to the window that a dispatch needs.
-// Tables say which line and column a ray reads; they are [view row][field row] and [view column][field column].
+// Buffers hold one channel. Factors are [line][frame][column] and the target is [field
+// row][view][field column], both cut to the window of the dispatch. Tables contain the line and
+// column that a ray reads: [view row][field row] and [view column][field column].
 
 struct Params {
     views_y: u32,
     views_x: u32,
     rows: u32,
     cols: u32,
-    // first line (or field row) of this dispatch, and how many
+    // first line (or field row) of this dispatch, and their number
     first: u32,
     count: u32,
     own_cols: u32,
-    // first words of the windows
+    // offsets of the windows, in words
     out_base: u32,
     target_base: u32,
     weights_base: u32,
-    // where outcomes go, and how many of them lie in a line
+    // offset of this dispatch's results, and their number per line
     sums_base: u32,
     groups_x: u32,
-    // of the tables: rays through the own factor's lines and columns, and which rows and columns count
+    // offsets of tables: rays through the own factor's lines and columns; rows and columns that
+    // count
     own_lines: u32,
     own_columns: u32,
     stored_lines: u32,
@@ -29,7 +31,7 @@ struct Params {
     brightness: f32,
     low: f32,
     high: f32,
-    beyond: f32,
+    extrapolation: f32,
     unlit: f32,
 //@ factors
     cols_{k}: u32,
@@ -52,7 +54,8 @@ struct Params {
 
 const MISSED: u32 = 0xffffffffu;
 
-// Two neighbouring lines or columns, as offsets into a factor's window, and the weight of the second.
+// Two neighbouring lines or columns, as offsets into a factor's window, and the weight of the
+// second.
 struct Tap {
     first: u32,
     second: u32,
@@ -91,7 +94,7 @@ fn read_{k}(line: Tap, column: Tap, frame: u32) -> f32 {
         let right = values_{k}[line.first + at + column.second];
         let below = values_{k}[line.second + at + column.first];
         let across = values_{k}[line.second + at + column.second];
-        // lines first, then columns, as the processor does
+        // lines first, then columns, as on the processor
         value = mix(mix(value, below, line.t), mix(right, across, line.t), column.t);
     }
     return select(OUTSIDE_{k}, value, line.hit && column.hit);
@@ -116,7 +119,7 @@ fn root_of(view: u32, row: u32, col: u32) -> f32 {
     return roots[(row * params.views_y * params.views_x + view) * params.cols + col - params.weights_base];
 }
 
-// sin and cos of (π/2) s. The built-in functions may be wrong by 5e-4.
+// sin and cos of (π/2) s. WGSL permits errors of 5e-4 in the built-in functions.
 fn wave(s: f32) -> vec2<f32> {
     let turns = round(s);
     let x = (s - turns) * 1.57079632679490;
@@ -133,7 +136,7 @@ fn wave(s: f32) -> vec2<f32> {
 
 var<workgroup> parts: array<vec2<f32>, 64>;
 
-// Adds up what the threads of a workgroup found.
+// Sums the results of a workgroup's threads.
 fn reduce(index: u32, group: vec3<u32>, found: vec2<f32>) {
     parts[index] = found;
     workgroupBarrier();

@@ -1,4 +1,5 @@
-// Layers rotate polarization: emission b sin²((π/2) s) of the sum s of all layers, a_m = b (π/2) sin(π s) for a layer, sin²((π/2) s) for the backlight b.
+// Layers rotate polarization. With s the sum of all layers, the emission is b sin²((π/2) s). Hence
+// a_m = b (π/2) sin(π s) for a layer, and a_m = sin²((π/2) s) for the backlight b.
 //@ frames
 var turn{m} = 0.0;
 var light{m} = 1.0;

@@ -1,9 +1,10 @@
-// The update of one factor: sums over the rays through a pixel, and the step that follows from them; the twin of sums.rs and step.rs.
+// The update of one factor: sums over the rays through a pixel, and the step by these sums. It is
+// the twin of sums.rs and step.rs.
 
 const LEAST_CURVATURE: f32 = 1e-30;
 const LEAST_NORMAL: f32 = 1.17549435e-38;
 
-// Returns Σ w e² before the step, and what is gained.
+// Returns Σ w e² before the step, and the gain.
 fn update_pixel(line: u32, column: u32) -> vec2<f32> {
     let views = params.views_y * params.views_x;
     let length = FRAMES * params.own_cols;
@@ -15,7 +16,8 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ sums
     var {s} = 0.0;
 //@ end
-    // rays: field rows that read the line, then field columns that read the column, each with its share
+    // the rays: field rows that read the line, then field columns that read the column, each with
+    // its share
     for (var view_y = 0u; view_y < params.views_y; view_y++) {
         let lines_at = params.own_lines + view_y * (params.stored_lines + 1u) + line;
         let last_row = tables[lines_at + 1u];
@@ -28,8 +30,8 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ if mixed
             let line_of_{own} = line_{own}(view_y, row);
 //@ end
-//@ if long
-            // many rays: sums of sums lose fewer digits
+//@ if long_sums
+            // many rays: sums of partial sums lose fewer digits
 //@ sums
             let before_{s} = {s};
             {s} = 0.0;
@@ -79,10 +81,10 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
                     g{m}_{j} += share * a{m} * a{j};
 //@ end
 //@ end
-//@ if bent
+//@ if nonlinear
                     // L̃ is not linear in the values: a bound of the curvature along them
 //@ if local
-                    let most = CURVATURE_HERE * abs(e);
+                    let most = LOCAL_CURVATURE * abs(e);
 //@ end
 //@ if !local
                     let most = CURVATURE * (1.0 + 2.0 * max(abs(wanted), abs(1.0 - wanted)));
@@ -94,13 +96,14 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ end
                 }
             }
-//@ if long
+//@ if long_sums
 //@ sums
             {s} += before_{s};
 //@ end
 //@ end
         }
     }
+    // the step by the rule, from the values f to v
     var gain = 0.0;
 //@ frames
     var v{m} = f{m};
@@ -135,7 +138,7 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ end
 //@ end
 //@ if diagonal
-    // no step is made: how far would each go?
+    // the steps are computed for the residual alone, and the values stay
     var curvature = 0.0;
     var step = 0.0;
 //@ frames
@@ -144,7 +147,7 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
     gain += step * step * curvature;
 //@ end
 //@ end
-//@ if settle
+//@ if darken
     let limit = select(-1.0, light * params.unlit, light > 0.0);
 //@ frames
     if (g{m}_{m} <= limit) {
@@ -153,18 +156,19 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ end
 //@ end
 //@ if moves
+    // write the new values, and the extrapolated ones if requested
     let place = line * length + column - params.out_base;
-//@ if beyond
+//@ if extrapolated
     var at = place;
     var past = 0.0;
 //@ frames
     past = latest[at];
     latest[at] = v{m};
-    stepped[at] = clamp(v{m} + params.beyond * (v{m} - past), params.low, params.high);
+    stepped[at] = clamp(v{m} + params.extrapolation * (v{m} - past), params.low, params.high);
     at += params.own_cols;
 //@ end
 //@ end
-//@ if !beyond
+//@ if !extrapolated
 //@ frames
     stepped[place + {m}u * params.own_cols] = v{m};
 //@ end

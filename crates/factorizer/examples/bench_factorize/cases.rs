@@ -1,51 +1,61 @@
-//! What is timed: the paper's main case and its neighbours, and what an update of each needs at least.
+//! The cases that are timed, and the least number of operations and bytes of an update.
 //!
-//! Counted per ray that counts and per colour channel, with F factors (layers, and the directional backlight) and M frames, for every factor once:
+//! Operations are counted per weighted ray and colour channel, for an update of every factor. F is
+//! the number of factors (layers, and the directional backlight), M that of frames:
 //!
 //! ```text
-//! multiplicative   F · [M (F−2)  products of the others   + M  L̃   + 2M  both sums]           = F M (F+1)
-//! block-exact      F · [M (F−2)  products of the others   + M  right side   + M (M+1)/2  Gram matrix]
+//! multiplicative   F · [ M (F−2)     products of the others
+//!                      + M           L̃
+//!                      + 2M          both sums ]           = F M (F+1)
+//! block-exact      F · [ M (F−2)     products of the others
+//!                      + M           right side
+//!                      + M (M+1)/2   Gram matrix ]
 //! ```
 //!
-//! multiplications and multiply-adds, one operation each (the clamped coordinate steps, once per pixel, are left out). Memory: for every factor, the
-//! target once (2 bytes a value: it is rounded to half floats) and all factors once (4 bytes a value), and the factor itself is written. That is
-//! what must cross the memory bus when nothing but single rows stays in a cache and each factor has its own pass.
+//! A multiplication or multiply-add is one operation. The clamped coordinate steps, once per pixel,
+//! are not counted.
+//!
+//! Bytes are counted per factor. All factors are read once (4 bytes a value), the target is read
+//! once (half floats, 2 bytes a value), and the factor is written. This is the least traffic of the
+//! memory bus if caches keep only single rows and each factor has its own pass.
 
 use lumistack_display::{Backlight, Display, LayerStack, LensletBacklight, LightField, Sampling, Weights};
 use lumistack_factorizer::Problem;
 
-/// Frames M of every case.
+/// Number of frames M of every case.
 const FRAMES: usize = 6;
-/// β of every case.
+/// Brightness β of every case.
 const BRIGHTNESS: f64 = 0.2;
 /// Width of the display, millimetres: 840 pixels of 0.564 mm.
 const WIDTH_MM: f64 = 473.76;
 
-/// A display and what it shall show.
+/// A display and its target.
 pub struct Case {
     pub name: String,
     pub display: Display,
     pub target: LightField,
 }
 
-/// The paper's views per axis.
+/// The paper's number of views per axis.
 pub const PAPER_VIEWS: usize = 5;
-/// Views per axis that make three layers of 420 × 262 pixels right between them too: all shifts are whole pixels there.
+/// Views per axis for which three layers of 420 × 262 pixels are right between the views too: all
+/// their shifts are whole pixels.
 pub const NATIVE_VIEWS: usize = 13;
 
-/// The paper's main case with so many views per axis: three layers, nearest sampling.
+/// The paper's main case with `views` views per axis: three layers, nearest sampling.
 pub fn three_layers(resolution: [usize; 2], views: usize) -> Display {
     let pitch_mm = WIDTH_MM / resolution[0] as f64;
     let display = Display::uniform(resolution, pitch_mm, [views; 2], [20.0; 2], &[-40.0, 0.0, 40.0], FRAMES);
     Display { brightness: BRIGHTNESS, ..display }
 }
 
-/// The same, read between pixel centres.
+/// The same with bilinear sampling.
 pub fn bilinear(resolution: [usize; 2]) -> Display {
     Display { sampling: Sampling::Bilinear, ..three_layers(resolution, PAPER_VIEWS) }
 }
 
-/// One layer in front of the paper's lenslets: 187 × 117 of 2.54 mm for 840 × 525 pixels, as many pixels per lenslet at any resolution.
+/// One layer in front of the paper's lenslets: 187 × 117 of 2.54 mm for 840 × 525 pixels. The
+/// number of pixels per lenslet is the same at any resolution.
 pub fn directional(resolution: [usize; 2]) -> Display {
     let pitch_mm = WIDTH_MM / resolution[0] as f64;
     let coarser = 840.0 / resolution[0] as f64;
@@ -62,7 +72,7 @@ pub enum Update {
     BlockExact,
 }
 
-/// What one update needs.
+/// Least operations and bytes of an update.
 #[derive(Clone, Copy)]
 pub struct Needs {
     /// Multiplications and multiply-adds.
@@ -76,7 +86,7 @@ impl Case {
         Problem { display: &self.display, target: &self.target, weights: &Weights::Uniform }
     }
 
-    /// Work of one update, see the top; `rays` as [`lumistack_factorizer::Run::rays`] counts them.
+    /// Counts one update, see the top; `rays` is that of [`lumistack_factorizer::Run::rays`].
     pub fn needs(&self, update: Update, rays: u64) -> Needs {
         let stack = LayerStack::filled(&self.display, 0.0);
         let values = stack.layers.iter().map(|layer| layer.data().len());

@@ -1,7 +1,8 @@
-//! What the machine can do at best: multiply-adds per second, and bytes read from memory per second, on all threads.
+//! The best rates of the machine: multiply-adds per second, and bytes read per second, on all
+//! threads.
 //!
-//! Both are measured again and again between the timings they are compared with; the best figure counts, since anything else that runs only
-//! lowers them.
+//! Both are measured repeatedly, between the timings that they are compared with. The best figure
+//! counts, since other programs can only lower it.
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -9,24 +10,25 @@ use std::time::Instant;
 use lumistack_simd::{Backend, Function, Kernel, Lanes};
 use rayon::prelude::*;
 
-/// Independent sums per thread: more than latency × multiply-add units of any core, and few enough for 16 registers.
+/// Independent sums per thread: more than latency × multiply-add units of any core, and few enough
+/// for 16 registers.
 const SUMS: usize = 12;
 /// Multiply-adds of every sum in one measurement: some 20 ms.
 const ROUNDS: u64 = 6_000_000;
 /// Values of the array that is read, 512 MiB: far more than any cache holds.
 const VALUES: usize = 64 << 20;
 
-/// Rates measured one after another.
+/// Rates, in the order of their measurement.
 #[derive(Default)]
 pub struct Rates(Vec<f64>);
 
 impl Rates {
-    /// What the machine can do.
+    /// The best rate.
     pub fn best(&self) -> f64 {
         self.0.iter().copied().fold(0.0, f64::max)
     }
 
-    /// What it had to give while others ran, as a share of the best.
+    /// The median rate as a share of the best; other programs lower it.
     pub fn median_share(&self) -> f64 {
         let mut sorted = self.0.clone();
         sorted.sort_by(f64::total_cmp);
@@ -34,12 +36,12 @@ impl Rates {
     }
 }
 
-/// Measures this machine.
+/// The rates of this machine.
 pub struct Machine {
     pub threads: usize,
-    /// Vector instructions that multiply and add.
+    /// Name of the vector instructions that multiply and add.
     pub instructions: String,
-    /// Multiply-adds, lane operations per second.
+    /// Multiply-adds per second, counted per lane.
     pub multiply_adds: Rates,
     /// Bytes read per second.
     pub bandwidth: Rates,
@@ -58,15 +60,15 @@ impl Machine {
             bandwidth: Rates::default(),
             lanes: backend.lanes(),
             work: backend.function::<MultiplyAdds>(),
-            // written, so that every page is there
+            // written once, so that every page is in memory
             values: (0..VALUES as u64).into_par_iter().collect(),
         }
     }
 
-    /// Measures once more.
+    /// Measures both rates once more.
     pub fn measure(&mut self) {
         let begin = Instant::now();
-        // SAFETY: the kernel makes no demands
+        // SAFETY: the kernel has no requirements
         rayon::broadcast(|_| unsafe { (self.work)(ROUNDS) });
         let operations = ROUNDS as f64 * (SUMS * self.lanes * self.threads) as f64;
         self.multiply_adds.0.push(operations / begin.elapsed().as_secs_f64());
@@ -79,7 +81,7 @@ impl Machine {
 }
 
 fn sum(values: &[u64]) -> u64 {
-    // eight chains of additions: memory shall be what limits, also where vectors are short
+    // eight chains of additions: memory must be the limit, also with short vectors
     let mut sums = [0u64; 8];
     for chunk in values.chunks_exact(8) {
         sums.iter_mut().zip(chunk).for_each(|(sum, value)| *sum = sum.wrapping_add(*value));

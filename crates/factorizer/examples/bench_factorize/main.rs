@@ -1,14 +1,17 @@
-//! Times the factorizer on the paper's main case: 840×525 pixels, 5×5 views, RGB, 3 layers, 6 frames, β = 0.2, nearest sampling.
+//! Times the factorizer on the paper's main case: 840×525 pixels, 5×5 views, RGB, 3 layers, 6
+//! frames, β = 0.2, nearest sampling.
 //!
 //! ```text
-//! cargo run --release -p lumistack-factorizer --example bench_factorize -- [--quick] [--rounds N] [--json FILE] [--folder DIR]
-//!                                                                         [--peer PYTHON SCRIPT]...
+//! cargo run --release -p lumistack-factorizer --example bench_factorize --
+//!     [--quick] [--rounds N] [--json FILE] [--folder DIR] [--peer PYTHON SCRIPT]...
 //! ```
 //!
-//! Everything is timed in turn, round after round: other programs that come and go slow all down alike, and ratios of medians survive that. A peer
-//! is the same multiplicative update in somebody else's library, run on the same data in turn with ours; its masks must be the same.
-//! `cargo xtask bench factorize` passes NumPy and PyTorch. Files for them go below `--folder` (the system's temporary files if not given);
-//! `--quick` is a quarter of the resolution.
+//! All cases are timed in turn, round after round. Other programs then slow all of them alike, and
+//! ratios of medians stay valid. A peer is the same multiplicative update in another library, on
+//! the same data and in turn with ours; its masks must be equal.
+//!
+//! `cargo xtask bench factorize` passes NumPy and PyTorch. Files for peers go below `--folder`
+//! (default: the system's temporary files). `--quick` uses a quarter of the resolution.
 
 mod cases;
 mod machine;
@@ -31,11 +34,11 @@ use table::{PeerRow, Quality, Report, Row, Series};
 
 /// Seed of all starts.
 const SEED: u64 = 1;
-/// Updates of the paper's rule that set the quality to reach.
+/// Number of updates of the paper's rule whose PSNR is the quality to reach.
 const PAPER_UPDATES: u32 = 50;
 /// Largest difference between masks after one update, in transmittance, by rounding.
 const SAME_MASKS: f32 = 1e-4;
-/// Own updates per round, at least.
+/// Least number of our own updates per round.
 const OWN_UPDATES: usize = 3;
 
 type Outcome<T = ()> = Result<T, Box<dyn Error>>;
@@ -78,6 +81,7 @@ fn arguments() -> Result<Arguments, String> {
 }
 
 fn bench(arguments: &Arguments) -> Outcome {
+    // the cases: the paper's, the same with bilinear sampling, many views, and a lens array
     let resolution = arguments.resolution;
     println!("preparing: light fields in closed form, {}×{} pixels, 5×5 views", resolution[0], resolution[1]);
     let (three, between) = (cases::three_layers(resolution, PAPER_VIEWS), cases::bilinear(resolution));
@@ -86,7 +90,7 @@ fn bench(arguments: &Arguments) -> Outcome {
         Case { name: "3 layers".into(), target: target.clone(), display: three },
         Case { name: "3 layers, bilinear".into(), target, display: between },
     ];
-    // many views stand beside few at half the resolution
+    // many views are compared with few at half the resolution
     let half = resolution.map(|n| n / 2);
     let others = [PAPER_VIEWS, NATIVE_VIEWS].map(|views| {
         let name = format!("{}×{}, {views}×{views} views", half[0], half[1]);
@@ -95,6 +99,7 @@ fn bench(arguments: &Arguments) -> Outcome {
     for (name, display) in others.into_iter().chain([("1 layer, directional".into(), cases::directional(resolution))]) {
         cases.push(Case { name, target: scene::light_field(&display)?, display });
     }
+    // start all solvers and libraries before the first timing
     let main = &cases[0];
     let mut peers = start_peers(arguments, main)?;
     let mut runs = own_runs(&cases)?;
@@ -116,6 +121,7 @@ fn bench(arguments: &Arguments) -> Outcome {
             machine.measure();
             runs[0].step()?;
         }
+        // then the other solvers, the objective, a start, and the default settings
         for run in &mut runs[1..] {
             run.step()?;
         }
@@ -137,14 +143,14 @@ fn bench(arguments: &Arguments) -> Outcome {
     Ok(())
 }
 
-/// Time of some work, in seconds.
+/// Runs `work`, and measures its time in seconds.
 fn seconds<T>(work: impl FnOnce() -> T) -> (T, f64) {
     let begin = Instant::now();
     let result = work();
     (result, begin.elapsed().as_secs_f64())
 }
 
-/// A run of one of our solvers, and how long its updates took.
+/// A run of one of our solvers, and the times of its updates.
 struct TimedRun<'a> {
     run: Box<dyn Run + 'a>,
     row: Row,
@@ -168,9 +174,9 @@ fn own_runs(cases: &[Case]) -> Outcome<Vec<TimedRun<'_>>> {
             ("extrapolated", None),
         ] {
             let mut run = solver(name)?.start(&case.problem(), random_start(&case.display, SEED))?;
-            // the first update finds its memory for the first time
+            // the first update also allocates, so it is not timed
             run.step(&Cancel::default())?;
-            // between pixels a ray needs more than is counted here
+            // bilinear sampling needs more operations per ray than are counted
             let counted = update.filter(|_| case.display.sampling == Default::default());
             let needs = counted.map(|update| case.needs(update, run.rays()));
             let row = Row { what: format!("{}: {name} update", case.name), times: Series::default(), needs };
@@ -180,13 +186,13 @@ fn own_runs(cases: &[Case]) -> Outcome<Vec<TimedRun<'_>>> {
     Ok(runs)
 }
 
-/// A peer and a row for each of its variants.
+/// A peer with a row per variant.
 struct TimedPeer {
     peer: Peer,
     rows: Vec<PeerRow>,
 }
 
-/// Starts the peers. They find their data in files that are gone when they have started.
+/// Starts the peers; their data is in files that are removed after the start.
 fn start_peers(arguments: &Arguments, case: &Case) -> Outcome<Vec<TimedPeer>> {
     if arguments.peers.is_empty() {
         return Ok(Vec::new());
@@ -199,7 +205,8 @@ fn start_peers(arguments: &Arguments, case: &Case) -> Outcome<Vec<TimedPeer>> {
     Ok(started)
 }
 
-/// Starts the peers and compares their first update with ours. One that does not start is left out, and said so.
+/// Starts the peers and compares their first update with ours. A peer that does not start is
+/// reported and left out.
 fn start_peers_in(folder: &Path, peers: &[[PathBuf; 2]], case: &Case) -> Outcome<Vec<TimedPeer>> {
     let start = random_start(&case.display, SEED);
     peers::write_problem(folder, case, &start)?;
@@ -233,7 +240,7 @@ fn start_peers_in(folder: &Path, peers: &[[PathBuf; 2]], case: &Case) -> Outcome
     Ok(started)
 }
 
-/// The PSNR of the paper's rule after its 50 updates, and what the default settings need to reach it.
+/// Measures the PSNR of the paper's rule after 50 updates, and how the default settings reach it.
 fn quality_to_reach(case: &Case) -> Outcome<Quality> {
     let begin = Instant::now();
     let mut run = solver("multiplicative")?.start(&case.problem(), random_start(&case.display, SEED))?;
@@ -264,7 +271,7 @@ fn quality_to_reach(case: &Case) -> Outcome<Quality> {
 }
 
 impl Quality {
-    /// Times the default settings once more, with just as many iterations as reach the quality.
+    /// Times the default settings again, with the number of iterations that reaches the quality.
     fn repeat(&mut self, case: &Case) -> Outcome {
         let Some(iterations) = self.reached else { return Ok(()) };
         let settings = Settings { iterations, ..Settings::default() };
@@ -280,7 +287,8 @@ impl Quality {
     }
 }
 
-/// Seconds of a call of [`factorize`]; `see` gets every evaluation: iterations done, PSNR, and seconds since the call.
+/// Times a call of [`factorize`] in seconds. `see` receives every evaluation: iterations, PSNR, and
+/// seconds since the call.
 fn run_default(
     problem: &Problem,
     settings: &Settings,

@@ -1,4 +1,5 @@
-//! The same update in other people's software: child processes that answer one line of JSON per request, as `worker.py` beside them says.
+//! The same update in other libraries: child processes that answer requests of one line of JSON,
+//! which `worker.py` beside them describes.
 
 use std::error::Error;
 use std::io::{BufRead, BufReader, Write};
@@ -15,15 +16,16 @@ use crate::cases::Case;
 
 type Outcome<T = ()> = Result<T, Box<dyn Error>>;
 
-/// Threads of a library may spin for a while after they are done; nobody else is timed before that is over.
-const SETTLE: Duration = Duration::from_millis(30);
+/// Time to wait after a request, since threads of a library may spin after their work and would
+/// slow the next timing.
+const PAUSE: Duration = Duration::from_millis(30);
 
-/// A library's process.
+/// The process of a library.
 pub struct Peer {
-    /// Library and version.
+    /// Name and version of the library.
     pub name: String,
     pub threads: u64,
-    /// Ways to write the update.
+    /// Variants of the update.
     pub variants: Vec<String>,
     child: Child,
     requests: ChildStdin,
@@ -34,7 +36,7 @@ impl Peer {
     /// Starts a script on the problem in `folder`.
     pub fn start(python: &Path, script: &Path, folder: &Path) -> Outcome<Self> {
         let mut command = Command::new(python);
-        // the child's errors go to our own
+        // errors of the child go to our own stderr
         command.arg(script).arg(folder).stdin(Stdio::piped()).stdout(Stdio::piped());
         let mut child = command.spawn()?;
         let requests = child.stdin.take().ok_or("no way to ask")?;
@@ -48,17 +50,18 @@ impl Peer {
         Ok(peer)
     }
 
-    /// One update from the start, written to `folder`; the next updates go on from there.
+    /// Computes one update from the start and writes it to `folder`; later updates continue from
+    /// there.
     pub fn save(&mut self, variant: &str, folder: &Path) -> Outcome {
         writeln!(self.requests, "save\t{variant}\t{}", folder.display())?;
         self.answer().map(|_| ())
     }
 
-    /// Seconds of one more update.
+    /// Returns the seconds of one more update.
     pub fn update(&mut self, variant: &str) -> Outcome<f64> {
         writeln!(self.requests, "update\t{variant}")?;
         let answer = self.answer()?;
-        std::thread::sleep(SETTLE);
+        std::thread::sleep(PAUSE);
         Ok(answer["seconds"].as_f64().ok_or("no time")?)
     }
 
@@ -75,13 +78,13 @@ impl Peer {
 
 impl Drop for Peer {
     fn drop(&mut self) {
-        // an error here means that it has ended already
+        // an error here means that the child has ended already
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
-/// Writes a case and its start where peers look for them.
+/// Writes a case and its start to the files that peers read.
 pub fn write_problem(folder: &Path, case: &Case, start: &LayerStack) -> Outcome {
     std::fs::create_dir_all(folder)?;
     let field = &case.display.field;
@@ -114,7 +117,7 @@ pub fn largest_difference(folder: &Path, stack: &LayerStack) -> Outcome<f32> {
         }
         for (theirs, ours) in file.into_vec::<f32>()?.iter().zip(layer.data()) {
             let difference = (theirs - ours).abs();
-            // a value that is no number is as wrong as can be
+            // NaN counts as the largest difference
             largest = if difference.is_nan() { f32::INFINITY } else { largest.max(difference) };
         }
     }

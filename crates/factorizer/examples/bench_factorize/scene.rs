@@ -1,18 +1,22 @@
-//! A light field in closed form, the same on every machine: what a renderer would make of a small scene, so that timings and PSNR mean something.
+//! A light field in closed form, the same on every machine. It resembles a rendering of a small
+//! scene, so timings and PSNR are meaningful.
 //!
-//! Millimetres of display space, for a display 473.76 mm wide: a wall at z = −170, a checkerboard that rises through the display plane to
-//! z = 100, three balls (plastic, brushed, mirror) whose shine moves with the view, and thin posts in front. A ray is (x, y, 0) + z (s_x, s_y, 1); the
-//! viewer sees the hit of largest z. No transcendental functions: their last bits differ between machines.
+//! Units are millimetres of display space, for a display 473.76 mm wide. A wall stands at z = −170,
+//! and a checkerboard rises through the display plane to z = 100. On it are three balls (plastic,
+//! brushed, mirror) whose highlights move with the view, and thin posts in front.
+//!
+//! A ray is (x, y, 0) + z (s_x, s_y, 1); the viewer sees the hit of largest z. There are no
+//! transcendental functions, since their last bits differ between machines.
 
 use lumistack_display::{Display, DisplayError, LightField};
 use rayon::prelude::*;
 
 type Vector = [f64; 3];
 
-/// Where along each pixel's edges it is sampled, in pixels from its centre.
+/// Positions of the samples along each pixel's edges, in pixels from its centre.
 const SAMPLES: [f64; 3] = [-1.0 / 3.0, 0.0, 1.0 / 3.0];
 
-/// The wall behind everything.
+/// z of the wall behind the scene.
 const WALL_Z: f64 = -170.0;
 /// The checkerboard: z = BOARD_SLOPE · (BOARD_Y − y), between the wall and BOARD_FRONT.
 const BOARD_SLOPE: f64 = 1.6;
@@ -25,7 +29,7 @@ struct Ball {
     centre: Vector,
     radius: f64,
     colour: Vector,
-    /// How much of the surroundings it mirrors.
+    /// Share of the reflected surroundings in the colour, 0..1.
     mirror: f64,
     /// Strength of its highlight.
     shine: f64,
@@ -44,10 +48,10 @@ const POST_COLOUR: Vector = [0.30, 0.42, 0.55];
 
 /// Direction to the light, unit length.
 const LIGHT: Vector = [-0.48, 0.64, 0.6];
-/// Light that comes from everywhere.
+/// Ambient light.
 const AMBIENT: f64 = 0.25;
 
-/// The scene as the views of a display see it, rounded to half floats, as files of light fields hold them.
+/// Renders the views of a display, rounded to half floats, as files of light fields have them.
 pub fn light_field(display: &Display) -> Result<LightField, DisplayError> {
     let geometry = display.geometry()?;
     let mut field = LightField::black(geometry.clone())?;
@@ -75,7 +79,8 @@ pub fn light_field(display: &Display) -> Result<LightField, DisplayError> {
     Ok(field)
 }
 
-/// To the nearest half float; for values of its normal range, and every colour here is above 0.005.
+/// Rounds to the nearest half float, for values of its normal range; every colour here exceeds
+/// 0.005.
 fn round_to_half(value: f32) -> f32 {
     const DROPPED: u32 = 13;
     let bits = value.to_bits();
@@ -115,7 +120,7 @@ fn wall([x, y, _]: Vector) -> Vector {
     [0.10 + 0.18 * height + 0.10 * stripe, 0.14 + 0.24 * height + 0.08 * stripe, 0.22 + 0.40 * height]
 }
 
-/// z at which a ray meets the checkerboard.
+/// z at which a ray hits the checkerboard.
 fn board(origin: Vector, direction: Vector) -> Option<f64> {
     let z = BOARD_SLOPE * (BOARD_Y - origin[1]) / (1.0 + BOARD_SLOPE * direction[1]);
     let x = along(origin, direction, z)[0];
@@ -162,7 +167,8 @@ fn ball_colour(ball: &Ball, at: Vector, direction: Vector) -> Vector {
     })
 }
 
-/// What a mirror shows: sky above, squares below, which fade towards the horizon, where no pixel resolves them.
+/// Surroundings that a mirror reflects: sky above, squares below. The squares fade towards the
+/// horizon, where no pixel resolves them.
 fn surroundings([x, y, z]: Vector) -> Vector {
     if y >= 0.0 {
         return [0.36 + 0.19 * y, 0.36 + 0.34 * y, 0.34 + 0.56 * y];
@@ -177,7 +183,7 @@ fn lit(normal: Vector) -> f64 {
     AMBIENT + (1.0 - AMBIENT) * dot(normal, LIGHT).max(0.0)
 }
 
-/// Period 1, from 0 to 1 and back, with a smooth top and bottom.
+/// A wave of period 1, from 0 to 1 and back, with a smooth top and bottom.
 fn wave(phase: f64) -> f64 {
     let t = 1.0 - (2.0 * (phase - phase.floor()) - 1.0).abs();
     t * t * (3.0 - 2.0 * t)

@@ -1,4 +1,4 @@
-//! What was measured, as a table for people and as JSON.
+//! The measurements as a table of text and as JSON.
 
 use std::fmt::Write;
 
@@ -8,10 +8,10 @@ use serde_json::{Value, json};
 use crate::cases::{Case, Needs};
 use crate::machine::Machine;
 
-/// The paper's Matlab solver on a Core i5: 50 updates in about half an hour.
+/// Seconds per update of the paper's Matlab solver on a Core i5: 50 updates in about half an hour.
 const PAPER_MATLAB_SECONDS: f64 = 36.0;
 const PAPER_RESOLUTION: [usize; 2] = [840, 525];
-/// On a machine with nothing else to do, the median multiply-add rate is more than this share of the best.
+/// On an idle machine, the median multiply-add rate exceeds this share of the best.
 const QUIET: f64 = 0.9;
 
 /// Times in seconds.
@@ -37,11 +37,11 @@ impl Series {
     }
 }
 
-/// One kind of update of ours.
+/// Times of one kind of our updates.
 pub struct Row {
     pub what: String,
     pub times: Series,
-    /// What it needs at least, where that is counted.
+    /// Least operations and bytes of an update, if they are counted.
     pub needs: Option<Needs>,
 }
 
@@ -58,23 +58,25 @@ pub struct PeerRow {
 /// Time to the quality of the paper's 50 updates.
 #[derive(Default)]
 pub struct Quality {
-    /// PSNR (dB, `psnr_view`) after 50 multiplicative updates from a random start, and their time with preparation.
+    /// PSNR (dB, `psnr_view`) after 50 multiplicative updates from a random start, and their time
+    /// with preparation.
     pub paper_psnr: f64,
     pub paper_seconds: f64,
-    /// The default settings, with every choice made.
+    /// The default settings, with every automatic choice replaced by its value.
     pub settings: Settings,
-    /// Iterations in which they reach that PSNR, if they do.
+    /// Iterations in which they reach that PSNR; `None` if they do not.
     pub reached: Option<u32>,
-    /// From the call until the iteration that reaches it has been reported: preparation, start, coarser levels and all evaluations included.
+    /// Time from the call until the report of the iteration that reaches it. It includes
+    /// preparation, start, coarser levels and all evaluations.
     pub until_reached: Series,
-    /// The whole call with that many iterations, until the patterns are there.
+    /// Time of the whole call with that many iterations.
     pub whole_call: Series,
     /// PSNR and time of all iterations of the default settings.
     pub long_psnr: f64,
     pub long_seconds: f64,
 }
 
-/// Everything.
+/// All measurements.
 pub struct Report {
     case: String,
     resolution: [usize; 2],
@@ -113,7 +115,7 @@ impl Report {
         }
     }
 
-    /// The table.
+    /// Formats the measurements as a table.
     pub fn text(&self, machine: &Machine) -> String {
         let mut text = format!("\n{}\n", self.case);
         let line = |text: &mut String, what: &str, times: &Series, rest: &str| {
@@ -121,6 +123,7 @@ impl Report {
             let _ = writeln!(text, "{what:<48}{median:>9.1} ms{fastest:>9.1} ms{rest}");
         };
         let _ = writeln!(text, "{:<48}{:>12}{:>12}{:>17}{:>9}", "", "median", "fastest", "multiply-adds", "memory");
+        // our updates, then the other steps, then the peers
         for row in &self.rows {
             let rest = row.needs.map_or(String::new(), |needs| {
                 let [arithmetic, memory] = shares(&needs, &row.times, machine);
@@ -147,7 +150,7 @@ impl Report {
         text
     }
 
-    /// Time of a peer's update by ours: medians, and fastest times.
+    /// Time of a peer's update divided by ours: medians, and fastest times.
     fn ratios(&self, peer: &PeerRow) -> [f64; 2] {
         let ours = &self.rows[0].times;
         [peer.times.median() / ours.median(), peer.times.fastest() / ours.fastest()]
@@ -227,7 +230,7 @@ impl Report {
         );
     }
 
-    /// The same, with every single time.
+    /// The measurements as JSON, with all single times.
     pub fn json(&self, machine: &Machine) -> Value {
         let quality = &self.quality;
         let rows = self.rows.iter().map(|row| {
@@ -287,7 +290,7 @@ impl Report {
     }
 }
 
-/// Shares of the machine's multiply-adds and of its memory's rate at the fastest time.
+/// Shares of the machine's multiply-add rate and memory rate at the fastest time.
 fn shares(needs: &Needs, times: &Series, machine: &Machine) -> [f64; 2] {
     let fastest = times.fastest();
     [needs.operations / fastest / machine.multiply_adds.best(), needs.bytes / fastest / machine.bandwidth.best()]

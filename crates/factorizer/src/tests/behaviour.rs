@@ -1,4 +1,4 @@
-//! Exact small cases, degenerate input, errors, threads, cancellation.
+//! Small cases with exact solutions, degenerate input, errors, threads and cancellation.
 
 use std::cell::Cell;
 use std::sync::Arc;
@@ -12,7 +12,7 @@ use crate::engine::Engine;
 use crate::step::Rule;
 use crate::{ChannelRun, Factorization, FactorizeError, Settings, factorize};
 
-/// What an exact solution may miss in f32.
+/// Tolerance for an exact solution in f32.
 const EXACT: f32 = 1e-6;
 
 fn solve(owned: &Owned, settings: &Settings, warm: Option<&LayerStack>) -> Result<Factorization, FactorizeError> {
@@ -184,7 +184,7 @@ fn the_objective_is_reported_as_often_as_asked_and_at_the_end() {
     assert_eq!(objective.value, result.history[3].objective);
 }
 
-/// Writes down what it is told.
+/// Records the reports of progress.
 #[derive(Default)]
 struct Steps(std::sync::Mutex<Vec<String>>);
 
@@ -212,7 +212,7 @@ impl Progress for Steps {
 fn one_lent_channel_is_solved_like_a_channel_of_the_whole() {
     let mut owned = random(Kind::Wide, 2);
     let geometry = owned.target.geometry().clone();
-    // halves of 0, 1/256 ... 1 in every channel
+    // half floats of 0, 1/256 ... 1 in every channel
     let halves: Vec<u16> = (0..owned.target.radiance().data().len() / 3)
         .map(|i| if i * 37 % 257 == 0 { 0 } else { 0x3c00 - (i * 37 % 257) as u16 * 8 })
         .collect();

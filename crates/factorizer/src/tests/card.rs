@@ -1,4 +1,4 @@
-//! A textured card that stands where a layer is belongs on that layer.
+//! A textured card at the place of a layer: its texture must appear on that layer.
 
 use lumistack_core::Cancel;
 use lumistack_display::LayerStack;
@@ -25,7 +25,8 @@ fn card(d_mm: f64) -> Owned {
     owned
 }
 
-/// Energy of the horizontal differences of the log of a layer's mean transmittance over frames, away from the border.
+/// Energy of the horizontal differences of the log of a layer's mean transmittance over frames,
+/// away from the border.
 fn high_frequency_energy(stack: &LayerStack, n: usize) -> f64 {
     let layer = &stack.layers[n];
     let [frames, rows, cols, _] = layer.shape();

@@ -1,17 +1,17 @@
-//! The published figures on the two light fields of the shared folder.
+//! Published figures of PSNR on the two light fields of the shared folder.
 
 use lumistack_core::{Cancel, Collector, Task, Tensor};
 use lumistack_display::{Backlight, Display, LensletBacklight, LightField, Missing, OutsideBins, Weights};
 
 use crate::{Multiplicative, Problem, Settings, Solver, factorize, random_start};
 
-/// What starts may change, dB.
+/// Tolerance for differences between starts, dB.
 const FIGURE_TOLERANCE: f64 = 0.3;
 
-/// Width of the display in millimetres, whatever its resolution.
+/// Width of the display in millimetres at any resolution.
 const WIDTH_MM: f64 = 473.76;
 
-/// Reads a light field of the shared folder, or says that it is not there.
+/// Reads a light field of the shared folder; without it, the test is skipped.
 #[allow(clippy::disallowed_methods, reason = "a test may read files")]
 pub(super) fn light_field(name: &str, display: &Display) -> Option<LightField> {
     let folder = lumistack_testkit::skip::folder("LUMISTACK_LIGHTFIELDS", "../shared/lightfields")?;
@@ -74,7 +74,7 @@ fn curve(display: &Display, target: &LightField, updates: &[u32]) -> Vec<f64> {
     figures
 }
 
-/// Compares a row of figures with what was published, and prints both.
+/// Compares a row of figures with the published ones, and prints both.
 fn check(what: &str, found: &[f64], published: &[f64]) {
     println!("{what}: {found:.2?} published {published:?}");
     assert!(
@@ -112,7 +112,7 @@ fn one_layer_before_lenslets_reaches_the_published_figures() {
     }
 }
 
-/// PSNR after each of the given numbers of iterations of the default solver, from its own start.
+/// PSNR after each of the given numbers of iterations of the default solver from its default start.
 fn default_curve(display: &Display, target: &LightField, iterations: &[u32]) -> Vec<f64> {
     let problem = Problem { display, target, weights: &Weights::Uniform };
     let last = iterations.iter().copied().max().unwrap_or(0);
@@ -122,7 +122,7 @@ fn default_curve(display: &Display, target: &LightField, iterations: &[u32]) -> 
     iterations.iter().map(|&count| result.history[count as usize].psnr_view).collect()
 }
 
-/// The default solver against the best published row at the same number of iterations.
+/// Compares the default solver with the best published row at the same number of iterations.
 fn check_default(what: &str, display: &Display, rows: &[(u32, f64)]) {
     let Some(target) = light_field("main_5x5_160x100_fov20", display) else { return };
     let (iterations, published): (Vec<u32>, Vec<f64>) = rows.iter().copied().unzip();
@@ -150,7 +150,7 @@ fn the_default_solver_is_at_least_the_best_published_row_in_the_long_run() {
     check_default("directional, β = 1", &directional(8, 1.0), &[(50, 29.7), (200, 29.8)]);
 }
 
-/// PSNR after 50 updates of N layers and M frames on the teapot, or `None` where the light field is missing.
+/// PSNR after 50 updates of N layers and M frames on the teapot; `None` without the light field.
 fn teapot(layers: usize, frames: usize, missing: Missing) -> Option<f64> {
     let display = Display { missing, ..display(3, layers, frames, 0.2) };
     let target = light_field("teapot_3x3_160x100_fov20", &display)?;
@@ -164,8 +164,11 @@ fn frames_are_worth_more_than_layers() {
     assert!(six >= still + 12.0);
 }
 
-/// The paper's bound of 30 dB for eight static layers holds with 5 × 5 views, and with 3 × 3 views where every ray counts. It does not hold with
-/// 3 × 3 views under the default `drop`: 33.4 dB, which an independent forward model on the written patterns confirms. The test keeps all three.
+/// The paper's bound of 30 dB for eight static layers.
+///
+/// It holds with 5 × 5 views, and with 3 × 3 views if every ray counts. It does not hold with 3 × 3
+/// views under the default `drop`: 33.4 dB, which an independent forward model of the written
+/// patterns confirms. The test asserts all three.
 #[test]
 fn eight_static_layers_stay_below_30_db_except_on_dropped_3x3_views() {
     let display = display(5, 8, 1, 0.2);

@@ -1,4 +1,4 @@
-//! What hardware does to a solution that ignores it, and what is left of that when the solver knows.
+//! Losses by hardware effects, with solvers that ignore them and solvers that model them.
 
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{Display, EyeBox, Formation, LayerColour, LayerStack, LightField, Sampling, Weights, score};
@@ -8,11 +8,11 @@ use crate::device::Updater;
 use crate::engine::Engine;
 use crate::{Factorization, Problem, Settings, factorize};
 
-/// Iterations of every solve; enough for the differences to settle to about 0.2 dB.
+/// Iterations of every solve; PSNR differences then vary by about 0.2 dB.
 const ITERATIONS: u32 = 30;
 
-/// A loss that is none: what solutions differ by after so few iterations, dB.
-const NOTHING: f64 = 0.2;
+/// PSNR difference that counts as none after so few iterations, dB.
+const NEGLIGIBLE_DB: f64 = 0.2;
 
 fn solve(display: &Display, target: &LightField, levels: bool) -> Factorization {
     let problem = Problem { display, target, weights: &Weights::Uniform };
@@ -21,7 +21,8 @@ fn solve(display: &Display, target: &LightField, levels: bool) -> Factorization 
     factorize(&problem, &settings, None, Task::quiet(&warnings, &cancel), &mut |_| ()).unwrap()
 }
 
-/// PSNR on a display whose layers cannot leave their range, nor show a colour where they have none.
+/// PSNR on a display whose layers cannot leave their range, and have no colour if they are
+/// monochrome.
 fn shown(display: &Display, stack: &LayerStack, target: &LightField) -> f64 {
     let mut stack = stack.clone();
     for (layer, values) in display.layers.iter().zip(&mut stack.layers) {
@@ -37,15 +38,15 @@ fn shown(display: &Display, stack: &LayerStack, target: &LightField) -> f64 {
     score(display, &stack, target, &Weights::Uniform).psnr_view()
 }
 
-/// [without the effect, with it and ignored, with it and modelled], dB.
-fn effect(what: &str, target: &LightField, ideal: &Display, real: &Display) -> [f64; 3] {
+/// PSNR in dB: [without the effect, ignored by the solver, modelled by the solver].
+fn effect(name: &str, target: &LightField, ideal: &Display, real: &Display) -> [f64; 3] {
     let blind = solve(ideal, target, true).stack;
     let figures = [
         score(ideal, &blind, target, &Weights::Uniform).psnr_view(),
         shown(real, &blind, target),
         shown(real, &solve(real, target, true).stack, target),
     ];
-    println!("{what}: ideal {:.1}, ignored {:.1}, modelled {:.1} dB", figures[0], figures[1], figures[2]);
+    println!("{name}: ideal {:.1}, ignored {:.1}, modelled {:.1} dB", figures[0], figures[1], figures[2]);
     figures
 }
 
@@ -67,7 +68,7 @@ fn modelling_an_effect_recovers_at_least_half_of_what_it_costs() {
         let row = |own: usize| [0, 1, 2].map(|c: usize| if c == own { 1.0 - 2.0 * share } else { share });
         Some([row(0), row(1), row(2)])
     };
-    for (what, real) in [
+    for (name, real) in [
         ("contrast 1000:1", each(&|layer| layer.black_level = 1e-3)),
         ("contrast 200:1", each(&|layer| layer.black_level = 5e-3)),
         ("contrast 50:1", each(&|layer| layer.black_level = 0.02)),
@@ -77,10 +78,10 @@ fn modelling_an_effect_recovers_at_least_half_of_what_it_costs() {
         ("crosstalk of 5 %", each(&|layer| layer.crosstalk = leak(0.05))),
         ("one layer without colour", rear(&|layer| layer.colour = LayerColour::Mono)),
     ] {
-        let [ideal, ignored, modelled] = effect(what, &target, &ideal, &real);
+        let [ideal, ignored, modelled] = effect(name, &target, &ideal, &real);
         let lost = ideal - ignored;
-        assert!(modelled >= ignored + if lost > NOTHING { lost / 2.0 } else { -NOTHING }, "{what}");
-        assert!(what != "contrast 50:1" || modelled >= ideal - 1.0, "{what}");
+        assert!(modelled >= ignored + if lost > NEGLIGIBLE_DB { lost / 2.0 } else { -NEGLIGIBLE_DB }, "{name}");
+        assert!(name != "contrast 50:1" || modelled >= ideal - 1.0, "{name}");
     }
 }
 

@@ -1,5 +1,6 @@
-//! The update and the objective in `f64`, as loops over an explicit list of rays. Geometry is computed here from the design's formulas,
-//! not from the tables under test.
+//! The update and the objective in `f64`, as loops over an explicit list of rays.
+//!
+//! The geometry is computed here from the display's formulas, not from the tables under test.
 
 use lumistack_display::{
     Backlight, Formation, Layer, LayerColour, LayerStack, Missing, OutsideBins, Projection, Sampling,
@@ -7,21 +8,22 @@ use lumistack_display::{
 
 use crate::Problem;
 
-/// One stored value that a ray reads.
+/// A stored value that a ray reads.
 #[derive(Clone)]
 struct Entry {
     /// Pixel and channel, as an offset in one frame.
     at: usize,
-    /// Its share in what the ray reads.
+    /// Share of the value in the one that the ray reads.
     share: f64,
-    /// Its share in the bound of the curvature: the same, times the sum of the shares of what the met pixel is mixed from.
+    /// Share in the bound of the curvature: `share` times the sum of the shares of all stored
+    /// values in the pixel that the ray hits.
     bound: f64,
 }
 
-/// What a ray reads of one factor, per channel.
+/// The value of one factor along a ray, per channel.
 enum Read {
     Entries([Vec<Entry>; 3]),
-    /// A constant.
+    /// A value that does not depend on patterns.
     Constant(f64),
 }
 
@@ -32,7 +34,7 @@ struct Ray {
     reads: Vec<Read>,
 }
 
-/// The problem's rays, and patterns as `[factor][frame][pixel][rgb]`.
+/// The rays of a problem, and patterns as `[factor][frame][pixel][rgb]`.
 pub(crate) struct Oracle {
     rays: Vec<Ray>,
     frames: usize,
@@ -85,7 +87,7 @@ impl Oracle {
         }
     }
 
-    /// Emission of frame m with factor n's value, if given, replaced.
+    /// Emission of frame m; `replaced` substitutes the value of factor n.
     fn frame(&self, ray: &Ray, m: usize, channel: usize, replaced: Option<(usize, f64)>) -> f64 {
         let value = |k: usize| match replaced {
             Some((n, value)) if n == k => value,
@@ -106,7 +108,8 @@ impl Oracle {
         (0..self.frames).map(|m| self.frame(ray, m, channel, None)).sum::<f64>() / self.frames as f64
     }
 
-    /// Derivative of frame m's emission by factor n's value: exact where it is linear, else by central differences.
+    /// Derivative of frame m's emission by factor n's value: exact if linear, else by central
+    /// differences.
     fn slope(&self, ray: &Ray, n: usize, m: usize, channel: usize) -> f64 {
         let f = self.value(ray, n, m, channel);
         let [low, high] = if self.is_linear(n) { [0.0, 1.0] } else { [f - 1e-5, f + 1e-5] };
@@ -118,13 +121,17 @@ impl Oracle {
         self.formation != Formation::Polarization || n >= self.layers
     }
 
-    /// One update of factor n by the paper's rule (no sweeps), or by so many sweeps of coordinate steps on the bounding quadratic. Returns, per
-    /// value, by how much the emission of the rays through it changes with it (root of the sum of squares).
+    /// Updates factor n by the paper's rule (without `sweeps`), or by sweeps of coordinate steps on
+    /// the bounding quadratic.
+    ///
+    /// Returns the influence of every value on the emission. It is the root of the sum of squares,
+    /// over its rays, of their change per change of the value.
     pub(crate) fn update(&mut self, n: usize, sweeps: Option<u32>) -> Vec<f64> {
         let frames = self.frames;
         let size = self.factors[n].len() / frames;
         let (mut residual, mut wanted) = (vec![vec![0.0; frames]; size], vec![vec![0.0; frames]; size]);
         let (mut emitted_sum, mut gram) = (vec![vec![0.0; frames]; size], vec![vec![vec![0.0; frames]; frames]; size]);
+        // the sums of every pixel over all its rays
         for ray in &self.rays {
             let Read::Entries(entries) = &ray.reads[n] else { continue };
             for channel in 0..3 {
@@ -152,6 +159,7 @@ impl Oracle {
                 }
             }
         }
+        // step pixel by pixel
         let [low, high] = self.ranges[n];
         for at in 0..size {
             let f = |m: usize| m * size + at;
@@ -195,7 +203,7 @@ impl Oracle {
         self.rays.len()
     }
 
-    /// Largest difference to a stack in the values of factor n, each times what it `counts`.
+    /// Largest difference between factor n and a stack; `counts` weights the values.
     pub(crate) fn distance(&self, n: usize, stack: &LayerStack, counts: impl Fn(usize) -> f64) -> f64 {
         let mut tensors = stack.layers.iter().map(|t| t.data()).chain(stack.emission.iter().map(|t| t.data()));
         let found = tensors.nth(n).unwrap_or(&[]);
@@ -204,14 +212,14 @@ impl Oracle {
     }
 }
 
-/// What rays that meet these pixels read of a layer's stored values.
+/// The stored values of a layer that rays at these pixels read.
 fn entries(layer: &Layer, pixels: &[(usize, f64)]) -> [Vec<Entry>; 3] {
     let [cols, rows] = layer.resolution;
     let tied = layer.colour == LayerColour::Mono;
     let taps: Vec<f64> =
         layer.response().map_or(vec![1.0], |response| response.taps().iter().map(|&t| f64::from(t)).collect());
     let radius = (taps.len() / 2) as isize;
-    // shares along one axis, those beyond the border dealt out over the others
+    // shares along one axis; shares outside the border are divided among the others
     let spread = |i: usize, count: usize| -> Vec<(usize, f64)> {
         let all = (-radius..=radius).map(|k| (i as isize + k, taps[(k + radius) as usize]));
         let within: Vec<_> = all.filter(|(i, _)| (0..count as isize).contains(i)).collect();
@@ -223,6 +231,7 @@ fn entries(layer: &Layer, pixels: &[(usize, f64)]) -> [Vec<Entry>; 3] {
         |col: usize| if layer.filters.is_empty() { [1.0; 3] } else { layer.filters[col % layer.filters.len()] };
     [0, 1, 2].map(|channel: usize| {
         let mut list: Vec<Entry> = Vec::new();
+        // each pixel is a mixture of the stored values of its neighbours and channels
         for &(pixel, t) in pixels {
             let mut shares = Vec::new();
             for (row, y) in spread(pixel / cols, rows) {
@@ -250,12 +259,14 @@ fn rays(problem: &Problem) -> Vec<Ray> {
     let mut rays = Vec::new();
     for [view_y, view_x] in field.grid.iter() {
         for (row, col) in (0..field.rows).flat_map(|row| (0..field.cols).map(move |col| (row, col))) {
+            // the ray at z = 0: point and slope
             let x = (col as f64 - (field.cols as f64 - 1.0) / 2.0) * field.pitch_mm;
             let y = ((field.rows as f64 - 1.0) / 2.0 - row as f64) * field.pitch_mm;
             let (mut sx, mut sy) = (field.grid.slope_x[view_x], field.grid.slope_y[view_y]);
             if let Projection::Perspective { distance_mm } = field.grid.projection {
                 (sx, sy) = ((sx * distance_mm - x) / distance_mm, (sy * distance_mm - y) / distance_mm);
             }
+            // the pixels of each layer that it reads
             let mut reads = Vec::new();
             let mut counts = true;
             for layer in &display.layers {
@@ -276,6 +287,7 @@ fn rays(problem: &Problem) -> Vec<Ray> {
                     reads.push(Read::Entries(entries(layer, &pixels)));
                 }
             }
+            // the lenslet and angular bin that it hits
             if let Backlight::Lenslets(b) = &display.backlight {
                 let ([cols, rows], [bins_x, bins_y]) = (b.lenslets.map(|n| n as f64), b.views.map(|n| n as f64));
                 let i = ((x + b.d_mm * sx - b.offset_mm[0]) / b.pitch_mm + (cols - 1.0) / 2.0 + 0.5).floor();
@@ -284,7 +296,7 @@ fn rays(problem: &Problem) -> Vec<Ray> {
                 let tan = b.fov_deg.map(|fov| (fov / 2.0).to_radians().tan());
                 let bin_x = (bins_x / 2.0 * (1.0 + sx / tan[0])).floor();
                 let bin_y = (bins_y / 2.0 * (1.0 - sy / tan[1])).floor();
-                // beyond the bins a lens array shows the neighbouring lenslet's picture
+                // outside its bins a lens array shows the picture of the neighbouring lenslet
                 let (zone_x, zone_y) = ((bin_x / bins_x).floor(), (bin_y / bins_y).floor());
                 let (i, j) = (i - zone_x, j - zone_y);
                 let (bin_x, bin_y) = (bin_x - zone_x * bins_x, bin_y - zone_y * bins_y);
@@ -294,6 +306,7 @@ fn rays(problem: &Problem) -> Vec<Ray> {
                 let entry = |channel: usize| vec![Entry { at: pixel as usize * 3 + channel, share: 1.0, bound: 1.0 }];
                 reads.push(if lit { Read::Entries([0, 1, 2].map(entry)) } else { Read::Constant(0.0) });
             }
+            // keep the rays that count
             let weight = f64::from(problem.weights.at([view_y, view_x], row, col));
             if counts && weight > 0.0 {
                 let at = (row * field.cols + col) * 3;
@@ -306,7 +319,7 @@ fn rays(problem: &Problem) -> Vec<Ray> {
     rays
 }
 
-/// The two pixels around a position and their weights; the outermost pixel alone beyond its centre.
+/// The two pixels around a position and their weights; outside the centres, the outermost pixel.
 fn neighbours(u: f64, count: usize) -> impl Iterator<Item = (usize, f64)> {
     let u = u.clamp(0.0, count as f64 - 1.0);
     let first = u.floor();

@@ -9,7 +9,7 @@ use lumistack_display::{
 
 use crate::Problem;
 
-/// What is special about a problem.
+/// The property that a random problem has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kind {
     Plain,
@@ -36,7 +36,7 @@ pub(crate) enum Kind {
     Responses,
     Additive,
     Polarization,
-    /// All of sampling, projection, missing, layers, backlight and weights at random.
+    /// Random sampling, projection, missing, layers, backlight and weights.
     Anything,
 }
 
@@ -103,6 +103,7 @@ pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
     let mut random = Stream::new(derive(seed, &[kind as u64]));
     let mut below = |n: usize| (random.next_u64() % n as u64) as usize;
     let any = kind == Kind::Anything;
+    // sizes
     let resolution = match kind {
         Kind::OnePixel => [1, 1],
         Kind::Wide | Kind::WideBilinear => [70 + below(30), 3],
@@ -121,6 +122,7 @@ pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
         Kind::EightLayers => 8,
         _ => 1 + below(4),
     };
+    // properties that the kind fixes or leaves to chance
     let formed = matches!(kind, Kind::Additive | Kind::Polarization);
     let lenslets = matches!(kind, Kind::LensletsDark | Kind::LensletsRepeat) || (any || formed) && below(2) == 0;
     let responses = kind == Kind::Responses;
@@ -144,6 +146,7 @@ pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
             d_mm
         })
         .collect();
+    // the display
     let mut display = display(resolution, views, &distances, frames);
     display.brightness = 0.2 + 0.8 * unit();
     display.missing = if clear { Missing::Clear } else { Missing::Drop };
@@ -162,7 +165,7 @@ pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
         }
     }
     if kind == Kind::CoarseLayers {
-        // every pixel meets very many rays
+        // very many rays read every pixel
         for layer in &mut display.layers {
             layer.resolution = [3, 2];
             layer.pitch_mm = 5.0 + unit();
@@ -215,6 +218,7 @@ pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
             lens: None,
         });
     }
+    // target and weights
     let mut owned = Owned::constant(display, 0.0);
     owned.target.radiance_mut().data_mut().iter_mut().for_each(|value| *value = unit() as f32);
     // some weights are 0

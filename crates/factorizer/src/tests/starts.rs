@@ -1,4 +1,4 @@
-//! Warm against fresh: whether what is told beforehand is what five iterations make of either.
+//! Warm starts against fresh ones: the prediction must agree with the result of five iterations.
 
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{LightField, Weights};
@@ -6,7 +6,8 @@ use lumistack_display::{LightField, Weights};
 use super::problems::{Owned, display};
 use crate::{Settings, factorize, warm_start_pays};
 
-/// A wall of waves behind the display and a striped card before it that moved by `shift` pixels; of another `scene` everything is different.
+/// A wall of waves behind the display, and in front of it a striped card that moved by `shift`
+/// pixels. Another `scene` changes everything.
 fn card(shift: f64, scene: f64) -> Owned {
     let display = display([64, 40], [5, 3], &[-8.0, 0.0, 8.0], 4);
     let geometry = display.geometry().unwrap();
@@ -56,8 +57,8 @@ fn plane(shift: f64, scene: f64, brightness: f64) -> Owned {
     Owned { display, target, weights: Weights::Uniform }
 }
 
-/// How much worse the start that is taken may turn out after five iterations than the other, dB.
-const AMISS_DB: f64 = 1.5;
+/// Greatest loss of the chosen start against the other after five iterations, dB.
+const WORST_LOSS_DB: f64 = 1.5;
 
 #[test]
 fn the_start_that_is_taken_is_not_the_worse_one() {
@@ -109,7 +110,10 @@ fn the_start_that_is_taken_is_not_the_worse_one() {
             };
             let (from_warm, from_fresh) = (after("block-exact", Some(&warm)), after("block-exact", None));
             let (taken, other) = if pays { (from_warm, from_fresh) } else { (from_fresh, from_warm) };
-            assert!(taken > other - AMISS_DB, "case {number}, {shift} {scene}: warm {from_warm}, fresh {from_fresh}");
+            assert!(
+                taken > other - WORST_LOSS_DB,
+                "case {number}, {shift} {scene}: warm {from_warm}, fresh {from_fresh}"
+            );
         }
     }
 }

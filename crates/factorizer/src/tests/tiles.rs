@@ -1,4 +1,5 @@
-//! Tiles: every ray of a tile reads what it reads in the whole, and what a tile gains with fixed borders the whole gains.
+//! Tiles: a tile's rays read the same values as in the whole display. With fixed borders, the whole
+//! gains as much as the tile.
 
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{LayerColour, LayerStack, RayMap, Region, Tap, Tile, Tiling, Weights};
@@ -8,7 +9,7 @@ use crate::device::Updater;
 use crate::engine::Engine;
 use crate::{FactorizeError, Problem, Settings, factorize, factorize_tile, random_start};
 
-/// Relative difference of a gain as the tile and as the whole sum it up, in f32 arithmetic, of the objective before.
+/// Tolerance of a gain, relative to the objective before. Tile and whole sum it in f32.
 const GAIN_TOLERANCE: f64 = 2e-5;
 const SEEDS: [u64; 3] = [1, 2, 3];
 
@@ -28,7 +29,7 @@ fn regions(tile: &Tile, of: fn(&lumistack_display::TilePart) -> &Region) -> Vec<
     tile.parts.iter().map(|part| of(part).clone()).collect()
 }
 
-/// The pixels of a layer that a ray reads, [rows, columns]; none where it misses.
+/// The pixels of a layer that a ray reads, [rows, columns]; empty if it misses.
 fn read(map: &RayMap, layer: usize, view: [usize; 2], row: usize, col: usize) -> Option<[[usize; 2]; 2]> {
     let pair = |tap: Tap| (!tap.is_missed()).then_some([tap.first as usize, tap.second as usize]);
     let map = &map.layers[layer];
@@ -40,6 +41,7 @@ fn every_pixel_is_one_tiles_own_and_all_rays_through_free_pixels_are_the_tiles()
     each(|kind, owned, tiling| {
         let (geometry, map) = (owned.target.geometry(), tiling.map());
         let tiles: Vec<Tile> = (0..tiling.count()).map(|number| tiling.tile(number)).collect();
+        // tiles partition the pixels of every part
         for (n, [rows, cols]) in tiles[0].whole.iter().copied().enumerate() {
             for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
                 let owners = tiles.iter().filter(|tile| {
@@ -49,6 +51,7 @@ fn every_pixel_is_one_tiles_own_and_all_rays_through_free_pixels_are_the_tiles()
                 assert_eq!(owners.count(), 1, "{kind:?}, part {n}, pixel {row}, {col}");
             }
         }
+        // each tile holds all that its rays read
         for (number, tile) in tiles.iter().enumerate() {
             let within = tile.map(map);
             for part in &tile.parts {
@@ -82,7 +85,7 @@ fn every_pixel_is_one_tiles_own_and_all_rays_through_free_pixels_are_the_tiles()
                     }
                 }
             }
-            // and the tile's own geometry is that of the whole, where it is seen from
+            // and the tile's own geometry equals its part of the whole
             let display = tile.display(&owned.display, geometry);
             display.check().unwrap_or_else(|error| panic!("{kind:?}: {error}"));
             let anew = RayMap::new(&display, &tile.geometry(geometry));

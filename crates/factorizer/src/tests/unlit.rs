@@ -1,4 +1,4 @@
-//! Values that no light reaches are dark at the end of a run, at no cost to the picture.
+//! Unlit values: they are dark at the end of a run, and the picture loses nothing.
 
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{LayerStack, RayMap};
@@ -9,15 +9,17 @@ use crate::device::Updater;
 use crate::engine::Engine;
 use crate::{Settings, StartKind, factorize, random_start};
 
-/// What the end of a run may cost, dB.
+/// Greatest loss by the end of a run, dB.
 const COST_DB: f64 = 1e-3;
-/// What the other layer passes in a frame on all rays through a pixel, up to which the pixel is unlit: a tenth of the solver's own limit.
+/// Transmittance of the other layer below which a test counts a pixel as unlit: a tenth of the
+/// solver's own limit.
 const UNLIT: f32 = 1e-6;
 
-/// What a layer may leave of a value that another layer's end made unlit: no more than the solver's own limit.
+/// Greatest value of an unlit pixel whose other layer was darkened at the end: the solver's own
+/// limit.
 const BLACK: f32 = 1e-4;
 
-/// Two layers of three frames before a target whose left half is black, and waves on the right.
+/// Two layers of three frames. The left half of the target is black; its right half has waves.
 fn half_black() -> Owned {
     let mut display = display([40, 24], [3, 3], &[-5.3, 5.1], 3);
     display.brightness = 0.5;
@@ -42,8 +44,8 @@ fn solve(owned: &Owned, settings: &Settings, warm: Option<&LayerStack>) -> (Laye
     (made.stack, psnr)
 }
 
-/// Per layer the largest value that the other one has in a frame on any ray through the pixel, in the order of the layer's values; `None` where no ray
-/// passes. Two layers, nearest sampling.
+/// Per value of each layer, the largest value of the other layer in the same frame over all rays
+/// through the pixel; `None` without rays. Two layers, nearest sampling.
 fn light(owned: &Owned, stack: &LayerStack) -> [Vec<Option<f32>>; 2] {
     let geometry = owned.target.geometry();
     let map = RayMap::new(&owned.display, geometry);
@@ -103,7 +105,7 @@ fn the_end_of_a_run_costs_nothing_and_is_the_same_by_every_kernel() {
     let owned = half_black();
     let problem = owned.problem();
     let (stack, _) = solve(&owned, &Settings { iterations: 0, ..Settings::default() }, None);
-    let mut settled = Vec::new();
+    let mut ended = Vec::new();
     for (set, fast) in Backend::available().iter().flat_map(|backend| [(*backend, false), (*backend, true)]) {
         let mut engine = Engine::new(&problem, stack.clone(), 0.0).unwrap();
         for _ in 0..10 {
@@ -113,23 +115,23 @@ fn the_end_of_a_run_costs_nothing_and_is_the_same_by_every_kernel() {
         }
         let before = engine.download();
         // every kernel ends the same patterns
-        let first = settled.first().map_or(before.clone(), |(first, _): &(LayerStack, LayerStack)| first.clone());
+        let first = ended.first().map_or(before.clone(), |(first, _): &(LayerStack, LayerStack)| first.clone());
         let mut engine = Engine::new(&problem, first.clone(), 0.0).unwrap();
         engine.use_kernel(set, fast);
         let psnr = engine.objective().psnr_view;
-        engine.settle();
+        engine.darken_unlit();
         assert!(engine.objective().psnr_view > psnr - COST_DB, "{set:?} {fast}: {psnr} dB before");
-        settled.push((first, engine.download()));
+        ended.push((first, engine.download()));
     }
-    let changed = settled[0].0.layers[0].data().iter().zip(settled[0].1.layers[0].data()).filter(|(a, b)| a != b);
+    let changed = ended[0].0.layers[0].data().iter().zip(ended[0].1.layers[0].data()).filter(|(a, b)| a != b);
     assert!(changed.count() > 100, "values that no light reaches were bright");
-    for (_, other) in &settled[1..] {
-        assert!(*other == settled[0].1);
+    for (_, other) in &ended[1..] {
+        assert!(*other == ended[0].1);
     }
 }
 
 #[test]
-fn settling_moves_nothing_that_light_reaches_whatever_the_display() {
+fn darkening_changes_no_value_that_light_reaches_on_any_display() {
     for kind in Kind::ALL {
         for seed in 0..6 {
             let owned = random(kind, seed);
@@ -139,7 +141,7 @@ fn settling_moves_nothing_that_light_reaches_whatever_the_display() {
                 engine.update(n, crate::step::Rule::Block { sweeps: 4 }, None);
             });
             let before = engine.objective();
-            engine.settle();
+            engine.darken_unlit();
             let after = engine.objective();
             let same = before.psnr_view.is_nan() || after.psnr_view > before.psnr_view.min(80.0) - COST_DB;
             assert!(same, "{kind:?} {seed}: {before:?} to {after:?}");
@@ -150,7 +152,7 @@ fn settling_moves_nothing_that_light_reaches_whatever_the_display() {
 #[test]
 fn pixels_that_no_ray_reaches_keep_what_they_have() {
     let mut display = display([20, 12], [3, 3], &[-5.3, 5.1], 2);
-    // wider than the rays fan out
+    // wider than the field, so that some pixels have no rays
     for layer in &mut display.layers {
         layer.resolution = [60, 36];
     }
@@ -181,10 +183,10 @@ fn black_patterns_are_a_start_like_any_other() {
     for iterations in [1, 5] {
         let settings = Settings { solver: "block-exact".into(), iterations, ..Settings::default() };
         let (_, psnr) = solve(&owned, &settings, Some(&black));
-        // grey frames that are all alike show the half that is not black about as well as one frame can
+        // equal grey frames show the half that is not black nearly as well as one frame can
         assert!(psnr > 12.0, "{psnr} dB after {iterations} iterations from black");
     }
-    // what was black in the time before becomes bright in the next
+    // a mask that was black in one time step becomes bright in the next
     let dark = Owned::constant(owned.display.clone(), 0.0);
     let (before, _) = solve(&dark, &Settings { iterations: 5, ..Settings::default() }, None);
     assert!(before.layers.iter().all(|layer| layer.data().iter().all(|value| *value == 0.0)));

@@ -1,4 +1,4 @@
-//! The update against the oracle, and what theory promises about it.
+//! The update against the oracle, and the guarantees of the theory.
 
 use lumistack_core::Cancel;
 use lumistack_display::score;
@@ -13,24 +13,24 @@ use crate::solvers::method;
 use crate::step::Rule;
 use crate::{FLOOR, random_start};
 
-/// Largest difference of a mask value after one full update in f32 and in f64.
+/// Largest difference of a mask value between full updates in f32 and in f64.
 const MASK_TOLERANCE: f64 = 1e-5;
-/// How much the objective may rise by rounding in f32: relative, and per ray and channel where it is nearly 0.
+/// Tolerated rise of the objective by rounding in f32: relative, and per ray and channel near 0.
 const RISE_RELATIVE: f64 = 1e-6;
 const RISE_PER_VALUE: f64 = 1e-13;
-/// Relative difference of the objective as an update sums it up on its way.
+/// Relative difference of the objective that an update computes on its way.
 const ERROR_SEEN: f64 = 1e-5;
 const ERROR_SEEN_PER_VALUE: f64 = 1e-11;
-/// Change of emission by the coordinate steps that are left after many iterations.
+/// KKT residual after many iterations.
 const SETTLED: f64 = 1e-4;
-/// Relative difference of the objective in f32 arithmetic and in f64, and per ray and channel where it is nearly 0.
+/// Relative difference of the objective between f32 and f64, and per ray and channel near 0.
 const OBJECTIVE_TOLERANCE: f64 = 1e-5;
 const OBJECTIVE_PER_VALUE: f64 = 1e-12;
-/// Difference of PSNR values that are computed from the same patterns by two ways, dB.
+/// Difference of PSNR values computed from the same patterns in two ways, dB.
 const PSNR_TOLERANCE: f64 = 1e-3;
-/// Change of emission by a change of a value, from which on the value counts as determined.
+/// Influence on the emission from which a value counts as determined.
 const DETERMINED: f64 = 0.1;
-/// Largest change of emission by any difference between f32 and f64.
+/// Largest change of the emission by differences between f32 and f64.
 const SEEN_TOLERANCE: f64 = 1e-5;
 const SEEDS: [u64; 12] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11];
 
@@ -43,7 +43,7 @@ fn kernels() -> Vec<(Backend, bool)> {
 const RULES: [(Rule, f32, Option<u32>); 2] =
     [(Rule::Multiplicative, FLOOR, None), (Rule::Block { sweeps: 4 }, 0.0, Some(4))];
 
-/// Whether a rule is for problems of a kind.
+/// True if a rule applies to problems of a kind.
 fn fits(rule: Rule, kind: Kind) -> bool {
     rule != Rule::Multiplicative || kind != Kind::Polarization
 }
@@ -71,7 +71,8 @@ fn one_update_agrees_with_the_oracle_on_every_kind_of_problem() {
                             worst = worst.max(distance);
                             assert!(distance <= MASK_TOLERANCE, "{what}: {distance}");
                         } else {
-                            // a value that next to no light reaches is not determined: it goes wherever rounding leads
+                            // a value that almost no light reaches is not determined: rounding
+                            // decides it
                             let distance = oracle.distance(n, &stack, |i| f64::from(influence[i] > DETERMINED));
                             worst = worst.max(distance);
                             assert!(distance <= MASK_TOLERANCE, "{what}: {distance}");
@@ -113,6 +114,7 @@ fn the_objective_never_rises_and_falls_by_what_the_step_says_at_least() {
                 let start = random_start(&owned.display, seed);
                 let mut oracle = Oracle::new(&problem, &start, floor);
                 let mut engine = Engine::new(&problem, start, floor).unwrap();
+                // rounding may raise the objective by so much
                 let slack = RISE_PER_VALUE * 3.0 * oracle.ray_count() as f64;
                 let rounding = ERROR_SEEN_PER_VALUE * 3.0 * oracle.ray_count() as f64;
                 let scale = engine.weight_scale();
@@ -124,6 +126,8 @@ fn the_objective_never_rises_and_falls_by_what_the_step_says_at_least() {
                         let outcome = engine.outcome();
                         oracle.upload(&engine.download());
                         let after = oracle.objective();
+                        // the objective must fall by the reported gain, and the reported error must
+                        // be its value
                         let what = format!("{rule:?} {kind:?} {seed}, step {step}, factor {n}");
                         assert!(after <= before * (1.0 + RISE_RELATIVE) + slack, "{what}: {before} to {after}");
                         if engine.plan().sees_all_rays(n) {
@@ -152,9 +156,9 @@ fn many_steps_end_where_the_first_order_conditions_hold() {
         let start = random_start(&owned.display, 1);
         for solver in ["block-exact", "extrapolated"] {
             let mut run = crate::solver(solver).unwrap().start(&problem, start.clone()).unwrap();
-            let first = run.unsettled();
+            let first = run.kkt_residual();
             (0..2000).for_each(|_| run.step(&Cancel::default()).unwrap());
-            let last = run.unsettled();
+            let last = run.kkt_residual();
             println!("{kind:?} {solver}: {first:.1e} to {last:.1e}, objective {:.6e}", run.objective().value);
             assert!(last < 1e-3 * first && last < SETTLED, "{kind:?} {solver}: {first} to {last}");
         }

@@ -95,7 +95,7 @@ pub(crate) struct Kept {
     pub(crate) solver: String,
     pub(crate) start: String,
     pub(crate) coarse_levels: u32,
-    pub(crate) unsettled: f64,
+    pub(crate) kkt_residual: f64,
     pub(crate) levels: Option<[f64; 3]>,
     pub(crate) steps: Vec<Step>,
 }
@@ -123,12 +123,12 @@ impl Kept {
         solution: lumistack_plugin_host::Solution,
         steps: &[(lumistack_plugin_host::Step, f64)],
     ) -> Self {
-        let lumistack_plugin_host::Solution { solver, start, coarse_levels, unsettled, levels } = solution;
+        let lumistack_plugin_host::Solution { solver, start, coarse_levels, kkt_residual, levels } = solution;
         let steps = steps.iter().map(|&(at, seconds)| {
             let psnr_view = at.psnr_view.is_finite().then_some(at.psnr_view);
             Step { iteration: at.iteration, objective: at.objective, psnr_view, seconds }
         });
-        Self { solver, start, coarse_levels, unsettled, levels, steps: steps.collect() }
+        Self { solver, start, coarse_levels, kkt_residual, levels, steps: steps.collect() }
     }
 
     pub(crate) fn of(factorization: &Factorization, steps: Vec<Step>, warm: bool) -> Self {
@@ -138,7 +138,7 @@ impl Kept {
             solver: settings.solver.clone(),
             start: start.into(),
             coarse_levels: if warm { 0 } else { settings.coarse_levels.unwrap_or(0) },
-            unsettled: factorization.unsettled,
+            kkt_residual: factorization.kkt_residual,
             levels: factorization.levels.map(|loss| [loss.continuous, loss.rounded, loss.reoptimized]),
             steps,
         }
@@ -146,7 +146,7 @@ impl Kept {
 
     /// For the report.
     pub(crate) fn told(self, stack: LayerStack) -> Solved {
-        let Self { solver, start, coarse_levels, unsettled, levels, steps } = self;
+        let Self { solver, start, coarse_levels, kkt_residual, levels, steps } = self;
         let steps = steps.into_iter().map(|step| Iteration {
             iteration: step.iteration,
             objective: step.objective,
@@ -154,7 +154,7 @@ impl Kept {
             seconds: step.seconds,
         });
         let steps = steps.collect();
-        Solved { stack, steps, solution: Some(Solution { solver, start, coarse_levels, unsettled, levels }) }
+        Solved { stack, steps, solution: Some(Solution { solver, start, coarse_levels, kkt_residual, levels }) }
     }
 }
 

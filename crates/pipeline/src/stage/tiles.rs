@@ -351,9 +351,9 @@ impl Work<'_> {
                 .levels
                 .is_some()
                 .then(|| [0, 1, 2].map(|i| psnr(&|kept| kept.levels.map(|levels| levels[i])).unwrap_or(f64::INFINITY)));
-            let unsettled = mean(&|kept| kept.unsettled.powi(2)).sqrt();
+            let kkt_residual = mean(&|kept| kept.kkt_residual.powi(2)).sqrt();
             let mut kept = all.take().unwrap_or_else(|| Kept { steps: Vec::new(), ..first.clone() });
-            (kept.unsettled, kept.levels) = (unsettled, levels);
+            (kept.kkt_residual, kept.levels) = (kkt_residual, levels);
             kept.steps.extend(steps);
             all = Some(kept);
         }

@@ -294,7 +294,7 @@ impl NodePlugin for Warm {
             solver: format!("seed {}", input.seed()),
             start: "warm".into(),
             coarse_levels: 2,
-            unsettled: 1e-300,
+            kkt_residual: 1e-300,
             levels: Some([1.0, 2.0, 3.0]),
         })?;
         Ok(stack)
@@ -313,7 +313,7 @@ fn weights_seed_and_patterns_reach_a_node_and_what_it_tells_comes_back() {
     let plain = made(&NodeData::new(&display, &field));
     assert_eq!((plain.stack.layers[0].data()[0], plain.stack.brightness), (0.125, display.brightness));
     let solution = plain.solution.unwrap();
-    assert_eq!((solution.solver.as_str(), solution.unsettled, solution.coarse_levels), ("seed 1", 1e-300, 2));
+    assert_eq!((solution.solver.as_str(), solution.kkt_residual, solution.coarse_levels), ("seed 1", 1e-300, 2));
     let steps: Vec<Step> = plain.steps.iter().map(|(step, _)| *step).collect();
     let last = Step { iteration: 4, objective: 0.1 + 0.2, psnr_view: f64::INFINITY };
     assert_eq!(steps, [Step { iteration: 0, objective: 3.0, psnr_view: 20.5 }, last]);

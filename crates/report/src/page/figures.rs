@@ -308,7 +308,7 @@ fn solved_by(solution: &Solution) -> String {
     let mut text = format!(
         "Solver {}, start {}{begun}. One more exact step of each value would change the emission by {:.1e} (root mean square): 0 where the \
          first-order conditions hold.",
-        solution.solver, solution.start, solution.unsettled
+        solution.solver, solution.start, solution.kkt_residual
     );
     if let Some([continuous, rounded, reoptimized]) = solution.levels {
         let [continuous, rounded, reoptimized] = [continuous, rounded, reoptimized].map(format::decibels);

@@ -1,27 +1,34 @@
-//! Lines of one factor whose rays read it anywhere: between its pixels, several field pixels to one, at another pitch.
+//! Lines of one factor that rays read anywhere: between pixels, several field pixels to one, or at
+//! another pitch.
 //!
-//! A ray that lies between lines j and j + 1, and there between columns i and i + 1, adds what [`gather`](crate::gather) sums to four pixels, by its shares
-//! (1 − t_y, t_y) and (1 − t_x, t_x). Done ray by ray, most of the time goes into these additions (nine times as long as a constant shift takes). But all
-//! views of one column have the same t_x and read the same columns, so that
+//! A ray reads the factor between lines j and j + 1, and there between columns i and i + 1. So it
+//! adds the sums of [`gather`](crate::gather) to four pixels, by the shares (1 − t_y, t_y) and (1 −
+//! t_x, t_x). Ray by ray, these additions take most of the time, nine times that of a constant
+//! shift. But all views of a view column have the same t_x and read the same columns, so that
 //!
 //! ```text
-//! for every line j, every view column, with the field rows whose rays read lines j and j + 1, in blocks of field columns:
-//!     low  += (1 − t_y) · (w e a_m, w a_m a_k)        high += t_y · (w e a_m, w a_m a_k)           in registers, over the rows
-//! for every view column, once:  line j += low,  line j + 1 += high,                                by t_x
+//! for every line j, for every view column:
+//!     for the field rows whose rays read lines j and j + 1, in blocks of columns, in registers:
+//!         low  += (1 − t_y) · (w e a_m, w a_m a_k)
+//!         high += t_y · (w e a_m, w a_m a_k)
+//!     once:  line j += low,  line j + 1 += high,  by t_x
 //! ```
 //!
-//! Lines come in bands, one after another, and each hands the high sums on to the next. Factors are read along a row in two steps as well: two of their
-//! lines are mixed once for all view columns, then the columns of that mixture. In parts of 128 columns, whose rows stay in the first-level cache, an
-//! update took 1.25 times as long.
+//! Lines come in bands, one after another, and each line hands its high sums on to the next.
+//! Factors are read in two steps as well. First, two lines of the factor are mixed, once for all
+//! view columns; then the columns of that mixture. In parts of 128 columns, whose rows stay in the
+//! first-level cache, an update took 1.25 times as long.
 //!
-//! Under bilinear sampling a ray's value is a mean Σ_t s_t f_t of pixels, so (e − a·Σ s_t δ_t)² ≤ Σ_t s_t (e − a·δ_t)²: sums by shares describe a
-//! quadratic that bounds the objective from above and touches it, separable over pixels. Its minimum is a step that never worsens.
+//! Under bilinear sampling a ray reads a mean Σ_t s_t f_t of pixels. By Jensen's inequality, (e −
+//! a·Σ_t s_t δ_t)² ≤ Σ_t s_t (e − a·δ_t)². So the sums by shares describe a quadratic that is
+//! separable over pixels. It bounds the objective from above and equals it at δ = 0, so a step to
+//! its minimum never raises the objective.
 
 use std::ops::{AddAssign, Mul, Range};
 
 use lumistack_simd::{Backend, Function, Kernel, Lanes};
 
-use crate::buffers::{Buffers, GROUP, Group, Sight, buffered, sum_views};
+use crate::buffers::{Buffers, GROUP, Group, SumParams, buffered, sum_views};
 use crate::factor::{Factor, PAD};
 use crate::line::{LineOf, LineStep, Outcome, StepFunctions};
 use crate::map::{Access, ColumnTaps};
@@ -30,36 +37,39 @@ use crate::rays::{LineRays, RowOfRays, Spare, expanded_stride, rays_of_column};
 use crate::step::{Rule, Sums};
 use crate::vector;
 
-/// Lines of a band. The rays before its first line are summed up by two bands.
+/// Lines per band. Two bands sum the rays between the last line of one and the first of the next.
 pub(crate) const BAND: usize = 16;
 
-/// How many rows of rays are summed in f32 before they go to sums of 64 bits, where pixels get so many rays that they need these.
+/// Rows of rays that are summed in f32 before f64 sums take them, for pixels with so many rays that
+/// f32 loses digits.
 const SHORT_ROWS: usize = 7;
 
 /// The functions of an update, for one instruction set and rule.
-pub(crate) struct SpreadFunctions {
+pub(crate) struct ScatterFunctions {
     lanes: usize,
     block: Function<Apart>,
-    spread: Function<Spread<f32>>,
-    spread_long: Function<Spread<f64>>,
+    scatter: Function<ScatterQuantities<f32>>,
+    scatter_long: Function<ScatterQuantities<f64>>,
     step: StepFunctions,
 }
 
-impl SpreadFunctions {
+impl ScatterFunctions {
     pub(crate) fn new(backend: Backend, step: StepFunctions) -> Self {
         Self {
             lanes: backend.lanes(),
             block: backend.function::<Apart>(),
-            spread: backend.function::<Spread<f32>>(),
-            spread_long: backend.function::<Spread<f64>>(),
+            scatter: backend.function::<ScatterQuantities<f32>>(),
+            scatter_long: backend.function::<ScatterQuantities<f64>>(),
             step,
         }
     }
 }
 
-/// Sums of one line by its own columns, `[quantity][x]`: of 64 bits where pixels may get very many rays.
+/// Sums of one line by its own columns, `[quantity][x]`.
 struct LineSums {
+    /// The sums, rounded at the end if they are long.
     short: Vec<f32>,
+    /// The sums in f64, if pixels may get many rays; else empty.
     long: Vec<f64>,
     error: f64,
 }
@@ -79,9 +89,9 @@ pub(crate) struct Scratch {
     spare: Spare,
     /// The sums of one view column by field columns, low and high: `[quantity][x]`.
     columns: [Vec<f32>; 2],
-    /// Of this line and of the next.
+    /// The sums of this line and of the next.
     lines: [LineSums; 2],
-    /// The shares that the listed rows of rays have in the line and in the next.
+    /// The shares of the listed rows of rays in this line and in the next.
     shares: Vec<[f32; 2]>,
 }
 
@@ -104,21 +114,22 @@ impl Scratch {
     }
 }
 
-/// Consecutive lines of one factor, which are updated in order.
-pub(crate) struct SpreadBand<'a> {
+/// Consecutive lines of one factor, to be updated in order.
+pub(crate) struct ScatterBand<'a> {
     pub(crate) plan: &'a Plan,
     pub(crate) factors: &'a [Factor],
-    pub(crate) functions: &'a SpreadFunctions,
+    pub(crate) functions: &'a ScatterFunctions,
     pub(crate) scratch: &'a mut Scratch,
     /// The line before this one, whose high sums wait; `None` at the beginning.
     pub(crate) before: Option<LineOf>,
 }
 
-impl SpreadBand<'_> {
+impl ScatterBand<'_> {
     /// Sums and steps the next line.
     pub(crate) fn update(&mut self, at: LineOf, mut step: LineStep) -> Outcome {
         let needed = step.rule.sums();
         let follows = self.before.is_some_and(|before| before.channel == at.channel && before.line + 1 == at.line);
+        // at the start of a band, the rays that begin at the line before are summed once more
         if !follows {
             self.scratch.lines.iter_mut().for_each(LineSums::clear);
             if at.line > 0 {
@@ -126,7 +137,7 @@ impl SpreadBand<'_> {
             }
         }
         self.before = Some(at);
-        // what was high is low now
+        // the high sums of the line before are the low sums of this one
         self.scratch.lines.swap(0, 1);
         self.scratch.lines[1].clear();
         self.add_rays(at, needed, false);
@@ -138,11 +149,14 @@ impl SpreadBand<'_> {
         Outcome { error: line.error, gain }
     }
 
-    /// Adds the rays that lie between a line and the next to the sums of both; with `high_alone`, where only the next needs them.
+    /// Adds the rays between a line and the next to the sums of both.
+    ///
+    /// With `high_alone`, the caller needs the sums of the next line alone.
     fn add_rays(&mut self, at: LineOf, needed: Sums, high_alone: bool) {
         let (plan, factors, functions) = (self.plan, self.factors, self.functions);
         let Scratch { buffers, rays, spare, columns, lines, shares } = &mut *self.scratch;
         let map = &plan.maps[at.factor];
+        // list the field rows whose rays read between the lines
         spare.rows.clear();
         shares.clear();
         for view_y in 0..plan.views[0] {
@@ -151,6 +165,7 @@ impl SpreadBand<'_> {
                 shares.push([1.0 - t, t]);
             }
         }
+        // without a share in the next line there are no high sums
         let is_high = shares.iter().any(|[_, high]| *high > 0.0);
         if shares.is_empty() || high_alone && !is_high {
             return;
@@ -158,8 +173,9 @@ impl SpreadBand<'_> {
         let lanes = functions.lanes;
         let (quantities, field_stride) = (needed.count(plan.frames), expanded_stride(plan));
         let together = if map.short_sums { GROUP } else { SHORT_ROWS };
-        let sight = Sight { brightness: plan.target.brightness, sums: needed };
+        let params = SumParams { brightness: plan.target.brightness, sums: needed };
         spare.mix_lines(plan, factors, at.channel);
+        // per view column: sums by field columns, then by the pixels that these read
         for view_x in 0..plan.views[1] {
             for run in &plan.runs[view_x] {
                 let list = rays_of_column(std::mem::take(rays), plan, factors, at, (view_x, run), spare);
@@ -169,21 +185,22 @@ impl SpreadBand<'_> {
                     for x in (PAD + run.start..PAD + run.end).step_by(lanes) {
                         let to = columns.each_mut().map(|sums| &mut sums[x..]);
                         let (rays, views, buffers) = (&list, views.clone(), &mut *buffers);
-                        let block = ColumnBlock { rays, views, shares, is_high, x, sight, buffers, to, field_stride };
+                        let block = ColumnBlock { rays, views, shares, is_high, x, params, buffers, to, field_stride };
                         // SAFETY: x + lanes lies within padded rows
                         let squares = unsafe { (functions.block)(block) };
                         lines.iter_mut().zip(squares).for_each(|(line, squares)| line.error += squares);
                     }
+                    // high sums follow low sums in the same way
                     for (columns, line) in columns.iter().zip(&mut *lines).take(if is_high { 2 } else { 1 }) {
                         let (x, columns) = (&map.x[view_x], (&columns[..], field_stride));
-                        // SAFETY: the kernels make no demands
+                        // SAFETY: the kernels have no requirements
                         unsafe {
                             if map.short_sums {
                                 let to = (&mut line.short[..], map.layout.stride);
-                                (functions.spread)((x, run, columns, to, quantities));
+                                (functions.scatter)((x, run, columns, to, quantities));
                             } else {
                                 let to = (&mut line.long[..], map.layout.stride);
-                                (functions.spread_long)((x, run, columns, to, quantities));
+                                (functions.scatter_long)((x, run, columns, to, quantities));
                             }
                         }
                     }
@@ -197,21 +214,21 @@ impl SpreadBand<'_> {
 /// One block of field columns, with the rays of one view column.
 struct ColumnBlock<'a> {
     rays: &'a LineRays<'a>,
-    /// Which rows of rays; no more than a group.
+    /// A range of rows of rays, at most a group.
     views: Range<usize>,
-    /// Of each row of rays in the line and in the next.
+    /// Shares of each row of rays in the line and in the next.
     shares: &'a [[f32; 2]],
-    /// Whether any has one in the next.
+    /// Some row of rays has a share in the next line.
     is_high: bool,
     x: usize,
-    sight: Sight,
+    params: SumParams,
     buffers: &'a mut Buffers,
-    /// Where the sums go, low and high: rows that begin at the block.
+    /// Destination of the low and high sums: rows that begin at the block.
     to: [&'a mut [f32]; 2],
     field_stride: usize,
 }
 
-/// Sums of a block's rays by their shares; returns Σ w e² by them.
+/// Sums a block's rays by their shares; returns Σ w e² for the line and for the next.
 struct Apart;
 
 impl Kernel for Apart {
@@ -220,23 +237,25 @@ impl Kernel for Apart {
 
     #[inline(always)]
     unsafe fn run<V: Lanes>(at: ColumnBlock<'_>) -> [f64; 2] {
-        let ColumnBlock { rays, views, shares, is_high, x, sight, buffers, to, field_stride } = at;
+        let ColumnBlock { rays, views, shares, is_high, x, params, buffers, to, field_stride } = at;
         let frames = buffers.block.frames;
-        // SAFETY: passed on from the caller
+        // SAFETY: guaranteed by the caller
         unsafe {
+            // buffer the rays, and their shares and errors for both lines
             let (mut squares, mut active) = ([V::splat(0.0); 2], [[0.0; GROUP]; 2]);
             let mut group = Group { frames, views: 0, add: false };
             for index in views {
                 let Some(weight) = rays.views[index].weight::<V>(x) else { continue };
-                let error = buffered::<V, true>(rays, index, x, weight, sight, (group.views, &mut *buffers));
+                let error = buffered::<V, true>(rays, index, x, weight, params, (group.views, &mut *buffers));
                 for half in 0..2 {
                     active[half][group.views] = shares[index][half];
                     squares[half] = error.mul(V::splat(shares[index][half])).mul_add(error, squares[half]);
                 }
                 group.views += 1;
             }
+            // sum the buffers for each line, and keep the sums by field columns
             for (half, to) in to.into_iter().enumerate().take(if is_high { 2 } else { 1 }) {
-                sum_views::<V, true>(sight.sums, buffers, &active[half], group);
+                sum_views::<V, true>(params.sums, buffers, &active[half], group);
                 let mut rows = to.chunks_mut(field_stride);
                 let mut keep = |from: &[f32], at: usize| {
                     let to = &mut rows.next().unwrap_or_default()[..V::COUNT];
@@ -245,7 +264,7 @@ impl Kernel for Apart {
                 let block = &buffers.block;
                 (0..frames).for_each(|m| keep(&block.residual, m));
                 for m in 0..frames {
-                    match sight.sums {
+                    match params.sums {
                         Sums::Gram => (m..frames).for_each(|k| keep(&block.gram, m * frames + k)),
                         Sums::Ratio | Sums::Diagonal => keep(&block.emitted, m),
                     }
@@ -257,10 +276,12 @@ impl Kernel for Apart {
     }
 }
 
-/// Adds rows of field columns, `[quantity][x]`, to the pixels that they read; rays that miss the line add to the padding, which is never read.
-struct Spread<T>(std::marker::PhantomData<T>);
+/// Adds rows of field columns, `[quantity][x]`, to the pixels that they read.
+///
+/// Rays that miss the line add to the padding, which no step reads.
+struct ScatterQuantities<T>(std::marker::PhantomData<T>);
 
-impl<T: Copy + Default + From<f32> + AddAssign + Mul<Output = T> + 'static> Kernel for Spread<T> {
+impl<T: Copy + Default + From<f32> + AddAssign + Mul<Output = T> + 'static> Kernel for ScatterQuantities<T> {
     type Args<'a> = (&'a ColumnTaps, &'a Range<usize>, (&'a [f32], usize), (&'a mut [T], usize), usize);
     type Output = ();
 
@@ -278,7 +299,8 @@ impl<T: Copy + Default + From<f32> + AddAssign + Mul<Output = T> + 'static> Kern
                             to.iter_mut().zip(from).for_each(|(sum, &value)| *sum += T::from(value));
                             continue;
                         }
-                        // a pixel gets the second part of one column and the first of the next
+                        // a pixel gets the second share of one column and the first share of the
+                        // next
                         to[0] += share.0 * T::from(from[0]);
                         to[from.len()] += share.1 * T::from(from[from.len() - 1]);
                         for (sum, pair) in to[1..].iter_mut().zip(from.windows(2)) {
@@ -288,6 +310,7 @@ impl<T: Copy + Default + From<f32> + AddAssign + Mul<Output = T> + 'static> Kern
                     }
                 }
                 Access::Indexed => {
+                    // columns that read the same pixel are summed first
                     let mut col = PAD + cols.start;
                     for same in x.first[cols].chunk_by(|a, b| a == b) {
                         let part = col..col + same.len();
