@@ -103,7 +103,7 @@ fn a_search_proposes_what_the_constraints_allow() {
     let told = succeed(lumistack().args(["analyze", display]));
     assert!(told.contains("2 layers, uniform backlight, 2 frames"), "{told}");
     let text = fail(lumistack().arg("sweep").arg(&job).args(["--max-panels", "0", "-o"]).arg(&out));
-    assert!(text.contains("sweep.search: expected constraints that some design keeps"), "{text}");
+    assert!(text.contains("sweep.search: expected constraints that at least one design keeps"), "{text}");
 }
 
 #[test]

@@ -1,14 +1,18 @@
-//! From a job file to its outputs.
+//! The pipeline from a job file to its outputs.
 //!
 //! ```text
 //! job.toml ─▶ ingest ─▶ render ─▶ target/ ─▶ factorize ─▶ layers/ ─▶ output plugins ─▶ outputs/ ─▶ report
-//!                        (or a light field that somebody else rendered)
+//!                        (or a light field of another renderer)
 //! ```
 //!
-//! Every arrow is a stage (`stage/`), and what a job asks for is a plan of them (`plan/`) in a run folder (`store/`).
+//! Every arrow is a stage (`stage/`). A job's plan (`plan/`) has the stages as steps in a run
+//! folder (`store/`).
 //!
-//! A job with `[[nodes]]` feeds several displays from one light field; each has its patterns and its report in `nodes/ID/`. A sequence goes this way once for
-//! every time, each display factorized from its patterns of the time before. A sweep solves many designs on the light fields of a job, whatever that is.
+//! * A job with `[[nodes]]` feeds several displays from one light field. Each has its patterns and
+//!   its report in `nodes/ID/`.
+//! * A sequence has these steps for each time step. Every time step starts from the patterns of the
+//!   one before.
+//! * A sweep solves many designs on the light fields of a still, a sequence or a graph.
 
 mod compare;
 mod error;
@@ -70,10 +74,11 @@ pub use store::clean::{Cleaned, Freed, clean};
 pub use store::settings::resealed;
 pub use view_options::{ViewLayer, ViewOptions, ViewPick};
 
-/// Sets the number of worker threads of the whole program; results do not depend on it. Call it before any work.
+/// Sets the number of worker threads of the program. Results do not depend on it. Call it before
+/// any other work.
 ///
 /// # Errors
-/// When work has already started.
+/// If work has already started.
 pub fn set_threads(count: usize) -> Result<(), String> {
     rayon::ThreadPoolBuilder::new().num_threads(count).build_global().map_err(|error| error.to_string())
 }

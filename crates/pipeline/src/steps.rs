@@ -1,4 +1,4 @@
-//! Single stages of a run, for callers that hold the data themselves: nothing is kept but what they ask for.
+//! Single stages of a run, for callers that have the data in memory and keep the results.
 
 use std::path::{Path, PathBuf};
 
@@ -25,25 +25,27 @@ use crate::stage::{denoise, depth, expose, place, samples, trace};
 use crate::store::files::{check_folder, write_report};
 use crate::view_options::ViewOptions;
 
-/// A light field that was rendered.
+/// A rendered light field.
 pub struct Traced {
-    /// The views, rounded to half floats, as a run's target.
+    /// Views, rounded to half floats as in a run's target.
     pub field: LightField,
-    /// What its depth asks of the display.
+    /// The scene's depth against the display's depth of field.
     pub depth: DepthBudget,
-    /// Factor from scene-linear radiance to what is shown, before the tone curve.
+    /// Factor from scene-linear radiance to display-referred values, before the tone curve.
     pub exposure: f64,
     /// Name of the tone curve.
     pub tone: &'static str,
-    /// The scene's pictures all over the display's zone, where the job wants them.
+    /// The scene's pictures over the viewing zone, if the job requests them.
     pub references: Option<References>,
 }
 
-/// Renders the views that a display needs of a scene, and the pictures that its score takes. Of the job `window`, `light`, `render`, `seed` and `report.zone_directions`
-/// count, save for the views for reports; traced views are kept in `cache_dir` and taken from there.
+/// Renders the views that a display needs of a scene, and the pictures for its zone score.
+///
+/// Uses `window`, `light`, `render`, `seed` and `report.zone_directions` of the job, without its
+/// held-out and outside views. Traced views are cached in `cache_dir`.
 ///
 /// # Errors
-/// When a value makes no sense, or rendering fails or is cancelled.
+/// If a value is invalid, or rendering fails or is cancelled.
 pub fn render_field(
     job: &Job,
     display: &Display,
@@ -52,8 +54,10 @@ pub fn render_field(
     task: Task<'_>,
 ) -> Result<Traced, PipelineError> {
     job.check()?;
+    // Place the window, then trace, denoise and expose as a run does.
     let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
     let placement = place::place(ingested, &job.window, display, &geometry, Some(cache_dir), task)?;
+    // The caller has no report, so views for it are not rendered.
     let mut job = job.clone();
     (job.render.held_out, job.render.outside) = (0, 0);
     job.render.denoise = job.denoise_for(display);
@@ -63,6 +67,7 @@ pub fn render_field(
     let (traced, _) = trace::run(shot, &ViewOptions::default(), cache_dir, task)?;
     denoise::run(shot, &traced.fields, task)?;
     let rendered = expose::run(shot, &traced, false, task)?;
+    // Depth and references are for the caller's own report.
     let depth = depth::budget(&traced.depths, display, &geometry, &placement);
     warn_of_depth(&depth, task);
     let (exposure, tone) = (rendered.look.exposure, rendered.look.curve.name());
@@ -73,11 +78,11 @@ pub fn render_field(
     Ok(Traced { field: rendered.target.with_depth(Some(seen)), depth, exposure, tone, references })
 }
 
-/// Reads a light field of any kind, as it is: values are not rounded. Where it says no size or angles, those of `display` are taken, if there is one. Where not all
-/// views are kept, some of those between come along, by which displays can be judged.
+/// Reads a light field of any kind, without rounding. Size and angles come from the file, or else
+/// from `display`. If `flags` leave views out, some of them are returned as references for scores.
 ///
 /// # Errors
-/// When it cannot be read, or its geometry is incomplete.
+/// If it cannot be read, or its geometry is incomplete.
 pub fn open_field(
     path: &Path,
     flags: &GeometryFlags,
@@ -97,10 +102,11 @@ pub fn open_field(
     Ok((field, references))
 }
 
-/// A light field under another exposure, in stops, and through the tone curve of this name: `linear`, which clips to 0..1, `khronos-neutral` or `agx`.
+/// Returns a light field with another exposure in stops and a tone curve: `linear`, which clips to
+/// 0..1, `khronos-neutral` or `agx`.
 ///
 /// # Errors
-/// When there is no such curve, or the exposure is not -100 to 100.
+/// If the tone curve does not exist, or the exposure is not -100 to 100.
 pub fn expose_field(field: &LightField, exposure_ev: f64, tone: &str) -> Result<LightField, PipelineError> {
     let Some((_, curve)) = ToneCurve::ALL.into_iter().find(|(name, _)| *name == tone) else {
         let names = ToneCurve::ALL.map(|(name, _)| name).join(", ");
@@ -114,13 +120,14 @@ pub fn expose_field(field: &LightField, exposure_ev: f64, tone: &str) -> Result<
     Ok(field)
 }
 
-/// Where weights come from, if not from the job.
+/// Shape and values of a weight array; `None` for the job's weights.
 pub type WeightsFrom = Option<(Vec<usize>, Vec<f32>)>;
 
-/// The weights of an array, `[view_y][view_x]` or `[view_y][view_x][row][col]`, or of the job's eyes.
+/// Returns the weights of an array, `[view_y][view_x]` or `[view_y][view_x][row][col]`, or of the
+/// job's eyes.
 ///
 /// # Errors
-/// When they do not fit the light field, or both are given.
+/// If they do not fit the light field, or both are given.
 pub fn weights_of(job: &FactorizeJob, array: WeightsFrom, target: &LightField) -> Result<Weights, PipelineError> {
     match array {
         Some(_) if !job.eyes.is_empty() => {
@@ -131,10 +138,11 @@ pub fn weights_of(job: &FactorizeJob, array: WeightsFrom, target: &LightField) -
     }
 }
 
-/// Factorizes a light field; the files that the job names are not read. `on_iteration` sees every evaluation of the objective.
+/// Factorizes a light field. Files that the job names are not read. `on_iteration` receives every
+/// evaluation of the objective.
 ///
 /// # Errors
-/// When display, light field, weights and settings do not fit, or when cancelled.
+/// If display, light field, weights and settings do not fit, or the task is cancelled.
 pub fn factorize_field(
     problem: &Problem<'_>,
     job: &FactorizeJob,
@@ -151,10 +159,11 @@ pub fn factorize_field(
     at_site(&job.device, task, |site| solve.factorize(site, warm, task, on_iteration))
 }
 
-/// Writes with an output plugin into `out_dir`; gives the files, relative to it.
+/// Writes files by an output plugin into `out_dir`. Returns their paths, relative to it.
 ///
 /// # Errors
-/// When there is no such plugin, it does not take the parameters or the data, or the files cannot be written.
+/// If there is no such plugin, it rejects the parameters or the data, or the files cannot be
+/// written.
 pub fn write_output(
     registry: &Registry,
     plugin: &str,
@@ -168,33 +177,33 @@ pub fn write_output(
     lumistack_plugin_host::run_output(registry, plugin, &params.into(), context).map_err(host_error)
 }
 
-/// What a report is about.
+/// Input of [`write_report_on`].
 pub struct ReportOn<'a> {
-    /// Headline.
+    /// Title of the page.
     pub title: &'a str,
     /// The display.
     pub display: &'a Display,
-    /// Its patterns.
+    /// Patterns of the display.
     pub stack: &'a LayerStack,
-    /// What it should show.
+    /// Target of the display.
     pub target: &'a LightField,
-    /// The scene all over the zone, where it is known.
+    /// The scene's pictures over the viewing zone, if known.
     pub references: Option<&'a References>,
     /// Weights of the target's rays.
     pub weights: &'a Weights,
-    /// Where a solver made the patterns: how.
+    /// Settings and convergence of a solver, if one made the patterns.
     pub solution: Option<(&'a Solution, &'a [lumistack_report::Iteration])>,
-    /// How it was made, for its table of settings.
+    /// Table of settings in the report.
     pub settings: &'a Value,
 }
 
-/// Writes `report.html` and `report.json` into `folder`; gives the latter's content.
+/// Writes `report.html` and `report.json` into `folder`. Returns the content of the latter.
 ///
 /// # Errors
-/// When the parts do not fit, the files cannot be written, or when cancelled.
+/// If the parts do not fit, a file cannot be written, or the task is cancelled.
 pub fn write_report_on(on: &ReportOn<'_>, folder: &Path, task: Task<'_>) -> Result<Value, PipelineError> {
     check_folder(folder)?;
-    // a value that no display shows may decide every figure
+    // Values out of range may dominate all scores, so the report must name them.
     let beyond = Beyond::of(on.target).map(|beyond| beyond.message(read::OFFER_OF_PYTHON));
     let warnings: Vec<_> = beyond.into_iter().map(|message| Warning { place: "light field".into(), message }).collect();
     let zone = on.references.map(|references| references.measure(on.display, on.stack, task)).transpose()?;

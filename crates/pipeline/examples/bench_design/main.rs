@@ -1,8 +1,12 @@
-//! `cargo xtask bench design`: how well quality is predicted, and whether a sweep survives being killed.
+//! `cargo xtask bench design`: compares predicted with solved quality, and kills a sweep
+//! repeatedly.
 //!
-//! 40 random designs (uniform and directional, 1 to 5 layers, 1 to 8 frames, β from 0.1 to 1, 15 to 70 mm apart, 10 to 80 lenslets per row) are solved on
-//! still-life at 80 × 50 pixels and 3 × 3 views, and compared with [`predicted_db`]; then 100 small designs are swept in a process that is killed again and
-//! again (SIGKILL), and compared byte by byte with the sweep that was not.
+//! First part: a solver factorizes still-life (80 × 50 pixels, 3 × 3 views) for 40 random designs,
+//! and [`predicted_db`] predicts its PSNR. Designs are uniform or directional, with 1 to 5 layers,
+//! 1 to 8 frames, β 0.1 to 1, gaps of 15 to 70 mm and 10 to 80 lenslets per row.
+//!
+//! Second part: a process sweeps 100 small designs. It is killed (SIGKILL) and started again
+//! several times. Its table must have the bytes of a sweep without interruption.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
@@ -26,9 +30,9 @@ fn main() -> ExitCode {
     let words: Vec<String> = std::env::args().skip(1).collect();
     let words: Vec<&str> = words.iter().map(String::as_str).collect();
     let result = match words.as_slice() {
-        // what is killed
+        // the process that is killed
         ["child", job, folder] => child(Path::new(job), Path::new(folder)),
-        // numbers to fit the constants of the prediction to
+        // data for a fit of the prediction's constants
         ["features", seed] => print_features(seed.parse().unwrap_or(1000)),
         _ => prediction().and_then(|()| killing()),
     };
@@ -91,7 +95,7 @@ fn random_display(seed: u64, number: u64, field: &LightField) -> Result<Display,
     change.applied_to(&base).map_err(|error| wrong(&error))
 }
 
-/// Random designs with the PSNR that a solver reaches.
+/// Returns random designs, each with the PSNR in dB that a solver reaches.
 fn solved(seed: u64, count: usize) -> Result<Vec<(Display, f64)>, PipelineError> {
     let field = light_field()?;
     let solve = |number: u64| {
@@ -157,7 +161,7 @@ fn child(job: &Path, folder: &Path) -> Outcome {
     Ok(())
 }
 
-/// Kills the sweep whenever it has solved some more designs.
+/// Kills the sweep after 1, 15, 30, ... designs and compares its table with an uninterrupted one.
 fn killing() -> Outcome {
     let folder = target_folder().join("kill");
     let _ = std::fs::remove_dir_all(&folder);
@@ -171,9 +175,11 @@ fn killing() -> Outcome {
         command.arg("child").arg(&job).arg(out).stdout(Stdio::null());
         command.spawn()
     };
+    // The reference: a sweep without interruption.
     if !start(&whole)?.wait()?.success() {
         return Err("the sweep fails".into());
     }
+    // Kill the process as soon as the folder has the wanted number of designs.
     let done = || {
         let entries = std::fs::read_dir(killed.join("designs"));
         entries.map_or(0, |entries| {
@@ -193,6 +199,7 @@ fn killing() -> Outcome {
         }
         child.wait()?;
     }
+    // The last process finishes the sweep.
     if !start(&killed)?.wait()?.success() {
         return Err("the sweep does not go on".into());
     }

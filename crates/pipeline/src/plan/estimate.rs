@@ -1,12 +1,15 @@
-//! A plan before the work: keys, cached results, and estimates of time and memory.
+//! Estimates of a plan: keys, cached results, time and memory, without executing it.
 //!
 //! ```text
-//! key of a step = hash(stage, code, what the stage reads of the job, keys of its inputs, content of the files that it reads)
-//! time          = work of the step / rate         rate: of the last run in this folder, else of this machine by a calibration of some milliseconds
+//! key of a step = hash(stage, code, the job's values that it reads, keys of its inputs,
+//!                      content of its files)
+//! time          = work of the step / rate
+//! rate          = work / time of the last run in this folder, else of a short calibration
 //! ```
 //!
-//! Results are stamped with the content that they were made from, which is known only when the stages before have run. These keys are known before: a run notes
-//! them in `cache/steps.json` with what each step took and which files a scene was made of, so the next plan tells what is current.
+//! Stamps of results need the content of their inputs, which exists only after the stages before.
+//! These keys need the job and the files alone. A run writes them to `cache/steps.json`, with the
+//! time of each step and the files of the scene, so that the next plan finds current results.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -31,29 +34,29 @@ use crate::store::key::{KeyBuilder, content_hash};
 use crate::store::plugin_files::plugin_key;
 use crate::store::stamps::Stamps;
 
-/// Below the run folder.
+/// File of the records, below the run folder.
 const FILE: &str = "cache/steps.json";
-/// Digits of a key that are shown.
+/// Length of a shown key, hexadecimal digits.
 const DIGITS: usize = 16;
-/// Rays of the report's score per pixel and direction, both halves: most directions take four.
+/// Mean number of rays per pixel and direction of the zone score, both halves together.
 const SCORE_SAMPLES: f64 = 6.5;
 
-/// A run's note of a step.
+/// Record of an executed step.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Record {
     key: Option<String>,
-    /// Of the work, where the result was not there already.
+    /// Time of the work, seconds; `None` if the result was cached.
     seconds: Option<f64>,
-    /// In the unit of its stage.
+    /// Amount of work, in the unit of the stage.
     work: f64,
-    /// Files that a scene was made of, each with a hash of its content.
+    /// Files of the scene, each with a hash of its content.
     #[serde(with = "lumistack_core::path_text::hashed")]
     files: Vec<(PathBuf, String)>,
 }
 
 impl Record {
     pub(crate) fn new(seconds: f64, cached: bool, files: Vec<(PathBuf, String)>) -> Self {
-        // what is no file is an importer, Blender or memory
+        // Importers, Blender and scenes in memory have names that are not files.
         let place = |path: PathBuf| match path.is_file() {
             true => std::path::absolute(&path).unwrap_or(path),
             false => path,
@@ -65,21 +68,24 @@ impl Record {
 
 type Records = BTreeMap<String, Record>;
 
-/// Notes what steps of a run took. Keys are made anew: files may have become known.
+/// Writes records of executed steps. All keys are computed again, since a run finds a scene's
+/// files.
 ///
 /// # Errors
-/// When the note cannot be written.
+/// If the file cannot be written.
 pub(crate) fn note(plan: &Plan, registry: &Registry, new: Records) -> Result<(), PipelineError> {
     let path = plan.folder.join(FILE);
     if new.is_empty() || !plan.folder.join("cache").is_dir() {
         return Ok(());
     }
+    // Steps of an older plan are dropped.
     let mut records: Records = read_json(&path).unwrap_or_default();
     let ids = plan.indices();
     records.retain(|id, _| ids.contains_key(id.as_str()));
     for (id, mut record) in new {
         let Some(&index) = ids.get(id.as_str()) else { continue };
         record.work = work(plan, index);
+        // A cached result keeps the time of the run that made it.
         if let Some(old) = records.get(&id).filter(|_| record.seconds.is_none()) {
             (record.seconds, record.work) = (old.seconds, old.work);
         }
@@ -93,20 +99,21 @@ pub(crate) fn note(plan: &Plan, registry: &Registry, new: Records) -> Result<(),
     write_json(&path, &records)
 }
 
-/// Fills in what is known before the work.
+/// Fills in keys, cached results and estimates of all steps.
 pub(crate) fn fill(plan: &mut Plan, registry: &Registry) {
     let records: Records = read_json(&plan.folder.join(FILE)).unwrap_or_default();
     let keys = keys(plan, &records, registry);
     let machine = multiply_adds_per_second();
     for (index, key) in keys.into_iter().enumerate() {
         let record = records.get(&plan.steps[index].id);
+        // Without a record nothing is cached; without a key only a run can find out.
         let cached = match (&key, record) {
             (_, None) => Some(false),
             (None, Some(_)) => None,
             (Some(key), Some(record)) => Some(record.key.as_ref() == Some(key) && is_there(plan, index)),
         };
         let (work, memory_bytes) = (work(plan, index), memory(plan, index));
-        // of the same step, else of another of its stage
+        // The rate comes from this step's last execution, else from another step of the stage.
         let own = record.filter(|record| record.seconds.is_some());
         let stage = plan.steps[index].stage;
         let alike = || {
@@ -120,7 +127,7 @@ pub(crate) fn fill(plan: &mut Plan, registry: &Registry) {
     }
 }
 
-/// The key of every step, where it is known.
+/// Computes the key of every step; `None` if the files of its scene are not known yet.
 fn keys(plan: &Plan, records: &Records, registry: &Registry) -> Vec<Option<String>> {
     let ids = plan.indices();
     let mut keys: Vec<Option<String>> = Vec::new();
@@ -143,7 +150,7 @@ fn keys(plan: &Plan, records: &Records, registry: &Registry) -> Vec<Option<Strin
     keys
 }
 
-/// The job of a part without what depends on where the run folder lies.
+/// Returns the job of a part without the paths that depend on the run folder.
 fn settings(plan: &Plan, part: usize) -> Job {
     let mut job = plan.parts[part].job.clone();
     if plan.time(part).is_some_and(|(time, _)| time > 0) {
@@ -153,7 +160,7 @@ fn settings(plan: &Plan, part: usize) -> Job {
     job
 }
 
-/// Adds the content of the files that a step reads; `None` where it is not known which.
+/// Adds the content of the files that a step reads. Returns `None` if they are not known.
 fn add_content(
     key: &mut KeyBuilder,
     plan: &Plan,
@@ -195,7 +202,7 @@ fn add_content(
     }
 }
 
-/// Adds the content of a file, or of all files below a folder.
+/// Adds the content of a file, or of all files below a folder, sorted by name.
 fn add_files(key: &mut KeyBuilder, path: &Path) -> Option<()> {
     if !path.is_dir() {
         key.add("content", content_hash(path).ok()?.as_bytes());
@@ -210,7 +217,7 @@ fn add_files(key: &mut KeyBuilder, path: &Path) -> Option<()> {
     })
 }
 
-/// Whether the files of a result lie in the run folder as they were written.
+/// True if the run folder has the unchanged files of a result.
 fn is_there(plan: &Plan, index: usize) -> bool {
     let step = &plan.steps[index];
     let dir = plan.folder.join(&step.folder);
@@ -218,7 +225,7 @@ fn is_there(plan: &Plan, index: usize) -> bool {
     let job = &plan.parts[step.part].job;
     let exists = |names: &[&str]| names.iter().all(|name| dir.join(name).exists());
     match step.what {
-        // read anew by every run
+        // every run reads these again
         What::Ingest | What::Place | What::Read => false,
         What::Trace | What::Denoise | What::Score => exists(&["cache/views"]),
         What::Expose | What::Source => stamps.is_whole("target"),
@@ -233,20 +240,21 @@ fn is_there(plan: &Plan, index: usize) -> bool {
     }
 }
 
-/// Sizes of a part's display and light field.
+/// Sizes of a part's display and light field, as numbers for products.
 struct Sizes {
     /// Pixels of a view.
     pixels: f64,
+    /// Views of the target.
     views: f64,
-    /// Of the light fields for the report.
+    /// Views of the light fields for the report.
     others: f64,
     layers: f64,
     /// Values of the patterns of all frames.
     values: f64,
     frames: f64,
-    /// Bytes of the light fields that are kept in memory: the target, and those for the report.
+    /// Bytes of the light fields in memory: the target and those for the report.
     held: f64,
-    /// Bytes that the factorizer holds beside.
+    /// Bytes of the solver besides.
     solving: f64,
 }
 
@@ -257,6 +265,7 @@ impl Sizes {
         let count = |grid: Option<lumistack_display::ViewGrid>| grid.map_or(0, |grid| grid.iter().count()) as f64;
         let area = |[cols, rows]: [usize; 2]| (cols * rows) as f64;
         let frames = display.frames as f64;
+        // Larger light fields are in mapped files, which are not counted.
         let others = [held_out_grid(&geometry.grid, job.render.held_out), geometry.grid.outside(job.render.outside)];
         let fields = others.into_iter().chain([Some(geometry.grid.clone())]).flatten();
         let held = fields.map(|grid| geometry.with_grid(grid)).filter(|geometry| job.render.is_held(geometry));
@@ -283,12 +292,12 @@ impl Sizes {
     }
 }
 
-/// The work of a step, in the unit of its stage: paths, multiply-adds of a ray, rays.
+/// Returns the work of a step, in the unit of its stage: paths, multiply-adds per ray, or rays.
 fn work(plan: &Plan, index: usize) -> f64 {
     let step = &plan.steps[index];
     let job = &plan.parts[step.part].job;
     let Some(sizes) = Sizes::of(job) else { return 0.0 };
-    // captures have no noise
+    // Splats are rendered without noise, by one ray.
     let is_capture = job.scene.as_deref().is_some_and(is_capture);
     let samples = if is_capture { 1.0 } else { f64::from(job.render.samples_of_view(sizes.views as usize)) };
     match step.what {
@@ -313,7 +322,7 @@ fn work(plan: &Plan, index: usize) -> f64 {
     }
 }
 
-/// Iterations that a time which begins a chunk takes before its own.
+/// Returns the extra iterations of a time step that begins a chunk.
 fn warm_up_iterations(plan: &Plan, part: usize) -> u32 {
     let Some((time, sequence)) = plan.time(part) else { return 0 };
     let Kind::Sequence(times) = &plan.parts[sequence].kind else { return 0 };
@@ -323,7 +332,8 @@ fn warm_up_iterations(plan: &Plan, part: usize) -> u32 {
     }
 }
 
-/// Multiply-adds that a unit of a stage's work takes, with all that it waits for: measured once, to an order of magnitude.
+/// Multiply-adds per unit of a stage's work, including memory accesses: measured once, right to an
+/// order of magnitude.
 fn cost(stage: &str) -> f64 {
     match stage {
         "ingest" | "place" => 1e8,
@@ -335,14 +345,15 @@ fn cost(stage: &str) -> f64 {
     }
 }
 
-/// Bytes that a step holds.
+/// Estimates the memory of a step, bytes.
 fn memory(plan: &Plan, index: usize) -> u64 {
     let step = &plan.steps[index];
     let job = &plan.parts[step.part].job;
     let Some(sizes) = Sizes::of(job) else { return 0 };
     const RGB: f64 = 12.0;
     let field = RGB * sizes.rays();
-    // a tree over the triangles, and textures, take several times the files; captures are packed more tightly
+    // Factors on the file's size: a tree over triangles and textures, or splats, which files pack
+    // more tightly.
     let packed = if job.scene.as_deref().is_some_and(is_capture) { 16.0 } else { 4.0 };
     let scene =
         packed * job.scene.as_ref().and_then(|path| std::fs::metadata(path).ok()).map_or(0.0, |data| data.len() as f64);
@@ -358,7 +369,7 @@ fn memory(plan: &Plan, index: usize) -> u64 {
     bytes as u64
 }
 
-/// The machine's rate of multiply-adds on all threads, measured for some milliseconds.
+/// Measures the rate of multiply-adds of all threads in a few milliseconds.
 fn multiply_adds_per_second() -> f64 {
     const ROUNDS: u32 = 1 << 20;
     let start = Instant::now();
@@ -367,7 +378,7 @@ fn multiply_adds_per_second() -> f64 {
         .into_par_iter()
         .map(|thread| (0..ROUNDS).fold([thread as f32; 8], |sum, _| sum.map(|x| x * 0.999 + 0.5)).iter().sum())
         .collect();
-    // the result must be used, or nothing would be computed
+    // The compiler removes the loop if its result is not used.
     let scale = if sums.iter().all(|sum| sum.is_finite()) { 8.0 } else { 1.0 };
     scale * f64::from(ROUNDS) * threads as f64 / start.elapsed().as_secs_f64().max(1e-6)
 }

@@ -1,7 +1,8 @@
-//! Executes plans: one step after another, each with what the steps before it left in memory.
+//! Executes plans step by step. Each step finds the results of its inputs in memory.
 //!
-//! A result is dropped after the last step that takes it. A step whose inputs are in no memory executes them first; their results are current in the run folder, so
-//! they are read back. So any step can be executed alone, in another process.
+//! A result is dropped after the last step that reads it. If the results of inputs are not in
+//! memory, the inputs are executed first; they read their current results from the run folder.
+//! Therefore another process can execute any step alone.
 
 mod check;
 pub(crate) mod context;
@@ -34,12 +35,12 @@ use crate::store::used;
 /// Executes the steps of a plan.
 pub(crate) struct Executor<'a> {
     pub(crate) context: Context<'a>,
-    /// Numbers of steps by their ids.
+    /// Indices of steps by their ids.
     ids: HashMap<&'a str, usize>,
     ends: Vec<Ends>,
     done: Vec<bool>,
     records: BTreeMap<String, Record>,
-    /// Where a unit of work is executed: the part that it works in, and how it holds its folder.
+    /// For a unit of work: its part, and how it holds the part's folder.
     unit: Option<(usize, Hold)>,
 }
 
@@ -56,33 +57,33 @@ impl<'a> Executor<'a> {
         }
     }
 
-    /// Executes all steps. The caller holds the run folder.
+    /// Executes all steps. The caller has locked the run folder.
     ///
     /// # Errors
-    /// When a step fails or is cancelled; finished steps are kept and taken up by the next run.
+    /// If a step fails or is cancelled. Finished steps are kept, and the next run reuses them.
     pub(crate) fn execute(&mut self) -> Result<(), PipelineError> {
         self.context.check()?;
         let is_design = |step: &Step| matches!(self.context.plan.parts[step.part].kind, Kind::Sweep);
-        // the designs of a sweep are solved side by side by its own
+        // The sweep solves its designs in parallel, in `plan/sweep.rs`.
         let steps = (0..self.context.plan.steps.len()).filter(|index| !is_design(&self.context.plan.steps[*index]));
         let result = steps.collect::<Vec<_>>().into_iter().try_for_each(|index| {
             self.run(index)?;
             self.release(index)
         });
-        // a run that failed before it kept anything leaves nothing
+        // A run that failed before its first kept result leaves no file.
         let keeps = |step: &Step| !matches!(step.what, What::Ingest | What::Place | What::Read);
         if !self.context.plan.steps.iter().zip(&self.done).any(|(step, done)| *done && keeps(step)) {
             return result;
         }
-        // the next plan knows the steps that were finished, and their times
+        // The next plan reads times and keys of the finished steps, also after an error.
         let noted = estimate::note(self.context.plan, self.context.registry, std::mem::take(&mut self.records));
         result.and(noted)
     }
 
-    /// Executes one step; the results of those before it are read back from the run folder, or made where they are not there.
+    /// Executes one step. Results of earlier steps are read from the run folder, or made.
     ///
     /// # Errors
-    /// As [`execute`](Self::execute), and when there is no such step.
+    /// As [`execute`](Self::execute), and if there is no such step.
     pub(crate) fn execute_alone(&mut self, id: &str) -> Result<(), PipelineError> {
         self.context.check()?;
         let index = self.index(id)?;
@@ -90,11 +91,11 @@ impl<'a> Executor<'a> {
         estimate::note(self.context.plan, self.context.registry, std::mem::take(&mut self.records))
     }
 
-    /// Executes steps of one part as a unit of work, while other processes execute others. The caller holds the run folder together with them, and all units whose
-    /// results this one takes are done.
+    /// Executes steps of one part as a unit of work, while other processes execute other units. The
+    /// caller shares the lock of the run folder with them. All input units are done.
     ///
     /// # Errors
-    /// As [`execute`](Self::execute), and when there is no such step.
+    /// As [`execute`](Self::execute), and if there is no such step.
     pub(crate) fn execute_unit(
         &mut self,
         steps: &[String],
@@ -114,7 +115,7 @@ impl<'a> Executor<'a> {
         Ok(())
     }
 
-    /// Takes results of units that are done into memory, while other processes work.
+    /// Reads results of done units into memory, while other processes work.
     ///
     /// # Errors
     /// As [`execute_unit`](Self::execute_unit).
@@ -126,15 +127,16 @@ impl<'a> Executor<'a> {
         })
     }
 
-    /// Checks jobs, displays, settings and outputs before any work.
+    /// Checks jobs, displays, settings and outputs of all parts.
     ///
     /// # Errors
-    /// The first of them that makes no sense.
+    /// The first invalid value.
     pub(crate) fn check(&mut self) -> Result<(), PipelineError> {
         self.context.check()
     }
 
-    /// Solves a tile of patterns in a round, or traces a block of pictures, for which the scene and the place of the window are enough.
+    /// Solves a tile of the patterns in a round, or traces a block of pictures. Tracing needs only
+    /// the scene and its placement.
     fn run_block(&mut self, index: usize, block: Block, round: Option<usize>) -> Result<(), PipelineError> {
         let plan = self.context.plan;
         let step = &plan.steps[index];
@@ -165,7 +167,8 @@ impl<'a> Executor<'a> {
         let plan = self.context.plan;
         let step = &plan.steps[index];
         for input in &step.inputs {
-            // in a plan that is executed as a whole they are done
+            // A whole plan has executed the inputs already. A unit of work reads the patterns of a
+            // warm start from their files.
             let input = self.index(input)?;
             // the patterns to start from are read from their files
             let of_file = self.unit.is_some() && [step.what, plan.steps[input].what] == [What::Patterns; 2];
@@ -175,6 +178,7 @@ impl<'a> Executor<'a> {
         }
         self.context.task.cancel.check()?;
         self.enter(step.part)?;
+        // Collect the step's warnings for its report, and show the time step in progress.
         let warnings = Tee::new(self.context.task.warnings);
         let time = plan.time(step.part);
         let place = time.and_then(|(time, sequence)| match &plan.parts[sequence].kind {
@@ -190,7 +194,7 @@ impl<'a> Executor<'a> {
         if let Some(told) = told(plan, step) {
             let stages = &mut self.context.states[step.part].stages;
             match stages.last_mut().filter(|last| last.name == told) {
-                // tracing, filtering and exposing are one to people
+                // Reports show tracing, denoising and exposing as one stage.
                 Some(last) => (last.seconds, last.cached) = (last.seconds + seconds, last.cached && cached),
                 None => stages.push(Stage { name: told, seconds, cached }),
             }
@@ -202,7 +206,7 @@ impl<'a> Executor<'a> {
         Ok(())
     }
 
-    /// Takes the folder of a part, which somebody may run alone.
+    /// Locks the folder of a part, since another run may use that folder alone.
     fn enter(&mut self, part: usize) -> Result<(), PipelineError> {
         let of_part = &self.context.plan.parts[part];
         let Some(parent) = of_part.parent else { return Ok(()) };
@@ -211,7 +215,7 @@ impl<'a> Executor<'a> {
             return Ok(());
         }
         if let Some((own, hold)) = self.unit {
-            // finished results of other parts are only read
+            // A unit of work only reads the finished results of other parts.
             if self.context.plan.is_below(own, part) {
                 let hold = if own == part { hold } else { Hold::Shared };
                 let owned = take_for_unit(&self.context.dir(part), hold, UNIT_LIMIT, self.context.task)?;
@@ -219,6 +223,7 @@ impl<'a> Executor<'a> {
             }
             return Ok(());
         }
+        // The folder of a time step is a run folder of its own, with the checks of one.
         let in_sweep = matches!(self.context.plan.parts[0].kind, Kind::Sweep);
         let owned = match of_part.kind {
             Kind::Time(_) if !in_sweep => {
@@ -231,7 +236,8 @@ impl<'a> Executor<'a> {
         Ok(())
     }
 
-    /// Drops what no step takes any more, and tidies folders in which the last step has worked.
+    /// Drops results that no later step reads. Removes unused views and unlocks folders without
+    /// later steps.
     fn release(&mut self, index: usize) -> Result<(), PipelineError> {
         for part in 0..self.context.states.len() {
             let Ends { works, takes } = self.ends[part];
@@ -250,7 +256,7 @@ impl<'a> Executor<'a> {
         Ok(())
     }
 
-    /// Does a step's work; says whether its result was there already.
+    /// Executes a step. Returns true if its result was cached.
     fn work(&mut self, step: &Step, task: Task<'_>) -> Result<bool, PipelineError> {
         let (context, part) = (&mut self.context, step.part);
         match step.what {
@@ -273,13 +279,13 @@ impl<'a> Executor<'a> {
                 }
                 _ => context.report(part, task),
             },
-            // a sweep solves its designs side by side
+            // `plan/sweep.rs` solves the designs in parallel
             What::Design(_) | What::Search => Ok(false),
         }
     }
 }
 
-/// The name by which people are told of a step; `None` for one that is no stage to them.
+/// Returns the name of a step in reports; `None` for steps that reports leave out.
 fn told(plan: &Plan, step: &Step) -> Option<String> {
     let info = plan.stage_of(step.part, step.what);
     let (told, job) = (info.told?, &plan.parts[step.part].job);
@@ -293,12 +299,12 @@ fn told(plan: &Plan, step: &Step) -> Option<String> {
     })
 }
 
-/// The last steps that concern a part.
+/// Indices of the last steps that concern a part.
 #[derive(Clone, Copy, Default)]
 struct Ends {
-    /// In its folder or below.
+    /// The last step in its folder or below.
     works: usize,
-    /// That take what it holds in memory.
+    /// The last step that reads its results in memory.
     takes: usize,
 }
 
@@ -309,7 +315,8 @@ impl Ends {
             for part in plan.around(step.part) {
                 ends[part] = Self { works: index, takes: index };
             }
-            // exposure and geometry of the first time are noted, and so are the figures of every time
+            // Exposure, geometry and scores of time steps are kept elsewhere, so these steps do not
+            // extend the life of light fields.
             let is_whole = matches!(plan.parts[step.part].kind, Kind::Sequence(_)) && step.what == What::Report;
             if is_whole || matches!(step.what, What::Ingest | What::Place | What::Trace | What::Read | What::Source) {
                 continue;

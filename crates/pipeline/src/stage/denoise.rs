@@ -310,7 +310,7 @@ fn figures_path(folder: &Path) -> PathBuf {
     folder.join("figures.json")
 }
 
-/// What was done to the views in a folder; `None` before it is finished.
+/// Reads the figures of a folder; `None` if the filter has not finished.
 fn read_figures(folder: &Path) -> Option<Vec<ViewFigures>> {
     let list: Vec<(f64, [[f64; 3]; 3])> = read_json(&figures_path(folder))?;
     let figures = list.into_iter().map(|(mean, parts)| {

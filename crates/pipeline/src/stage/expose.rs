@@ -1,10 +1,14 @@
-//! Traced views become display-referred light fields: one exposure and one tone curve for all of them, and a background where the job has one.
+//! Exposes traced views to display-referred light fields, with one exposure and tone curve, and a
+//! background if the job has one.
 //!
 //! ```text
-//! L = (1 − m) · curve(exposure · radiance / (1 − m)) + m · background          m: share of a pixel's samples that meet no surface
+//! L = (1 − m) · curve(exposure · radiance / (1 − m)) + m · background
+//!
+//! m: share of a pixel's samples that hit no surface
 //! ```
 //!
-//! Radiance is traced without what is seen of the environment, so that neither exposure nor cached views depend on the background.
+//! Views are traced without a visible environment. Neither exposure nor cached views depend on the
+//! background.
 
 use std::borrow::Cow;
 
@@ -21,24 +25,25 @@ use crate::error::PipelineError;
 use crate::job::Background;
 use crate::store::paged::Paged;
 
-/// Display-referred light fields.
+/// Display-referred light fields of a shot.
 pub(crate) struct Exposed {
-    /// What the display should show. Views that were not wanted are black.
+    /// Target of the display. Views that were not chosen are black.
     pub(crate) target: LightField,
-    /// In-between views that the solver does not see.
+    /// Held-out views between the target's.
     pub(crate) held_out: Option<LightField>,
-    /// Views beyond the outermost ones, which it does not see either.
+    /// Views outside the viewing zone.
     pub(crate) outside: Option<LightField>,
-    /// How scene-linear radiance became display-referred.
+    /// Exposure and tone curve of all views.
     pub(crate) look: Look,
-    /// What the denoiser did to the target, where there is one.
+    /// Effect of the denoiser on the target, if there was one.
     pub(crate) denoised: Option<Denoised>,
 }
 
-/// Reads the finished views of all fields and makes them display-referred, with one look for all; with `linear` leaves them as they are.
+/// Reads the finished views of all fields and applies one exposure and tone curve. With `linear`,
+/// values stay scene-linear.
 ///
 /// # Errors
-/// When a view is not there, or the scene's background cannot be traced.
+/// If a view is missing, or the scene's background cannot be traced.
 pub(crate) fn run(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Result<Exposed, PipelineError> {
     let all: usize = traced.fields.iter().map(|field| field.geometry.grid.iter().count()).sum();
     task.progress.begin("expose", all as u64, "views");
@@ -52,7 +57,7 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
     let Traced { fields, depths, views, .. } = traced;
     let kind = shot.denoise();
     let read = |one: &FieldJob, view| one.radiance(view, shot);
-    // what is too large for memory is read twice instead
+    // Light fields too large for memory are read twice: for the exposure, and for the result.
     let mut radiance = Vec::new();
     for one in fields {
         let mut field = None;
@@ -64,6 +69,7 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
         }
         radiance.push(field);
     }
+    // The exposure comes from the target alone, and serves all fields.
     let look = if linear {
         Look { exposure: 1.0, curve: ToneCurve::Linear }
     } else {
@@ -76,7 +82,7 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
     let denoised = denoise::denoised(&fields[0], kind, look)?;
     let expose_view = |field: &FieldJob, view: [usize; 2], rgb: &mut [f32]| -> Result<(), PipelineError> {
         if linear {
-            // neither exposed nor clipped nor rounded
+            // linear values are neither exposed, nor clipped, nor rounded
             return Ok(());
         }
         if let Background::Colour(background) = job.light.background {
@@ -88,6 +94,7 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
         lumistack_field_io::round_to_half(rgb);
         Ok(())
     };
+    // Expose in memory, or view by view into a mapped file.
     let (mut target, mut held_out, mut outside) = (None, None, None);
     for (field, radiance) in fields.iter().zip(radiance) {
         let (wanted, grid) = (field.wanted(views), &field.geometry.grid);

@@ -1,7 +1,8 @@
-//! What views see besides their light, as layers of pictures beside them.
+//! Extra channels of the views, in pictures beside them.
 //!
 //! ```text
-//! layers_YY_XX.exr   depth.Z  normal.X normal.Y normal.Z  albedo.R albedo.G albedo.B  variance.R variance.G variance.B  coverage.A
+//! layers_YY_XX.exr   depth.Z  normal.X normal.Y normal.Z  albedo.R albedo.G albedo.B
+//!                    variance.R variance.G variance.B  coverage.A
 //! ```
 
 use std::path::Path;
@@ -16,10 +17,10 @@ use crate::stage::fields::Shot;
 use crate::stage::trace::Traced;
 use crate::view_options::{ViewLayer, ViewOptions};
 
-/// Writes the layers of every view that was rendered beside it; returns the folder index's account of them.
+/// Writes the extra channels of every rendered view. Returns their description for the index.
 ///
 /// # Errors
-/// When the scene cannot be rendered, a file cannot be written, or when cancelled.
+/// If the scene cannot be rendered, a file cannot be written, or the task is cancelled.
 pub(crate) fn write_layers(
     folder: &Path,
     shot: Shot<'_>,
@@ -38,6 +39,7 @@ pub(crate) fn write_layers(
     lumistack_field_io::atomic::create_folder(folder).map_err(field_error)?;
     let renderer = ingested.renderer(task)?;
     task.progress.begin("layers", rendered.views.len() as u64, "views");
+    // Collect the requested channels of one view, each `[row][col]`.
     let of_view = |view: [usize; 2]| -> Result<(), PipelineError> {
         let mut channels: Vec<(&str, Vec<f32>)> = Vec::new();
         if has(ViewLayer::Depth) {
@@ -72,6 +74,7 @@ pub(crate) fn write_layers(
             let missed = target.missed(view, shot, task)?;
             channels.push((ViewLayer::Coverage.channels()[0], missed.iter().map(|missed| 1.0 - missed).collect()));
         }
+        // The file has the name of the view's picture, with another prefix.
         let views = target.geometry.grid.views();
         let name = lumistack_field_io::view_file_name(views, view).replacen("view_", "layers_", 1);
         let channels: Vec<(&str, &[f32])> = channels.iter().map(|(name, values)| (*name, values.as_slice())).collect();
@@ -82,6 +85,7 @@ pub(crate) fn write_layers(
     let result = rendered.views.iter().try_for_each(|&view| of_view(view));
     task.progress.end();
     result?;
+    // Describe channels, units and meaning, so that a reader needs no other document.
     let mut about = Map::new();
     about.insert("files".into(), "layers_YY_XX.exr, beside view_YY_XX.exr".into());
     about.insert("scene_units_per_mm".into(), placement.window.scene_from_display.scale.into());

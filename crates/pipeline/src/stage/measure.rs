@@ -1,4 +1,4 @@
-//! Error and flicker of a time of a sequence, kept between runs.
+//! Error and flicker of a time step, cached between runs.
 
 use std::path::Path;
 
@@ -16,7 +16,7 @@ use crate::store::files::{read_json, write_json};
 use crate::store::key::KeyBuilder;
 use crate::store::stamps::Stamps;
 
-/// Sums of squares and counts, as they are kept between runs.
+/// Sums of squares and counts, as the file has them.
 #[derive(Serialize, Deserialize)]
 struct Kept {
     error: (f64, u64),
@@ -24,10 +24,10 @@ struct Kept {
     still: (f64, u64),
 }
 
-/// The figures of a time, their key, and whether they were kept.
+/// Returns the errors of a time step, their key, and true if they were cached.
 ///
 /// # Errors
-/// When they cannot be kept, or when cancelled.
+/// If the file cannot be written, or the task is cancelled.
 pub(crate) fn run(
     display: &Display,
     weights: &Weights,

@@ -1,4 +1,5 @@
-//! A light field that somebody else rendered is read: values that no display shows are told, and the job's exposure and tone curve are applied.
+//! Reads a light field of another renderer, warns about values out of range, and applies exposure
+//! and tone curve of the job.
 
 use std::path::Path;
 
@@ -12,10 +13,11 @@ use super::field::field_defaults;
 use crate::error::{PipelineError, field_error};
 use crate::job::Job;
 
-/// Reads the light field at `path` for a display, and so many views as the report wants of those that the display leaves out.
+/// Reads the light field at `path` for a display. Also returns views that the display does not use,
+/// as many as the report scores.
 ///
 /// # Errors
-/// When it cannot be read, or its geometry is incomplete.
+/// If it cannot be read, or its geometry is incomplete.
 pub(crate) fn run(
     path: &Path,
     job: &Job,
@@ -26,7 +28,7 @@ pub(crate) fn run(
     let defaults = field_defaults(display);
     let most = job.report.zone_directions;
     let read = lumistack_field_io::open_for(path, &job.geometry, &defaults, Some(&footprint), most, task);
-    // not rounded, as `target/` is: figures are about what was given
+    // Values are not rounded as in `target/`: the report compares with the values of the file.
     let (mut field, mut left_out) = read.map_err(field_error)?;
     if let Some(look) = Look::of_given(&job.light) {
         look.apply(&mut field);
@@ -38,19 +40,20 @@ pub(crate) fn run(
     Ok((field, left_out))
 }
 
-/// What the command offers for values beyond 0 to 1.
+/// Remedies of the command for values outside 0..1.
 pub(crate) const OFFER_OF_COMMAND: &str =
     "--exposure-ev STOPS scales them, --tone linear clips them, --tone khronos-neutral or agx compresses them";
-/// What the Python package offers.
+/// Remedies of the Python package.
 pub(crate) const OFFER_OF_PYTHON: &str =
     "light_field.exposed(stops) scales and clips them, tone=\"khronos-neutral\" or \"agx\" compresses them";
 
-/// Slopes that the display cannot tell apart, once it has adapted to a light field; of one that it refuses, as it is.
+/// Returns the slopes that a display cannot separate, once adapted to a light field. If it cannot
+/// adapt, its own.
 pub(crate) fn adapted_footprint(display: &Display, geometry: &FieldGeometry) -> [f64; 2] {
     display.adapted_to(geometry).as_ref().unwrap_or(display).angular_footprint()
 }
 
-/// Values of a light field beyond what a display shows at the brightness that is asked of it.
+/// Statistics of values outside 0..1, which no display shows.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Beyond {
     values: u64,
@@ -62,7 +65,7 @@ pub(crate) struct Beyond {
 }
 
 impl Beyond {
-    /// Counts them; `None` where all values are 0 to 1.
+    /// Counts the values; `None` if all are in 0..1.
     pub(crate) fn of(field: &LightField) -> Option<Self> {
         let parts = field.radiance().data().par_chunks(1 << 16).map(|values| {
             let mut part = Self { values: values.len() as u64, ..Self::default() };
@@ -88,7 +91,7 @@ impl Beyond {
         (all.above + all.below + all.not_finite > 0).then_some(all)
     }
 
-    /// How many they are, how far they go, and what `offer`s to do about it.
+    /// Describes the values: share, extremes, and the remedy.
     pub(crate) fn message(&self, offer: &str) -> String {
         let share = |count: u64| {
             let percent = 100.0 * count as f64 / self.values as f64;
@@ -113,7 +116,7 @@ impl Beyond {
         if self.not_finite > 0 {
             parts.push(format!("{} are no finite numbers", share(self.not_finite)));
         }
-        format!("{}; a display shows 0 to 1, and PSNR counts what it misses: {offer}", parts.join("; "))
+        format!("{}; a display shows 0 to 1, and PSNR counts the difference: {offer}", parts.join("; "))
     }
 }
 

@@ -1,4 +1,4 @@
-//! A source plugin makes the light field; what it made before is read back.
+//! Requests the light field from a source plugin, or reads it from the cache.
 
 use std::path::PathBuf;
 
@@ -17,7 +17,7 @@ use crate::store::key::KeyBuilder;
 use crate::store::plugin_files::plugin_key;
 use crate::store::stamps::Stamps;
 
-/// Which light field a source made, as it is kept between runs.
+/// Key of the source and of its light field, as the file has them.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct Kept {
     key: String,
@@ -29,19 +29,19 @@ fn path(stamps: &Stamps) -> PathBuf {
 }
 
 impl Kept {
-    /// Notes it, once the light field lies in its folder.
+    /// Writes the file, once the light field is in its folder.
     ///
     /// # Errors
-    /// When the file cannot be written.
+    /// If the file cannot be written.
     pub(crate) fn write(&self, stamps: &Stamps) -> Result<(), PipelineError> {
         write_json(&path(stamps), self)
     }
 }
 
-/// The light field, what is to be noted of it, and whether it was made before.
+/// Returns the light field, the keys to write, and true if it was cached.
 ///
 /// # Errors
-/// When there is no such plugin, or it fails, or when cancelled.
+/// If there is no such plugin, or it fails or is cancelled.
 pub(crate) fn run(
     source: &SourceJob,
     display: &Display,

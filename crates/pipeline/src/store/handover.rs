@@ -1,4 +1,4 @@
-//! Scenes that Blender hands over, kept between runs.
+//! Scenes that Blender converted, cached between runs.
 
 use std::path::{Path, PathBuf};
 
@@ -11,14 +11,14 @@ use super::files::{read_json, write, write_json};
 use super::key::{KeyBuilder, hash};
 use crate::error::PipelineError;
 
-/// A hand-over that was kept: what it was made from, each file with a hash of its content.
+/// A cached conversion with its origin: every file with a hash of its content.
 #[derive(Serialize, Deserialize)]
 struct Kept {
     account: BlendAccount,
     files: Vec<(PathBuf, String)>,
     program: Option<[u64; 2]>,
     glb: String,
-    /// Of the code that asks for it and reads it: no other program takes it up.
+    /// Fingerprint of the code that requests and reads it: no other version reuses it.
     code: String,
 }
 
@@ -26,13 +26,14 @@ fn code_of_scenes() -> String {
     KeyBuilder::new("scenes", code::SCENE).finish()
 }
 
-/// Whether a kept file (`blend-KEY.json` or `.glb`) belongs to a hand-over that a run would take up.
+/// True if a cached file (`blend-KEY.json` or `.glb`) belongs to a conversion that a run would
+/// reuse.
 pub(crate) fn holds(path: &Path) -> bool {
     read_json::<Kept>(&path.with_extension("json")).is_some_and(|kept| kept.holds())
 }
 
 impl Kept {
-    /// Whether Blender would hand over the same again.
+    /// True if Blender would return the same scene again.
     fn holds(&self) -> bool {
         self.code == code_of_scenes()
             && self.program.is_some()
@@ -46,11 +47,11 @@ fn content_of(path: &Path) -> Option<String> {
     lumistack_files::read(path).ok().map(|bytes| hash(&bytes))
 }
 
-/// The scene of a `.blend` file at a time. With a folder it is kept there, and Blender is not asked again while the file, what it reads, Blender itself and
-/// what we run in it are the same.
+/// Converts the scene of a `.blend` file at a time in seconds. With a cache folder, Blender runs
+/// again only if the file, its references, Blender or our script in it changed.
 ///
 /// # Errors
-/// When Blender hands nothing over, or what it does cannot be kept.
+/// If Blender returns no scene, or the cache cannot be written.
 pub(crate) fn hand_over(
     path: &Path,
     time_s: Option<f64>,
@@ -73,6 +74,7 @@ fn kept_or(
     surroundings: &str,
     folder: &Path,
 ) -> Result<HandedOver, PipelineError> {
+    // One cached conversion per file, time and surroundings.
     let mut key = KeyBuilder::new("blend", code::SCENE);
     let place = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     key.add("path", place.as_os_str().as_encoded_bytes()).add_json("time", &time_s);
@@ -84,12 +86,13 @@ fn kept_or(
     {
         return Ok(HandedOver { glb, account: kept.account });
     }
+    // Without a valid one, run Blender.
     let before = content_of(&place);
     let handed = ask()?;
     let HandedOver { glb, account } = &handed;
     let all = [std::slice::from_ref(&place), &account.files[..]].concat();
     let files: Option<Vec<_>> = all.into_iter().map(|path| Some((path.clone(), content_of(&path)?))).collect();
-    // a file that was saved meanwhile, or is gone, makes no kept result
+    // A file that changed meanwhile, or is missing, must not enter the cache.
     if let Some(files) = files.filter(|files| account.untracked.is_none() && Some(&files[0].1) == before.as_ref()) {
         let program = lumistack_usd::file_stamp(&account.program);
         let kept = Kept { account: account.clone(), files, program, glb: hash(glb), code: code_of_scenes() };
@@ -104,7 +107,7 @@ fn kept_or(
 mod tests {
     use super::*;
 
-    /// How often Blender is asked for two hand-overs, between which something happens.
+    /// Returns the number of Blender's runs for two conversions, with a change between them.
     fn asked(untracked: Option<String>, between: impl FnOnce(&Path)) -> usize {
         let folder = tempfile::tempdir().unwrap();
         let place = |name: &str| folder.path().join(name);
@@ -130,7 +133,7 @@ mod tests {
         between(folder.path());
         let second = hand_over(Some(0.5), "one");
         assert_eq!((first.glb, first.account), (second.glb, second.account));
-        // another time and another Blender are other hand-overs
+        // another time and another Blender are other conversions
         let (late, other) = (hand_over(Some(1.0), "one"), hand_over(Some(0.5), "two"));
         assert_eq!((late.glb, other.glb), (b"Some(1.0)".to_vec(), b"Some(0.5)".to_vec()));
         count - 2

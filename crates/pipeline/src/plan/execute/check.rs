@@ -1,4 +1,4 @@
-//! Checks of a plan before any work: an error is found before an hour of rendering, not after.
+//! Checks a plan before the work, so that no error is found after an hour of rendering.
 
 use lumistack_plugin_host::PluginKind;
 
@@ -12,10 +12,12 @@ impl Context<'_> {
     /// Checks jobs, displays, settings and outputs of all parts.
     ///
     /// # Errors
-    /// The first of them that makes no sense.
+    /// The first invalid value.
     pub(super) fn check(&mut self) -> Result<(), PipelineError> {
         let plan = self.plan;
         for (number, part) in plan.parts.iter().enumerate() {
+            // Later time steps have the job of the first, and a sweep's designs are checked by
+            // `Designs`.
             let job = &part.job;
             match (&part.kind, part.parent) {
                 (Kind::Time(_), _) => continue,
@@ -26,6 +28,7 @@ impl Context<'_> {
                 (Kind::Node(_), _) => {}
                 _ => job.check()?,
             }
+            // Settings, plugins and folders.
             let display = job.resolve_display()?;
             factorize::check(&job.factorize)?;
             if let Some(source) = &job.source {
@@ -38,6 +41,7 @@ impl Context<'_> {
             for node in &job.nodes {
                 node::check(node, self.registry)?;
             }
+            // Outputs refuse displays that they cannot show.
             if job.scene.is_some() && !matches!(part.kind, Kind::Node(_)) {
                 self.open_outputs(
                     job,

@@ -22,7 +22,7 @@ use crate::store::settings::{write_display, write_job};
 use crate::view_options::ViewOptions;
 
 impl Context<'_> {
-    /// Loads the scene.
+    /// Loads the scene. A scene's files are read by every run, so it is never cached.
     pub(super) fn ingest(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let job = self.job(part);
         let pose = match &self.plan.parts[part].kind {
@@ -45,7 +45,7 @@ impl Context<'_> {
         let cache = self.cache(part);
         let placement = place::place(&ingested, &job.window, &display, &geometry, Some(&cache), task)?;
         let samples = match self.plan.time(part) {
-            // all times are rendered alike
+            // All time steps are rendered with the same number of samples.
             Some((_, sequence)) => self.states[sequence].samples,
             None => samples::measured(&job, &ingested, &placement, &display, &cache, task)?,
         };
@@ -54,7 +54,7 @@ impl Context<'_> {
         Ok(false)
     }
 
-    /// Renders the views.
+    /// Renders the views. Returns true if they were cached.
     pub(super) fn trace(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let of = self.shot(part)?;
         let views = self.dir(part).join("cache/views");
@@ -63,14 +63,14 @@ impl Context<'_> {
         Ok(cached)
     }
 
-    /// Renders a block of the views, while others may render other blocks.
+    /// Renders a block of the views, while other processes may render other blocks.
     pub(super) fn trace_block(&mut self, part: usize, block: Block, task: Task<'_>) -> Result<bool, PipelineError> {
         let of = self.shot(part)?;
         let views = self.dir(part).join("cache/views");
         trace::run_block(of.shot(), &views, block, task)
     }
 
-    /// Renders a block of the pictures for the zone score, which need no exposure yet.
+    /// Renders a block of the pictures for the zone score, before the exposure is known.
     pub(super) fn score_block(&mut self, part: usize, block: Block, task: Task<'_>) -> Result<bool, PipelineError> {
         let of = self.shot(part)?;
         let zone = score::zone_of(&of.job, &of.display, &of.geometry);
@@ -80,13 +80,13 @@ impl Context<'_> {
         Ok(made.is_none_or(|references| references.cached))
     }
 
-    /// Filters the views.
+    /// Denoises the views. Returns true if they were cached.
     pub(super) fn denoise(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let (of, traced) = (self.shot(part)?, self.of(part, "views", |state| state.traced.clone())?);
         denoise::run(of.shot(), &traced.fields, task)
     }
 
-    /// Exposes the views: the light field.
+    /// Exposes the views, which makes the light field.
     pub(super) fn expose(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let (of, traced) = (self.shot(part)?, self.of(part, "views", |state| state.traced.clone())?);
         let exposed = expose::run(of.shot(), &traced, false, task)?;
@@ -97,7 +97,7 @@ impl Context<'_> {
         Ok(true)
     }
 
-    /// Renders the scene's pictures for the zone score.
+    /// Renders the scene's pictures for the zone score. Returns true if they were cached.
     pub(super) fn score(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let (of, traced) = (self.shot(part)?, self.of(part, "views", |state| state.traced.clone())?);
         let look = self.of(part, "an exposure", |state| state.look)?;
@@ -111,7 +111,7 @@ impl Context<'_> {
         Ok(cached)
     }
 
-    /// Reads a light field from a file.
+    /// Reads a light field from a file, and opens outputs for its geometry.
     pub(super) fn read(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let job = self.job(part);
         let path = job.light_field.clone().unwrap_or_default();
@@ -126,7 +126,7 @@ impl Context<'_> {
         Ok(false)
     }
 
-    /// Takes a light field from a source plugin.
+    /// Requests a light field from a source plugin. Returns true if it was cached.
     pub(super) fn source(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let job = self.job(part);
         let source = job.source.clone();
@@ -153,12 +153,14 @@ impl Context<'_> {
 
     fn check_geometry(&self, part: usize, path: &Path, found: &FieldGeometry) -> Result<(), PipelineError> {
         let Some((time, _)) = self.plan.time(part).filter(|(time, _)| *time > 0) else { return Ok(()) };
-        // all have the first one's, so the time before has it, too
+        // Every time step must have the first one's geometry, so the message may name the one
+        // before.
         let first = self.plan.at_time(part, 0).and_then(|first| self.states[first].geometry.as_ref());
         first.map_or(Ok(()), |expected| check_geometry(path, found, expected, &self.source_of(part, time - 1)))
     }
 
-    /// Keeps a light field; one that several nodes share writes its settings and takes the older report away.
+    /// Keeps a light field. For several nodes, it also writes the settings and removes an older
+    /// report.
     fn take_field(&mut self, part: usize, field: Field) -> Result<(), PipelineError> {
         let job = self.job(part);
         if !job.nodes.is_empty() && !matches!(self.plan.parts[0].kind, Kind::Sweep) {
@@ -177,7 +179,7 @@ impl Context<'_> {
     }
 }
 
-/// A shot with all that it is made of.
+/// The owner of the data that a [`Shot`] borrows.
 struct OwnShot {
     job: Arc<Job>,
     ingested: Arc<Ingested>,

@@ -1,4 +1,4 @@
-//! The step that measures error and flicker of a time of a sequence.
+//! The step that measures error and flicker of a time step.
 
 use std::path::Path;
 
@@ -19,6 +19,7 @@ impl Context<'_> {
         let plan = self.plan;
         let (field, patterns) = (self.field(part)?, self.of(part, "patterns", |state| state.patterns.clone())?);
         let Some((time, sequence)) = plan.time(part) else { return Ok(true) };
+        // Flicker needs patterns and target of the time step before.
         let before = time.checked_sub(1).and_then(|time| plan.at_time(part, time));
         let before = match before {
             None => None,
@@ -31,6 +32,7 @@ impl Context<'_> {
         let then = before.as_ref().map(|(field, before)| Shown { stack: &before.solved.stack, target: &field.target });
         let stamps = self.stamps(part);
         let (found, key, cached) = measure::run(&patterns.display, &patterns.weights, now, then, &stamps, task)?;
+        // The entry in the sequence's report.
         let reports = matches!(&plan.parts[sequence].kind, Kind::Sequence(times) if times.sequence.reports);
         let compared = |error: SquaredError| (error.count > 0).then_some(error);
         let (steps, solution) = (&patterns.solved.steps, &patterns.solved.solution);
