@@ -1,8 +1,8 @@
 //! The pipeline from a job file to its outputs.
 //!
 //! ```text
-//! job.toml ─▶ ingest ─▶ render ─▶ target/ ─▶ factorize ─▶ layers/ ─▶ output plugins ─▶ outputs/ ─▶ report
-//!                        (or a light field of another renderer)
+//! job.toml ─▶ ingest ─▶ render ─▶ target/ ─▶ factorize ─▶ layers/ ─▶ output plugins
+//!                        (or a light field of another renderer)      ─▶ outputs/ ─▶ report
 //! ```
 //!
 //! Every arrow is a stage (`stage/`). A job's plan (`plan/`) has the stages as steps in a run

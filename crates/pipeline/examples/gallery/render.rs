@@ -152,7 +152,7 @@ fn one(file: &Path, folder: &Path, options: &Options, registry: &Registry, task:
         "environment": environment,
         "exposure": exposure,
         "curve": curve.name(),
-        // distance beyond all parts of the scene as seen from the window, scene units
+        // upper bound of distances from the window to the scene, scene units
         "reach": reach,
         "window": {
             "centre": map.translation.to_array(),

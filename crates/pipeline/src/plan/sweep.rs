@@ -2,8 +2,9 @@
 //! and lenslets.
 //!
 //! ```text
-//! job + [sweep] ─▶ designs ─┬─ by light field ─▶ fields/1/target ─┬─▶ designs/KEY.json ─▶ sweep.csv, sweep.json, plots/
-//!                           └─ ...              fields/2/target ─┘   one each, in parallel
+//! job + [sweep] ─▶ designs ─┬─ by light field ─▶ fields/1/target ─┬─▶ designs/KEY.json
+//!                           └─ ...               fields/2/target ─┘   one each, in parallel
+//! designs/*.json ─▶ sweep.csv, sweep.json, plots/
 //! ```
 //!
 //! A sweep of a sequence has a light field per time step, `fields/1/t0001/target`. The file of a

@@ -294,7 +294,7 @@ fn natural(name: &str) -> Vec<(String, u128, String)> {
         let (text, after) = rest.split_at(digits);
         let end = after.find(|c: char| !c.is_ascii_digit()).unwrap_or(after.len());
         let (number, after) = after.split_at(end);
-        // Numbers beyond 128 bits sort last, by their text.
+        // Numbers of more than 128 bits sort last, by their text.
         parts.push((
             text.into(),
             number.parse().unwrap_or(if number.is_empty() { 0 } else { u128::MAX }),

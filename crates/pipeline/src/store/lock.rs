@@ -24,7 +24,7 @@ use crate::error::{PipelineError, field_error};
 pub(crate) const OWNER: &str = "owner.json";
 /// Lock of a preview, which may be written while a run uses the folder.
 const PREVIEW_LOCK: &str = "preview.lock";
-/// Number of attempts to read the owner's file, which is written a moment after the lock is taken.
+/// Number of attempts to read the owner's file, which is written shortly after the lock is taken.
 const LOOKS: u32 = 25;
 
 /// Interval of a unit's attempts to lock a folder.

@@ -38,8 +38,8 @@ pub fn load_environment(parts: &mut SceneParts, path: &Path, strength: f32) -> R
     Ok(())
 }
 
-/// Rotates an environment, whose central column is −z in its own space, as Blender and three.js do:
-/// the central column to +x, the column at a quarter of the width to −z.
+/// Rotates an environment, whose central column is −z in its own space, as Blender and three.js do.
+/// The central column goes to +x, the column at a quarter of the width to −z.
 fn as_in_blender() -> Quat {
     Quat::from_rotation_y(-std::f32::consts::FRAC_PI_2)
 }
