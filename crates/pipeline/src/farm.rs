@@ -186,8 +186,8 @@ pub fn farm_plan(
 /// files late.
 ///
 /// # Errors
-/// If the worker has other code than the plan, an input unit is not done in time, another process
-/// locks the folder, or the work fails or is cancelled.
+/// If the worker has other code than the plan, or an input unit is not done in time. If another
+/// process locks the folder, or the work fails or is cancelled.
 pub fn farm_unit(
     dir: &Path,
     id: &str,

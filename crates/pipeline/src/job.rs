@@ -45,7 +45,7 @@ pub struct Job {
     /// Version of the format.
     #[serde(default = "version")]
     pub version: u32,
-    /// Name for people and for the run folder; default: the file's stem.
+    /// Name in reports and of the run folder; default: the file's stem.
     #[serde(default)]
     pub name: String,
     /// Scene to render: `.gltf`, `.glb`, USD, or a file of an importer plugin. A job has one of

@@ -164,6 +164,7 @@ pub fn picture_from(
     viewpoint: Viewpoint,
     raw: bool,
 ) -> Result<Tensor<3>, PipelineError> {
+    // Check the viewpoint, and simulate it.
     let scale = if raw { 1.0 } else { (1.0 / stack.brightness) as f32 };
     let simulator = Simulator::new(display, stack);
     let mut picture = match viewpoint {
@@ -189,6 +190,7 @@ pub fn picture_from(
         }
         Viewpoint::Sweep(count) => strip(display, &simulator, count)?,
     };
+    // Division by β shows the picture at the brightness of the target.
     picture.data_mut().iter_mut().for_each(|value| *value *= scale);
     Ok(picture)
 }

@@ -206,6 +206,7 @@ pub fn write_report_on(on: &ReportOn<'_>, folder: &Path, task: Task<'_>) -> Resu
     // Values out of range may dominate all scores, so the report must name them.
     let beyond = Beyond::of(on.target).map(|beyond| beyond.message(read::OFFER_OF_PYTHON));
     let warnings: Vec<_> = beyond.into_iter().map(|message| Warning { place: "light field".into(), message }).collect();
+    // The zone score needs references, which only rendered scenes have.
     let zone = on.references.map(|references| references.measure(on.display, on.stack, task)).transpose()?;
     let report = lumistack_report::build(
         &ReportInput {
@@ -232,6 +233,7 @@ pub fn write_report_on(on: &ReportOn<'_>, folder: &Path, task: Task<'_>) -> Resu
         },
         task,
     )
+    // A cancelled report is a cancelled task, as everywhere.
     .map_err(|error| match error {
         lumistack_report::ReportError::Cancelled(_) => PipelineError::Cancelled,
         other => PipelineError::Report(other),

@@ -1,8 +1,8 @@
 //! Compares two renders of one view by scores in linear light and by pictures. Pictures use the
 //! exposure and tone curve that a job chooses for our render by default.
 //!
-//! With halves a and b of independent noise, E[(o_a − p_a)(o_b − p_b)] is the squared difference of
-//! the expected pictures: noise cancels.
+//! Halves a and b of a render have independent noise, which cancels in the product. Therefore
+//! E[(o_a − p_a)(o_b − p_b)] is the squared difference of the expected pictures o and p.
 
 use std::path::Path;
 

@@ -31,9 +31,11 @@ struct Notes {
 pub fn write(out: &Path, notes: &Path) -> Outcome {
     let source = std::fs::read_to_string(notes).map_err(|error| format!("{}: {error}", notes.display()))?;
     let notes: Notes = toml::from_str(&source).map_err(|error| format!("{}: {error}", notes.display()))?;
+    // Folders without `ours.json` are not of this gallery.
     let mut folders: Vec<PathBuf> = std::fs::read_dir(out).map_err(text)?.flatten().map(|entry| entry.path()).collect();
     folders.retain(|folder| folder.join("ours.json").is_file());
     folders.sort();
+    // One section per file, in the order of their names.
     let mut sections = Vec::new();
     for folder in &folders {
         sections.push(section(out, folder, &notes)?);
@@ -145,6 +147,7 @@ fn pair(out: &Path, folder: &Path, ours: &Value, blender: Option<&Value>) -> Out
         look.curve.name(),
         ours["triangles"],
     );
+    // The same line appears in the log, so that runs can be compared without a browser.
     println!("{}: {line}", ours["name"].as_str().unwrap_or_default());
     let gain =
         format!("{} × luminance difference: orange where ours is brighter, blue where Blender's is", compare::GAIN);

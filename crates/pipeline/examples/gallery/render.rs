@@ -54,6 +54,7 @@ impl Options {
 
 /// Renders every file below `scenes`.
 pub fn all(scenes: &Path, out: &Path, options: &Options) -> Outcome {
+    // Sorted files give the same order on every machine.
     let mut files = Vec::new();
     find(scenes, &mut files)?;
     files.sort();

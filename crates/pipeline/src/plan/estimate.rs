@@ -8,8 +8,9 @@
 //! ```
 //!
 //! Stamps of results need the content of their inputs, which exists only after the stages before.
-//! These keys need the job and the files alone. A run writes them to `cache/steps.json`, with the
-//! time of each step and the files of the scene, so that the next plan finds current results.
+//! These keys need the job and the files alone. A run writes them to `cache/steps.json`, where the
+//! next plan finds which results are current. Each has the time of its step and the files of a
+//! scene.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -170,11 +171,13 @@ fn add_content(
     record: Option<&Record>,
     registry: &Registry,
 ) -> Option<()> {
+    // A plugin counts with its version, code and parameters.
     let mut plugin = |id: &str, params: &Map<String, Value>| {
         key.add("plugin", plugin_key(registry, id, params).ok()?.as_bytes());
         Some(())
     };
     match what {
+        // Importers and memory have no file: their recorded hash stands for them.
         What::Ingest => {
             for (path, hash) in &record?.files {
                 let found = if path.is_absolute() { content_hash(path).ok()? } else { hash.clone() };

@@ -265,6 +265,7 @@ impl Sweep<'_> {
             })
             .collect();
         progress.end();
+        // A stopped sweep can continue, so say how far it came.
         let solved = solved.inspect_err(|error| {
             if matches!(error, PipelineError::Cancelled) {
                 let (done, all) = (finished.load(Ordering::Relaxed), candidates.len());

@@ -285,12 +285,14 @@ fn run_filter(
 ) -> Result<Vec<Tensor<3>>, PipelineError> {
     match kind {
         Denoise::Auto | Denoise::Off | Denoise::Shared => Ok(views.iter().map(NoisyView::mean).collect()),
+        // Our filter works on all views together.
         Denoise::Guided => {
             task.progress.begin("denoise", denoise::steps(geometry), "bands");
             let filtered = denoise::denoise(geometry, views, Around::default(), task);
             task.progress.end();
             Ok(filtered?)
         }
+        // The external program works on one view at a time, by files in a temporary folder.
         Denoise::Oidn => {
             let oidn = Oidn::find()?;
             let exchange = folder.join("exchange");

@@ -130,6 +130,7 @@ impl Solver<'_> {
         }
         let name = format!("{}.json", &key.finish()[..24]);
         let path = self.folder.join(&name);
+        // A row counts only if it describes this design.
         if let Some(row) = read_json::<Row>(&path).filter(|row| row.design == candidate.design) {
             return Ok((row, name, true));
         }

@@ -80,6 +80,7 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
         Look::choose(&job.light, &ingested.scene, &brightest(&fields[0].geometry, views, depths, picture)?)
     };
     let denoised = denoise::denoised(&fields[0], kind, look)?;
+    // Exposes one view: with a background, surfaces cover only a share of a pixel.
     let expose_view = |field: &FieldJob, view: [usize; 2], rgb: &mut [f32]| -> Result<(), PipelineError> {
         if linear {
             // linear values are neither exposed, nor clipped, nor rounded

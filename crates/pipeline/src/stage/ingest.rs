@@ -255,6 +255,7 @@ fn load_gltf(
         let bytes = gltf_bytes(path, reader, importer, registry, &resolver, task)?;
         Ok(lumistack_gltf::load_with(&path.display().to_string(), &bytes, &resolver, &options, task)?)
     };
+    // Files are recorded while the loader reads them.
     task.progress.begin("read scene", 1, "scene");
     let scene = read();
     task.progress.end();

@@ -64,6 +64,7 @@ pub(crate) fn write_layers(
                 }
             }
         }
+        // Variance and coverage come from the cache of the views.
         if has(ViewLayer::Variance) {
             let variance = target.variance(view, kind)?;
             for (axis, name) in ViewLayer::Variance.channels().iter().enumerate() {

@@ -36,6 +36,7 @@ pub(crate) fn run(
     stamps: &Stamps,
     task: Task<'_>,
 ) -> Result<(TimeError, String, bool), PipelineError> {
+    // Errors depend on display, weights, and patterns and targets of both time steps.
     let mut key = KeyBuilder::new("measure", code::FIELDS);
     key.add("display", display.without_panels().to_toml().as_bytes());
     add_weights(&mut key, weights);
@@ -45,6 +46,7 @@ pub(crate) fn run(
     }
     let (key, file) = (key.finish(), Path::new("cache/measure-figures.json"));
     let path = stamps.dir().join(file);
+    // Sums are stored, not figures in dB, since the sequence adds them up.
     let kept = || {
         let Kept { error, change, still } = read_json(&path)?;
         let [error, change, still] = [error, change, still].map(|(sum, count)| SquaredError { sum, count });

@@ -37,6 +37,7 @@ pub(crate) fn run(about: &About<'_>, stamps: &Stamps, task: Task<'_>) -> Result<
     let measure = |references: &References| references.measure(display, &solved.stack, task);
     // Measure the seen pictures first, which the report draws and scores.
     let zone = about.references.map(measure).transpose()?;
+    // Reports are made of values in memory; only the result is written.
     let report = lumistack_report::build(
         &ReportInput {
             title: &job.name,

@@ -210,6 +210,7 @@ fn trace(
     task.progress.begin("render", steps, "tiles");
     let result = todo.iter().enumerate().try_for_each(|(number, Todo { field, view, half, path, variance })| {
         let field = &fields[*field];
+        // Each half of a view has its own seed.
         let settings = field.settings_of(*half);
         let picture = match variance {
             None if kind == Denoise::Shared => None,
@@ -221,6 +222,7 @@ fn trace(
                 Some(picture)
             }
         };
+        // Shared light needs the view in parts, from which its radiance follows.
         if kind == Denoise::Shared {
             let split = renderer.render_split(window, &field.traced, *view, &settings, task).map_err(render_error)?;
             write_split(path, &split)?;

@@ -181,6 +181,7 @@ fn splats_light_meshes_only_if_asked() {
 
 /// Adds a wall of a material in the plane z = 0 to a document.
 fn with_wall(document: &[u8], material: serde_json::Value) -> Vec<u8> {
+    // A binary glTF file has a JSON chunk and a binary chunk.
     let length = u32::from_le_bytes(document[12..16].try_into().unwrap()) as usize;
     let mut json: serde_json::Value = serde_json::from_slice(&document[20..20 + length]).unwrap();
     let mut bin = document[28 + length..].to_vec();
@@ -192,6 +193,7 @@ fn with_wall(document: &[u8], material: serde_json::Value) -> Vec<u8> {
         list.push(value);
         list.len() - 1
     };
+    // Append the corners as a buffer view, an accessor, a mesh and a node.
     let view = push(
         &mut json["bufferViews"],
         serde_json::json!({"buffer": 0, "byteOffset": start, "byteLength": bin.len() - start}),

@@ -142,6 +142,7 @@ fn the_syntax_of_materials_does_not_decide_about_light() {
     if !has_usd() {
         return;
     }
+    // Shaders with their inputs for colour and roughness, and the inputs of a glowing panel.
     let preview = ("diffuseColor", "roughness");
     let standard = ("base_color", "specular_roughness");
     let twins = [
@@ -171,6 +172,7 @@ fn the_syntax_of_materials_does_not_decide_about_light() {
     ];
     let folder = tempfile::tempdir().unwrap();
     image::GrayImage::from_pixel(2, 2, image::Luma([255])).save(folder.path().join("white.png")).unwrap();
+    // The light tree must find the panel, in every syntax of its emission.
     for (number, (id, (color, rough), glow)) in twins.into_iter().enumerate() {
         let path = folder.path().join(format!("twin{number}.usda"));
         std::fs::write(&path, lit_room(id, color, rough, glow)).unwrap();

@@ -1,8 +1,8 @@
 //! Search for a design under constraints, without solving every design to the end.
 //!
-//! Successive halving (Jamieson and Talwalkar 2016): all allowed designs are solved with few
-//! iterations, the better part with more, and only the last few with all. The order after few
-//! iterations is nearly that after many. All rows are kept, so a search reuses rows of a sweep.
+//! Successive halving (Jamieson and Talwalkar 2016) solves all allowed designs with few iterations.
+//! The better part gets more, and only the last few get all. The order after few iterations is
+//! nearly that after many. All rows are kept, so a search reuses rows of a sweep.
 
 use lumistack_design::table::{Design, Row};
 

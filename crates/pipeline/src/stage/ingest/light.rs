@@ -65,8 +65,8 @@ pub(crate) fn from_splats(scene: Scene, strength: f32, task: Task<'_>) -> Result
 mod tests {
     use super::*;
 
-    /// Blender 4.5 shows a camera of an imported glTF file that looks along −z the column at 0.25
-    /// of the width, with larger ones to its right.
+    /// Expected values are from Blender 4.5: a camera of an imported glTF file looks along −z and
+    /// shows the column at 0.25 of the width. Columns to its right are larger.
     #[test]
     fn environment_files_lie_as_in_blender() {
         // columns of the map in its own space: the central one is −z, +x is to the right

@@ -43,9 +43,11 @@ fn chosen(
     name: &str,
     task: Task<'_>,
 ) -> Engine {
+    // Without losses, our path tracer renders unless the job wants Blender.
     let Some(contents) = losing else {
         return if render.engine == Engine::Blender { Engine::Blender } else { Engine::Lumistack };
     };
+    // The reasons against the file's own engine.
     let why_not = match render.engine {
         Engine::Blender => return Engine::Blender,
         Engine::Lumistack => Some("`render.engine = \"lumistack\"` requests our path tracer".to_owned()),
