@@ -25,6 +25,7 @@ const CLEAN: &[&str] = &[
     "crates/gltf",
     "crates/live",
     "crates/pathtracer",
+    "crates/pipeline",
     "crates/plot",
     "crates/plugin-abi",
     "crates/python",

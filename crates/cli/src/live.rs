@@ -23,7 +23,7 @@ use std::time::Duration;
 
 use clap::Args as ClapArgs;
 use lumistack_core::{Cancel, NoProgress, Task};
-use lumistack_pipeline::{Asked, Job, LiveFolder, PipelineError, PresentContext, Registry, Studio, Told, present};
+use lumistack_pipeline::{Asked, Job, LiveFields, LiveFolder, PipelineError, PresentContext, Registry, Told, present};
 use serde_json::json;
 
 use self::control::{read_commands, read_packets};
@@ -131,14 +131,14 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
     // Job, run folder, page and tracker: all errors of the start.
     let in_input = |error| in_place(error, &args.input);
     let mut job = args.job().map_err(in_input)?;
-    let times = if args.times { Studio::times_of(&job).map_err(in_input)? } else { Vec::new() };
+    let times = if args.times { LiveFields::times_of(&job).map_err(in_input)? } else { Vec::new() };
     if let Some(first) = times.first() {
         job.light_field = Some(first.clone());
     }
     let dir = args.output.clone().unwrap_or_else(|| Path::new("runs").join(format!("{}-live", job.name)));
-    let folder = LiveFolder::take(&dir, &job, registry, task)?;
+    let folder = LiveFolder::lock(&dir, &job, registry, task)?;
     let site = folder.cache().join("live");
-    let studio = Studio::new(job.clone(), &folder.cache()).map_err(in_input)?;
+    let studio = LiveFields::new(job.clone(), &folder.cache()).map_err(in_input)?;
     let server = listen(args.port).map_err(|error| {
         PipelineError::option("--port", "N", "a free port of this machine", format!("{} ({error})", args.port))
     })?;

@@ -96,14 +96,14 @@ pub enum PipelineError {
     },
     /// An input lies where the output is written.
     #[error(
-        "{}: expected a {what} outside of the output, found it among the files that are written into {}; choose another folder with -o",
+        "{}: expected a {role} outside of the output, found it among the files that are written into {}; choose another folder with -o",
         input.display(), folder.display()
     )]
     Overwrites {
         /// The input, a file or folder.
         input: PathBuf,
         /// Its role, such as `scene`.
-        what: &'static str,
+        role: &'static str,
         /// The output folder.
         folder: PathBuf,
     },
@@ -145,12 +145,12 @@ pub enum PipelineError {
     #[error(transparent)]
     Value(Box<BadValue>),
     /// A result that a stage has just written was replaced: another program changes the folder.
-    #[error("{}: {what}: expected the picture that was just written, found another or none; another program changes this folder", path.display())]
+    #[error("{}: {role}: expected the picture that was just written, found another or none; another program changes this folder", path.display())]
     Replaced {
         /// The file.
         path: PathBuf,
         /// Its content, for the message.
-        what: &'static str,
+        role: &'static str,
     },
     /// glTF ingest failed.
     #[error(transparent)]
@@ -267,8 +267,8 @@ impl PipelineError {
     }
 
     /// Error for a result that was replaced after it was written, for `ok_or_else`.
-    pub(crate) fn replaced<'a>(path: &'a Path, what: &'static str) -> impl FnOnce() -> Self + 'a {
-        move || Self::Replaced { path: path.to_owned(), what }
+    pub(crate) fn replaced<'a>(path: &'a Path, role: &'static str) -> impl FnOnce() -> Self + 'a {
+        move || Self::Replaced { path: path.to_owned(), role }
     }
 
     /// Error of a command's work outside of the pipeline, for `map_err`.

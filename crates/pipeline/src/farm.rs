@@ -24,9 +24,9 @@ use serde::{Deserialize, Serialize};
 use crate::error::{PipelineError, field_error};
 use crate::job::Job;
 use crate::plan::execute::Executor;
-use crate::plan::steps::Kind;
+use crate::plan::steps::PartKind;
 use crate::plan::sweep;
-use crate::plan::units::{Cut, FINISH, units};
+use crate::plan::units::{BlockSize, FINISH, units};
 use crate::run::{of_run, of_sweep, plan as plan_of, run_finished, work_of};
 use crate::stage::fields::Block;
 use crate::store::code;
@@ -34,14 +34,14 @@ use crate::store::farm::{done_file, forget, plan_file};
 use crate::store::files::{read_json, write_json};
 use crate::store::folder;
 use crate::store::key::hash;
-use crate::store::lock::{Hold, UNIT_LIMIT, take_for_unit};
+use crate::store::lock::{Hold, UNIT_LIMIT, lock_for_unit};
 use crate::store::names::Work;
 use crate::store::plugin_files;
 
 /// Length of a hash in files and messages, hexadecimal digits.
 const DIGITS: usize = 16;
 /// Interval between two checks for input units.
-const LOOK: Duration = Duration::from_millis(200);
+const INPUT_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Returns a hash of all code that results pass through. All workers of a run must have the same.
 pub fn code() -> String {
@@ -110,7 +110,8 @@ impl FarmPlan {
     }
 
     fn job(&self, maps: &[(PathBuf, PathBuf)]) -> Result<Job, PipelineError> {
-        let damaged = |_| PipelineError::value("farm plan", "job", "the job as it was planned", "another text");
+        let damaged =
+            |_| PipelineError::value("farm plan", "job", "the planned job", "a damaged text; plan the run again");
         let mut job: Job = config::parse(&self.job).map_err(damaged)?;
         for path in job.paths_mut() {
             *path = mapped(path, maps);
@@ -135,7 +136,7 @@ pub fn farm_plan(
     job: &Job,
     dir: &Path,
     registry: &Registry,
-    cut: Cut,
+    block_size: BlockSize,
     task: Task<'_>,
 ) -> Result<FarmPlan, PipelineError> {
     // Workers run in other folders, so all paths of the job become absolute.
@@ -146,12 +147,12 @@ pub fn farm_plan(
     job.paths_mut().for_each(|path| *path = absolute(path));
     // Find every error before the first worker starts.
     let plan = plan_of(&job, dir, registry)?;
-    let owned = folder::take(dir, work_of(&job), &job, registry, task)?;
+    let owned = folder::lock(dir, work_of(&job), &job, registry, task)?;
     Executor::new(&plan, registry, None, task).check()?;
     for part in &plan.parts {
         // The folder of a time step must be free or ours too.
-        if matches!(part.kind, Kind::Time(_)) && job.sweep.is_none() {
-            drop(folder::take(&dir.join(&part.folder), Work::Run, &part.job, registry, task)?);
+        if matches!(part.kind, PartKind::Time(_)) && job.sweep.is_none() {
+            drop(folder::lock(&dir.join(&part.folder), Work::Run, &part.job, registry, task)?);
         }
     }
     let mut made = FarmPlan {
@@ -159,7 +160,7 @@ pub fn farm_plan(
         name: job.name.clone(),
         version: env!("CARGO_PKG_VERSION").into(),
         code: code(),
-        units: units(&plan, cut),
+        units: units(&plan, block_size),
         job: job.to_toml(),
         folder: Some(job.folder.clone()),
     };
@@ -219,7 +220,7 @@ pub fn farm_unit(
     if is_last {
         run_finished(&job, dir, registry, task)?;
     } else {
-        let _owned = take_for_unit(dir, Hold::Shared, UNIT_LIMIT, task)?;
+        let _owned = lock_for_unit(dir, Hold::Shared, UNIT_LIMIT, task)?;
         let is_sweep = job.sweep.is_some();
         let (plan, designs) = if is_sweep { of_sweep(&job, dir)? } else { (of_run(&job, dir)?, Default::default()) };
         let design = unit.kind == lumistack_farm::Kind::Design;
@@ -256,6 +257,6 @@ fn wait_for_inputs(
             let (unit, expected) = (format!("unit `{}`", unit.id), "its input units done");
             return Err(PipelineError::value(dir, unit, expected, format!("`{first}` not done")));
         }
-        std::thread::sleep(LOOK);
+        std::thread::sleep(INPUT_INTERVAL);
     }
 }

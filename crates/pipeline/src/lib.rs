@@ -20,12 +20,12 @@ mod farm;
 mod inspect;
 mod job;
 mod live;
-mod only_views;
-mod outlook;
 mod plan;
+mod predict;
 pub mod presets;
 mod reader;
 mod refused;
+mod render_views;
 mod run;
 pub mod schema;
 mod simulate;
@@ -46,33 +46,33 @@ pub use job::{
     Near, NodeJob, OutputJob, PoseJob, RenderJob, ReportJob, SearchJob, SequenceJob, SourceJob, SweepJob, Tone,
     WindowFrom, WindowJob, ZoneSamples,
 };
-pub use live::{LiveFolder, Studio};
+pub use live::{LiveFields, LiveFolder};
 #[cfg(feature = "gpu")]
 pub use lumistack_factorizer_gpu::{Adapter as GpuAdapter, adapters as gpu_adapters};
 pub use lumistack_plugin_host::{Asked, OutputData, PresentContext, Registry, Told, present};
 #[cfg(feature = "dynamic")]
 pub use lumistack_plugin_host::{Launcher, plugin_child};
-pub use lumistack_shot::automatic_look;
-pub use only_views::render_only;
-pub use outlook::{Outlook, outlook, outlook_on};
+pub use lumistack_shot::automatic_tone_mapping;
 pub use plan::steps::{Plan, Step};
 pub use plan::sweep::SweepSummary;
-pub use plan::units::Cut;
+pub use plan::units::BlockSize;
+pub use predict::{Prediction, predict, predict_on};
 pub use reader::{is_blend, is_usd};
 pub use refused::{RefusedOutput, refused_outputs};
+pub use render_views::render_views;
 pub use run::{NodeSummary, SequenceSummary, Summary, plan, run, run_step, sweep};
 pub use simulate::{RunFolder, Viewpoint, picture_from, simulate_to_file, update_preview};
 pub use stage::denoise::oidn_version;
-pub use stage::ingest::{Ingested, SceneContents, load_scene, scene_contents, take_scene};
+pub use stage::ingest::{Ingested, SceneContents, ingest_scene, load_scene, scene_contents};
 pub use stage::place::place_window;
 pub use stage::score::References;
 pub use steps::{
-    ReportOn, Traced, WeightsFrom, expose_field, factorize_field, open_field, render_field, weights_of, write_output,
-    write_report_on,
+    RenderedField, ReportOn, WeightsFrom, expose_field, factorize_field, open_field, render_field, weights_of,
+    write_output, write_report_on,
 };
 pub use store::clean::{Cleaned, Freed, clean};
 pub use store::settings::resealed;
-pub use view_options::{ViewLayer, ViewOptions, ViewPick};
+pub use view_options::{ExtraChannel, ViewOptions, ViewSelection};
 
 /// Sets the number of worker threads of the program. Results do not depend on it. Call it before
 /// any other work.

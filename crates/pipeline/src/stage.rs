@@ -3,6 +3,7 @@
 //! Each stage has a file with its inputs, the key of its result, the work, and the result. The
 //! steps of a plan are stages in folders.
 
+pub(crate) mod channels;
 pub(crate) mod denoise;
 pub(crate) mod depth;
 pub(crate) mod design;
@@ -13,7 +14,6 @@ pub(crate) mod field;
 pub(crate) mod fields;
 pub(crate) mod flicker;
 pub(crate) mod ingest;
-pub(crate) mod layers;
 pub(crate) mod measure;
 pub(crate) mod node;
 pub(crate) mod output;
@@ -36,7 +36,7 @@ use crate::store::code::{self, Code};
 pub(crate) struct StageInfo {
     pub(crate) name: &'static str,
     /// Name in reports; `None` if reports leave the stage out.
-    pub(crate) told: Option<&'static str>,
+    pub(crate) label: Option<&'static str>,
     /// The job's values that the result depends on, besides results of other stages. Equal values
     /// give equal results.
     pub(crate) reads: fn(&Job) -> Value,
@@ -49,7 +49,7 @@ pub(crate) struct StageInfo {
 /// Reads scene files into a lit scene.
 pub(crate) const INGEST: StageInfo = StageInfo {
     name: "ingest",
-    told: Some("ingest"),
+    label: Some("ingest"),
     reads: |job| {
         let light = &job.light;
         let lamps = (light.environment_strength, light.environment_rotation_deg, light.visible, light.automatic);
@@ -62,7 +62,7 @@ pub(crate) const INGEST: StageInfo = StageInfo {
 /// Places the window in the scene: side, position, depth scale.
 pub(crate) const PLACE: StageInfo = StageInfo {
     name: "place",
-    told: None,
+    label: None,
     reads: |job| json!([job.window, display(job)]),
     writes: &["cache/side-*", "cache/window-*", "cache/fit-*"],
     code: code::VIEWS,
@@ -71,7 +71,7 @@ pub(crate) const PLACE: StageInfo = StageInfo {
 /// Traces every view.
 pub(crate) const TRACE: StageInfo = StageInfo {
     name: "trace",
-    told: Some("render"),
+    label: Some("render"),
     reads: |job| {
         // Cached views serve every filter of the same kind: halves, split light or plain.
         let denoise = job.render.denoise;
@@ -86,7 +86,7 @@ pub(crate) const TRACE: StageInfo = StageInfo {
 /// Denoises all views together.
 pub(crate) const DENOISE: StageInfo = StageInfo {
     name: "denoise",
-    told: Some("render"),
+    label: Some("render"),
     reads: |job| json!(job.render.denoise),
     writes: &["cache/views"],
     code: code::VIEWS,
@@ -95,7 +95,7 @@ pub(crate) const DENOISE: StageInfo = StageInfo {
 /// Applies one exposure and tone curve to all views: the light field.
 pub(crate) const EXPOSE: StageInfo = StageInfo {
     name: "expose",
-    told: Some("render"),
+    label: Some("render"),
     reads: |job| {
         let light = &job.light;
         json!([light.exposure_ev, light.automatic_exposure, light.tone, light.background])
@@ -107,7 +107,7 @@ pub(crate) const EXPOSE: StageInfo = StageInfo {
 /// Renders the scene's pictures over the viewing zone, for the zone score.
 pub(crate) const SCORE: StageInfo = StageInfo {
     name: "score",
-    told: Some("render for the score"),
+    label: Some("render for the score"),
     reads: |job| json!([job.report.zone_directions, job.factorize.eyes, job.render.max_bounces, job.seed]),
     writes: &["cache/views"],
     code: code::VIEWS,
@@ -116,7 +116,7 @@ pub(crate) const SCORE: StageInfo = StageInfo {
 /// Reads a light field of another renderer.
 pub(crate) const READ: StageInfo = StageInfo {
     name: "read",
-    told: Some("read"),
+    label: Some("read"),
     reads: |job| json!([job.geometry, job.light.exposure_ev, job.light.tone, display(job)]),
     writes: &["target"],
     code: code::FIELDS,
@@ -125,7 +125,7 @@ pub(crate) const READ: StageInfo = StageInfo {
 /// Makes the light field by a plugin.
 pub(crate) const SOURCE: StageInfo = StageInfo {
     name: "source",
-    told: Some("source"),
+    label: Some("source"),
     reads: |job| json!([job.source, display(job)]),
     writes: &["target", "cache/source.json"],
     code: code::PLUGINS,
@@ -134,7 +134,7 @@ pub(crate) const SOURCE: StageInfo = StageInfo {
 /// Factorizes the light field into the patterns of a tensor display.
 pub(crate) const FACTORIZE: StageInfo = StageInfo {
     name: "factorize",
-    told: Some("factorize"),
+    label: Some("factorize"),
     reads: |job| json!([job.factorize, job.seed, display(job)]),
     writes: &["layers", "cache/convergence.json", "job.toml", "display.toml"],
     code: code::PATTERNS,
@@ -143,7 +143,7 @@ pub(crate) const FACTORIZE: StageInfo = StageInfo {
 /// Makes the patterns by a plugin.
 pub(crate) const NODE: StageInfo = StageInfo {
     name: "node",
-    told: Some("node"),
+    label: Some("node"),
     reads: |job| json!(display(job)),
     writes: &["layers", "display.toml"],
     code: code::PLUGINS,
@@ -152,7 +152,7 @@ pub(crate) const NODE: StageInfo = StageInfo {
 /// Writes patterns or light field by an output plugin.
 pub(crate) const OUTPUT: StageInfo = StageInfo {
     name: "output",
-    told: Some("output"),
+    label: Some("output"),
     reads: |_| Value::Null,
     writes: &["outputs"],
     code: code::PLUGINS,
@@ -161,7 +161,7 @@ pub(crate) const OUTPUT: StageInfo = StageInfo {
 /// Measures error and flicker of a time step.
 pub(crate) const MEASURE: StageInfo = StageInfo {
     name: "measure",
-    told: Some("measure"),
+    label: Some("measure"),
     reads: |_| Value::Null,
     writes: &["cache/measure-figures.json"],
     code: code::FIELDS,
@@ -170,7 +170,7 @@ pub(crate) const MEASURE: StageInfo = StageInfo {
 /// Solves a design of a sweep and scores it.
 pub(crate) const DESIGN: StageInfo = StageInfo {
     name: "design",
-    told: None,
+    label: None,
     reads: |job| json!([job.factorize, job.seed, job.sweep]),
     writes: &["designs"],
     code: code::DESIGNS,
@@ -179,7 +179,7 @@ pub(crate) const DESIGN: StageInfo = StageInfo {
 /// Writes a report, or the table of a sweep.
 pub(crate) const REPORT: StageInfo = StageInfo {
     name: "report",
-    told: None,
+    label: None,
     reads: Job::to_json,
     writes: &["report.html", "report.json"],
     code: code::REPORTS,
@@ -211,7 +211,7 @@ mod tests {
 
     /// A value that a stage reads is part of its key; other values are not.
     #[test]
-    fn what_a_stage_reads_is_what_it_depends_on() {
+    fn a_stage_depends_on_the_values_that_it_reads() {
         let job = Job { scene: Some("a.glb".into()), ..Job::new(DisplayJob::by_name_or_path("fig7-uniform")) };
         let changed = |change: fn(&mut Job)| {
             let mut other = job.clone();

@@ -9,7 +9,7 @@ use lumistack_factorizer::{Factorization, Iteration, Problem};
 use lumistack_field_io::{GeometryDefaults, GeometryFlags};
 use lumistack_plugin_host::{OutputContext, OutputData, Registry, Time};
 use lumistack_report::{DepthBudget, ReportInput, Solution};
-use lumistack_shot::Look;
+use lumistack_shot::ToneMapping;
 use serde_json::{Map, Value};
 
 use crate::error::{PipelineError, display_error, field_error, host_error};
@@ -19,14 +19,14 @@ use crate::stage::factorize::Solve;
 use crate::stage::field::{array_weights, eye_weights, warn_of_depth};
 use crate::stage::fields::{Block, Shot};
 use crate::stage::ingest::Ingested;
-use crate::stage::read::{self, Beyond};
+use crate::stage::read::{self, OutOfRange};
 use crate::stage::score::{self, References};
 use crate::stage::{denoise, depth, expose, place, samples, trace};
 use crate::store::files::{check_folder, write_report};
 use crate::view_options::ViewOptions;
 
 /// A rendered light field.
-pub struct Traced {
+pub struct RenderedField {
     /// Views, rounded to half floats as in a run's target.
     pub field: LightField,
     /// The scene's depth against the display's depth of field.
@@ -52,7 +52,7 @@ pub fn render_field(
     ingested: &Ingested,
     cache_dir: &Path,
     task: Task<'_>,
-) -> Result<Traced, PipelineError> {
+) -> Result<RenderedField, PipelineError> {
     job.check()?;
     // Place the window, then trace, denoise and expose as a run does.
     let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
@@ -70,12 +70,13 @@ pub fn render_field(
     // Depth and references are for the caller's own report.
     let depth = depth::budget(&traced.depths, display, &geometry, &placement);
     warn_of_depth(&depth, task);
-    let (exposure, tone) = (rendered.look.exposure, rendered.look.curve.name());
+    let (exposure, tone) = (rendered.tone_mapping.exposure, rendered.tone_mapping.curve.name());
     let seen = traced.depths.seen(&placement);
     let zone = score::zone_of(&job, display, &geometry);
-    let references = References::render(shot, &zone, (rendered.look, traced.engine), cache_dir, Block::ALL, task)?;
+    let references =
+        References::render(shot, &zone, (rendered.tone_mapping, traced.engine), cache_dir, Block::ALL, task)?;
     let references = references.map(References::held).transpose()?;
-    Ok(Traced { field: rendered.target.with_depth(Some(seen)), depth, exposure, tone, references })
+    Ok(RenderedField { field: rendered.target.with_depth(Some(seen)), depth, exposure, tone, references })
 }
 
 /// Reads a light field of any kind, without rounding. Size and angles come from the file, or else
@@ -116,7 +117,7 @@ pub fn expose_field(field: &LightField, exposure_ev: f64, tone: &str) -> Result<
         return Err(PipelineError::value("light field", "exposure_ev", "-100 to 100", exposure_ev.to_string()));
     }
     let mut field = field.clone();
-    Look { exposure: 2f64.powf(exposure_ev), curve }.apply(&mut field);
+    ToneMapping { exposure: 2f64.powf(exposure_ev), curve }.apply(&mut field);
     Ok(field)
 }
 
@@ -151,8 +152,8 @@ pub fn factorize_field(
     task: Task<'_>,
     on_iteration: &mut dyn FnMut(&Iteration),
 ) -> Result<Factorization, PipelineError> {
-    if let Some(beyond) = Beyond::of(problem.target) {
-        task.warn("light field", beyond.message(read::OFFER_OF_PYTHON));
+    if let Some(out_of_range) = OutOfRange::of(problem.target) {
+        task.warn("light field", out_of_range.message(read::OFFER_OF_PYTHON));
     }
     let Problem { display, target, weights } = *problem;
     let solve = Solve { job, seed, display, target, weights };
@@ -204,8 +205,9 @@ pub struct ReportOn<'a> {
 pub fn write_report_on(on: &ReportOn<'_>, folder: &Path, task: Task<'_>) -> Result<Value, PipelineError> {
     check_folder(folder)?;
     // Values out of range may dominate all scores, so the report must name them.
-    let beyond = Beyond::of(on.target).map(|beyond| beyond.message(read::OFFER_OF_PYTHON));
-    let warnings: Vec<_> = beyond.into_iter().map(|message| Warning { place: "light field".into(), message }).collect();
+    let out_of_range = OutOfRange::of(on.target).map(|out_of_range| out_of_range.message(read::OFFER_OF_PYTHON));
+    let warnings: Vec<_> =
+        out_of_range.into_iter().map(|message| Warning { place: "light field".into(), message }).collect();
     // The zone score needs references, which only rendered scenes have.
     let zone = on.references.map(|references| references.measure(on.display, on.stack, task)).transpose()?;
     let report = lumistack_report::build(

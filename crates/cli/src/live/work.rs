@@ -10,7 +10,7 @@ use lumistack_core::Task;
 use lumistack_display::Weights;
 use lumistack_factorizer::{FactorizeError, Settings};
 use lumistack_live::{Boxes, Due, Mailbox, Player, Solver, Start, State, Target};
-use lumistack_pipeline::{PipelineError, Registry, Studio};
+use lumistack_pipeline::{LiveFields, PipelineError, Registry};
 use serde_json::json;
 
 use super::clock::now;
@@ -91,7 +91,7 @@ impl Shared {
 /// # Errors
 /// When the first light field fails; later errors are reported, and the current state stays.
 pub(super) fn render(
-    mut studio: Studio,
+    mut studio: LiveFields,
     shared: &Shared,
     rates: Rates,
     registry: &Registry,

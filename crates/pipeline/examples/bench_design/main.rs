@@ -81,7 +81,7 @@ fn random_display(seed: u64, number: u64, field: &LightField) -> Result<Display,
     let mut between = |low: f64, high: f64| low + (high - low) * f64::from(stream.next_f32());
     let directional = between(0.0, 1.0) < 0.5;
     let wrong =
-        |error: &dyn std::fmt::Display| PipelineError::value("bench", "design", "a sound one", error.to_string());
+        |error: &dyn std::fmt::Display| PipelineError::value("bench", "design", "a valid design", error.to_string());
     let base = presets::load(if directional { "fig7-directional" } else { "fig7-uniform" })?;
     let base = base.adapted_to(field.geometry()).map_err(|error| wrong(&error))?;
     let cols = between(10.0, 80.99).floor();

@@ -55,20 +55,20 @@ impl Halves {
         self.halves[0].iter().zip(&self.halves[1]).map(|(a, b)| 0.5 * (a + b)).collect()
     }
 
-    fn display_referred(&self, look: &Look) -> Vec<[f32; 3]> {
-        let exposed = |value: f32| (f64::from(value) * look.exposure) as f32;
-        self.mean().chunks_exact(3).map(|rgb| look.curve.apply([rgb[0], rgb[1], rgb[2]].map(exposed))).collect()
+    fn display_referred(&self, tone_mapping: &ToneMapping) -> Vec<[f32; 3]> {
+        let exposed = |value: f32| (f64::from(value) * tone_mapping.exposure) as f32;
+        self.mean().chunks_exact(3).map(|rgb| tone_mapping.curve.apply([rgb[0], rgb[1], rgb[2]].map(exposed))).collect()
     }
 
     /// Returns the picture after exposure and tone curve, in sRGB codes.
-    pub fn shown(&self, look: &Look) -> RgbImage {
-        let codes = self.display_referred(look).into_iter().flatten().map(srgb_code).collect();
+    pub fn shown(&self, tone_mapping: &ToneMapping) -> RgbImage {
+        let codes = self.display_referred(tone_mapping).into_iter().flatten().map(srgb_code).collect();
         RgbImage::from_raw(self.size[0] as u32, self.size[1] as u32, codes).expect("a value for every pixel")
     }
 }
 
 /// Exposure and tone curve of both pictures.
-pub struct Look {
+pub struct ToneMapping {
     /// Factor on radiance.
     pub exposure: f64,
     /// Tone curve, applied after the exposure.
@@ -116,9 +116,9 @@ pub fn figures(ours: &Halves, other: &Halves) -> Figures {
 }
 
 /// Draws the difference of luminance times [`GAIN`]: orange if ours is brighter, blue if darker.
-pub fn difference(ours: &Halves, other: &Halves, look: &Look) -> RgbImage {
+pub fn difference(ours: &Halves, other: &Halves, tone_mapping: &ToneMapping) -> RgbImage {
     let [cols, rows] = ours.size;
-    let (o, p) = (ours.display_referred(look), other.display_referred(look));
+    let (o, p) = (ours.display_referred(tone_mapping), other.display_referred(tone_mapping));
     RgbImage::from_fn(cols as u32, rows as u32, |x, y| {
         let i = y as usize * cols + x as usize;
         let d = GAIN * (luminance(o[i]) - luminance(p[i]));

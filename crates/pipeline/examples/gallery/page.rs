@@ -8,7 +8,7 @@ use lumistack_core::tone::ToneCurve;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use serde_json::Value;
 
-use crate::compare::{self, Halves, Look};
+use crate::compare::{self, Halves, ToneMapping};
 use crate::{Outcome, text};
 
 const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:1320px;padding:0 1rem;color:#222;background:#fafafa}
@@ -102,8 +102,8 @@ fn pair(out: &Path, folder: &Path, ours: &Value, blender: Option<&Value>) -> Out
     let halves = Halves::read(folder, "ours", "covered-ours.npy")?;
     let curve = ToneCurve::ALL.iter().find(|(name, _)| ours["curve"] == *name);
     let (_, curve) = *curve.ok_or_else(|| format!("{}: ours.json names no tone curve", folder.display()))?;
-    let look = Look { exposure: ours["exposure"].as_f64().unwrap_or(1.0), curve };
-    let own = save(halves.shown(&look), "ours")?;
+    let tone_mapping = ToneMapping { exposure: ours["exposure"].as_f64().unwrap_or(1.0), curve };
+    let own = save(halves.shown(&tone_mapping), "ours")?;
     let caption = format!(
         "Lumistack: {} samples, {} (ready after {})",
         ours["samples"],
@@ -123,8 +123,8 @@ fn pair(out: &Path, folder: &Path, ours: &Value, blender: Option<&Value>) -> Out
     // Both pictures, their difference, and a line of scores.
     let about = blender.unwrap_or(&Value::Null);
     let other = Halves::read(folder, "blender", "covered.npy")?;
-    let theirs = save(other.shown(&look), "blender")?;
-    let differs = save(compare::difference(&halves, &other, &look), "difference")?;
+    let theirs = save(other.shown(&tone_mapping), "blender")?;
+    let differs = save(compare::difference(&halves, &other, &tone_mapping), "difference")?;
     let figures = compare::figures(&halves, &other);
     let theirs_caption = format!(
         "Blender {}: {} samples, {}",
@@ -143,8 +143,8 @@ fn pair(out: &Path, folder: &Path, ours: &Value, blender: Option<&Value>) -> Out
         100.0 * figures.overlap,
         figures.shift[0],
         figures.shift[1],
-        look.exposure,
-        look.curve.name(),
+        tone_mapping.exposure,
+        tone_mapping.curve.name(),
         ours["triangles"],
     );
     // The same line appears in the log, so that runs can be compared without a browser.

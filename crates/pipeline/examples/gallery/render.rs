@@ -10,7 +10,8 @@ use lumistack_field_io::npy;
 use lumistack_field_io::picture::{Precision, write_exr};
 use lumistack_pathtracer::{Renderer, Settings};
 use lumistack_pipeline::{
-    ImporterJob, LightJob, PoseJob, Registry, WindowJob, automatic_look, is_usd, load_scene, place_window, plugins,
+    ImporterJob, LightJob, PoseJob, Registry, WindowJob, automatic_tone_mapping, is_usd, load_scene, place_window,
+    plugins,
 };
 use lumistack_scene::{Pixels, Scene, Similarity, Window};
 use serde_json::{Value, json};
@@ -137,7 +138,7 @@ fn one(file: &Path, folder: &Path, options: &Options, registry: &Registry, task:
 
     // Exposure and tone curve follow from the mean of both, as in a job.
     let rays: Vec<(f32, bool)> = brightest.into_iter().zip(mask.data().iter().map(|&share| share > 0.5)).collect();
-    let (exposure, curve) = automatic_look(scene, &rays);
+    let (exposure, curve) = automatic_tone_mapping(scene, &rays);
 
     let (map, bounds) = (window.scene_from_display, scene.bounds());
     let reach = 2.0 * f64::from(bounds.size().length()) + (bounds.centre().as_dvec3() - map.translation).length();

@@ -22,7 +22,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use super::steps::{Kind, Plan, What};
+use super::steps::{PartKind, Plan, StepKind};
 use crate::error::PipelineError;
 use crate::job::Job;
 use crate::reader::is_capture;
@@ -133,7 +133,7 @@ fn keys(plan: &Plan, records: &Records, registry: &Registry) -> Vec<Option<Strin
     let ids = plan.indices();
     let mut keys: Vec<Option<String>> = Vec::new();
     for step in &plan.steps {
-        let info = plan.stage_of(step.part, step.what);
+        let info = plan.stage_of(step.part, step.kind);
         let job = settings(plan, step.part);
         let mut key = KeyBuilder::new(info.name, info.code);
         key.add_json("reads", &(info.reads)(&job));
@@ -145,7 +145,7 @@ fn keys(plan: &Plan, records: &Records, registry: &Registry) -> Vec<Option<Strin
             })
         });
         let content = known
-            .and_then(|()| add_content(&mut key, plan, step.part, step.what, &job, records.get(&step.id), registry));
+            .and_then(|()| add_content(&mut key, plan, step.part, step.kind, &job, records.get(&step.id), registry));
         keys.push(content.map(|()| key.finish()[..DIGITS].to_owned()));
     }
     keys
@@ -166,7 +166,7 @@ fn add_content(
     key: &mut KeyBuilder,
     plan: &Plan,
     part: usize,
-    what: What,
+    kind: StepKind,
     job: &Job,
     record: Option<&Record>,
     registry: &Registry,
@@ -176,18 +176,18 @@ fn add_content(
         key.add("plugin", plugin_key(registry, id, params).ok()?.as_bytes());
         Some(())
     };
-    match what {
+    match kind {
         // Importers and memory have no file: their recorded hash stands for them.
-        What::Ingest => {
+        StepKind::Ingest => {
             for (path, hash) in &record?.files {
                 let found = if path.is_absolute() { content_hash(path).ok()? } else { hash.clone() };
                 key.add("file", path.file_name()?.as_encoded_bytes()).add("content", found.as_bytes());
             }
             Some(())
         }
-        What::Read => add_files(key, job.light_field.as_deref()?),
-        What::Source => plugin(&job.source.as_ref()?.plugin, &job.source.as_ref()?.params),
-        What::Patterns => {
+        StepKind::Read => add_files(key, job.light_field.as_deref()?),
+        StepKind::Source => plugin(&job.source.as_ref()?.plugin, &job.source.as_ref()?.params),
+        StepKind::Patterns => {
             let node = plan.node(part).filter(|node| !is_factorized(Some(node)));
             match node {
                 Some(node) => plugin(&node.plugin, &node.params),
@@ -197,7 +197,7 @@ fn add_content(
                     .try_for_each(|path| add_files(key, path)),
             }
         }
-        What::FieldOutput(number) | What::StackOutput(number) => {
+        StepKind::FieldOutput(number) | StepKind::StackOutput(number) => {
             let output = &job.outputs[number];
             plugin(&output.plugin, &output.params)
         }
@@ -227,19 +227,21 @@ fn is_there(plan: &Plan, index: usize) -> bool {
     let stamps = Stamps::new(&dir);
     let job = &plan.parts[step.part].job;
     let exists = |names: &[&str]| names.iter().all(|name| dir.join(name).exists());
-    match step.what {
+    match step.kind {
         // every run reads these again
-        What::Ingest | What::Place | What::Read => false,
-        What::Trace | What::Denoise | What::Score => exists(&["cache/views"]),
-        What::Expose | What::Source => stamps.is_whole("target"),
-        What::Patterns => stamps.is_whole(step.stage),
-        What::FieldOutput(number) | What::StackOutput(number) => stamps.is_whole(&stage_name(&job.outputs[number])),
-        What::Measure => stamps.is_whole("measure"),
-        What::Report => match plan.parts[step.part].kind {
-            Kind::Time(_) => stamps.is_whole("report"),
+        StepKind::Ingest | StepKind::Place | StepKind::Read => false,
+        StepKind::Trace | StepKind::Denoise | StepKind::Score => exists(&["cache/views"]),
+        StepKind::Expose | StepKind::Source => stamps.is_whole("target"),
+        StepKind::Patterns => stamps.is_whole(step.stage),
+        StepKind::FieldOutput(number) | StepKind::StackOutput(number) => {
+            stamps.is_whole(&stage_name(&job.outputs[number]))
+        }
+        StepKind::Measure => stamps.is_whole("measure"),
+        StepKind::Report => match plan.parts[step.part].kind {
+            PartKind::Time(_) => stamps.is_whole("report"),
             _ => false,
         },
-        What::Design(_) | What::Search => exists(&["sweep.json"]),
+        StepKind::Design(_) | StepKind::Search => exists(&["sweep.json"]),
     }
 }
 
@@ -303,24 +305,25 @@ fn work(plan: &Plan, index: usize) -> f64 {
     // Splats are rendered without noise, by one ray.
     let is_capture = job.scene.as_deref().is_some_and(is_capture);
     let samples = if is_capture { 1.0 } else { f64::from(job.render.samples_of_view(sizes.views as usize)) };
-    match step.what {
-        What::Ingest | What::Place => 1.0,
-        What::Trace => sizes.pixels * (sizes.views + sizes.others) * samples,
-        What::Denoise if !job.render.denoise.filters() => 0.0,
-        What::Denoise | What::Expose => sizes.pixels * (sizes.views + sizes.others),
-        What::Score => {
+    match step.kind {
+        StepKind::Ingest | StepKind::Place => 1.0,
+        StepKind::Trace => sizes.pixels * (sizes.views + sizes.others) * samples,
+        StepKind::Denoise if !job.render.denoise.filters() => 0.0,
+        StepKind::Denoise | StepKind::Expose => sizes.pixels * (sizes.views + sizes.others),
+        StepKind::Score => {
             let samples = if is_capture { 1.0 } else { SCORE_SAMPLES };
             sizes.pixels * job.report.zone_directions as f64 * samples
         }
-        What::Patterns => {
+        StepKind::Patterns => {
             let iterations = job.factorize.iterations().max(1) + warm_up_iterations(plan, step.part);
             sizes.rays() * sizes.layers * sizes.frames * f64::from(iterations)
         }
-        What::Design(_) | What::Search => {
-            let count = if step.what == What::Search { job.sweep.as_ref().map_or(1, |sweep| sweep.count()) } else { 1 };
+        StepKind::Design(_) | StepKind::Search => {
+            let count =
+                if step.kind == StepKind::Search { job.sweep.as_ref().map_or(1, |sweep| sweep.count()) } else { 1 };
             sizes.rays() * sizes.layers * sizes.frames * f64::from(job.factorize.iterations().max(1)) * count as f64
         }
-        What::Report => sizes.pixels * (sizes.views + sizes.others + job.report.zone_directions as f64),
+        StepKind::Report => sizes.pixels * (sizes.views + sizes.others + job.report.zone_directions as f64),
         _ => sizes.rays(),
     }
 }
@@ -328,7 +331,7 @@ fn work(plan: &Plan, index: usize) -> f64 {
 /// Returns the extra iterations of a time step that begins a chunk.
 fn warm_up_iterations(plan: &Plan, part: usize) -> u32 {
     let Some((time, sequence)) = plan.time(part) else { return 0 };
-    let Kind::Sequence(times) = &plan.parts[sequence].kind else { return 0 };
+    let PartKind::Sequence(times) = &plan.parts[sequence].kind else { return 0 };
     match times.warm_up(time).len() as u32 {
         0 => 0,
         count => plan.parts[sequence].job.factorize.iterations() + (count - 1) * times.sequence.iterations,
@@ -360,13 +363,13 @@ fn memory(plan: &Plan, index: usize) -> u64 {
     let packed = if job.scene.as_deref().is_some_and(is_capture) { 16.0 } else { 4.0 };
     let scene =
         packed * job.scene.as_ref().and_then(|path| std::fs::metadata(path).ok()).map_or(0.0, |data| data.len() as f64);
-    let bytes = match step.what {
-        What::Ingest | What::Place => scene,
-        What::Trace | What::Score => scene + 4.0 * RGB * sizes.pixels,
-        What::Denoise => scene + 3.0 * field,
-        What::Expose => scene + sizes.held + RGB * sizes.pixels,
-        What::Patterns | What::Design(_) | What::Search => sizes.held + sizes.solving,
-        What::Measure => 2.0 * (sizes.held + 4.0 * sizes.values),
+    let bytes = match step.kind {
+        StepKind::Ingest | StepKind::Place => scene,
+        StepKind::Trace | StepKind::Score => scene + 4.0 * RGB * sizes.pixels,
+        StepKind::Denoise => scene + 3.0 * field,
+        StepKind::Expose => scene + sizes.held + RGB * sizes.pixels,
+        StepKind::Patterns | StepKind::Design(_) | StepKind::Search => sizes.held + sizes.solving,
+        StepKind::Measure => 2.0 * (sizes.held + 4.0 * sizes.values),
         _ => sizes.held + 4.0 * sizes.values,
     };
     bytes as u64

@@ -31,7 +31,7 @@ use serde_json::json;
 
 use super::execute::Executor;
 use super::sequence::add_times;
-use super::steps::{Kind, Plan, What};
+use super::steps::{PartKind, Plan, StepKind};
 use super::still::{Before, add_field, add_score};
 use super::times::later;
 use crate::error::PipelineError;
@@ -84,7 +84,7 @@ pub(crate) fn execute_design(
     registry: &Registry,
     task: Task<'_>,
 ) -> Result<(), PipelineError> {
-    let step = plan.steps.iter().find(|step| step.what == What::Design(number - 1));
+    let step = plan.steps.iter().find(|step| step.kind == StepKind::Design(number - 1));
     let known = step.zip(designs.candidates.get(number - 1));
     let unknown = || PipelineError::value("plan", "unit", "a design of the sweep", number.to_string());
     let (step, candidate) = known.ok_or_else(unknown)?;
@@ -119,7 +119,7 @@ pub(crate) struct Designs {
 /// If a design is invalid, or no design keeps the constraints of a search.
 pub(crate) fn add(plan: &mut Plan, job: &Job, sweep: &SweepJob) -> Result<Designs, PipelineError> {
     sweep.check()?;
-    let root = plan.add_part(PathBuf::new(), Kind::Sweep, job.clone(), None);
+    let root = plan.add_part(PathBuf::new(), PartKind::Sweep, job.clone(), None);
     let (candidates, jobs) = designs::all(job, sweep)?;
     let candidates = match &sweep.search {
         Some(search) => search::allowed(candidates, search)?,
@@ -132,7 +132,7 @@ pub(crate) fn add(plan: &mut Plan, job: &Job, sweep: &SweepJob) -> Result<Design
         if candidates.iter().any(|candidate| candidate.field == number) {
             let folder = Path::new("fields").join((number + 1).to_string());
             let is_sequence = of_field.sequence.is_some();
-            let part = plan.add_part(folder, Kind::Run, of_field, Some(root));
+            let part = plan.add_part(folder, PartKind::Run, of_field, Some(root));
             ids =
                 if is_sequence { add_times(plan, part, true)? } else { vec![add_field(plan, part, Before::default())] };
             let steps = plan.steps.iter().filter(|step| ids.contains(&step.id));
@@ -146,15 +146,17 @@ pub(crate) fn add(plan: &mut Plan, job: &Job, sweep: &SweepJob) -> Result<Design
     }
     // A search decides later which designs it solves, so it is one step.
     let ends = match sweep.search {
-        Some(_) => vec![plan.add_step(root, What::Search, inputs.concat())],
+        Some(_) => vec![plan.add_step(root, StepKind::Search, inputs.concat())],
         None => {
             let designs = candidates.iter().enumerate();
             designs
-                .map(|(number, candidate)| plan.add_step(root, What::Design(number), inputs[candidate.field].clone()))
+                .map(|(number, candidate)| {
+                    plan.add_step(root, StepKind::Design(number), inputs[candidate.field].clone())
+                })
                 .collect()
         }
     };
-    plan.add_step(root, What::Report, ends);
+    plan.add_step(root, StepKind::Report, ends);
     Ok(Designs { candidates, fields })
 }
 

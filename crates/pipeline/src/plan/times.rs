@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use glam::{DQuat, DVec3};
 use lumistack_factorizer::AUTO;
 use lumistack_scene::{Similarity, Window};
-use lumistack_shot::{Look, Placement};
+use lumistack_shot::{Placement, ToneMapping};
 
 use crate::error::PipelineError;
 use crate::job::{FactorizeJob, FitDepth, Job, Near, NodeJob, PoseJob, SequenceJob, SourceJob, WindowFrom, WindowJob};
@@ -54,13 +54,13 @@ pub(crate) struct Times {
 
 /// Results of the first time step that all others use.
 #[derive(Clone, Copy)]
-pub(crate) struct Begun {
+pub(crate) struct FirstTimeStep {
     /// Window and depth scale of the first time step.
     pub(crate) placement: Placement,
     /// True if the scene got studio light.
     pub(crate) studio: bool,
     /// Exposure and tone curve, once the first time step has them.
-    pub(crate) look: Option<Look>,
+    pub(crate) tone_mapping: Option<ToneMapping>,
 }
 
 impl Times {
@@ -120,7 +120,7 @@ impl Times {
     /// Later time steps start from the patterns in `before`, the folder of [`start`](Self::start).
     /// They have exposure and tone curve of the first one. `begun` is `None` before the first time
     /// step has run.
-    pub(crate) fn job(&self, job: &Job, time: usize, before: Option<&Path>, begun: Option<Begun>) -> Job {
+    pub(crate) fn job(&self, job: &Job, time: usize, before: Option<&Path>, first_step: Option<FirstTimeStep>) -> Job {
         // Another light field, or the window and pose of this time step.
         let mut of = Job { sequence: None, sweep: None, name: format!("{} {}", job.name, name(time)), ..job.clone() };
         if let Some(path) = self.fields.get(time) {
@@ -131,7 +131,7 @@ impl Times {
         }
         if job.scene.is_some() {
             of.pose = pose_at(job, &self.sequence, self.share(time));
-            if let Some(Begun { placement, studio, .. }) = begun {
+            if let Some(FirstTimeStep { placement, studio, .. }) = first_step {
                 let window = moved(&placement.window, &self.sequence, self.share(time));
                 of.window = WindowJob { depth_scale: placement.depth_scale, ..given(&window) };
                 // Studio light stays on or off for the whole sequence.
@@ -151,9 +151,11 @@ impl Times {
         if of.nodes.is_empty() {
             of.factorize = self.warm(&job.factorize, Some(before.join("layers")));
         }
-        if let Some(look) = begun.and_then(|begun| begun.look).filter(|look| look.exposure > 0.0) {
-            (of.light.automatic_exposure, of.light.exposure_ev) = (false, look.exposure.log2());
-            of.light.tone = look.curve.into();
+        if let Some(tone_mapping) =
+            first_step.and_then(|first_step| first_step.tone_mapping).filter(|tone_mapping| tone_mapping.exposure > 0.0)
+        {
+            (of.light.automatic_exposure, of.light.exposure_ev) = (false, tone_mapping.exposure.log2());
+            of.light.tone = tone_mapping.curve.into();
         }
         of
     }

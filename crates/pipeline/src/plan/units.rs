@@ -19,7 +19,7 @@ use std::collections::{BTreeSet, HashMap};
 
 use lumistack_farm::{Kind as UnitKind, Unit};
 
-use super::steps::{Kind, Plan, Step, What};
+use super::steps::{PartKind, Plan, Step, StepKind};
 use crate::stage::node::{display as display_of_node, is_factorized};
 use crate::stage::tiles::Tiles;
 
@@ -28,22 +28,22 @@ pub(crate) const FINISH: &str = "finish";
 
 /// How a plan is cut into units of work.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Cut {
+pub struct BlockSize {
     /// Expected time of a block of pictures, seconds, > 0.
     pub block_seconds: f64,
     /// Number of blocks of each light field; overrides `block_seconds`.
     pub blocks: Option<usize>,
 }
 
-impl Default for Cut {
+impl Default for BlockSize {
     fn default() -> Self {
         Self { block_seconds: 20.0, blocks: None }
     }
 }
 
 /// Cuts a plan, whose estimates must be filled in.
-pub(crate) fn units(plan: &Plan, cut: Cut) -> Vec<Unit> {
-    let mut cutter = Cutter { plan, cut, units: Vec::new(), made_by: HashMap::new() };
+pub(crate) fn units(plan: &Plan, block_size: BlockSize) -> Vec<Unit> {
+    let mut cutter = Cutter { plan, block_size, units: Vec::new(), made_by: HashMap::new() };
     for step in &plan.steps {
         cutter.add(step);
     }
@@ -58,7 +58,9 @@ const JOIN: f64 = 0.02;
 fn tiles_of(plan: &Plan, part: usize) -> Option<(Tiles, u64)> {
     let field_part = plan.field_part(part);
     let (job, of_field) = (&plan.parts[part].job, &plan.parts[field_part].job);
-    if !matches!(plan.parts[field_part].kind, Kind::Run) || of_field.scene.is_none() || !is_factorized(plan.node(part))
+    if !matches!(plan.parts[field_part].kind, PartKind::Run)
+        || of_field.scene.is_none()
+        || !is_factorized(plan.node(part))
     {
         return None;
     }
@@ -76,7 +78,7 @@ fn tiles_of(plan: &Plan, part: usize) -> Option<(Tiles, u64)> {
 
 struct Cutter<'a> {
     plan: &'a Plan,
-    cut: Cut,
+    block_size: BlockSize,
     units: Vec<Unit>,
     /// Indices of the units that make the result of a step.
     made_by: HashMap<&'a str, BTreeSet<usize>>,
@@ -84,26 +86,27 @@ struct Cutter<'a> {
 
 impl<'a> Cutter<'a> {
     fn add(&mut self, step: &'a Step) {
-        let kind = match step.what {
-            What::Place if !matches!(self.plan.parts[step.part].kind, Kind::Time(_)) => UnitKind::Place,
-            What::Trace => return self.add_blocks(step, UnitKind::Views, step.inputs.clone()),
-            What::Score => {
+        let kind = match step.kind {
+            StepKind::Place if !matches!(self.plan.parts[step.part].kind, PartKind::Time(_)) => UnitKind::Place,
+            StepKind::Trace => return self.add_blocks(step, UnitKind::Views, step.inputs.clone()),
+            StepKind::Score => {
                 // Directions depend on the display alone, so the light field need not be done.
-                let place = self.plan.steps.iter().filter(|other| other.part == step.part && other.what == What::Place);
+                let place =
+                    self.plan.steps.iter().filter(|other| other.part == step.part && other.kind == StepKind::Place);
                 return self.add_blocks(step, UnitKind::Score, place.map(|step| step.id.clone()).collect());
             }
-            What::Read | What::Source | What::Expose => UnitKind::Field,
-            What::Patterns => {
+            StepKind::Read | StepKind::Source | StepKind::Expose => UnitKind::Field,
+            StepKind::Patterns => {
                 self.add_tiles(step);
                 UnitKind::Patterns
             }
-            What::FieldOutput(_) | What::StackOutput(_) | What::Measure => return self.add_result(step),
-            What::Report if self.is_report_of_time(step) => return self.add_result(step),
-            What::Design(number) => return self.add_design(step, number),
+            StepKind::FieldOutput(_) | StepKind::StackOutput(_) | StepKind::Measure => return self.add_result(step),
+            StepKind::Report if self.is_report_of_time(step) => return self.add_result(step),
+            StepKind::Design(number) => return self.add_design(step, number),
             // units that read these results make them
-            What::Ingest | What::Place | What::Denoise => return self.pass(step),
+            StepKind::Ingest | StepKind::Place | StepKind::Denoise => return self.pass(step),
             // the last unit makes these
-            What::Report | What::Search => return,
+            StepKind::Report | StepKind::Search => return,
         };
         let mut inputs = self.inputs(&step.inputs);
         // A solve in tiles waits for the tiles of the last round, and only joins them.
@@ -153,7 +156,7 @@ impl<'a> Cutter<'a> {
         let inputs = self.inputs(&inputs);
         let views =
             self.plan.parts[step.part].job.resolve_display().map_or(1, |display| display.views().iter().product());
-        let wanted = self.cut.blocks.unwrap_or((step.seconds / self.cut.block_seconds).ceil() as usize);
+        let wanted = self.block_size.blocks.unwrap_or((step.seconds / self.block_size.block_seconds).ceil() as usize);
         let count = wanted.clamp(1, views.max(1));
         for number in 1..=count {
             let unit = self.unit(step, format!("{}/{number}-of-{count}", step.id), kind, inputs.clone());
@@ -195,7 +198,7 @@ impl<'a> Cutter<'a> {
     }
 
     fn add_design(&mut self, step: &'a Step, number: usize) {
-        let count = self.plan.steps.iter().filter(|step| matches!(step.what, What::Design(_))).count();
+        let count = self.plan.steps.iter().filter(|step| matches!(step.kind, StepKind::Design(_))).count();
         let inputs = self.inputs(&step.inputs);
         let unit = self.unit(step, format!("designs/{}-of-{count}", number + 1), UnitKind::Design, inputs);
         self.push(step, Unit { block: Some([number + 1, count]), ..unit });
@@ -234,12 +237,13 @@ impl<'a> Cutter<'a> {
     /// True if a step is the report of a time step with one display. Only such reports are cached.
     fn is_report_of_time(&self, step: &Step) -> bool {
         let part = &self.plan.parts[step.part];
-        matches!(part.kind, Kind::Time(_)) && part.job.nodes.is_empty()
+        matches!(part.kind, PartKind::Time(_)) && part.job.nodes.is_empty()
     }
 
     /// Returns steps without a unit that the unit of a step also executes.
     fn taken_along(&self, step: &Step) -> Vec<&'a Step> {
-        let alike = |other: &&Step| other.part == step.part && step.what == What::Expose && other.what == What::Denoise;
+        let alike =
+            |other: &&Step| other.part == step.part && step.kind == StepKind::Expose && other.kind == StepKind::Denoise;
         self.plan.steps.iter().filter(alike).collect()
     }
 
@@ -247,7 +251,7 @@ impl<'a> Cutter<'a> {
         let taken: BTreeSet<&String> = self.units.iter().flat_map(|unit| &unit.inputs).collect();
         let ends = self.units.iter().map(|unit| &unit.id).filter(|id| !taken.contains(id)).cloned().collect();
         let left = self.plan.steps.iter().filter(|step| !self.units.iter().any(|unit| unit.steps.contains(&step.id)));
-        let left = left.filter(|step| step.what != What::Denoise).map(|step| (step.seconds, step.memory_bytes));
+        let left = left.filter(|step| step.kind != StepKind::Denoise).map(|step| (step.seconds, step.memory_bytes));
         let (seconds, memory_bytes) = left.fold((0.0, 0), |(s, m), (seconds, memory)| (s + seconds, memory.max(m)));
         let writes = ["job.toml", "report.html", "report.json", "outputs"].map(String::from).to_vec();
         let (id, steps) = (FINISH.to_owned(), Vec::new());

@@ -19,7 +19,7 @@ use lumistack_pathtracer::denoise::{self, Estimate, NoisyView, SharedLight, View
 use lumistack_pathtracer::{Checks, Renderer, Settings, SplitView};
 use lumistack_report::{DenoisedView, Denoising};
 use lumistack_scene::Window;
-use lumistack_shot::Look;
+use lumistack_shot::ToneMapping;
 
 use self::oidn::Oidn;
 use super::fields::{FieldJob, Shot};
@@ -107,7 +107,7 @@ fn filter(
     // Pixels of some views are rendered again, to measure noise and bias of the filter.
     let settings = field.seeded(&[]);
     let of_checks = Settings { samples: (CHECK_FACTOR * settings.samples).min(MOST_SAMPLES), ..settings };
-    let mut told = Vec::new();
+    let mut written = Vec::new();
     let stage = if field.is_target() { "check the denoiser" } else { "write views" };
     let count = geometry.grid.iter().count();
     task.progress.begin(stage, count as u64, "views");
@@ -121,7 +121,7 @@ fn filter(
             Checks::default()
         };
         let figures = denoise::figures(&picture, &before, &checks);
-        told.push((figures.mean, [figures.change, figures.mse_before, figures.mse_after].map(|e| e.parts())));
+        written.push((figures.mean, [figures.change, figures.mse_before, figures.mse_after].map(|e| e.parts())));
         task.progress.advance(1, "");
         Ok::<_, PipelineError>(())
     });
@@ -129,7 +129,7 @@ fn filter(
     task.progress.end();
     checked?;
     // Figures are written last, since they mark the field as finished.
-    write_json(&figures_path(&folder), &told)?;
+    write_json(&figures_path(&folder), &written)?;
     if kind == Denoise::Shared {
         // Split views take gigabytes, and the report shows the central one alone.
         let middle = middle(geometry);
@@ -215,20 +215,31 @@ fn half(field: &FieldJob, view: [usize; 2], half: usize) -> Result<Tensor<3>, Pi
 ///
 /// # Errors
 /// If a file of the filter is missing.
-pub(crate) fn denoised(field: &FieldJob, kind: Denoise, look: Look) -> Result<Option<Denoised>, PipelineError> {
+pub(crate) fn denoised(
+    field: &FieldJob,
+    kind: Denoise,
+    tone_mapping: ToneMapping,
+) -> Result<Option<Denoised>, PipelineError> {
     if !kind.filters() {
         return Ok(None);
     }
     // Figures are of scene-linear radiance; the report shows exposed radiance.
     let folder = field.finished(kind);
     let path = figures_path(&folder);
-    let missing = || PipelineError::value(&path, "content", "the figures just written", "others or none");
+    let missing = || {
+        PipelineError::value(
+            &path,
+            "content",
+            "the figures that were just written",
+            "others or none; another program changes this folder",
+        )
+    };
     let mut figures = read_figures(&folder).ok_or_else(missing)?;
     for f in &mut figures {
-        f.mean *= look.exposure;
-        f.change = f.change.scaled(look.exposure);
-        f.mse_before = f.mse_before.scaled(look.exposure.powi(2));
-        f.mse_after = f.mse_after.scaled(look.exposure.powi(2));
+        f.mean *= tone_mapping.exposure;
+        f.change = f.change.scaled(tone_mapping.exposure);
+        f.mse_before = f.mse_before.scaled(tone_mapping.exposure.powi(2));
+        f.mse_after = f.mse_after.scaled(tone_mapping.exposure.powi(2));
     }
     // The picture before the filter is the mean of the halves, or the sum of the separated light.
     let middle = middle(&field.traced);
@@ -239,8 +250,8 @@ pub(crate) fn denoised(field: &FieldJob, kind: Denoise, look: Look) -> Result<Op
         a.data().iter().zip(b.data()).map(|(a, b)| 0.5 * (a + b)).collect()
     };
     let mut filtered = read_view(&view_path(&folder, middle, None), &field.traced).ok_or_else(missing)?;
-    look.apply_to(&mut unbiased);
-    look.apply_to(&mut filtered);
+    tone_mapping.apply_to(&mut unbiased);
+    tone_mapping.apply_to(&mut filtered);
     Ok(Some(Denoised { kind, figures, unbiased, filtered }))
 }
 

@@ -17,7 +17,7 @@ use super::device::Site;
 use super::factorize::Solve;
 use super::field::{Field, add_weights, eye_weights};
 use super::node;
-use super::node::Given;
+use super::node::NodeInput;
 use super::score::References;
 use crate::error::{PipelineError, display_error};
 use crate::job::{FactorizeJob, Job, NodeJob};
@@ -208,7 +208,7 @@ impl Solver<'_> {
             // Make the patterns: by a node plugin, or by a solver, with or without warm start.
             let stack = match of_node.filter(|of_node| !node::is_factorized(Some(of_node))) {
                 Some(node) => {
-                    let given = Given { node, seed: self.job.seed, display: &display, target, weights: &weights };
+                    let given = NodeInput { node, seed: self.job.seed, display: &display, target, weights: &weights };
                     node::make(given, self.registry, task)?.0
                 }
                 None => {

@@ -15,7 +15,7 @@ use std::borrow::Cow;
 use lumistack_core::Task;
 use lumistack_core::tone::ToneCurve;
 use lumistack_display::LightField;
-use lumistack_shot::{Look, brightest, expose_over};
+use lumistack_shot::{ToneMapping, brightest, expose_over};
 use lumistack_splats::Space;
 
 use super::denoise::{self, Denoised};
@@ -34,7 +34,7 @@ pub(crate) struct Exposed {
     /// Views outside the viewing zone.
     pub(crate) outside: Option<LightField>,
     /// Exposure and tone curve of all views.
-    pub(crate) look: Look,
+    pub(crate) tone_mapping: ToneMapping,
     /// Effect of the denoiser on the target, if there was one.
     pub(crate) denoised: Option<Denoised>,
 }
@@ -70,16 +70,16 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
         radiance.push(field);
     }
     // The exposure comes from the target alone, and serves all fields.
-    let look = if linear {
-        Look { exposure: 1.0, curve: ToneCurve::Linear }
+    let tone_mapping = if linear {
+        ToneMapping { exposure: 1.0, curve: ToneCurve::Linear }
     } else {
         let picture = |view| match &radiance[0] {
             Some(held) => Ok(Cow::Borrowed(held.view(view))),
-            None => read(&fields[0], view).map(Cow::Owned),
+            None => read(&fields[0], view).map(Cow::FolderLock),
         };
-        Look::choose(&job.light, &ingested.scene, &brightest(&fields[0].geometry, views, depths, picture)?)
+        ToneMapping::choose(&job.light, &ingested.scene, &brightest(&fields[0].geometry, views, depths, picture)?)
     };
-    let denoised = denoise::denoised(&fields[0], kind, look)?;
+    let denoised = denoise::denoised(&fields[0], kind, tone_mapping)?;
     // Exposes one view: with a background, surfaces cover only a share of a pixel.
     let expose_view = |field: &FieldJob, view: [usize; 2], rgb: &mut [f32]| -> Result<(), PipelineError> {
         if linear {
@@ -88,9 +88,9 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
         }
         if let Background::Colour(background) = job.light.background {
             let missed = field.missed(view, shot, task)?;
-            expose_over(look, background, Space::of(&ingested.scene), &missed, rgb);
+            expose_over(tone_mapping, background, Space::of(&ingested.scene), &missed, rgb);
         } else {
-            look.apply_to(rgb);
+            tone_mapping.apply_to(rgb);
         }
         lumistack_field_io::round_to_half(rgb);
         Ok(())
@@ -129,5 +129,5 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
         }
     }
     let target = target.ok_or_else(|| PipelineError::job("views", "at least one", "none"))?;
-    Ok(Exposed { target, held_out, outside, look, denoised })
+    Ok(Exposed { target, held_out, outside, tone_mapping, denoised })
 }

@@ -146,7 +146,7 @@ impl Kept {
     }
 
     /// Joins the convergence with the patterns, for the report.
-    pub(crate) fn told(self, stack: LayerStack) -> Solved {
+    pub(crate) fn into_solved(self, stack: LayerStack) -> Solved {
         let Self { solver, start, coarse_levels, unsettled, levels, steps } = self;
         let steps = steps.into_iter().map(|step| Iteration {
             iteration: step.iteration,
@@ -168,7 +168,7 @@ impl Kept {
 pub(crate) fn run_whole(solve: Solve<'_>, stamps: &Stamps, task: Task<'_>) -> Result<(Solved, bool), PipelineError> {
     let warm = warm_stack(solve.job, solve.display)?;
     at_site(&solve.job.device, task, |site| {
-        take_up("factorize", &solve.key(warm.as_ref(), site).finish(), solve.display, stamps, || {
+        reuse_or_make("factorize", &solve.key(warm.as_ref(), site).finish(), solve.display, stamps, || {
             let (start, mut steps) = (Instant::now(), Vec::new());
             let factorization = solve.factorize(site, warm.as_ref(), task, &mut |step| {
                 steps.push(Step::of(step, start.elapsed().as_secs_f64()));
@@ -184,25 +184,25 @@ pub(crate) fn run_whole(solve: Solve<'_>, stamps: &Stamps, task: Task<'_>) -> Re
 ///
 /// # Errors
 /// Those of `make`, and if a file cannot be written.
-pub(crate) fn take_up(
+pub(crate) fn reuse_or_make(
     stage: &str,
     key: &str,
     display: &Display,
     stamps: &Stamps,
     make: impl FnOnce() -> Result<(LayerStack, Option<Kept>), PipelineError>,
 ) -> Result<(Solved, bool), PipelineError> {
-    take_up_written(stage, key, display, stamps, || {
+    reuse_or_write(stage, key, display, stamps, || {
         let (stack, kept) = make()?;
         lumistack_field_io::write_stack(&stamps.dir().join("layers"), display, &stack).map_err(field_error)?;
         Ok((stack, kept))
     })
 }
 
-/// Is [`take_up`] for a `make` that writes `layers/` itself.
+/// Is [`reuse_or_make`] for a `make` that writes `layers/` itself.
 ///
 /// # Errors
-/// As [`take_up`].
-pub(crate) fn take_up_written(
+/// As [`reuse_or_make`].
+pub(crate) fn reuse_or_write(
     stage: &str,
     key: &str,
     display: &Display,
@@ -211,24 +211,24 @@ pub(crate) fn take_up_written(
 ) -> Result<(Solved, bool), PipelineError> {
     let layers = stamps.dir().join("layers");
     let curve = stamps.dir().join("cache/convergence.json");
-    let told = |kept: Option<Kept>, stack| match kept {
-        Some(kept) => kept.told(stack),
+    let solved = |kept: Option<Kept>, stack| match kept {
+        Some(kept) => kept.into_solved(stack),
         None => Solved { stack, steps: Vec::new(), solution: None },
     };
     // Cached patterns must be those of this display.
     let kept = || {
         let stack = lumistack_field_io::read_stack(&layers).ok()?;
         check_stack(&stack, display, &layers).ok()?;
-        Some(told(read_json::<Option<Kept>>(&curve)?, stack))
+        Some(solved(read_json::<Option<Kept>>(&curve)?, stack))
     };
     let make = || {
         let (stack, kept) = make()?;
         let mut files = files_of(&layers)?;
         write_json(&curve, &kept)?;
         files.push("cache/convergence.json".into());
-        Ok((told(kept, stack), files))
+        Ok((solved(kept, stack), files))
     };
-    stamps.take_up(stage, key, kept, make)
+    stamps.reuse_or_make(stage, key, kept, make)
 }
 
 /// The choice of a start for a time step, as its file has it.

@@ -6,7 +6,7 @@ use lumistack_core::{Task, Tensor};
 use lumistack_display::{Display, FieldGeometry, LightField, Projection, Weights};
 use lumistack_field_io::GeometryDefaults;
 use lumistack_report::DepthBudget;
-use lumistack_shot::{Look, Placement};
+use lumistack_shot::{Placement, ToneMapping};
 use lumistack_simd::{float_from_half, nearest_half};
 use serde_json::{Map, Value, json};
 
@@ -29,7 +29,7 @@ pub(crate) struct Field {
     /// The display, adapted to the light field if that comes from a file.
     pub(crate) display: Display,
     /// Exposure and tone curve of a rendered light field.
-    pub(crate) look: Option<Look>,
+    pub(crate) tone_mapping: Option<ToneMapping>,
     /// The scene's depth against the display's depth of field, of a rendered light field.
     pub(crate) depth: Option<DepthBudget>,
     /// Effect of a denoiser on the target.
@@ -56,7 +56,7 @@ impl Field {
     ) -> Result<Self, PipelineError> {
         let Shot { placement, geometry, .. } = shot;
         // Outputs and other programs read the light field from these folders.
-        let info = field_info(exposed.look, placement);
+        let info = field_info(exposed.tone_mapping, placement);
         let fields = [
             ("target", Some(&exposed.target)),
             ("held-out", exposed.held_out.as_ref()),
@@ -73,13 +73,13 @@ impl Field {
         let depth = depth::budget(&traced.depths, display, geometry, placement);
         warn_of_depth(&depth, task);
         let about = about_scene(path, shot, traced, &exposed);
-        let Exposed { target, held_out, outside, look, denoised } = exposed;
+        let Exposed { target, held_out, outside, tone_mapping, denoised } = exposed;
         Ok(Self {
             target: target.with_depth(Some(traced.depths.seen(placement))),
             held_out,
             outside,
             display: display.clone(),
-            look: Some(look),
+            tone_mapping: Some(tone_mapping),
             depth: Some(depth),
             denoised,
             about,
@@ -112,7 +112,7 @@ impl Field {
             held_out: None,
             outside: None,
             display: adapted,
-            look: None,
+            tone_mapping: None,
             depth: None,
             denoised: None,
             about,
@@ -188,8 +188,8 @@ fn about_scene(path: &Path, shot: Shot<'_>, traced: &Traced, exposed: &Exposed) 
         "depth scale": placement.depth_scale,
         "framed from azimuth and elevation (degrees)": placement.looked_from_deg,
         "near limit before the window (mm)": placement.window.near_mm,
-        "exposure": exposed.look.exposure,
-        "tone curve": exposed.look.curve.name(),
+        "exposure": exposed.tone_mapping.exposure,
+        "tone curve": exposed.tone_mapping.curve.name(),
         "paths per pixel and view": shot.samples_per_view(),
         "paths chosen because": shot.samples.map(|samples| samples.reason()),
         // Shares of the window and of the range 0..1 show how well framing, light and exposure fit
@@ -218,10 +218,10 @@ fn percentiles_of_halves(values: &[f32], shares: [f64; 2]) -> [f32; 2] {
 }
 
 /// Returns exposure, tone curve and depth scale for the index of a light field.
-pub(crate) fn field_info(look: Look, placement: &Placement) -> Map<String, Value> {
+pub(crate) fn field_info(tone_mapping: ToneMapping, placement: &Placement) -> Map<String, Value> {
     let mut info = Map::new();
-    info.insert("exposure".into(), look.exposure.into());
-    info.insert("tone".into(), look.curve.name().into());
+    info.insert("exposure".into(), tone_mapping.exposure.into());
+    info.insert("tone".into(), tone_mapping.curve.name().into());
     info.insert("depth_scale".into(), placement.depth_scale.into());
     if let Some(from_deg) = placement.looked_from_deg {
         info.insert("look_from_deg".into(), from_deg.to_vec().into());
@@ -244,7 +244,7 @@ fn write_if_changed(
         files.extend(field.geometry().grid.iter().map(view_file));
         Ok(((), files))
     };
-    stamps.take_up(name, &field_key(name, field, info), || Some(()), write).map(|_| ())
+    stamps.reuse_or_make(name, &field_key(name, field, info), || Some(()), write).map(|_| ())
 }
 
 /// Returns a hash of the content of a light-field folder.

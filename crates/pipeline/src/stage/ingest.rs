@@ -189,7 +189,7 @@ pub fn load_scene(
 ///
 /// # Errors
 /// If a file cannot be read, or the scene cannot be rendered.
-pub fn take_scene(
+pub fn ingest_scene(
     scene: Scene,
     files: &[PathBuf],
     content: &[&[u8]],

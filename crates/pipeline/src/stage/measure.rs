@@ -58,6 +58,6 @@ pub(crate) fn run(
         write_json(&path, &Kept { error: pair(found.error), change: pair(found.change), still: pair(found.still) })?;
         Ok((found, vec![file.to_owned()]))
     };
-    let (found, cached) = stamps.take_up("measure", &key, kept, make)?;
+    let (found, cached) = stamps.reuse_or_make("measure", &key, kept, make)?;
     Ok((found, key, cached))
 }

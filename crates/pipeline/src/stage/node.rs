@@ -5,7 +5,7 @@ use lumistack_core::Task;
 use lumistack_display::{Display, FieldGeometry, LayerStack, LightField, Weights};
 use lumistack_plugin_host::{NodeData, PluginKind, Registry};
 
-use super::factorize::{Kept, Solved, take_up};
+use super::factorize::{Kept, Solved, reuse_or_make};
 use super::field::add_weights;
 use crate::error::{PipelineError, display_error, host_error};
 use crate::job::NodeJob;
@@ -58,7 +58,7 @@ pub(crate) fn display(
 
 /// The input of a node plugin.
 #[derive(Clone, Copy)]
-pub(crate) struct Given<'a> {
+pub(crate) struct NodeInput<'a> {
     pub(crate) node: &'a NodeJob,
     pub(crate) seed: u64,
     pub(crate) display: &'a Display,
@@ -71,12 +71,12 @@ pub(crate) struct Given<'a> {
 /// # Errors
 /// If the plugin fails or is cancelled, or a file cannot be written.
 pub(crate) fn run(
-    given: Given<'_>,
+    given: NodeInput<'_>,
     stamps: &Stamps,
     registry: &Registry,
     task: Task<'_>,
 ) -> Result<(Solved, bool), PipelineError> {
-    let Given { node, seed, display, target, weights } = given;
+    let NodeInput { node, seed, display, target, weights } = given;
     // Baselines use the factorizer, so its code belongs to the key.
     let mut key = KeyBuilder::new("node", code::PATTERNS);
     key.add("plugin", plugin_key(registry, &node.plugin, &node.params)?.as_bytes())
@@ -85,7 +85,7 @@ pub(crate) fn run(
         .add_f32("target", target.radiance().data())
         .add_json("seed", &seed);
     add_weights(&mut key, weights);
-    take_up("node", &key.finish(), display, stamps, || make(given, registry, task))
+    reuse_or_make("node", &key.finish(), display, stamps, || make(given, registry, task))
 }
 
 /// Makes the patterns by a node plugin, without the cache. Returns them with their convergence.
@@ -93,11 +93,11 @@ pub(crate) fn run(
 /// # Errors
 /// If the plugin fails or is cancelled.
 pub(crate) fn make(
-    given: Given<'_>,
+    given: NodeInput<'_>,
     registry: &Registry,
     task: Task<'_>,
 ) -> Result<(LayerStack, Option<Kept>), PipelineError> {
-    let Given { node, seed, display, target, weights } = given;
+    let NodeInput { node, seed, display, target, weights } = given;
     let data = NodeData { weights, seed, ..NodeData::new(display, target) };
     let made = lumistack_plugin_host::make_stack(registry, &node.plugin, &node.params.clone().into(), &data, task)
         .map_err(host_error)?;

@@ -30,7 +30,7 @@ pub(crate) fn check(job: &Job, registry: &Registry) -> Result<(), PipelineError>
             return Err(PipelineError::job("outputs", expected, format!("`{}`", output.plugin)));
         }
         if info.presents {
-            let found = format!("`{}`, which presents (`lumistack show` does)", output.plugin);
+            let found = format!("`{}`, which drives panels; run `lumistack show` for it", output.plugin);
             return Err(PipelineError::job("outputs", "a plugin that writes files", found));
         }
     }
@@ -124,7 +124,7 @@ pub(crate) fn run(
     let plugin = plugin_key(registry, &output.plugin, &output.params);
     let written: Result<(Vec<PathBuf>, bool), PipelineError> = plugin.and_then(|plugin| {
         key.add("plugin", plugin.as_bytes());
-        stamps.take_up(&stage, &key.finish(), || read_json(&list), make)
+        stamps.reuse_or_make(&stage, &key.finish(), || read_json(&list), make)
     });
     // A failed output costs neither the report nor the outputs after it.
     match written {

@@ -6,7 +6,7 @@ use std::path::Path;
 use lumistack_core::Task;
 use lumistack_display::{Display, FieldGeometry, LightField};
 use lumistack_field_io::LeftOut;
-use lumistack_shot::Look;
+use lumistack_shot::ToneMapping;
 use rayon::prelude::*;
 
 use super::field::field_defaults;
@@ -30,12 +30,12 @@ pub(crate) fn run(
     let read = lumistack_field_io::open_for(path, &job.geometry, &defaults, Some(&footprint), most, task);
     // Values are not rounded as in `target/`: the report compares with the values of the file.
     let (mut field, mut left_out) = read.map_err(field_error)?;
-    if let Some(look) = Look::of_given(&job.light) {
-        look.apply(&mut field);
-        left_out.iter_mut().for_each(|view| look.apply_to(&mut view.radiance));
+    if let Some(tone_mapping) = ToneMapping::of_given(&job.light) {
+        tone_mapping.apply(&mut field);
+        left_out.iter_mut().for_each(|view| tone_mapping.apply_to(&mut view.radiance));
     }
-    if let Some(beyond) = Beyond::of(&field) {
-        task.warn(path.display().to_string(), beyond.message(OFFER_OF_COMMAND));
+    if let Some(out_of_range) = OutOfRange::of(&field) {
+        task.warn(path.display().to_string(), out_of_range.message(OFFER_OF_COMMAND));
     }
     Ok((field, left_out))
 }
@@ -55,7 +55,7 @@ pub(crate) fn adapted_footprint(display: &Display, geometry: &FieldGeometry) -> 
 
 /// Statistics of values outside 0..1, which no display shows.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Beyond {
+pub(crate) struct OutOfRange {
     values: u64,
     above: u64,
     largest: f32,
@@ -64,7 +64,7 @@ pub(crate) struct Beyond {
     not_finite: u64,
 }
 
-impl Beyond {
+impl OutOfRange {
     /// Counts the values; `None` if all are in 0..1.
     pub(crate) fn of(field: &LightField) -> Option<Self> {
         let parts = field.radiance().data().par_chunks(1 << 16).map(|values| {
@@ -130,17 +130,17 @@ mod tests {
         let grid = ViewGrid::uniform(Projection::Oblique, [3, 2], [20.0, 20.0]).unwrap();
         let mut field = LightField::black(FieldGeometry { rows: 100, cols: 100, pitch_mm: 1.0, grid }).unwrap();
         field.radiance_mut().data_mut().fill(1.0);
-        assert_eq!(Beyond::of(&field), None);
+        assert_eq!(OutOfRange::of(&field), None);
         let data = field.radiance_mut().data_mut();
         data[17] = 1e4;
-        let message = Beyond::of(&field).unwrap().message("nothing");
+        let message = OutOfRange::of(&field).unwrap().message("nothing");
         let expected = "1 of 180000 values lie above 1, the largest 10000 (-13.29 stops would fit it)";
         assert!(message.starts_with(expected), "{message}");
         let data = field.radiance_mut().data_mut();
         data[..18_000].fill(2.0);
         data[18_000..18_900].fill(-0.5);
         data[20_000] = f32::NAN;
-        let message = Beyond::of(&field).unwrap().message("nothing");
+        let message = OutOfRange::of(&field).unwrap().message("nothing");
         for part in [
             "10.00 % of all values lie above 1, the largest 2 ",
             "0.50 % of all values lie below 0, the smallest -0.5",

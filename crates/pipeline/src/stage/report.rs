@@ -13,7 +13,7 @@ use crate::store::files::write_report;
 use crate::store::stamps::Stamps;
 
 /// Input of a display's report.
-pub(crate) struct About<'a> {
+pub(crate) struct ReportContent<'a> {
     pub(crate) job: &'a Job,
     pub(crate) display: &'a Display,
     pub(crate) field: &'a Field,
@@ -30,8 +30,8 @@ pub(crate) struct About<'a> {
 ///
 /// # Errors
 /// If it cannot be made or written, or the task is cancelled.
-pub(crate) fn run(about: &About<'_>, stamps: &Stamps, task: Task<'_>) -> Result<Report, PipelineError> {
-    let About { job, display, field, solved, .. } = about;
+pub(crate) fn run(about: &ReportContent<'_>, stamps: &Stamps, task: Task<'_>) -> Result<Report, PipelineError> {
+    let ReportContent { job, display, field, solved, .. } = about;
     let settings = job.to_json();
     let denoising = field.denoised.as_ref().map(|denoised| denoised.about());
     let measure = |references: &References| references.measure(display, &solved.stack, task);

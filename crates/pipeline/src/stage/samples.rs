@@ -28,7 +28,7 @@ use lumistack_display::{
 use lumistack_pathtracer::denoise::SharedLight;
 use lumistack_pathtracer::{AngularFilter, Settings, SplitView};
 use lumistack_scene::Window;
-use lumistack_shot::{Look, Placement};
+use lumistack_shot::{Placement, ToneMapping};
 use rayon::prelude::*;
 
 use super::device::Site;
@@ -130,15 +130,15 @@ fn measure(shot: Shot<'_>, display: &Display, task: Task<'_>) -> Result<Samples,
         let pixels = half.field.radiance().data().chunks_exact(3).zip(&half.is_surface);
         pixels.map(|(rgb, &is_surface)| (rgb[0].max(rgb[1]).max(rgb[2]), is_surface))
     });
-    let look = Look::choose(&job.light, &ingested.scene, &brightest.collect::<Vec<_>>());
-    halves.iter_mut().flatten().for_each(|half| look.apply(&mut half.field));
+    let tone_mapping = ToneMapping::choose(&job.light, &ingested.scene, &brightest.collect::<Vec<_>>());
+    halves.iter_mut().flatten().for_each(|half| tone_mapping.apply(&mut half.field));
 
     // Directions of the zone score, distributed over the parts.
     let zone = score::zone_of(job, display, geometry);
     let directions = zone.directions(parts.len() * DIRECTIONS);
     let measured = parts.par_iter().zip(&halves).enumerate().map(|(number, (part, halves))| {
         let directions: Vec<&ViewGrid> = directions.iter().skip(number).step_by(parts.len()).collect();
-        let sums = compare(shot, part, halves, look, &directions, number as u64, quiet);
+        let sums = compare(shot, part, halves, tone_mapping, &directions, number as u64, quiet);
         task.progress.advance(1, "");
         sums
     });
@@ -169,7 +169,7 @@ fn compare(
     shot: Shot<'_>,
     part: &Part,
     halves: &[Half; 2],
-    look: Look,
+    tone_mapping: ToneMapping,
     directions: &[&ViewGrid],
     number: u64,
     task: Task<'_>,
@@ -203,7 +203,7 @@ fn compare(
             };
             let mut picture =
                 tracer.render_view(&part.window, &traced, [0, 0], &settings, task).map_err(render_error)?;
-            look.apply_to(picture.data_mut());
+            tone_mapping.apply_to(picture.data_mut());
             Ok::<_, PipelineError>(picture)
         };
         // Two references with independent noise keep noise out of the error.

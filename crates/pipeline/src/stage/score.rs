@@ -16,7 +16,7 @@ use lumistack_display::{
 use lumistack_field_io::{LeftOut, npy};
 use lumistack_pathtracer::{AngularFilter, Renderer, Settings};
 use lumistack_report::{ZoneFigures, ZoneView};
-use lumistack_shot::{Look, expose_over, put_before};
+use lumistack_shot::{ToneMapping, expose_over, put_before};
 use lumistack_splats::Space;
 use rayon::prelude::*;
 
@@ -48,7 +48,7 @@ pub struct References {
 /// Place of the pictures.
 enum Pictures {
     /// In a folder of the cache, two per direction.
-    Rendered { folder: PathBuf, look: Look, background: Background, space: Option<Space> },
+    Rendered { folder: PathBuf, tone_mapping: ToneMapping, background: Background, space: Option<Space> },
     /// In memory, display-referred. Both of a pair are the same picture if there is no noise.
     Held { pictures: Vec<[Arc<Vec<f32>>; 2]>, left_out: bool },
 }
@@ -62,7 +62,8 @@ pub(crate) fn zone_of(job: &Job, display: &Display, geometry: &FieldGeometry) ->
 }
 
 impl References {
-    /// Traces the pictures of a block that are not cached; pictures do not depend on `look`.
+    /// Traces the pictures of a block that are not cached; pictures do not depend on
+    /// `tone_mapping`.
     /// Returns `None` if the job wants no score, or if Blender renders, since its seeds cannot be
     /// chosen.
     ///
@@ -71,7 +72,7 @@ impl References {
     pub(crate) fn render(
         shot: Shot<'_>,
         zone: &Zone,
-        (look, engine): (Look, Engine),
+        (tone_mapping, engine): (ToneMapping, Engine),
         cache_dir: &Path,
         block: Block,
         task: Task<'_>,
@@ -95,9 +96,9 @@ impl References {
         std::fs::create_dir_all(&folder).map_err(PipelineError::write(&folder))?;
         let (background, space) = (job.light.background, Space::of(&ingested.scene));
         let mut key = KeyBuilder::new("zone", code::VIEWS);
-        key.add("traced", traced.as_bytes()).add("look", format!("{look:?} {background:?}").as_bytes());
+        key.add("traced", traced.as_bytes()).add("look", format!("{tone_mapping:?} {background:?}").as_bytes());
         let key = key.finish();
-        let pictures = Pictures::Rendered { folder: folder.clone(), look, background, space };
+        let pictures = Pictures::Rendered { folder: folder.clone(), tone_mapping, background, space };
         let references = Self { geometry: geometry.clone(), directions, pictures, key, cached: false };
         // Only missing pictures are traced.
         let all: Vec<(usize, usize)> = (0..references.directions.len()).flat_map(|i| [(i, 0), (i, 1)]).collect();
@@ -274,17 +275,19 @@ impl References {
 
     /// Reads one picture; `None` if the file, or that of its background, is missing or damaged.
     fn one(&self, i: usize, half: usize) -> Option<Vec<f32>> {
-        let (folder, look, background, space) = match &self.pictures {
-            Pictures::Rendered { folder, look, background, space } => (folder, *look, *background, *space),
+        let (folder, tone_mapping, background, space) = match &self.pictures {
+            Pictures::Rendered { folder, tone_mapping, background, space } => {
+                (folder, *tone_mapping, *background, *space)
+            }
             Pictures::Held { pictures, .. } => return pictures.get(i).map(|pair| Vec::clone(&pair[half])),
         };
         let mut picture = read_view(&path(folder, i, half), &self.geometry)?;
         match background {
-            Background::Environment => look.apply_to(&mut picture),
+            Background::Environment => tone_mapping.apply_to(&mut picture),
             Background::Colour(colour) => {
                 let (shape, missed) = npy::read(&missed_path(folder, i, half)).ok()?;
                 (shape == [self.geometry.rows, self.geometry.cols]).then_some(())?;
-                expose_over(look, colour, space, &missed, &mut picture);
+                expose_over(tone_mapping, colour, space, &missed, &mut picture);
             }
         }
         Some(picture)

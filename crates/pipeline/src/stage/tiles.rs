@@ -22,7 +22,7 @@ use lumistack_factorizer::{FactorizeError, Problem, Settings, factorize_tile, he
 
 use super::device::Site;
 use super::factorize::{
-    Kept, Solve, Solved, Step, add_stack, prefers_fresh, run_whole, solver_settings, take_up, take_up_written,
+    Kept, Solve, Solved, Step, add_stack, prefers_fresh, reuse_or_make, reuse_or_write, run_whole, solver_settings,
     warm_stack,
 };
 use super::field::add_weights;
@@ -137,7 +137,7 @@ pub(crate) fn run(solve: Solve<'_>, stamps: &Stamps, task: Task<'_>) -> Result<(
     // The key of the whole leaves the keys of its tiles out, since they follow from it.
     key.add_json("tiles", &(tiles.tiling.tiles(), tiles.rounds));
     let work = Work { solve, tiles: &tiles, stamps };
-    take_up_written("factorize", &key.finish(), solve.display, stamps, || {
+    reuse_or_write("factorize", &key.finish(), solve.display, stamps, || {
         task.progress.begin("factorize", (tiles.rounds * tiles.count()) as u64, "tiles");
         let mut all = (0..tiles.rounds).flat_map(|round| (0..tiles.count()).map(move |number| [round, number]));
         let done = all.try_for_each(|at| {
@@ -175,7 +175,7 @@ pub(crate) fn run_tile(
 ///
 /// # Errors
 /// If the patterns cannot be read, the solver fails, or the task is cancelled.
-pub(crate) fn begins_afresh(
+pub(crate) fn prefers_fresh_start(
     solve: Solve<'_>,
     fresh: &FactorizeJob,
     stamps: &Stamps,
@@ -295,7 +295,7 @@ impl Work<'_> {
         };
         let place = self.place(at);
         std::fs::create_dir_all(place.join("cache")).map_err(PipelineError::write(&place))?;
-        take_up("tile", &key.finish(), &of_own, &Stamps::new(&place), make).map(drop)
+        reuse_or_make("tile", &key.finish(), &of_own, &Stamps::new(&place), make).map(drop)
     }
 
     /// Returns the patterns of the round before over all pixels that a tile holds.

@@ -12,7 +12,7 @@ use serde::Serialize;
 use super::files::read_json;
 use super::handover;
 use super::left_overs::{entries, is_folder, left_overs, parts};
-use super::lock::{OWNER, take_known, take_preview};
+use super::lock::{OWNER, lock_known, lock_preview};
 use super::names::is_ours;
 use super::used::{USED, Used, all_views, unused_in, unused_views};
 use crate::error::PipelineError;
@@ -67,12 +67,12 @@ pub fn clean(dir: &Path, all: bool, dry_run: bool, task: Task<'_>) -> Result<Cle
         };
         return Err(PipelineError::value(dir, "folder", "a folder of a run, a sequence, a sweep or of views", found));
     }
-    let _owned = take_known(dir, task)?;
+    let _owned = lock_known(dir, task)?;
     let mut kinds: Vec<(&'static str, Vec<PathBuf>)> = vec![("left-overs of stopped runs", left_overs(dir))];
     collect(dir, all, &mut kinds);
     // A preview under construction has its lock; one of a killed process has not.
     let preview = dir.join(".preview.partial");
-    if is_folder(&preview) && take_preview(dir, task).is_ok() {
+    if is_folder(&preview) && lock_preview(dir, task).is_ok() {
         kinds[0].1.push(preview);
     }
     // The lock's owner file belongs to this process.

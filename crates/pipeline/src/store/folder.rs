@@ -8,7 +8,7 @@ use lumistack_plugin_host::Registry;
 
 use super::files::check_folder;
 use super::left_overs;
-use super::lock::{Owned, take_known};
+use super::lock::{FolderLock, lock_known};
 use super::names::{Work, is_ours};
 use super::plugin_files;
 use super::settings::{is_sealed, is_written_by_us};
@@ -20,18 +20,18 @@ use crate::job::Job;
 /// # Errors
 /// If another process uses the folder, a file of others has a name that the work writes, or the
 /// work would overwrite an input.
-pub(crate) fn take(
+pub(crate) fn lock(
     dir: &Path,
     work: Work,
     job: &Job,
     registry: &Registry,
     task: Task<'_>,
-) -> Result<Owned, PipelineError> {
+) -> Result<FolderLock, PipelineError> {
     check_folder(dir)?;
     check_inputs(dir, work, job, registry)?;
     check_foreign(dir, work)?;
-    let owned = take_known(dir, task)?;
-    left_overs::sweep(dir);
+    let owned = lock_known(dir, task)?;
+    left_overs::remove(dir);
     Ok(owned)
 }
 
@@ -64,7 +64,7 @@ fn is_empty_folder(path: &Path) -> bool {
 fn check_inputs(dir: &Path, work: Work, job: &Job, registry: &Registry) -> Result<(), PipelineError> {
     // a folder that does not exist contains no input
     let Ok(root) = dir.canonicalize() else { return Ok(()) };
-    for (what, path) in inputs(job, registry) {
+    for (role, path) in inputs(job, registry) {
         let Ok(found) = path.canonicalize() else { continue };
         let Ok(inside) = found.strip_prefix(&root) else { continue };
         let written = match inside.components().next() {
@@ -75,9 +75,9 @@ fn check_inputs(dir: &Path, work: Work, job: &Job, registry: &Registry) -> Resul
         };
         // A run folder's own job file may be run again: the job that replaces it has all of its
         // values.
-        let own_job = what == "job file" && inside == Path::new("job.toml") && is_written_by_us(&found, true);
+        let own_job = role == "job file" && inside == Path::new("job.toml") && is_written_by_us(&found, true);
         if written && !own_job {
-            return Err(PipelineError::Overwrites { input: path, what, folder: dir.to_owned() });
+            return Err(PipelineError::Overwrites { input: path, role, folder: dir.to_owned() });
         }
     }
     Ok(())
@@ -96,7 +96,7 @@ fn inputs(job: &Job, registry: &Registry) -> Vec<(&'static str, PathBuf)> {
         ("warm start", &job.factorize.warm_start),
         ("weights", &job.factorize.weights),
     ];
-    list.extend(named.into_iter().filter_map(|(what, path)| Some((what, path.clone()?))));
+    list.extend(named.into_iter().filter_map(|(role, path)| Some((role, path.clone()?))));
     // Files of nodes; a file that is listed twice changes nothing.
     list.extend(job.paths_mut().map(|path| ("input", path.clone())));
     let displays = job.sweep.iter().flat_map(|sweep| &sweep.displays).filter(|name| name.ends_with(".toml"));
@@ -127,9 +127,9 @@ mod tests {
         work(Task::quiet(&warnings, &cancel))
     }
 
-    fn try_take(dir: &Path, work: Work, job: &Job) -> Result<Owned, String> {
+    fn try_take(dir: &Path, work: Work, job: &Job) -> Result<FolderLock, String> {
         let registry = Registry::built_in().unwrap();
-        with_task(|task| take(dir, work, job, &registry, task).map_err(|error| error.to_string()))
+        with_task(|task| lock(dir, work, job, &registry, task).map_err(|error| error.to_string()))
     }
 
     #[test]

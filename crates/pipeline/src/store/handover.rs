@@ -58,17 +58,17 @@ pub(crate) fn hand_over(
     cache_dir: Option<&Path>,
     task: Task<'_>,
 ) -> Result<HandedOver, PipelineError> {
-    let ask = || lumistack_usd::hand_over(path, time_s, task).map_err(PipelineError::from);
+    let convert = || lumistack_usd::hand_over(path, time_s, task).map_err(PipelineError::from);
     let handed = match cache_dir {
-        Some(folder) => kept_or(ask, path, time_s, &lumistack_usd::blend_surroundings(), folder)?,
-        None => ask()?,
+        Some(folder) => kept_or(convert, path, time_s, &lumistack_usd::blend_surroundings(), folder)?,
+        None => convert()?,
     };
     handed.account.warnings.iter().for_each(|(place, text)| task.warn(place, text));
     Ok(handed)
 }
 
 fn kept_or(
-    ask: impl FnOnce() -> Result<HandedOver, PipelineError>,
+    convert: impl FnOnce() -> Result<HandedOver, PipelineError>,
     path: &Path,
     time_s: Option<f64>,
     surroundings: &str,
@@ -88,7 +88,7 @@ fn kept_or(
     }
     // Without a valid one, run Blender.
     let before = content_of(&place);
-    let handed = ask()?;
+    let handed = convert()?;
     let HandedOver { glb, account } = &handed;
     let all = [std::slice::from_ref(&place), &account.files[..]].concat();
     let files: Option<Vec<_>> = all.into_iter().map(|path| Some((path.clone(), content_of(&path)?))).collect();
@@ -108,7 +108,7 @@ mod tests {
     use super::*;
 
     /// Returns the number of Blender's runs for two conversions, with a change between them.
-    fn asked(untracked: Option<String>, between: impl FnOnce(&Path)) -> usize {
+    fn conversions(untracked: Option<String>, between: impl FnOnce(&Path)) -> usize {
         let folder = tempfile::tempdir().unwrap();
         let place = |name: &str| folder.path().join(name);
         for name in ["szene.blend", "wood.png", "blender"] {
@@ -123,11 +123,11 @@ mod tests {
         };
         let mut count = 0;
         let mut hand_over = |time_s, surroundings: &str| {
-            let ask = || {
+            let convert = || {
                 count += 1;
                 Ok(HandedOver { glb: format!("{time_s:?}").into_bytes(), account: account.clone() })
             };
-            kept_or(ask, &place("szene.blend"), time_s, surroundings, &place("cache")).unwrap()
+            kept_or(convert, &place("szene.blend"), time_s, surroundings, &place("cache")).unwrap()
         };
         let first = hand_over(Some(0.5), "one");
         between(folder.path());
@@ -143,11 +143,11 @@ mod tests {
     fn blender_is_asked_again_when_something_has_changed() {
         let write =
             |name: &'static str| move |folder: &Path| std::fs::write(folder.join(name), "another content").unwrap();
-        assert_eq!(asked(None, |_| ()), 1);
+        assert_eq!(conversions(None, |_| ()), 1);
         for name in ["szene.blend", "wood.png", "blender", "gone.png"] {
-            assert_eq!(asked(None, write(name)), 2, "{name}");
+            assert_eq!(conversions(None, write(name)), 2, "{name}");
         }
-        assert_eq!(asked(None, |folder| std::fs::remove_file(folder.join("wood.png")).unwrap()), 2);
+        assert_eq!(conversions(None, |folder| std::fs::remove_file(folder.join("wood.png")).unwrap()), 2);
         let damage = |folder: &Path| {
             for file in std::fs::read_dir(folder.join("cache")).unwrap().flatten() {
                 if file.path().extension().is_some_and(|kind| kind == "glb") {
@@ -155,7 +155,7 @@ mod tests {
                 }
             }
         };
-        assert_eq!(asked(None, damage), 2);
-        assert_eq!(asked(Some("waves: a sequence of files".into()), |_| ()), 2);
+        assert_eq!(conversions(None, damage), 2);
+        assert_eq!(conversions(Some("waves: a sequence of files".into()), |_| ()), 2);
     }
 }

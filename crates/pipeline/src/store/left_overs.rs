@@ -8,7 +8,7 @@ use super::names::{is_ours, is_time};
 /// Folders of a run folder with files of ours only, where every temporary file may be removed.
 const OWN: [&str; 8] = ["cache", "target", "held-out", "outside", "layers", "designs", "plots", "outputs"];
 /// Removes left-overs of killed runs from a run folder. The caller has its lock.
-pub(crate) fn sweep(dir: &Path) {
+pub(crate) fn remove(dir: &Path) {
     remove_all(&left_overs(dir));
 }
 

@@ -25,10 +25,10 @@ pub(crate) const OWNER: &str = "owner.json";
 /// Lock of a preview, which may be written while a run uses the folder.
 const PREVIEW_LOCK: &str = "preview.lock";
 /// Number of attempts to read the owner's file, which is written shortly after the lock is taken.
-const LOOKS: u32 = 25;
+const OWNER_ATTEMPTS: u32 = 25;
 
 /// Interval of a unit's attempts to lock a folder.
-const UNIT_LOOKS: Duration = Duration::from_millis(100);
+const LOCK_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Longest time that a unit waits for a folder.
 pub(crate) const UNIT_LIMIT: Duration = Duration::from_secs(600);
@@ -44,7 +44,7 @@ pub(crate) enum Hold {
 
 /// The lock of a run folder, held until it is dropped.
 #[derive(Debug)]
-pub(crate) struct Owned {
+pub(crate) struct FolderLock {
     lock: Option<File>,
     cache: PathBuf,
     file: &'static str,
@@ -60,8 +60,8 @@ struct Owner {
 }
 
 /// Locks a folder that is known to be a run's.
-pub(crate) fn take_known(dir: &Path, task: Task<'_>) -> Result<Owned, PipelineError> {
-    Owned::lock(dir, LOCK, task)
+pub(crate) fn lock_known(dir: &Path, task: Task<'_>) -> Result<FolderLock, PipelineError> {
+    FolderLock::lock(dir, LOCK, task)
 }
 
 /// Locks a folder for a unit of work. Waits up to a limit, since a machine that seemed lost may
@@ -69,13 +69,18 @@ pub(crate) fn take_known(dir: &Path, task: Task<'_>) -> Result<Owned, PipelineEr
 ///
 /// # Errors
 /// If other processes hold the lock for longer, or the task is cancelled.
-pub(crate) fn take_for_unit(dir: &Path, hold: Hold, limit: Duration, task: Task<'_>) -> Result<Owned, PipelineError> {
+pub(crate) fn lock_for_unit(
+    dir: &Path,
+    hold: Hold,
+    limit: Duration,
+    task: Task<'_>,
+) -> Result<FolderLock, PipelineError> {
     let start = Instant::now();
     loop {
-        match Owned::lock_as(dir, LOCK, hold, task) {
+        match FolderLock::lock_as(dir, LOCK, hold, task) {
             Err(PipelineError::InUse { .. }) if start.elapsed() < limit => {
                 task.cancel.check()?;
-                std::thread::sleep(UNIT_LOOKS);
+                std::thread::sleep(LOCK_INTERVAL);
             }
             taken => return taken,
         }
@@ -83,11 +88,11 @@ pub(crate) fn take_for_unit(dir: &Path, hold: Hold, limit: Duration, task: Task<
 }
 
 /// Locks the preview of a run, which does not disturb the run.
-pub(crate) fn take_preview(dir: &Path, task: Task<'_>) -> Result<Owned, PipelineError> {
-    Owned::lock(dir, PREVIEW_LOCK, task)
+pub(crate) fn lock_preview(dir: &Path, task: Task<'_>) -> Result<FolderLock, PipelineError> {
+    FolderLock::lock(dir, PREVIEW_LOCK, task)
 }
 
-impl Owned {
+impl FolderLock {
     fn lock(dir: &Path, file: &'static str, task: Task<'_>) -> Result<Self, PipelineError> {
         Self::lock_as(dir, file, Hold::Alone, task)
     }
@@ -133,8 +138,8 @@ impl Owned {
             return "another preview".into();
         }
         let read = || -> Option<Owner> { serde_json::from_slice(&std::fs::read(self.cache.join(OWNER)).ok()?).ok() };
-        let owner = (0..LOOKS).find_map(|look| {
-            if look > 0 {
+        let owner = (0..OWNER_ATTEMPTS).find_map(|attempt| {
+            if attempt > 0 {
                 std::thread::sleep(Duration::from_millis(20));
             }
             read()
@@ -143,7 +148,7 @@ impl Owned {
     }
 }
 
-impl Drop for Owned {
+impl Drop for FolderLock {
     fn drop(&mut self) {
         // the lock is another's, or shared, or the file system has none
         if self.lock.is_none() || self.hold == Hold::Shared {

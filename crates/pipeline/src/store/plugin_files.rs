@@ -26,12 +26,12 @@ pub(crate) fn of<'a>(
 }
 
 /// Returns the job with all such paths absolute, and with its defaults filled in by
-/// [`settled`](Job::settled).
+/// [`with_automatic_settings`](Job::with_automatic_settings).
 ///
 /// # Errors
 /// If a file cannot be read.
 pub(crate) fn resolved(job: &Job, registry: &Registry) -> Result<Job, PipelineError> {
-    let mut job = job.settled();
+    let mut job = job.with_automatic_settings();
     let folder = job.folder.clone();
     // Scenes with a reader of ours need no importer, so plugin libraries need not be loaded.
     let foreign = job.scene.as_ref().filter(|scene| own_reader(scene).is_none());

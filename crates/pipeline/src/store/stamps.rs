@@ -64,7 +64,7 @@ impl Stamps {
     ///
     /// # Errors
     /// Those of `make`, and if the stamp cannot be written.
-    pub(crate) fn take_up<T>(
+    pub(crate) fn reuse_or_make<T>(
         &self,
         stage: &str,
         key: &str,

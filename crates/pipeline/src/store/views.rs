@@ -113,12 +113,12 @@ pub(crate) fn missing<T: Send + Sync>(
         return all;
     }
     task.progress.begin("kept views", all.len() as u64, "views");
-    let look = |one: &T| {
+    let check = |one: &T| {
         let kept = is_kept(one);
         task.progress.advance(1, "");
         kept
     };
-    let kept: Vec<bool> = all.par_iter().map(look).collect();
+    let kept: Vec<bool> = all.par_iter().map(check).collect();
     task.progress.end();
     all.into_iter().zip(kept).filter_map(|(one, kept)| (!kept).then_some(one)).collect()
 }

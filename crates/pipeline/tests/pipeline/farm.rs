@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::time::Duration;
 
-use lumistack_pipeline::{Cut, FarmPlan, Job, Registry, farm_plan, farm_unit, run, sweep};
+use lumistack_pipeline::{BlockSize, FarmPlan, Job, Registry, farm_plan, farm_unit, run, sweep};
 
 use crate::compose::{SOURCE, TIMES, job, json, results, with_task};
 
 const DISPLAY: &str = "[display]\npreset = \"paper-three-layer\"\nresolution = [20, 12]\nframes = 2\n";
-const CUT: Cut = Cut { block_seconds: 1.0, blocks: Some(2) };
+const CUT: BlockSize = BlockSize { block_seconds: 1.0, blocks: Some(2) };
 
 fn scene() -> String {
     sample("letters/letters.gltf")

@@ -7,7 +7,7 @@ use std::time::Duration;
 use lumistack_core::{Cancel, Collector, Progress, Task};
 use lumistack_display::{Display, LightField, RayMap, Simulator, Tiling};
 use lumistack_field_io::{read_field_folder, read_stack};
-use lumistack_pipeline::{Cut, Job, Registry, farm_plan, farm_unit, run};
+use lumistack_pipeline::{BlockSize, Job, Registry, farm_plan, farm_unit, run};
 
 use crate::compose::{results, with_task};
 
@@ -15,7 +15,7 @@ use crate::compose::{results, with_task};
 const SEAM_DB: f64 = 0.1;
 /// Width of the band on either side of a seam, field pixels.
 const BAND: usize = 4;
-const CUT: Cut = Cut { block_seconds: 1.0, blocks: Some(1) };
+const CUT: BlockSize = BlockSize { block_seconds: 1.0, blocks: Some(1) };
 
 fn still_life(folder: &Path, name: &str, tiles: &str) -> Job {
     let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes/still-life/still-life.gltf");

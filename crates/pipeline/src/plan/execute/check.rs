@@ -4,7 +4,7 @@ use lumistack_plugin_host::PluginKind;
 
 use super::context::Context;
 use crate::error::{PipelineError, display_error};
-use crate::plan::steps::Kind;
+use crate::plan::steps::PartKind;
 use crate::stage::{factorize, node, output};
 use crate::store::files::check_folder;
 
@@ -20,12 +20,13 @@ impl Context<'_> {
             // `Designs`.
             let job = &part.job;
             match (&part.kind, part.parent) {
-                (Kind::Time(_), _) => continue,
-                (Kind::Node(_), Some(parent)) if matches!(plan.parts[parent].kind, Kind::Time(time) if time > 0) => {
+                (PartKind::Time(_), _) => continue,
+                (PartKind::Node(_), Some(parent)) if matches!(plan.parts[parent].kind, PartKind::Time(time) if time > 0) =>
+                {
                     continue;
                 }
-                (Kind::Sweep, _) => continue,
-                (Kind::Node(_), _) => {}
+                (PartKind::Sweep, _) => continue,
+                (PartKind::Node(_), _) => {}
                 _ => job.check()?,
             }
             // Settings, plugins and folders.
@@ -42,7 +43,7 @@ impl Context<'_> {
                 node::check(node, self.registry)?;
             }
             // Outputs refuse displays that they cannot show.
-            if job.scene.is_some() && !matches!(part.kind, Kind::Node(_)) {
+            if job.scene.is_some() && !matches!(part.kind, PartKind::Node(_)) {
                 self.open_outputs(
                     job,
                     &display,

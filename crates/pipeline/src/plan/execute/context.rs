@@ -7,13 +7,13 @@ use lumistack_core::{Task, Warning};
 use lumistack_display::{Display, FieldGeometry, Weights};
 use lumistack_plugin_host::Registry;
 use lumistack_report::{DepthBudget, Output, Report, SequenceReport, SequenceTime, Stage, Thumbnail};
-use lumistack_shot::{Look, Placement};
+use lumistack_shot::{Placement, ToneMapping};
 
 use crate::error::{FailedOutput, PipelineError};
 use crate::job::Job;
 use crate::plan::graph::job_of;
-use crate::plan::steps::{Kind, Plan};
-use crate::plan::times::{Begun, name};
+use crate::plan::steps::{PartKind, Plan};
+use crate::plan::times::{FirstTimeStep, name};
 use crate::stage::factorize::Solved;
 use crate::stage::field::Field;
 use crate::stage::flicker::TimeError;
@@ -21,7 +21,7 @@ use crate::stage::ingest::Ingested;
 use crate::stage::paths::Samples;
 use crate::stage::score::References;
 use crate::stage::trace::Traced;
-use crate::store::lock::Owned;
+use crate::store::lock::FolderLock;
 use crate::store::stamps::Stamps;
 
 /// Patterns of a display, with the display and the weights that they were solved for.
@@ -42,14 +42,14 @@ pub(crate) struct Reported {
 #[derive(Default)]
 pub(crate) struct State {
     pub(super) job: Option<Arc<Job>>,
-    pub(super) owned: Option<Owned>,
+    pub(super) owned: Option<FolderLock>,
     pub(super) ingested: Option<Arc<Ingested>>,
     pub(super) placement: Option<Placement>,
     pub(super) samples: Option<Samples>,
     pub(super) traced: Option<Arc<Traced>>,
     pub(crate) field: Option<Arc<Field>>,
     /// Exposure and tone curve of the light field; kept after the field is dropped.
-    pub(super) look: Option<Look>,
+    pub(super) tone_mapping: Option<ToneMapping>,
     pub(super) geometry: Option<FieldGeometry>,
     pub(crate) references: Option<Arc<References>>,
     pub(super) patterns: Option<Arc<Patterns>>,
@@ -104,7 +104,7 @@ impl<'a> Context<'a> {
     /// Returns the cache folder of a part. A sequence uses that of its first time step.
     pub(super) fn cache(&self, part: usize) -> PathBuf {
         match self.plan.parts[part].kind {
-            Kind::Sequence(_) => self.dir(part).join(name(0)).join("cache"),
+            PartKind::Sequence(_) => self.dir(part).join(name(0)).join("cache"),
             _ => self.dir(part).join("cache"),
         }
     }
@@ -119,19 +119,23 @@ impl<'a> Context<'a> {
         // A time step gets placement, exposure and warm start from the first one and the one
         // before.
         let job = match (&of_part.kind, of_part.parent) {
-            (Kind::Time(time), Some(sequence)) => match &plan.parts[sequence].kind {
-                Kind::Sequence(times) => {
+            (PartKind::Time(time), Some(sequence)) => match &plan.parts[sequence].kind {
+                PartKind::Sequence(times) => {
                     let before = times.start(*time).map(|before| self.dir(sequence).join(before));
                     let state = &self.states[sequence];
-                    let look = plan.at_time(part, 0).and_then(|first| self.states[first].look);
-                    let begun = state.placement.zip(state.ingested.as_ref());
-                    let begun = begun.map(|(placement, ingested)| Begun { placement, studio: ingested.studio, look });
-                    times.job(&plan.parts[sequence].job, *time, before.as_deref(), begun)
+                    let tone_mapping = plan.at_time(part, 0).and_then(|first| self.states[first].tone_mapping);
+                    let first_step = state.placement.zip(state.ingested.as_ref());
+                    let first_step = first_step.map(|(placement, ingested)| FirstTimeStep {
+                        placement,
+                        studio: ingested.studio,
+                        tone_mapping,
+                    });
+                    times.job(&plan.parts[sequence].job, *time, before.as_deref(), first_step)
                 }
                 _ => of_part.job.clone(),
             },
             // A node of a time step takes its warm start from the completed job of that time step.
-            (Kind::Node(_), Some(parent)) => {
+            (PartKind::Node(_), Some(parent)) => {
                 let around = self.job(parent);
                 plan.node(part)
                     .and_then(|node| around.nodes.iter().find(|other| other.id == node.id))
@@ -148,12 +152,12 @@ impl<'a> Context<'a> {
     pub(super) fn of<T>(
         &self,
         part: usize,
-        what: &str,
+        name_of_result: &str,
         take: impl Fn(&State) -> Option<T>,
     ) -> Result<T, PipelineError> {
         let place = &self.plan.parts[part].folder;
         take(&self.states[part])
-            .ok_or_else(|| PipelineError::value(place, "plan", format!("{what} from a step before"), "none"))
+            .ok_or_else(|| PipelineError::value(place, "plan", format!("{name_of_result} of an earlier step"), "none"))
     }
 
     /// Returns the scene of a part: its own, or that of its sequence.
@@ -171,7 +175,7 @@ impl<'a> Context<'a> {
     pub(super) fn source_of(&self, part: usize, time: usize) -> String {
         let Some((_, sequence)) = self.plan.time(part) else { return String::new() };
         match &self.plan.parts[sequence].kind {
-            Kind::Sequence(times) => times.source(&self.plan.parts[sequence].job, time),
+            PartKind::Sequence(times) => times.source(&self.plan.parts[sequence].job, time),
             _ => String::new(),
         }
     }

@@ -5,13 +5,13 @@ use std::sync::Arc;
 
 use lumistack_core::Task;
 use lumistack_display::{Display, FieldGeometry};
-use lumistack_shot::{Look, Placement};
+use lumistack_shot::{Placement, ToneMapping};
 use serde_json::json;
 
 use super::context::Context;
 use crate::error::{PipelineError, display_error};
 use crate::job::Job;
-use crate::plan::steps::Kind;
+use crate::plan::steps::PartKind;
 use crate::stage::field::{Field, check_geometry};
 use crate::stage::fields::{Block, Shot};
 use crate::stage::ingest::Ingested;
@@ -26,7 +26,7 @@ impl Context<'_> {
     pub(super) fn ingest(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let job = self.job(part);
         let pose = match &self.plan.parts[part].kind {
-            Kind::Sequence(times) => times.first_pose(&job),
+            PartKind::Sequence(times) => times.first_pose(&job),
             _ => job.pose.clone(),
         };
         let scene = job.scene.as_ref().ok_or_else(|| PipelineError::job("scene", "a scene", "none"))?;
@@ -76,7 +76,7 @@ impl Context<'_> {
         let zone = score::zone_of(&of.job, &of.display, &of.geometry);
         let views = self.dir(part).join("cache/views");
         let engine = trace::engine(of.shot(), &ViewOptions::default(), task);
-        let made = References::render(of.shot(), &zone, (Look::NONE, engine), &views, block, task)?;
+        let made = References::render(of.shot(), &zone, (ToneMapping::NONE, engine), &views, block, task)?;
         Ok(made.is_none_or(|references| references.cached))
     }
 
@@ -100,10 +100,10 @@ impl Context<'_> {
     /// Renders the scene's pictures for the zone score. Returns true if they were cached.
     pub(super) fn score(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let (of, traced) = (self.shot(part)?, self.of(part, "views", |state| state.traced.clone())?);
-        let look = self.of(part, "an exposure", |state| state.look)?;
+        let tone_mapping = self.of(part, "an exposure", |state| state.tone_mapping)?;
         let zone = score::zone_of(&of.job, &of.display, &of.geometry);
         let views = self.dir(part).join("cache/views");
-        let made = References::render(of.shot(), &zone, (look, traced.engine), &views, Block::ALL, task)?;
+        let made = References::render(of.shot(), &zone, (tone_mapping, traced.engine), &views, Block::ALL, task)?;
         let cached = made.as_ref().is_none_or(|references| references.cached);
         let state = &mut self.states[part];
         state.views.extend(made.as_ref().and_then(|references| references.folder()).map(Path::to_owned));
@@ -142,13 +142,13 @@ impl Context<'_> {
         Ok(cached)
     }
 
-    fn shot(&mut self, part: usize) -> Result<OwnShot, PipelineError> {
+    fn shot(&mut self, part: usize) -> Result<OwnedShot, PipelineError> {
         let (job, ingested) = (self.job(part), self.ingested(part)?);
         let placement = self.of(part, "a window", |state| state.placement)?;
         let display = job.resolve_display()?;
         let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
         let samples = self.states[part].samples;
-        Ok(OwnShot { job, ingested, placement, display, geometry, samples })
+        Ok(OwnedShot { job, ingested, placement, display, geometry, samples })
     }
 
     fn check_geometry(&self, part: usize, path: &Path, found: &FieldGeometry) -> Result<(), PipelineError> {
@@ -163,7 +163,7 @@ impl Context<'_> {
     /// report.
     fn take_field(&mut self, part: usize, field: Field) -> Result<(), PipelineError> {
         let job = self.job(part);
-        if !job.nodes.is_empty() && !matches!(self.plan.parts[0].kind, Kind::Sweep) {
+        if !job.nodes.is_empty() && !matches!(self.plan.parts[0].kind, PartKind::Sweep) {
             let dir = self.dir(part);
             write_job(&job, &dir)?;
             write_display(&dir.join("display.toml"), &field.display)?;
@@ -172,7 +172,7 @@ impl Context<'_> {
             self.depth.clone_from(&field.depth);
         }
         let state = &mut self.states[part];
-        (state.look, state.geometry) = (field.look, Some(field.target.geometry().clone()));
+        (state.tone_mapping, state.geometry) = (field.tone_mapping, Some(field.target.geometry().clone()));
         state.views.clone_from(&field.views);
         state.field = Some(Arc::new(field));
         Ok(())
@@ -180,7 +180,7 @@ impl Context<'_> {
 }
 
 /// The owner of the data that a [`Shot`] borrows.
-struct OwnShot {
+struct OwnedShot {
     job: Arc<Job>,
     ingested: Arc<Ingested>,
     placement: Placement,
@@ -189,7 +189,7 @@ struct OwnShot {
     samples: Option<Samples>,
 }
 
-impl OwnShot {
+impl OwnedShot {
     fn shot(&self) -> Shot<'_> {
         let Self { job, ingested, placement, display, geometry, samples } = self;
         Shot { job, ingested, placement, geometry, footprint: display.angular_footprint(), samples: *samples }

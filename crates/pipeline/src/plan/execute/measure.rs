@@ -8,7 +8,7 @@ use lumistack_report::SequenceTime;
 
 use super::context::Context;
 use crate::error::PipelineError;
-use crate::plan::steps::Kind;
+use crate::plan::steps::PartKind;
 use crate::plan::times::name;
 use crate::stage::flicker::Shown;
 use crate::stage::measure;
@@ -33,7 +33,7 @@ impl Context<'_> {
         let stamps = self.stamps(part);
         let (found, key, cached) = measure::run(&patterns.display, &patterns.weights, now, then, &stamps, task)?;
         // The entry in the sequence's report.
-        let reports = matches!(&plan.parts[sequence].kind, Kind::Sequence(times) if times.sequence.reports);
+        let reports = matches!(&plan.parts[sequence].kind, PartKind::Sequence(times) if times.sequence.reports);
         let compared = |error: SquaredError| (error.count > 0).then_some(error);
         let (steps, solution) = (&patterns.solved.steps, &patterns.solved.solution);
         let [wanted, shown] = thumbnails(&patterns.display, &field, &patterns.solved);

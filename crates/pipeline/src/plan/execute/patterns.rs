@@ -9,11 +9,11 @@ use lumistack_display::{Display, FieldGeometry, Region, Tile};
 use super::context::{Context, Patterns};
 use crate::error::{PipelineError, display_error, field_error};
 use crate::job::{FactorizeJob, Job};
-use crate::plan::steps::Kind;
+use crate::plan::steps::PartKind;
 use crate::plan::times::{WARM_UP, name};
 use crate::stage::factorize::Solve;
 use crate::stage::fields::Block;
-use crate::stage::node::Given;
+use crate::stage::node::NodeInput;
 use crate::stage::tiles::CutSolve;
 use crate::stage::{field, node, tiles};
 use crate::store::files::remove_reports;
@@ -36,18 +36,18 @@ impl Context<'_> {
         // different content.
         let (solved, cached) = match of_node.filter(|of_node| !node::is_factorized(Some(of_node))) {
             Some(node) => {
-                let given = Given { node, seed: job.seed, display: &display, target, weights: &weights };
+                let given = NodeInput { node, seed: job.seed, display: &display, target, weights: &weights };
                 node::run(given, &stamps, self.registry, task)?
             }
             None => {
                 self.warm_up(part, &display, task)?;
                 let solve = Solve { job: &job.factorize, seed: job.seed, display: &display, target, weights: &weights };
-                let afresh = match self.fresh(part) {
-                    Some(fresh) if tiles::begins_afresh(solve, &fresh, &stamps, task)? => Some(fresh),
+                let fresh_start = match self.fresh(part) {
+                    Some(fresh) if tiles::prefers_fresh_start(solve, &fresh, &stamps, task)? => Some(fresh),
                     _ => None,
                 };
-                if let Some(fresh) = afresh {
-                    job = self.begins_afresh(part, fresh)?;
+                if let Some(fresh) = fresh_start {
+                    job = self.drop_warm_start(part, fresh)?;
                 }
                 let solve = Solve { job: &job.factorize, seed: job.seed, display: &display, target, weights: &weights };
                 tiles::run(solve, &stamps, task)?
@@ -118,7 +118,7 @@ impl Context<'_> {
     fn warm_up(&mut self, part: usize, display: &Display, task: Task<'_>) -> Result<(), PipelineError> {
         let plan = self.plan;
         let Some((time, sequence)) = plan.time(part) else { return Ok(()) };
-        let Kind::Sequence(times) = &plan.parts[sequence].kind else { return Ok(()) };
+        let PartKind::Sequence(times) = &plan.parts[sequence].kind else { return Ok(()) };
         let (of_field, node) = (plan.field_part(part), plan.node(part));
         let all = &plan.parts[sequence].job;
         let of_node = node.and_then(|node| all.nodes.iter().find(|other| other.id == node.id)?.factorize.as_ref());
@@ -147,7 +147,7 @@ impl Context<'_> {
     fn fresh(&self, part: usize) -> Option<FactorizeJob> {
         let (time, sequence) = self.plan.time(part)?;
         match &self.plan.parts[sequence].kind {
-            Kind::Sequence(times) if time > 0 => {
+            PartKind::Sequence(times) if time > 0 => {
                 let job = &self.plan.parts[sequence].job;
                 let node = self.plan.node(part).and_then(|node| job.nodes.iter().find(|other| other.id == node.id));
                 Some(times.fresh(job, node))
@@ -157,7 +157,7 @@ impl Context<'_> {
     }
 
     /// Writes into the jobs of a part and of its graph that the part takes no warm start.
-    fn begins_afresh(&mut self, part: usize, fresh: FactorizeJob) -> Result<Arc<Job>, PipelineError> {
+    fn drop_warm_start(&mut self, part: usize, fresh: FactorizeJob) -> Result<Arc<Job>, PipelineError> {
         let of_field = self.plan.field_part(part);
         if let Some(id) = self.plan.node(part).map(|node| node.id.clone()) {
             let mut around = Job::clone(&*self.job(of_field));

@@ -7,9 +7,9 @@ use lumistack_report::{GraphInput, GraphNode, Output, SequenceInput, SequenceSer
 
 use super::context::{Context, Reported, State};
 use crate::error::PipelineError;
-use crate::plan::steps::Kind;
+use crate::plan::steps::PartKind;
 use crate::stage::output;
-use crate::stage::report::{self, About, thumbnails};
+use crate::stage::report::{self, ReportContent, thumbnails};
 use crate::store::code;
 use crate::store::key::KeyBuilder;
 use crate::store::settings::write_job;
@@ -19,7 +19,7 @@ impl Context<'_> {
         let (plan, job, stamps) = (self.plan, self.job(part), self.stamps(part));
         let (field, of_field) = (self.field(part)?, plan.field_part(part));
         let patterns = self.of(part, "patterns", |state| state.patterns.clone())?;
-        let is_time = matches!(plan.parts[part].kind, Kind::Time(_));
+        let is_time = matches!(plan.parts[part].kind, PartKind::Time(_));
         // Reports of time steps have keys. Other reports are always written, since they hold times.
         let mut key = None;
         if let Some((_, measured)) = self.states[part].measured.as_ref().filter(|_| is_time) {
@@ -38,7 +38,7 @@ impl Context<'_> {
             stages.extend_from_slice(&self.states[part].stages);
         }
         let references = self.states[of_field].references.clone();
-        let about = About {
+        let about = ReportContent {
             job: &job,
             display: &patterns.display,
             field: &field,

@@ -15,9 +15,9 @@ const RUNGS: [(f64, f64); 2] = [(0.08, 0.5), (0.3, 0.4)];
 /// Least number of candidates that go on.
 const LEAST: usize = 6;
 /// Designs whose scores differ by less are equally good, dB: the cheaper one is preferred.
-const AS_GOOD_DB: f64 = 0.3;
+const EQUAL_DB: f64 = 0.3;
 /// A design that misses the wanted PSNR by more after few iterations is dropped, dB.
-const HOPE_DB: f64 = 8.0;
+const DROP_DB: f64 = 8.0;
 
 /// Returns the candidates that keep the constraints.
 ///
@@ -76,15 +76,15 @@ pub(super) fn run(
             None => order.sort_by(|&a, &b| rows[b].quality_db().total_cmp(&rows[a].quality_db())),
             // Prefer the cheapest designs that may reach the wanted PSNR; if none may, the best.
             Some(enough) => {
-                let hopeless = |i: usize| rows[i].quality_db() < enough - HOPE_DB;
+                let too_low = |i: usize| rows[i].quality_db() < enough - DROP_DB;
                 order.sort_by(|&a, &b| {
                     let by_cost = || {
                         cost(&rows[a].design).partial_cmp(&cost(&rows[b].design)).unwrap_or(std::cmp::Ordering::Equal)
                     };
                     let by_psnr = || rows[b].quality_db().total_cmp(&rows[a].quality_db());
-                    hopeless(a)
-                        .cmp(&hopeless(b))
-                        .then_with(|| if hopeless(a) { by_psnr() } else { by_cost().then_with(by_psnr) })
+                    too_low(a)
+                        .cmp(&too_low(b))
+                        .then_with(|| if too_low(a) { by_psnr() } else { by_cost().then_with(by_psnr) })
                 });
             }
         }
@@ -120,7 +120,7 @@ fn ranked(rows: &[Row], enough_db: Option<f64>) -> Vec<usize> {
     }
     while !left.is_empty() {
         let best = left.iter().map(|&i| rows[i].quality_db()).fold(f64::MIN, f64::max);
-        let near = left.iter().copied().filter(|&i| rows[i].quality_db() >= best - AS_GOOD_DB);
+        let near = left.iter().copied().filter(|&i| rows[i].quality_db() >= best - EQUAL_DB);
         let Some(next) = near.min_by(|&a, &b| by_cost(a, b)) else { break };
         left.retain(|&i| i != next);
         order.push(next);
