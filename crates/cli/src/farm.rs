@@ -40,7 +40,7 @@ pub(crate) struct Farm {
     #[command(flatten)]
     job: JobArgs,
     #[command(flatten)]
-    block_size: CutArgs,
+    cut: CutArgs,
     #[command(flatten)]
     engine: EngineArgs,
 }
@@ -54,7 +54,7 @@ enum What {
         #[command(flatten)]
         job: JobArgs,
         #[command(flatten)]
-        block_size: CutArgs,
+        cut: CutArgs,
         /// Numbers of workers for which the total time is predicted
         #[arg(long, value_name = "LIST", value_delimiter = ',', default_values_t = [1, 2, 10, 100, 1000])]
         workers: Vec<usize>,
@@ -94,7 +94,7 @@ enum What {
         #[command(flatten)]
         job: JobArgs,
         #[command(flatten)]
-        block_size: CutArgs,
+        cut: CutArgs,
         /// File or folder to write. It is a folder, unless the format is a single file and this
         /// name is a file's
         #[arg(long, value_name = "FILE|DIR", default_value = ".")]
@@ -156,7 +156,7 @@ struct CutArgs {
 }
 
 impl CutArgs {
-    fn block_size(&self) -> Result<BlockSize, PipelineError> {
+    fn cut(&self) -> Result<BlockSize, PipelineError> {
         let default = BlockSize::default();
         let block_seconds = self.block_seconds.unwrap_or(default.block_seconds);
         if !(block_seconds > 0.0 && block_seconds.is_finite()) {
@@ -224,8 +224,8 @@ pub(crate) fn run(
     task: Task<'_>,
 ) -> Result<(), PipelineError> {
     match (&args.what, &args.input) {
-        (Some(What::Plan { input, job, block_size, workers }), _) => {
-            let (plan, dir) = planned(input, job, block_size, registry, task)?;
+        (Some(What::Plan { input, job, cut, workers }), _) => {
+            let (plan, dir) = planned(input, job, cut, registry, task)?;
             print(&plan, &dir, workers, json);
             Ok(())
         }
@@ -239,8 +239,8 @@ pub(crate) fn run(
             }
             unit(dir, id, map, *patience, registry, json, task)
         }
-        (Some(What::Export { format, input, job, block_size, to, program, map }), _) => {
-            let (plan, dir) = planned(input, job, block_size, registry, task)?;
+        (Some(What::Export { format, input, job, cut, to, program, map }), _) => {
+            let (plan, dir) = planned(input, job, cut, registry, task)?;
             export(format.0, &plan, &dir, to, program.as_deref(), map, json)
         }
         (Some(What::Code), _) => {
@@ -254,7 +254,7 @@ pub(crate) fn run(
         (None, Some(input)) => {
             // an error before the plan, which may take a minute
             let python = python()?;
-            let (_, dir) = planned(input, &args.job, &args.block_size, registry, task)?;
+            let (_, dir) = planned(input, &args.job, &args.cut, registry, task)?;
             engine(&args.engine, &python, &dir, threads, json, task)
         }
         (None, None) => Err(PipelineError::value("command line", "JOB", "a job, a scene or a subcommand", "none")),
@@ -265,13 +265,13 @@ pub(crate) fn run(
 fn planned(
     input: &Path,
     args: &JobArgs,
-    block_size: &CutArgs,
+    cut: &CutArgs,
     registry: &Registry,
     task: Task<'_>,
 ) -> Result<(FarmPlan, PathBuf), PipelineError> {
-    let block_size = block_size.block_size()?;
+    let cut = cut.cut()?;
     let (job, dir): (Job, PathBuf) = job_of(input, args)?;
-    let plan = farm_plan(&job, &dir, registry, block_size, task).map_err(|error| in_place(error, input))?;
+    let plan = farm_plan(&job, &dir, registry, cut, task).map_err(|error| in_place(error, input))?;
     Ok((plan, dir))
 }
 
@@ -514,7 +514,7 @@ mod tests {
             (run.input.as_deref(), run.job.output.as_deref()),
             (Some(Path::new("a.toml")), Some(Path::new("runs/a")))
         );
-        assert_eq!((run.block_size.blocks, run.engine.dask.as_deref()), (Some(2), Some("tls://a:1")));
+        assert_eq!((run.cut.blocks, run.engine.dask.as_deref()), (Some(2), Some("tls://a:1")));
         assert!(run.what.is_none() && farm(&["a.toml"]).input.is_some());
         assert!(matches!(farm(&["plan", "a.toml"]).what, Some(What::Plan { .. })));
         assert!(matches!(farm(&["export", "openjd", "a.toml"]).what, Some(What::Export { .. })));

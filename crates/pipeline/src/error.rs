@@ -83,7 +83,7 @@ pub enum PipelineError {
     },
     /// A file that Lumistack did not write, or that was changed since, is in the way.
     #[error(
-        "{}: expected no file, or one that Lumistack wrote, found {}, which {work} into this folder would replace; move it away, or choose another folder with -o",
+        "{}: expected no file, or one that Lumistack wrote, found {}; {work} into this folder would replace it: move it away, or choose another folder with -o",
         path.display(), if *changed { "a file that was changed since Lumistack wrote it" } else { "something else" }
     )]
     Foreign {

@@ -2,7 +2,7 @@
 //! function of values in memory.
 //!
 //! ```text
-//! Scene ──light──▶ lit Scene ──place──▶ Placement ──Renderer──▶ radiance ──ToneMapping──▶ LightField
+//! Scene ─light─▶ lit Scene ─place─▶ Placement ─Renderer─▶ radiance ─ToneMapping─▶ LightField
 //! ```
 //!
 //! The pipeline keeps the results in a run folder, the browser page in memory. The crate uses no

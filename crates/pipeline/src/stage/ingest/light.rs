@@ -65,8 +65,8 @@ pub(crate) fn from_splats(scene: Scene, strength: f32, task: Task<'_>) -> Result
 mod tests {
     use super::*;
 
-    /// Expected values are from Blender 4.5: a camera of an imported glTF file looks along −z and
-    /// shows the column at 0.25 of the width. Columns to its right are larger.
+    /// Expected values are from Blender 4.5. There a camera of an imported glTF file that looks
+    /// along −z shows the column at 0.25 of the width. Columns to its right are larger.
     #[test]
     fn environment_files_lie_as_in_blender() {
         // columns of the map in its own space: the central one is −z, +x is to the right
