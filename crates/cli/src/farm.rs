@@ -139,7 +139,8 @@ struct EngineArgs {
     /// Object store through which workers exchange files where they share no folder, such as s3://bucket/shots
     #[arg(long, value_name = "URL")]
     store: Option<String>,
-    /// Folder of this machine whose files go to the store too, such as the scene's; may be given several times
+    /// Folder of this machine whose files go to the store too, such as the scene's; may be given
+    /// several times
     #[arg(long, value_name = "DIR", requires = "store")]
     send: Vec<PathBuf>,
 }

@@ -153,7 +153,8 @@ pub(crate) struct FactorizeArgs {
     pub(crate) iterations: Option<u32>,
     #[arg(long, value_name = "NAME", help = format!("Solver: {}", either(solver_names())))]
     pub(crate) solver: Option<String>,
-    /// Where: auto, cpu, gpu or gpu:NAME, as `lumistack devices` lists them [default: auto, a graphics processor if there is one]
+    /// Device that solves: auto, cpu, gpu or gpu:NAME, as `lumistack devices` lists them [default:
+    /// auto, a graphics processor if there is one]
     #[arg(long, value_name = "DEVICE")]
     pub(crate) device: Option<String>,
     #[arg(long, value_name = "NAME", help = format!("Starting values: {}", either(StartKind::names())))]

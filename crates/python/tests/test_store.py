@@ -73,17 +73,17 @@ def test_workers_without_a_shared_folder_give_the_bytes_of_one_machine(tmp_path:
 
         def tell(event: dict[str, Any]) -> None:
             if event["event"] == "done_unit" and not away.exists():
-                # from here on workers have what was sent, or nothing
+                # From here on workers have the sent files, or nothing.
                 scene.rename(away)
             if event["event"] == "done_unit" and event["done"] == 6:
-                # with its mirror goes what it had fetched
+                # Its mirror and the fetched files are lost with it.
                 kills.extend(list(client.run(os.getpid).values())[:1])
                 os.kill(kills[0], signal.SIGKILL)
 
         lumistack.farm.run(job, tmp_path / "run", options=BLOCKS, client=client, threads=1, store=s3, send=[scene], tell=tell)
         assert kills and results(tmp_path / "run") == expected
         away.rename(scene)
-        # another client takes up what lies in the store, and does but the last unit
+        # Another client continues from the store, and executes the last unit alone.
         again = lumistack.farm.run(job, tmp_path / "other", options=BLOCKS, client=client, threads=1, store=s3, send=[scene])
         assert again.done == ["finish"]
     assert results(tmp_path / "other") == expected

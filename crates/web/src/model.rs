@@ -130,6 +130,7 @@ impl Model {
         self.complete.len()
     }
 
+    /// The complete frames, in the order of their completion.
     pub fn complete(&self) -> &[usize] {
         &self.complete
     }

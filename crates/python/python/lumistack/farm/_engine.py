@@ -262,7 +262,8 @@ class Engine:
         self.sent: list[str] = []
 
     def execute_through(self, url: str, sent: list[Path]) -> Outcome:
-        """Executes the units by way of an object store, and brings what they wrote into the run folder here, also where some failed."""
+        """Executes the units through an object store, and copies their files into the run folder here,
+        even if some units failed."""
         last = list(self.units)[-1:]
         try:
             for folder in sent:
@@ -270,7 +271,7 @@ class Engine:
                     raise FarmError(f"{folder}: expected a folder to send, found none")
             self.store, self.sent = _store.Run(url, self.plan), [str(folder) for folder in sent]
             self.store.begin(self.here, sent)
-            # what an earlier call left there
+            # Files that an earlier call left there.
             found = [unit for unit in self.units if unit not in last and unit not in self.done and self.store.is_done(unit)]
             self.done.update(found)
             self.outcome.before += len(found)

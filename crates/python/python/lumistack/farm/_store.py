@@ -1,11 +1,13 @@
-"""An object store instead of a shared folder, by fsspec: workers that share no file system exchange the files of units through it.
+"""An object store instead of a shared folder, by fsspec. Workers that share no file system exchange
+the files of units through it.
 
     URL/files/SHA256                 contents of files, by their hash: written once, never changed
     URL/PLAN/units/ID.json           files that a unit wrote: path, hash and size of each; written last, so a unit is there whole or not at all
     URL/PLAN/start.json              files of the run folder before the first unit, the plan among them
     URL/PLAN/sent/N.json             files of a folder that the client sends
 
-Each worker has a run folder of its own, the mirror. A unit takes the files of the units that it depends on, is executed as in any run folder, and publishes what it has written.
+Each worker has a run folder of its own, the mirror. A unit takes the files of the units on which it
+depends, is executed as in any run folder, and publishes the files that it has written.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ MOST_FETCHES = 3
 
 
 class StoreError(Exception):
-    """The store cannot be used: what was done and why it failed."""
+    """The store cannot be used: the failed action and its cause."""
 
 
 class Store:
@@ -157,7 +159,8 @@ class Run:
         return f"{self.plan}/units/{unit}.json"
 
     def begin(self, folder: Path, sent: list[Path]) -> None:
-        """Publishes the plan, what the run folder holds, and the files of folders that workers need."""
+        """Publishes the plan, the content of the run folder, and the files of folders that workers
+        need."""
         for number, source in enumerate(sent):
             self.store.publish(f"{self.plan}/sent/{number}.json", source, _files(source))
         # last: it says that the run has begun
@@ -167,7 +170,7 @@ class Run:
         return self.store.has(self.unit(unit))
 
     def collect(self, folder: Path, units: Iterable[str]) -> None:
-        """Brings what units have written into the run folder of the client."""
+        """Copies the files that units have written into the run folder of the client."""
         self.store.pull([self.unit(unit) for unit in units], folder)
 
     def has_begun(self) -> bool:
@@ -177,7 +180,7 @@ class Run:
 class Mirror:
     """The run folder of one thread of a worker."""
 
-    # what a worker has made, by run and thread
+    # The mirrors of this worker, by run and thread.
     known: dict[tuple[str, str, int], Mirror] = {}
 
     def __init__(self, run: Run) -> None:
@@ -197,7 +200,8 @@ class Mirror:
         return cls.known[key]
 
     def take(self, needs: list[str], sent: list[str]) -> list[str]:
-        """Brings the files of units into the mirror; returns the maps that lead to the files that the client sent."""
+        """Copies the files of units into the mirror. Returns the maps that lead to the files that the
+        client sent."""
         run = self.run
         new = [unit for unit in needs if unit not in self.taken]
         lists = [] if self.begun else [f"{run.plan}/start.json"]
@@ -216,7 +220,7 @@ class Mirror:
         return maps
 
     def publish(self, unit: str) -> None:
-        """Publishes what a unit wrote since `take`."""
+        """Publishes the files that a unit wrote since `take`."""
         states = _states(self.folder)
         changed = [path for path, state in states.items() if self.before.get(path) != state]
         self.run.store.publish(self.run.unit(unit), self.folder, changed)
@@ -238,7 +242,7 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _states(folder: Path) -> dict[Path, tuple[int, int, int]]:
-    """Files with what changes when they are written."""
+    """Files with the attributes that change when they are written."""
     found = {}
     for path in _files(folder):
         state = path.stat()
