@@ -138,7 +138,7 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
     let dir = args.output.clone().unwrap_or_else(|| Path::new("runs").join(format!("{}-live", job.name)));
     let folder = LiveFolder::lock(&dir, &job, registry, task)?;
     let site = folder.cache().join("live");
-    let studio = LiveFields::new(job.clone(), &folder.cache()).map_err(in_input)?;
+    let live_fields = LiveFields::new(job.clone(), &folder.cache()).map_err(in_input)?;
     let server = listen(args.port).map_err(|error| {
         PipelineError::option("--port", "N", "a free port of this machine", format!("{} ({error})", args.port))
     })?;
@@ -155,7 +155,7 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
     let rates = Rates { times, rate_hz: args.rate, most_late: args.most_late };
     // Threads run until the user, a command or the end of the video stops them.
     let ended = std::thread::scope(|scope| {
-        let renderer = scope.spawn(|| render(studio, &shared, rates, registry, work));
+        let renderer = scope.spawn(|| render(live_fields, &shared, rates, registry, work));
         scope.spawn(|| solve(&shared, json, work));
         if let Some(socket) = &socket {
             scope.spawn(|| read_packets(socket, args.head_mm.0, &shared.requests, work));

@@ -267,7 +267,7 @@ impl References {
     /// Reads the two pictures of a direction, display-referred.
     fn read(&self, i: usize) -> Result<[Vec<f32>; 2], PipelineError> {
         let one = |half| {
-            let gone = || PipelineError::Replaced { path: self.place(i, half), what: "cached picture" };
+            let gone = || PipelineError::Replaced { path: self.place(i, half), role: "cached picture" };
             self.one(i, half).ok_or_else(gone)
         };
         Ok([one(0)?, one(1)?])
