@@ -32,7 +32,7 @@ pub use lumistack_shot::{
     ZoneSamples,
 };
 
-/// Most views of an automatic choice if Blender may render them, which takes minutes a view.
+/// Maximum number of automatic views if Blender may render them, which takes minutes a view.
 const MOST_OF_BLENDER: usize = 25;
 
 /// A job file.
@@ -266,7 +266,7 @@ impl Job {
         Ok(display.with_views_chosen(most))
     }
 
-    /// Most views of a display's light field: limited by the job's memory, and by time if Blender
+    /// Maximum number of views of a display: limited by the job's memory, and by time if Blender
     /// may render them.
     pub(crate) fn most_views(&self, display: &Display) -> usize {
         let [cols, rows] = display.field.resolution;

@@ -23,7 +23,7 @@ use lumistack_pipeline::{
 };
 use rayon::prelude::*;
 
-/// Least rank correlation of predicted and solved quality.
+/// Minimum rank correlation of predicted and solved quality.
 const LEAST_CORRELATION: f64 = 0.8;
 const DESIGNS: usize = 40;
 

@@ -52,7 +52,7 @@ impl Default for SequenceJob {
 }
 
 impl SequenceJob {
-    /// Most time steps of a sequence: names of their folders have four digits.
+    /// Maximum number of time steps: names of their folders have four digits.
     pub const MOST: usize = 9999;
 
     /// Checks ranges, and keys that need a scene or a source.

@@ -31,7 +31,7 @@ use crate::stage::ingest::{self, Ingested};
 use crate::stage::place;
 use crate::stage::{EXPOSE, INGEST, PLACE, TRACE, field, read};
 
-/// Most views of a display with automatic views.
+/// Maximum number of automatic views of a display.
 const MOST_VIEWS: usize = 49;
 
 /// Makes light fields of a job.

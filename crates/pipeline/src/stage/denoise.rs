@@ -40,10 +40,10 @@ pub fn oidn_version() -> Result<String, PipelineError> {
 pub(crate) const FEATURE_SAMPLES: u32 = 16;
 /// Paths of each render of a checked pixel, over those of a pixel of the views.
 const CHECK_FACTOR: u32 = 2;
-/// Most views whose pixels are checked. They spread over the viewing zone and suffice to judge a
-/// filter.
+/// Maximum number of views whose pixels are checked. They spread over the viewing zone and suffice
+/// to judge a filter.
 const CHECKED_VIEWS: usize = 25;
-/// Most samples that the path tracer accepts.
+/// Maximum number of samples of the path tracer.
 const MOST_SAMPLES: u32 = 65536;
 
 /// Effect of a denoiser on the target.

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 const NOISE_SHARE: f64 = 0.06;
 /// Squared errors below this one need no more paths: 50 dB.
 const LEAST_ERROR: f64 = 1e-5;
-/// Most paths per pixel of all views together.
+/// Maximum number of paths per pixel, of all views together.
 const MOST_PATHS: usize = 3200;
 /// Numbers of paths to choose from. Few choices keep rendered views valid if a display changes a
 /// little.

@@ -42,9 +42,9 @@ use crate::stage::ingest::Ingested;
 use crate::store::code;
 use crate::store::stamps::remembered;
 
-/// Most parts of the picture.
+/// Maximum number of parts of the picture.
 const PARTS: usize = 6;
-/// Most of the picture's area that the parts cover, as a share.
+/// Maximum share of the picture's area that the parts cover.
 const MOST_AREA: f64 = 0.25;
 /// Edge of the measured middle of a part, pixels. In the margin around it, rays leave the part's
 /// layers.

@@ -38,7 +38,7 @@ use crate::store::used::TILES;
 const ROUNDS: usize = 4;
 /// Threads that estimates of memory assume: the cut must not depend on the machine.
 const THREADS: usize = 16;
-/// Least edge of a tile in field pixels, even if it needs more memory than allowed.
+/// Minimum edge of a tile in field pixels, even if it needs more memory than allowed.
 const SMALLEST: usize = 64;
 
 /// The tiles and rounds of a solve.

@@ -15,7 +15,7 @@ use lumistack_splats::{Renderer, SplatView, Wanted, glb, write};
 
 use crate::usd::has_usd;
 
-/// Least agreement of two files, PSNR in dB.
+/// Minimum agreement of two files, PSNR in dB.
 const LEAST_PSNR: f64 = 50.0;
 
 /// A bumpy ball of flat splats with colours that change with the direction. Its values are

@@ -11,7 +11,7 @@ use lumistack_pipeline::{BlockSize, Job, Registry, farm_plan, farm_unit, run};
 
 use crate::compose::{results, with_task};
 
-/// Most that a band around seams may be worse than without tiles, dB.
+/// Maximum loss of a band around seams against a solve without tiles, dB.
 const SEAM_DB: f64 = 0.1;
 /// Width of the band on either side of a seam, field pixels.
 const BAND: usize = 4;

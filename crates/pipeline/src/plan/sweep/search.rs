@@ -12,7 +12,7 @@ use crate::stage::design::Candidate;
 
 /// Per rung: share of the iterations, and share of the candidates that go on.
 const RUNGS: [(f64, f64); 2] = [(0.08, 0.5), (0.3, 0.4)];
-/// Least number of candidates that go on.
+/// Minimum number of candidates that go on.
 const LEAST: usize = 6;
 /// Designs whose scores differ by less are equally good, dB: the cheaper one is preferred.
 const EQUAL_DB: f64 = 0.3;
