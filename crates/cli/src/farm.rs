@@ -366,8 +366,8 @@ fn unit(
             }),
             Err(error) => {
                 let outcome = match error {
-                    error if error.is_of_machine() => "refused",
-                    error if error.is_of_store() => "store",
+                    error if error.is_machine_specific() => "refused",
+                    error if error.is_storage_failure() => "store",
                     PipelineError::Cancelled => "cancelled",
                     _ => "failed",
                 };

@@ -183,7 +183,7 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
     let Some((number, state)) = shared.states.after(0) else { return Err(PipelineError::Cancelled) };
     // The first Ctrl-C ended the display; a second one ends the program.
     let cancel = Cancel::default();
-    let report = folder.leave(
+    let report = folder.finish(
         &shared.requests.job(),
         &state,
         Task { progress: &NoProgress, warnings: &warnings, cancel: &cancel },

@@ -277,12 +277,12 @@ impl PipelineError {
     }
 
     /// True if only this machine has the problem, so that another one may do the work.
-    pub fn is_of_machine(&self) -> bool {
+    pub fn is_machine_specific(&self) -> bool {
         matches!(self, Self::NoFarmPlan { .. } | Self::OtherCode { .. })
     }
 
     /// True if the storage failed: no space, read-only, or disconnected.
-    pub fn is_of_store(&self) -> bool {
+    pub fn is_storage_failure(&self) -> bool {
         use std::io::ErrorKind;
         let mut cause: Option<&(dyn std::error::Error + 'static)> = Some(self);
         while let Some(error) = cause {

@@ -71,7 +71,7 @@ pub use steps::{
     write_output, write_report_on,
 };
 pub use store::clean::{Cleaned, Freed, clean};
-pub use store::settings::resealed;
+pub use store::settings::with_new_seal;
 pub use view_options::{ExtraChannel, ViewOptions, ViewSelection};
 
 /// Sets the number of worker threads of the program. Results do not depend on it. Call it before

@@ -14,7 +14,7 @@ use serde_json::{Map, Value};
 
 use crate::error::{PipelineError, display_error, field_error, host_error};
 use crate::job::{FactorizeJob, Job, ReportJob};
-use crate::stage::device::at_site;
+use crate::stage::device::on_device;
 use crate::stage::factorize::Solve;
 use crate::stage::field::{array_weights, eye_weights, warn_of_depth};
 use crate::stage::fields::{Block, Shot};
@@ -153,11 +153,11 @@ pub fn factorize_field(
     on_iteration: &mut dyn FnMut(&Iteration),
 ) -> Result<Factorization, PipelineError> {
     if let Some(out_of_range) = OutOfRange::of(problem.target) {
-        task.warn("light field", out_of_range.message(read::OFFER_OF_PYTHON));
+        task.warn("light field", out_of_range.message(read::REMEDY_IN_PYTHON));
     }
     let Problem { display, target, weights } = *problem;
     let solve = Solve { job, seed, display, target, weights };
-    at_site(&job.device, task, |site| solve.factorize(site, warm, task, on_iteration))
+    on_device(&job.device, task, |site| solve.factorize(site, warm, task, on_iteration))
 }
 
 /// Writes files by an output plugin into `out_dir`. Returns their paths, relative to it.
@@ -205,7 +205,7 @@ pub struct ReportOn<'a> {
 pub fn write_report_on(on: &ReportOn<'_>, folder: &Path, task: Task<'_>) -> Result<Value, PipelineError> {
     check_folder(folder)?;
     // Values out of range may dominate all scores, so the report must name them.
-    let out_of_range = OutOfRange::of(on.target).map(|out_of_range| out_of_range.message(read::OFFER_OF_PYTHON));
+    let out_of_range = OutOfRange::of(on.target).map(|out_of_range| out_of_range.message(read::REMEDY_IN_PYTHON));
     let warnings: Vec<_> =
         out_of_range.into_iter().map(|message| Warning { place: "light field".into(), message }).collect();
     // The zone score needs references, which only rendered scenes have.

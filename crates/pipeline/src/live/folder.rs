@@ -43,7 +43,7 @@ impl LiveFolder {
     ///
     /// # Errors
     /// If a file cannot be written, or when cancelled.
-    pub fn leave(&self, job: &Job, state: &State, task: Task<'_>) -> Result<PathBuf, PipelineError> {
+    pub fn finish(&self, job: &Job, state: &State, task: Task<'_>) -> Result<PathBuf, PipelineError> {
         let (dir, target) = (&self.dir, &state.target);
         remove_reports(dir)?;
         // Results of an earlier run in this folder do not match these patterns.

@@ -21,7 +21,7 @@ use lumistack_plugin_host::Registry;
 use lumistack_report::Stage;
 
 use self::context::Context;
-use self::listen::{PlaceProgress, Tee};
+use self::listen::{Tee, TimeStepProgress};
 use super::estimate::{self, Record};
 use super::steps::{PartKind, Plan, Step, StepKind};
 use crate::error::PipelineError;
@@ -184,7 +184,7 @@ impl<'a> Executor<'a> {
             PartKind::Sequence(times) => Some(format!("{}/{}", time + 1, times.count())),
             _ => None,
         });
-        let progress = PlaceProgress { next: self.context.task.progress, place };
+        let progress = TimeStepProgress { next: self.context.task.progress, place };
         let task = Task { progress: &progress, warnings: &warnings, cancel: self.context.task.cancel };
         let start = Instant::now();
         let cached = self.work(step, task);

@@ -116,7 +116,7 @@ impl<'a> Cutter<'a> {
         if last.is_some() {
             unit.seconds *= JOIN;
         }
-        for taken in self.taken_along(step) {
+        for taken in self.merged_steps(step) {
             (unit.seconds, unit.memory_bytes) =
                 (unit.seconds + taken.seconds, unit.memory_bytes.max(taken.memory_bytes));
         }
@@ -241,7 +241,7 @@ impl<'a> Cutter<'a> {
     }
 
     /// Returns steps without a unit that the unit of a step also executes.
-    fn taken_along(&self, step: &Step) -> Vec<&'a Step> {
+    fn merged_steps(&self, step: &Step) -> Vec<&'a Step> {
         let alike =
             |other: &&Step| other.part == step.part && step.kind == StepKind::Expose && other.kind == StepKind::Denoise;
         self.plan.steps.iter().filter(alike).collect()

@@ -13,7 +13,7 @@ use lumistack_design::table::{Design, MOST_DB, NodeRow, Row};
 use lumistack_display::{Display, LayerStack, LightField, Weights, ZoneScore, score};
 use lumistack_plugin_host::Registry;
 
-use super::device::Site;
+use super::device::SolverDevice;
 use super::factorize::Solve;
 use super::field::{Field, add_weights, eye_weights};
 use super::node;
@@ -215,17 +215,17 @@ impl Solver<'_> {
                     let weights = &weights;
                     let solve = Solve { job: &first, seed: self.job.seed, display: &display, target, weights };
                     match &before {
-                        None => solve.factorize(&Site::Processor, None, task, &mut |_| {})?.stack,
+                        None => solve.factorize(&SolverDevice::Processor, None, task, &mut |_| {})?.stack,
                         Some(before) => {
                             let [warm, fresh] = (self.later)(factorize);
                             let fresh = Solve { job: &fresh, ..solve };
                             match fresh.warm_start_pays(before, &warm.solver, task)? {
                                 true => {
                                     Solve { job: &warm, ..solve }
-                                        .factorize(&Site::Processor, Some(before), task, &mut |_| {})?
+                                        .factorize(&SolverDevice::Processor, Some(before), task, &mut |_| {})?
                                         .stack
                                 }
-                                false => fresh.factorize(&Site::Processor, None, task, &mut |_| {})?.stack,
+                                false => fresh.factorize(&SolverDevice::Processor, None, task, &mut |_| {})?.stack,
                             }
                         }
                     }

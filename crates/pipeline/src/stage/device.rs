@@ -9,7 +9,7 @@ use crate::error::PipelineError;
 use crate::store::key::KeyBuilder;
 
 /// An open device to solve on.
-pub(crate) enum Site {
+pub(crate) enum SolverDevice {
     Processor,
     #[cfg(feature = "gpu")]
     Device {
@@ -19,7 +19,7 @@ pub(crate) enum Site {
     },
 }
 
-impl Site {
+impl SolverDevice {
     /// Opens the device that a job names: `auto`, `cpu`, `gpu` or `gpu:NAME`.
     ///
     /// # Errors
@@ -83,17 +83,17 @@ impl Site {
 /// processor repeats the work, with a warning.
 ///
 /// # Errors
-/// Those of the work and of [`Site::of`].
-pub(crate) fn at_site<T>(
+/// Those of the work and of [`SolverDevice::of`].
+pub(crate) fn on_device<T>(
     device: &str,
     task: Task<'_>,
-    mut work: impl FnMut(&Site) -> Result<T, PipelineError>,
+    mut work: impl FnMut(&SolverDevice) -> Result<T, PipelineError>,
 ) -> Result<T, PipelineError> {
-    let site = Site::of(device)?;
+    let site = SolverDevice::of(device)?;
     match work(&site) {
         Err(PipelineError::Factorize(error @ FactorizeError::Device { .. })) if site.is_optional() => {
             task.warn("device", format!("{error}; solving on the processor instead"));
-            work(&Site::Processor)
+            work(&SolverDevice::Processor)
         }
         result => result,
     }
@@ -124,7 +124,7 @@ mod tests {
         for good in ["auto", "cpu"] {
             check(good).unwrap();
         }
-        assert!(matches!(Site::of("cpu").unwrap(), Site::Processor));
+        assert!(matches!(SolverDevice::of("cpu").unwrap(), SolverDevice::Processor));
         for bad in ["", "gpu:", "GPU", "cuda"] {
             assert!(check(bad).unwrap_err().to_string().contains("factorize.device"), "{bad}");
         }

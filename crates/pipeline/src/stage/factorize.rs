@@ -10,7 +10,7 @@ use lumistack_factorizer::{AUTO, Factorization, Problem, StartKind};
 use lumistack_report::{Iteration, Solution};
 use serde::{Deserialize, Serialize};
 
-use super::device::{self, Site, at_site};
+use super::device::{self, SolverDevice, on_device};
 use super::field::add_weights;
 use crate::error::{PipelineError, factorize_error, field_error};
 use crate::job::FactorizeJob;
@@ -39,7 +39,7 @@ pub(crate) struct Solve<'a> {
 
 impl Solve<'_> {
     /// Returns the hash of all that the patterns depend on.
-    pub(crate) fn key(&self, warm: Option<&LayerStack>, site: &Site) -> KeyBuilder {
+    pub(crate) fn key(&self, warm: Option<&LayerStack>, site: &SolverDevice) -> KeyBuilder {
         let Self { job, seed, display, target, weights } = *self;
         let mut key = KeyBuilder::new("factorize", code::PATTERNS);
         key.add("display", display.without_panels().to_toml().as_bytes())
@@ -62,7 +62,7 @@ impl Solve<'_> {
     /// If the settings are invalid, the solver fails, or the task is cancelled.
     pub(crate) fn factorize(
         &self,
-        site: &Site,
+        site: &SolverDevice,
         warm: Option<&LayerStack>,
         task: Task<'_>,
         on_iteration: &mut dyn FnMut(&lumistack_factorizer::Iteration),
@@ -92,7 +92,7 @@ impl Solve<'_> {
 
 /// Settings and convergence of a solve, as its file has them.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(crate) struct Kept {
+pub(crate) struct Convergence {
     pub(crate) solver: String,
     pub(crate) start: String,
     pub(crate) coarse_levels: u32,
@@ -118,7 +118,7 @@ impl Step {
     }
 }
 
-impl Kept {
+impl Convergence {
     /// Converts the solution of a node plugin.
     pub(crate) fn of_node(
         solution: lumistack_plugin_host::Solution,
@@ -167,13 +167,13 @@ impl Kept {
 /// cancelled.
 pub(crate) fn run_whole(solve: Solve<'_>, stamps: &Stamps, task: Task<'_>) -> Result<(Solved, bool), PipelineError> {
     let warm = warm_stack(solve.job, solve.display)?;
-    at_site(&solve.job.device, task, |site| {
+    on_device(&solve.job.device, task, |site| {
         reuse_or_make("factorize", &solve.key(warm.as_ref(), site).finish(), solve.display, stamps, || {
             let (start, mut steps) = (Instant::now(), Vec::new());
             let factorization = solve.factorize(site, warm.as_ref(), task, &mut |step| {
                 steps.push(Step::of(step, start.elapsed().as_secs_f64()));
             })?;
-            let kept = Kept::of(&factorization, steps, warm.is_some());
+            let kept = Convergence::of(&factorization, steps, warm.is_some());
             Ok((factorization.stack, Some(kept)))
         })
     })
@@ -189,7 +189,7 @@ pub(crate) fn reuse_or_make(
     key: &str,
     display: &Display,
     stamps: &Stamps,
-    make: impl FnOnce() -> Result<(LayerStack, Option<Kept>), PipelineError>,
+    make: impl FnOnce() -> Result<(LayerStack, Option<Convergence>), PipelineError>,
 ) -> Result<(Solved, bool), PipelineError> {
     reuse_or_write(stage, key, display, stamps, || {
         let (stack, kept) = make()?;
@@ -207,11 +207,11 @@ pub(crate) fn reuse_or_write(
     key: &str,
     display: &Display,
     stamps: &Stamps,
-    make: impl FnOnce() -> Result<(LayerStack, Option<Kept>), PipelineError>,
+    make: impl FnOnce() -> Result<(LayerStack, Option<Convergence>), PipelineError>,
 ) -> Result<(Solved, bool), PipelineError> {
     let layers = stamps.dir().join("layers");
     let curve = stamps.dir().join("cache/convergence.json");
-    let solved = |kept: Option<Kept>, stack| match kept {
+    let solved = |kept: Option<Convergence>, stack| match kept {
         Some(kept) => kept.into_solved(stack),
         None => Solved { stack, steps: Vec::new(), solution: None },
     };
@@ -219,7 +219,7 @@ pub(crate) fn reuse_or_write(
     let kept = || {
         let stack = lumistack_field_io::read_stack(&layers).ok()?;
         check_stack(&stack, display, &layers).ok()?;
-        Some(solved(read_json::<Option<Kept>>(&curve)?, stack))
+        Some(solved(read_json::<Option<Convergence>>(&curve)?, stack))
     };
     let make = || {
         let (stack, kept) = make()?;

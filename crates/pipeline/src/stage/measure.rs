@@ -18,7 +18,7 @@ use crate::store::stamps::Stamps;
 
 /// Sums of squares and counts, as the file has them.
 #[derive(Serialize, Deserialize)]
-struct Kept {
+struct CachedSums {
     error: (f64, u64),
     change: (f64, u64),
     still: (f64, u64),
@@ -48,14 +48,17 @@ pub(crate) fn run(
     let path = stamps.dir().join(file);
     // Sums are stored, not figures in dB, since the sequence adds them up.
     let kept = || {
-        let Kept { error, change, still } = read_json(&path)?;
+        let CachedSums { error, change, still } = read_json(&path)?;
         let [error, change, still] = [error, change, still].map(|(sum, count)| SquaredError { sum, count });
         Some(TimeError { error, change, still })
     };
     let make = || {
         let found = flicker::measure(display, now, before, weights, task)?;
         let pair = |error: SquaredError| (error.sum, error.count);
-        write_json(&path, &Kept { error: pair(found.error), change: pair(found.change), still: pair(found.still) })?;
+        write_json(
+            &path,
+            &CachedSums { error: pair(found.error), change: pair(found.change), still: pair(found.still) },
+        )?;
         Ok((found, vec![file.to_owned()]))
     };
     let (found, cached) = stamps.reuse_or_make("measure", &key, kept, make)?;

@@ -5,7 +5,7 @@ use lumistack_core::Task;
 use lumistack_display::{Display, FieldGeometry, LayerStack, LightField, Weights};
 use lumistack_plugin_host::{NodeData, PluginKind, Registry};
 
-use super::factorize::{Kept, Solved, reuse_or_make};
+use super::factorize::{Convergence, Solved, reuse_or_make};
 use super::field::add_weights;
 use crate::error::{PipelineError, display_error, host_error};
 use crate::job::NodeJob;
@@ -96,10 +96,10 @@ pub(crate) fn make(
     given: NodeInput<'_>,
     registry: &Registry,
     task: Task<'_>,
-) -> Result<(LayerStack, Option<Kept>), PipelineError> {
+) -> Result<(LayerStack, Option<Convergence>), PipelineError> {
     let NodeInput { node, seed, display, target, weights } = given;
     let data = NodeData { weights, seed, ..NodeData::new(display, target) };
     let made = lumistack_plugin_host::make_stack(registry, &node.plugin, &node.params.clone().into(), &data, task)
         .map_err(host_error)?;
-    Ok((made.stack, made.solution.map(|solution| Kept::of_node(solution, &made.steps))))
+    Ok((made.stack, made.solution.map(|solution| Convergence::of_node(solution, &made.steps))))
 }

@@ -17,12 +17,12 @@ use crate::store::key::KeyBuilder;
 use crate::store::stamps::remembered;
 
 /// A loaded scene, with a folder for cached results.
-struct Kept<'a> {
+struct CachedScene<'a> {
     ingested: &'a Ingested,
     cache_dir: Option<&'a Path>,
 }
 
-impl Subject for Kept<'_> {
+impl Subject for CachedScene<'_> {
     type Error = PipelineError;
 
     fn scene(&self) -> &Scene {
@@ -58,7 +58,7 @@ pub(crate) fn place(
     cache_dir: Option<&Path>,
     task: Task<'_>,
 ) -> Result<Placement, PipelineError> {
-    lumistack_shot::place(&Kept { ingested, cache_dir }, job, display, geometry, task)
+    lumistack_shot::place(&CachedScene { ingested, cache_dir }, job, display, geometry, task)
 }
 
 /// Is [`find_window`] for a loaded scene: the window before it is moved for depth.
@@ -72,5 +72,5 @@ pub fn place_window(
     cache_dir: Option<&Path>,
     task: Task<'_>,
 ) -> Result<Window, PipelineError> {
-    find_window(&Kept { ingested, cache_dir }, job, geometry, task).map(|found| found.window)
+    find_window(&CachedScene { ingested, cache_dir }, job, geometry, task).map(|found| found.window)
 }

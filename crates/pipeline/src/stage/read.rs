@@ -35,16 +35,16 @@ pub(crate) fn run(
         left_out.iter_mut().for_each(|view| tone_mapping.apply_to(&mut view.radiance));
     }
     if let Some(out_of_range) = OutOfRange::of(&field) {
-        task.warn(path.display().to_string(), out_of_range.message(OFFER_OF_COMMAND));
+        task.warn(path.display().to_string(), out_of_range.message(REMEDY_IN_COMMAND));
     }
     Ok((field, left_out))
 }
 
 /// Remedies of the command for values outside 0..1.
-pub(crate) const OFFER_OF_COMMAND: &str =
+pub(crate) const REMEDY_IN_COMMAND: &str =
     "--exposure-ev STOPS scales them, --tone linear clips them, --tone khronos-neutral or agx compresses them";
 /// Remedies of the Python package.
-pub(crate) const OFFER_OF_PYTHON: &str =
+pub(crate) const REMEDY_IN_PYTHON: &str =
     "light_field.exposed(stops) scales and clips them, tone=\"khronos-neutral\" or \"agx\" compresses them";
 
 /// Returns the slopes that a display cannot separate, once adapted to a light field. If it cannot

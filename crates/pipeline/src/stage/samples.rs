@@ -31,7 +31,7 @@ use lumistack_scene::Window;
 use lumistack_shot::{Placement, ToneMapping};
 use rayon::prelude::*;
 
-use super::device::Site;
+use super::device::SolverDevice;
 use super::factorize::Solve;
 use super::fields::Shot;
 use super::paths::Samples;
@@ -181,7 +181,7 @@ fn compare(
         let target = &half.field;
         let solve =
             Solve { job: &of_solver, seed: job.seed, display: &part.display, target, weights: &Weights::Uniform };
-        solve.factorize(&Site::Processor, None, task, &mut |_| ()).map(|factorization| factorization.stack)
+        solve.factorize(&SolverDevice::Processor, None, task, &mut |_| ()).map(|factorization| factorization.stack)
     };
     let stacks = [solve(&halves[0])?, solve(&halves[1])?];
     let simulators = stacks.each_ref().map(|stack| Simulator::new(&part.display, stack));

@@ -19,7 +19,7 @@ use crate::store::stamps::Stamps;
 
 /// Key of the source and of its light field, as the file has them.
 #[derive(Serialize, Deserialize)]
-pub(crate) struct Kept {
+pub(crate) struct SourceRecord {
     key: String,
     target: String,
 }
@@ -28,7 +28,7 @@ fn path(stamps: &Stamps) -> PathBuf {
     stamps.dir().join("cache/source.json")
 }
 
-impl Kept {
+impl SourceRecord {
     /// Writes the file, once the light field is in its folder.
     ///
     /// # Errors
@@ -48,13 +48,13 @@ pub(crate) fn run(
     stamps: &Stamps,
     registry: &Registry,
     task: Task<'_>,
-) -> Result<(LightField, Kept, bool), PipelineError> {
+) -> Result<(LightField, SourceRecord, bool), PipelineError> {
     let mut key = KeyBuilder::new("source", code::PLUGINS);
     key.add("plugin", plugin_key(registry, &source.plugin, &source.params)?.as_bytes())
         .add("display", display.without_panels().to_toml().as_bytes())
         .add_json("time", &(source.time, source.time_s));
     let key = key.finish();
-    if let Some(kept) = read_json::<Kept>(&path(stamps)).filter(|kept| kept.key == key)
+    if let Some(kept) = read_json::<SourceRecord>(&path(stamps)).filter(|kept| kept.key == key)
         && stamps.is_current("target", &kept.target)
         && let Ok((field, _)) = lumistack_field_io::read_field_folder(&stamps.dir().join("target"))
         && field_key("target", &field, &Map::new()) == kept.target
@@ -66,5 +66,5 @@ pub(crate) fn run(
     let mut field = made.map_err(host_error)?;
     lumistack_field_io::round_to_half(field.radiance_mut().data_mut());
     let target = field_key("target", &field, &Map::new());
-    Ok((field, Kept { key, target }, false))
+    Ok((field, SourceRecord { key, target }, false))
 }

@@ -20,10 +20,10 @@ use lumistack_core::{NoProgress, Task};
 use lumistack_display::{Backlight, Display, FieldGeometry, LayerStack, LightField, Region, Tile, Tiling, Weights};
 use lumistack_factorizer::{FactorizeError, Problem, Settings, factorize_tile, held_bytes, round_to_levels};
 
-use super::device::Site;
+use super::device::SolverDevice;
 use super::factorize::{
-    Kept, Solve, Solved, Step, add_stack, prefers_fresh, reuse_or_make, reuse_or_write, run_whole, solver_settings,
-    warm_stack,
+    Convergence, Solve, Solved, Step, add_stack, prefers_fresh, reuse_or_make, reuse_or_write, run_whole,
+    solver_settings, warm_stack,
 };
 use super::field::add_weights;
 use crate::error::{PipelineError, factorize_error, field_error};
@@ -130,7 +130,7 @@ pub(crate) fn run(solve: Solve<'_>, stamps: &Stamps, task: Task<'_>) -> Result<(
         return run_whole(solve, stamps, task);
     };
     let warm = warm_stack(solve.job, solve.display)?;
-    let mut key = solve.key(warm.as_ref(), &Site::Processor);
+    let mut key = solve.key(warm.as_ref(), &SolverDevice::Processor);
     let Solve { job, seed, display, target, weights } = solve;
     let crop = |tile: &Tile| Ok(tile.light_field(target));
     let solve = CutSolve { job, seed, display, geometry: target.geometry(), weights, crop: &crop };
@@ -282,7 +282,7 @@ impl Work<'_> {
                 }
             };
             match solved {
-                Ok(solved) => Ok((solved.stack.cut(&within), Some(Kept::of(&solved, steps, warm.is_some())))),
+                Ok(solved) => Ok((solved.stack.cut(&within), Some(Convergence::of(&solved, steps, warm.is_some())))),
                 // Pixels without rays keep the values of the start.
                 Err(FactorizeError::NoRays) => {
                     let unlit = start.clone().unwrap_or_else(|| clear(&display));
@@ -318,7 +318,7 @@ impl Work<'_> {
     }
 
     /// Writes the patterns of all tiles into one folder. Returns them.
-    fn join(&self) -> Result<(LayerStack, Option<Kept>), PipelineError> {
+    fn join(&self) -> Result<(LayerStack, Option<Convergence>), PipelineError> {
         let (layers, last) = (self.stamps.dir().join("layers"), self.tiles.rounds - 1);
         let mut writer = lumistack_field_io::StackWriter::begin(&layers, self.solve.display).map_err(field_error)?;
         for number in 0..self.tiles.count() {
@@ -332,22 +332,23 @@ impl Work<'_> {
 
     /// Joins the convergence of all tiles. Errors are over the rays of all tiles, so rays of two
     /// tiles count twice. Seconds are of one tile after another.
-    fn kept(&self) -> Option<Kept> {
-        let mut all: Option<Kept> = None;
+    fn kept(&self) -> Option<Convergence> {
+        let mut all: Option<Convergence> = None;
         let mut before = 0.0;
         for round in 0..self.tiles.rounds {
             let notes = (0..self.tiles.count()).filter_map(|number| {
                 let path = self.place([round, number]).join("cache/convergence.json");
                 let pixels = self.tiles.tiling.tile(number).field.size().iter().product::<usize>();
-                Some((read_json::<Option<Kept>>(&path)??, pixels as f64))
+                Some((read_json::<Option<Convergence>>(&path)??, pixels as f64))
             });
             let notes: Vec<_> = notes.collect();
             let (first, _) = notes.first()?;
             let pixels: f64 = notes.iter().map(|(_, pixels)| pixels).sum();
             // Means over tiles, weighted by their pixels.
-            let mean =
-                |of: &dyn Fn(&Kept) -> f64| notes.iter().map(|(kept, pixels)| pixels * of(kept)).sum::<f64>() / pixels;
-            let psnr = |of: &dyn Fn(&Kept) -> Option<f64>| {
+            let mean = |of: &dyn Fn(&Convergence) -> f64| {
+                notes.iter().map(|(kept, pixels)| pixels * of(kept)).sum::<f64>() / pixels
+            };
+            let psnr = |of: &dyn Fn(&Convergence) -> Option<f64>| {
                 let error = mean(&|kept| of(kept).map_or(0.0, |psnr| 10f64.powf(-0.1 * psnr)));
                 (error > 0.0).then(|| -10.0 * error.log10())
             };
@@ -366,7 +367,7 @@ impl Work<'_> {
                 .is_some()
                 .then(|| [0, 1, 2].map(|i| psnr(&|kept| kept.levels.map(|levels| levels[i])).unwrap_or(f64::INFINITY)));
             let unsettled = mean(&|kept| kept.unsettled.powi(2)).sqrt();
-            let mut kept = all.take().unwrap_or_else(|| Kept { steps: Vec::new(), ..first.clone() });
+            let mut kept = all.take().unwrap_or_else(|| Convergence { steps: Vec::new(), ..first.clone() });
             (kept.unsettled, kept.levels) = (unsettled, levels);
             kept.steps.extend(steps);
             all = Some(kept);

@@ -57,7 +57,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_was_kept_and_has_changed_is_not_taken() {
+    fn changed_cached_values_are_not_used() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.json");
         write_json(&path, &(1.5, "a")).unwrap();

@@ -112,7 +112,7 @@ fn inputs(job: &Job, registry: &Registry) -> Vec<(&'static str, PathBuf)> {
 mod tests {
     use super::super::lock::OWNER;
     use super::super::names::LOCK;
-    use super::super::settings::{resealed, write_display, write_sealed};
+    use super::super::settings::{with_new_seal, write_display, write_sealed};
     use super::*;
     use crate::presets;
     use lumistack_core::{Cancel, Collector, config};
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn our_own_files_are_known_until_somebody_changes_them() {
+    fn our_own_files_are_known_until_they_change() {
         let folder = tempfile::tempdir().unwrap();
         let job = job(folder.path());
         let path = folder.path().join("job.toml");
@@ -216,7 +216,7 @@ mod tests {
         let mut calibrated = display.clone();
         calibrated.layers[0].panel = Some(lumistack_display::Panel::default());
         let header = before.lines().next().unwrap();
-        let after = resealed(&before, &format!("{header}\n{}", calibrated.to_toml()));
+        let after = with_new_seal(&before, &format!("{header}\n{}", calibrated.to_toml()));
         std::fs::write(&path, &after).unwrap();
         assert!(is_written_by_us(&path, false), "Lumistack calibrated it");
         write_display(&path, &display).unwrap();
@@ -224,7 +224,7 @@ mod tests {
         // another display is another file
         write_display(&path, &Display { frames: display.frames + 1, ..display }).unwrap();
         assert!(std::fs::read_to_string(&path).unwrap() != after);
-        assert_eq!(resealed("a = 1", "a = 2"), "a = 2");
+        assert_eq!(with_new_seal("a = 1", "a = 2"), "a = 2");
     }
 
     #[test]

@@ -13,7 +13,7 @@ use crate::error::PipelineError;
 
 /// A cached conversion with its origin: every file with a hash of its content.
 #[derive(Serialize, Deserialize)]
-struct Kept {
+struct CachedConversion {
     account: BlendAccount,
     files: Vec<(PathBuf, String)>,
     program: Option<[u64; 2]>,
@@ -29,10 +29,10 @@ fn code_of_scenes() -> String {
 /// True if a cached file (`blend-KEY.json` or `.glb`) belongs to a conversion that a run would
 /// reuse.
 pub(crate) fn holds(path: &Path) -> bool {
-    read_json::<Kept>(&path.with_extension("json")).is_some_and(|kept| kept.holds())
+    read_json::<CachedConversion>(&path.with_extension("json")).is_some_and(|kept| kept.holds())
 }
 
-impl Kept {
+impl CachedConversion {
     /// True if Blender would return the same scene again.
     fn holds(&self) -> bool {
         self.code == code_of_scenes()
@@ -80,7 +80,7 @@ fn kept_or(
     key.add("path", place.as_os_str().as_encoded_bytes()).add_json("time", &time_s);
     let key = key.add("surroundings", surroundings.as_bytes()).finish();
     let [stamp, file] = ["json", "glb"].map(|kind| folder.join(format!("blend-{}.{kind}", &key[..16])));
-    if let Some(kept) = read_json::<Kept>(&stamp).filter(Kept::holds)
+    if let Some(kept) = read_json::<CachedConversion>(&stamp).filter(CachedConversion::holds)
         && let Ok(glb) = std::fs::read(&file)
         && hash(&glb) == kept.glb
     {
@@ -95,7 +95,8 @@ fn kept_or(
     // A file that changed meanwhile, or is missing, must not enter the cache.
     if let Some(files) = files.filter(|files| account.untracked.is_none() && Some(&files[0].1) == before.as_ref()) {
         let program = lumistack_usd::file_stamp(&account.program);
-        let kept = Kept { account: account.clone(), files, program, glb: hash(glb), code: code_of_scenes() };
+        let kept =
+            CachedConversion { account: account.clone(), files, program, glb: hash(glb), code: code_of_scenes() };
         std::fs::create_dir_all(folder).map_err(PipelineError::write(folder))?;
         write(&file, glb)?;
         write_json(&stamp, &kept)?;

@@ -49,7 +49,7 @@ pub(crate) fn write_display(path: &Path, display: &Display) -> Result<(), Pipeli
 /// Returns the text of a settings file that Lumistack changed from `before` to `after`, as
 /// calibration does. If `before` had a valid hash, the result has one too. Any other text is
 /// unchanged.
-pub fn resealed(before: &str, after: &str) -> String {
+pub fn with_new_seal(before: &str, after: &str) -> String {
     match (is_whole(before), after.strip_prefix(SEAL).and_then(|rest| rest.split_once('\n'))) {
         (Some(true), Some((_, rest))) => sealed(rest),
         _ => after.into(),

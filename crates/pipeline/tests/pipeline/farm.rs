@@ -201,7 +201,7 @@ fn workers_of_other_code_and_other_folders_are_refused() {
     let hash = blake3::hash(value.as_bytes()).to_hex();
     std::fs::write(&file, format!("{{\"blake3\":\"{hash}\",\"value\":{value}}}")).unwrap();
     let error = with_task(|task| farm_unit(&dir, "source", &[], Duration::ZERO, &registry, task)).unwrap_err();
-    assert!(error.is_of_machine() && error.to_string().contains("0123456789abcdef"), "{error}");
+    assert!(error.is_machine_specific() && error.to_string().contains("0123456789abcdef"), "{error}");
     // the same job, planned again by this build
     with_task(|task| farm_plan(&job, &dir, &registry, CUT, task)).unwrap();
     assert_eq!(unit(&dir, "source", &registry), Ok(false));

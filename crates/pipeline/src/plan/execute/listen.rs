@@ -23,12 +23,12 @@ impl Warnings for Tee<'_> {
 }
 
 /// Adds the number of the time step to the stage's name.
-pub(super) struct PlaceProgress<'a> {
+pub(super) struct TimeStepProgress<'a> {
     pub(super) next: &'a dyn Progress,
     pub(super) place: Option<String>,
 }
 
-impl Progress for PlaceProgress<'_> {
+impl Progress for TimeStepProgress<'_> {
     fn begin(&self, stage: &str, total: u64, unit: &str) {
         match &self.place {
             Some(place) => self.next.begin(&format!("{stage} {place}"), total, unit),
