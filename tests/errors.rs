@@ -226,7 +226,7 @@ fn jobs() {
     );
     check(
         &format!("scene = \"SCENE\"\n{display}[[outputs]]\nplugin = \"panels\"\n"),
-        &["a plugin that writes files", "`panels`, which presents"],
+        &["a plugin that writes files", "`panels`, which drives panels"],
     );
     check(&format!("scene = \"nowhere.glb\"\n{display}"), &["nowhere.glb"]);
     check(&format!("scene = \"SCENE\"\n{display}[window]\ncamera = \"left\"\n"), &["window.camera", "left"]);

@@ -17,7 +17,6 @@ use crate::tools::{Outcome, command, output_of, root};
 /// Folders that need not keep the rules.
 #[rustfmt::skip]
 const EXCEPTIONS: &[&str] = &[
-    "crates/pipeline",
     // built from web/src
     "web/dist",
 ];

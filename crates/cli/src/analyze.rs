@@ -7,7 +7,7 @@ use lumistack_core::Task;
 use lumistack_design::contrast::{self, Achieved, Contrast, ContrastError, FactorizeError, Gratings};
 use lumistack_design::{Analysis, Scene};
 use lumistack_display::{Display, Variation};
-use lumistack_pipeline::{FitDepth, PipelineError, Registry, RunFolder, outlook_on, presets};
+use lumistack_pipeline::{FitDepth, PipelineError, Registry, RunFolder, predict_on, presets};
 use lumistack_plot as plot;
 use serde_json::json;
 
@@ -179,7 +179,7 @@ fn looked_at(
     if job.window.fit_depth == FitDepth::Auto {
         job.window.fit_depth = FitDepth::Off;
     }
-    let depth = outlook_on(&job, display, registry, task)?.depth;
+    let depth = predict_on(&job, display, registry, task)?.depth;
     Ok(Scene::from_budget(&depth.to_json(), depth.sentence()))
 }
 

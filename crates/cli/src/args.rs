@@ -193,11 +193,11 @@ pub(crate) struct Render {
     /// Layers in layers_YY_XX.exr beside every view, separated by commas: depth (millimetres before
     /// the display plane), normal, albedo, variance, coverage
     #[arg(long, value_name = "LIST", value_delimiter = ',', help_heading = "Views")]
-    pub(crate) layers: Vec<lumistack_pipeline::ViewLayer>,
+    pub(crate) layers: Vec<lumistack_pipeline::ExtraChannel>,
     /// Render these views only, ROW,COL as in view_ROW_COL.exr. Each is a number from 0, a range
     /// such as 0..2, or *; may be given several times
     #[arg(long, value_name = "ROW,COL", help_heading = "Views")]
-    pub(crate) only_views: Vec<lumistack_pipeline::ViewPick>,
+    pub(crate) only_views: Vec<lumistack_pipeline::ViewSelection>,
     #[command(flatten)]
     pub(crate) display: DisplayArgs,
     #[command(flatten)]

@@ -5,7 +5,7 @@ use std::path::Path;
 use clap::CommandFactory;
 use lumistack_core::{Cancel, Task};
 use lumistack_pipeline::{
-    Freed, Job, PipelineError, Registry, RunFolder, SequenceJob, ViewOptions, Viewpoint, clean, plugins, render_only,
+    Freed, Job, PipelineError, Registry, RunFolder, SequenceJob, ViewOptions, Viewpoint, clean, plugins, render_views,
     run as run_job, schema, set_threads, simulate_to_file,
 };
 use serde_json::json;
@@ -203,9 +203,9 @@ fn render_command(args: &Render, registry: &Registry, json: bool, task: Task<'_>
     let mut job = job_or_scene(&args.scene)?;
     change_display(&mut job, &args.display);
     change_render(&mut job, &args.render);
-    let options = ViewOptions { linear: args.linear, layers: args.layers.clone(), only: args.only_views.clone() };
+    let options = ViewOptions { linear: args.linear, channels: args.layers.clone(), only: args.only_views.clone() };
     let depth =
-        render_only(&job, &args.output, &options, registry, task).map_err(|error| in_place(error, &args.scene))?;
+        render_views(&job, &args.output, &options, registry, task).map_err(|error| in_place(error, &args.scene))?;
     let index = args.output.join("lightfield.json");
     if json {
         say!("{}", json!({"event": "done", "light_field": index.to_string_lossy(), "depth": depth.to_json()}));
@@ -223,7 +223,7 @@ fn simulate_command(args: &Simulate, json: bool, task: Task<'_>) -> Result<(), P
         (view, None, None) => Viewpoint::Angle(view.map_or([0.0, 0.0], |view| view.0)),
     };
     let run = RunFolder::open(&args.dir)?;
-    if let Some(message) = run.beyond_zone(viewpoint) {
+    if let Some(message) = run.zone_warning(viewpoint) {
         task.warn(if args.eye.is_some() { "--eye" } else { "--view" }, message);
     }
     let picture = run.picture(viewpoint, args.raw)?;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args as ClapArgs, Subcommand};
 use lumistack_display::{LensArray, PanelStack, Transfer};
-use lumistack_pipeline::{PipelineError, presets, resealed};
+use lumistack_pipeline::{PipelineError, presets, with_new_seal};
 use lumistack_plugin_panels::calibrate::calibrate;
 use lumistack_plugin_panels::keep_panels;
 use serde_json::json;
@@ -391,7 +391,7 @@ fn calibrate_display(args: &Calibrate, json: bool) -> Result<(), PipelineError> 
     // Change the calibration alone: comments and other keys of the file stay.
     let read = lumistack_files::read_text(&args.file);
     let text = read.map_err(|source| PipelineError::Read { path: args.file.clone(), source })?;
-    let text = resealed(&text, &keep_panels(&text, &display).map_err(PipelineError::command)?);
+    let text = with_new_seal(&text, &keep_panels(&text, &display).map_err(PipelineError::command)?);
     lumistack_field_io::atomic::write_bytes(&args.file, text.as_bytes()).map_err(PipelineError::Field)
 }
 

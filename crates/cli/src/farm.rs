@@ -9,7 +9,7 @@ use std::time::Duration;
 use clap::builder::PossibleValue;
 use lumistack_core::Task;
 use lumistack_farm::{Format, Graph, Prediction, paths, predict};
-use lumistack_pipeline::{Cut, FarmPlan, Job, PipelineError, Registry, code, farm_plan, farm_unit};
+use lumistack_pipeline::{BlockSize, FarmPlan, Job, PipelineError, Registry, code, farm_plan, farm_unit};
 use serde_json::{Value, json};
 
 use crate::console::say;
@@ -157,14 +157,14 @@ struct CutArgs {
 }
 
 impl CutArgs {
-    fn cut(&self) -> Result<Cut, PipelineError> {
-        let default = Cut::default();
+    fn cut(&self) -> Result<BlockSize, PipelineError> {
+        let default = BlockSize::default();
         let block_seconds = self.block_seconds.unwrap_or(default.block_seconds);
         if !(block_seconds > 0.0 && block_seconds.is_finite()) {
             let found = block_seconds.to_string();
             return Err(PipelineError::option("--block-seconds", "SECONDS", "a time above 0", found));
         }
-        Ok(Cut { block_seconds, blocks: self.blocks })
+        Ok(BlockSize { block_seconds, blocks: self.blocks })
     }
 }
 
@@ -366,8 +366,8 @@ fn unit(
             }),
             Err(error) => {
                 let outcome = match error {
-                    error if error.is_of_machine() => "refused",
-                    error if error.is_of_store() => "store",
+                    error if error.is_machine_specific() => "refused",
+                    error if error.is_storage_failure() => "store",
                     PipelineError::Cancelled => "cancelled",
                     _ => "failed",
                 };

@@ -6,8 +6,8 @@ use lumistack_core::Task;
 use lumistack_core::config::nearest;
 use lumistack_display::{Backlight, Display};
 use lumistack_pipeline::{
-    ImporterJob, Job, LightJob, Outlook, PipelineError, PoseJob, Registry, SceneContents, describe_light_field,
-    is_blend, is_usd, load_scene, outlook, plugin_list, plugin_text, presets, refused_outputs,
+    ImporterJob, Job, LightJob, PipelineError, PoseJob, Prediction, Registry, SceneContents, describe_light_field,
+    is_blend, is_usd, load_scene, plugin_list, plugin_text, predict, presets, refused_outputs,
 };
 use lumistack_scene::{Bounds, Cloud, Scene};
 use lumistack_usd::VariantSet;
@@ -178,7 +178,7 @@ fn on_display(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value,
     let look_from = args.look_from;
     let files = args.files.clone();
     change_render(&mut job, &RenderArgs { camera, fit_depth, look_from, files, ..RenderArgs::default() });
-    let Outlook { depth, coverage, memory } = outlook(&job, registry, task)?;
+    let Prediction { depth, coverage, memory } = predict(&job, registry, task)?;
     let mut figures = depth.to_json();
     if let Some(figures) = figures.as_object_mut() {
         // histograms serve plots, and the report has them

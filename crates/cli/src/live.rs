@@ -24,7 +24,7 @@ use std::time::Duration;
 use clap::Args as ClapArgs;
 use lumistack_core::{Cancel, NoProgress, Task};
 use lumistack_pipeline::{
-    Job, LiveFolder, PipelineError, PresentContext, PresenterInput, PresenterOutput, Registry, Studio, present,
+    Job, LiveFields, LiveFolder, PipelineError, PresentContext, PresenterInput, PresenterOutput, Registry, present,
 };
 use serde_json::json;
 
@@ -133,14 +133,14 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
     // Job, run folder, page and tracker: all errors of the start.
     let in_input = |error| in_place(error, &args.input);
     let mut job = args.job().map_err(in_input)?;
-    let times = if args.times { Studio::times_of(&job).map_err(in_input)? } else { Vec::new() };
+    let times = if args.times { LiveFields::times_of(&job).map_err(in_input)? } else { Vec::new() };
     if let Some(first) = times.first() {
         job.light_field = Some(first.clone());
     }
     let dir = args.output.clone().unwrap_or_else(|| Path::new("runs").join(format!("{}-live", job.name)));
-    let folder = LiveFolder::take(&dir, &job, registry, task)?;
+    let folder = LiveFolder::lock(&dir, &job, registry, task)?;
     let site = folder.cache().join("live");
-    let studio = Studio::new(job.clone(), &folder.cache()).map_err(in_input)?;
+    let live_fields = LiveFields::new(job.clone(), &folder.cache()).map_err(in_input)?;
     let server = listen(args.port).map_err(|error| {
         PipelineError::option("--port", "N", "a free port of this machine", format!("{} ({error})", args.port))
     })?;
@@ -157,7 +157,7 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
     let rates = Rates { times, rate_hz: args.rate, most_late: args.most_late };
     // Threads run until the user, a command or the end of the video stops them.
     let ended = std::thread::scope(|scope| {
-        let renderer = scope.spawn(|| render(studio, &shared, rates, registry, work));
+        let renderer = scope.spawn(|| render(live_fields, &shared, rates, registry, work));
         scope.spawn(|| solve(&shared, json, work));
         if let Some(socket) = &socket {
             scope.spawn(|| read_packets(socket, args.head_mm.0, &shared.requests, work));
@@ -185,7 +185,7 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
     let Some((number, state)) = shared.states.after(0) else { return Err(PipelineError::Cancelled) };
     // The first Ctrl-C ended the display; a second one ends the program.
     let cancel = Cancel::default();
-    let report = folder.leave(
+    let report = folder.finish(
         &shared.requests.job(),
         &state,
         Task { progress: &NoProgress, warnings: &warnings, cancel: &cancel },

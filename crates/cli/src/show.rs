@@ -11,7 +11,8 @@ use clap::Args as ClapArgs;
 use lumistack_core::Task;
 use lumistack_display::{Display, LayerStack};
 use lumistack_pipeline::{
-    PipelineError, PresentContext, PresenterInput, PresenterOutput, Registry, RunFolder, present, presets, resealed,
+    PipelineError, PresentContext, PresenterInput, PresenterOutput, Registry, RunFolder, present, presets,
+    with_new_seal,
 };
 use lumistack_plugin_panels::assign::Output;
 use lumistack_plugin_panels::presentation::{Command, Event, Report};
@@ -355,7 +356,7 @@ fn save(display: &Display, file: Option<&Path>) -> Result<PathBuf, PipelineError
     })?;
     let text =
         lumistack_files::read_text(path).map_err(|source| PipelineError::Read { path: path.to_owned(), source })?;
-    let text = resealed(&text, &keep_panels(&text, display).map_err(PipelineError::command)?);
+    let text = with_new_seal(&text, &keep_panels(&text, display).map_err(PipelineError::command)?);
     lumistack_field_io::atomic::write_bytes(path, text.as_bytes()).map_err(PipelineError::Field)?;
     Ok(path.to_owned())
 }

@@ -132,7 +132,7 @@ pub struct Brightness {
     pub black: f64,
 }
 
-/// Depths of a scene, from the depth budget of a run or an outlook.
+/// Depths of a scene, from the depth budget of a run or a prediction.
 #[derive(Clone, Debug, Serialize)]
 pub struct Scene {
     /// One sentence.

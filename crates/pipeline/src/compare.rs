@@ -164,6 +164,7 @@ pub fn refocused(
         let expected = format!("a depth before the eye, less than {distance} mm");
         return Err(PipelineError::option("--focus", "Z", expected, focus_mm.to_string()));
     }
+    // Average over a square grid of the pupil, cut to its disc.
     let pixels = display.field_pixels();
     let mut sum = Tensor::zeros(["row", "col", "rgb"], [pixels.rows, pixels.cols, 3]);
     let mut count = 0u32;

@@ -83,7 +83,7 @@ pub enum PipelineError {
     },
     /// A file that Lumistack did not write, or that was changed since, is in the way.
     #[error(
-        "{}: expected no file, or one that Lumistack wrote, found {}, which {work} into this folder would replace; move it away, or choose another folder with -o",
+        "{}: expected no file, or one that Lumistack wrote, found {}; {work} into this folder would replace it: move it away, or choose another folder with -o",
         path.display(), if *changed { "a file that was changed since Lumistack wrote it" } else { "something else" }
     )]
     Foreign {
@@ -96,14 +96,14 @@ pub enum PipelineError {
     },
     /// An input lies where the output is written.
     #[error(
-        "{}: expected a {what} outside of the output, found it among the files that are written into {}; choose another folder with -o",
+        "{}: expected a {role} outside of the output, found it among the files that are written into {}; choose another folder with -o",
         input.display(), folder.display()
     )]
     Overwrites {
         /// The input, a file or folder.
         input: PathBuf,
         /// Its role, such as `scene`.
-        what: &'static str,
+        role: &'static str,
         /// The output folder.
         folder: PathBuf,
     },
@@ -145,12 +145,12 @@ pub enum PipelineError {
     #[error(transparent)]
     Value(Box<BadValue>),
     /// A result that a stage has just written was replaced: another program changes the folder.
-    #[error("{}: {what}: expected the picture that was just written, found another or none; another program changes this folder", path.display())]
+    #[error("{}: {role}: expected the picture that was just written, found another or none; another program changes this folder", path.display())]
     Replaced {
         /// The file.
         path: PathBuf,
         /// Its content, for the message.
-        what: &'static str,
+        role: &'static str,
     },
     /// glTF ingest failed.
     #[error(transparent)]
@@ -267,8 +267,8 @@ impl PipelineError {
     }
 
     /// Error for a result that was replaced after it was written, for `ok_or_else`.
-    pub(crate) fn replaced<'a>(path: &'a Path, what: &'static str) -> impl FnOnce() -> Self + 'a {
-        move || Self::Replaced { path: path.to_owned(), what }
+    pub(crate) fn replaced<'a>(path: &'a Path, role: &'static str) -> impl FnOnce() -> Self + 'a {
+        move || Self::Replaced { path: path.to_owned(), role }
     }
 
     /// Error of a command's work outside of the pipeline, for `map_err`.
@@ -277,12 +277,12 @@ impl PipelineError {
     }
 
     /// True if only this machine has the problem, so that another one may do the work.
-    pub fn is_of_machine(&self) -> bool {
+    pub fn is_machine_specific(&self) -> bool {
         matches!(self, Self::NoFarmPlan { .. } | Self::OtherCode { .. })
     }
 
     /// True if the storage failed: no space, read-only, or disconnected.
-    pub fn is_of_store(&self) -> bool {
+    pub fn is_storage_failure(&self) -> bool {
         use std::io::ErrorKind;
         let mut cause: Option<&(dyn std::error::Error + 'static)> = Some(self);
         while let Some(error) = cause {

@@ -1,12 +1,16 @@
-//! A run on many machines: units of work in one run folder that all of them share.
+//! Runs on many machines: units of work in one run folder that all machines share.
 //!
 //! ```text
-//! cache/farm/plan.json           the job, the code that it was planned by, and its units
-//! cache/farm/done/ID.json        units that are finished: written last, and only saves time
+//! cache/farm/plan.json           the job, the fingerprint of the code that planned it, and its
+//! units
+//! cache/farm/done/ID.json        finished units: written last; only saves time
 //! ```
 //!
-//! A unit checks that it runs the code of the plan, waits until the units that it takes are done, executes its steps and notes that. Units of one folder hold its lock
-//! together; those that write a part's light field, patterns or results hold the part's lock alone. A run of the whole takes the folder alone as ever.
+//! A unit checks that its worker has the code of the plan and waits for its input units. Then it
+//! executes its steps and records that it is done.
+//!
+//! Units share the lock of the run folder. A unit that writes a part's light field, patterns or
+//! results holds the lock of that part alone. A whole run holds the run folder's lock alone.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -20,9 +24,9 @@ use serde::{Deserialize, Serialize};
 use crate::error::{PipelineError, field_error};
 use crate::job::Job;
 use crate::plan::execute::Executor;
-use crate::plan::steps::Kind;
+use crate::plan::steps::PartKind;
 use crate::plan::sweep;
-use crate::plan::units::{Cut, FINISH, units};
+use crate::plan::units::{BlockSize, FINISH, units};
 use crate::run::{of_run, of_sweep, plan as plan_of, run_finished, work_of};
 use crate::stage::fields::Block;
 use crate::store::code;
@@ -30,51 +34,51 @@ use crate::store::farm::{done_file, forget, plan_file};
 use crate::store::files::{read_json, write_json};
 use crate::store::folder;
 use crate::store::key::hash;
-use crate::store::lock::{Hold, UNIT_LIMIT, take_for_unit};
+use crate::store::lock::{Hold, UNIT_LIMIT, lock_for_unit};
 use crate::store::names::Work;
 use crate::store::plugin_files;
 
-/// Digits of a hash that are shown.
+/// Length of a hash in files and messages, hexadecimal digits.
 const DIGITS: usize = 16;
-/// How often a unit looks for the units that it takes.
-const LOOK: Duration = Duration::from_millis(200);
+/// Interval between two checks for input units.
+const INPUT_INTERVAL: Duration = Duration::from_millis(200);
 
-/// A hash of the code of this program that results pass through. Workers of one run have one.
+/// Returns a hash of all code that results pass through. All workers of a run must have the same.
 pub fn code() -> String {
     let lists = [code::SCENE, code::VIEWS, code::FIELDS, code::PATTERNS, code::DESIGNS, code::PLUGINS, code::REPORTS];
     hash(lists.concat().concat().as_bytes())[..DIGITS].to_owned()
 }
 
-/// A run's units, as its folder keeps them.
+/// The plan of a run: its job and its units, as `plan.json` has them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FarmPlan {
-    /// Hash of all below: results of another plan are not taken for this one's.
+    /// Hash of job, code and units. Files of done units that belong to another plan are ignored.
     pub id: String,
     /// Name of the job.
     pub name: String,
     /// Version of the program.
     pub version: String,
-    /// [`code`] of the program.
+    /// Value of [`code`] in the program that planned.
     pub code: String,
-    /// The units, in an order in which they can be executed.
+    /// Units, each after its inputs.
     pub units: Vec<Unit>,
-    /// The job as a file, its paths absolute.
+    /// The job as TOML, with absolute paths.
     job: String,
-    /// Folder to which files in parameters of plugins are relative.
+    /// Folder that relative paths in plugin parameters refer to.
     #[serde(default, with = "lumistack_core::path_text::optional")]
     folder: Option<PathBuf>,
 }
 
-/// How a unit ended that did not fail.
+/// A unit that is done.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct UnitDone {
-    /// Of the plan.
+    /// Id of the plan.
     plan: String,
     /// Id of the unit.
     pub id: String,
     /// Time of the work, seconds.
     pub seconds: f64,
-    /// Whether it was done before.
+    /// True if the unit was already done.
     pub cached: bool,
 }
 
@@ -82,13 +86,15 @@ impl FarmPlan {
     /// Reads the plan of a run folder.
     ///
     /// # Errors
-    /// When the folder holds none: it is not the run's, or is not shared with this machine.
+    /// If the folder has no plan: no run was planned there, or this machine does not share the
+    /// folder.
     pub fn load(dir: &Path) -> Result<Self, PipelineError> {
         let missing = || PipelineError::NoFarmPlan { folder: dir.to_owned() };
         read_json(&plan_file(dir)).ok_or_else(missing)
     }
 
-    /// The graph of its units in a run folder, which `command` and the folder and an id execute. Units that are done have the time that they took.
+    /// Returns the graph of units in a run folder. A worker executes `command`, the folder and a
+    /// unit's id. Done units have their measured time, the others the estimate.
     pub fn graph(&self, dir: &Path, command: Vec<String>) -> Graph {
         let folder = std::path::absolute(dir).unwrap_or_else(|_| dir.to_owned()).to_string_lossy().into_owned();
         let mut units = self.units.clone();
@@ -98,13 +104,14 @@ impl FarmPlan {
         Graph { name: self.name.clone(), folder, command, units }
     }
 
-    /// How a unit ended, where it is done.
+    /// Returns the record of a unit, if it is done.
     pub fn done(&self, dir: &Path, id: &str) -> Option<UnitDone> {
         read_json(&done_file(dir, id)).filter(|done: &UnitDone| done.plan == self.id)
     }
 
     fn job(&self, maps: &[(PathBuf, PathBuf)]) -> Result<Job, PipelineError> {
-        let damaged = |_| PipelineError::value("farm plan", "job", "the job as it was planned", "another text");
+        let damaged =
+            |_| PipelineError::value("farm plan", "job", "the planned job", "a damaged text; plan the run again");
         let mut job: Job = config::parse(&self.job).map_err(damaged)?;
         for path in job.paths_mut() {
             *path = mapped(path, maps);
@@ -114,35 +121,38 @@ impl FarmPlan {
     }
 }
 
-/// A path on this machine: the first map whose first folder the path lies in leads to its second.
+/// Maps a path of the planning machine to this one, by the first map with a prefix of the path.
 fn mapped(path: &Path, maps: &[(PathBuf, PathBuf)]) -> PathBuf {
     let found = maps.iter().find_map(|(there, here)| Some(here.join(path.strip_prefix(there).ok()?)));
     found.unwrap_or_else(|| path.to_owned())
 }
 
-/// Plans a job for many machines into its run folder, which is checked and taken as for a run. Units of the same plan that are done stay done.
+/// Plans a job for many machines into its run folder, after the checks and the lock of a run. Done
+/// units of the same plan stay done.
 ///
 /// # Errors
-/// As of a run before its work.
+/// Those of a run before its first step.
 pub fn farm_plan(
     job: &Job,
     dir: &Path,
     registry: &Registry,
-    cut: Cut,
+    block_size: BlockSize,
     task: Task<'_>,
 ) -> Result<FarmPlan, PipelineError> {
+    // Workers run in other folders, so all paths of the job become absolute.
     let mut job = job.clone();
     let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     job.folder = absolute(&job.folder);
     let mut job = plugin_files::resolved(&job, registry)?;
     job.paths_mut().for_each(|path| *path = absolute(path));
+    // Find every error before the first worker starts.
     let plan = plan_of(&job, dir, registry)?;
-    let owned = folder::take(dir, work_of(&job), &job, registry, task)?;
+    let owned = folder::lock(dir, work_of(&job), &job, registry, task)?;
     Executor::new(&plan, registry, None, task).check()?;
     for part in &plan.parts {
-        // nothing foreign lies where a time will
-        if matches!(part.kind, Kind::Time(_)) && job.sweep.is_none() {
-            drop(folder::take(&dir.join(&part.folder), Work::Run, &part.job, registry, task)?);
+        // The folder of a time step must be free or ours too.
+        if matches!(part.kind, PartKind::Time(_)) && job.sweep.is_none() {
+            drop(folder::lock(&dir.join(&part.folder), Work::Run, &part.job, registry, task)?);
         }
     }
     let mut made = FarmPlan {
@@ -150,17 +160,18 @@ pub fn farm_plan(
         name: job.name.clone(),
         version: env!("CARGO_PKG_VERSION").into(),
         code: code(),
-        units: units(&plan, cut),
+        units: units(&plan, block_size),
         job: job.to_toml(),
         folder: Some(job.folder.clone()),
     };
-    // estimates change from machine to machine, and results do not depend on them
+    // The id leaves estimates out: they differ between machines, and results do not depend on them.
     let ids: Vec<_> = made.units.iter().map(|unit| (&unit.id, &unit.inputs, &unit.steps)).collect();
     let all = serde_json::to_string(&(&made.job, &made.code, ids)).expect("plans serialize");
     made.id = hash(all.as_bytes())[..DIGITS].to_owned();
     if FarmPlan::load(dir).is_ok_and(|old| old.id != made.id) {
         forget(dir);
     }
+    // Write the plan while the lock is held.
     let place = plan_file(dir);
     lumistack_field_io::atomic::create_folder(place.parent().unwrap_or(dir)).map_err(field_error)?;
     write_json(&place, &made)?;
@@ -168,11 +179,16 @@ pub fn farm_plan(
     Ok(made)
 }
 
-/// Executes a unit of the plan in a run folder. One that is done is not executed again, but for the last, which checks everything. Paths of the job are those of the machine
-/// that planned it; `maps` lead from there to here. A unit waits up to `patience` for the units that it takes, since a network's file system may show files late.
+/// Executes a unit of the plan in a run folder. A done unit returns at once, except the last one,
+/// which checks the whole run.
+///
+/// `maps` are pairs of folders: on the planning machine, and here. The job's paths are mapped by
+/// them. A unit waits up to `patience` for its input units, since a network's file system may show
+/// files late.
 ///
 /// # Errors
-/// When the plan was made by other code, the units that it takes are not done, others hold the folder, or the work fails or is cancelled.
+/// If the worker has other code than the plan, or an input unit is not done in time. If another
+/// process locks the folder, or the work fails or is cancelled.
 pub fn farm_unit(
     dir: &Path,
     id: &str,
@@ -182,6 +198,7 @@ pub fn farm_unit(
     task: Task<'_>,
 ) -> Result<UnitDone, PipelineError> {
     let start = Instant::now();
+    // Results of different code must not be mixed.
     let farm = FarmPlan::load(dir)?;
     if farm.code != code() {
         let plan = format!("{}, {}", farm.version, farm.code);
@@ -191,17 +208,19 @@ pub fn farm_unit(
     let Some(unit) = farm.units.iter().find(|unit| unit.id == id) else {
         return Err(PipelineError::value(dir, "unit", "the id of a unit of the plan", format!("`{id}`")));
     };
+    // A farm manager may execute a unit twice.
     let is_last = unit.id == FINISH;
     let before = || farm.done(dir, id).filter(|_| !is_last).map(|done| UnitDone { cached: true, ..done });
     if let Some(done) = before() {
         return Ok(done);
     }
     wait_for_inputs(&farm, dir, unit, patience, task)?;
+    // The last unit runs the whole job: it reuses all results and writes the reports.
     let job = farm.job(maps)?;
     if is_last {
         run_finished(&job, dir, registry, task)?;
     } else {
-        let _owned = take_for_unit(dir, Hold::Shared, UNIT_LIMIT, task)?;
+        let _owned = lock_for_unit(dir, Hold::Shared, UNIT_LIMIT, task)?;
         let is_sweep = job.sweep.is_some();
         let (plan, designs) = if is_sweep { of_sweep(&job, dir)? } else { (of_run(&job, dir)?, Default::default()) };
         let design = unit.kind == lumistack_farm::Kind::Design;
@@ -213,6 +232,7 @@ pub fn farm_unit(
             }
         }
     }
+    // Record the end last, so that a killed unit counts as not done.
     let seconds = start.elapsed().as_secs_f64();
     let done = UnitDone { plan: farm.id.clone(), id: id.to_owned(), seconds, cached: false };
     let path = done_file(dir, id);
@@ -234,9 +254,9 @@ fn wait_for_inputs(
         let [first, ..] = missing.as_slice() else { return Ok(()) };
         task.cancel.check()?;
         if start.elapsed() >= patience {
-            let (unit, expected) = (format!("unit `{}`", unit.id), "the units that it takes, done");
+            let (unit, expected) = (format!("unit `{}`", unit.id), "its input units done");
             return Err(PipelineError::value(dir, unit, expected, format!("`{first}` not done")));
         }
-        std::thread::sleep(LOOK);
+        std::thread::sleep(INPUT_INTERVAL);
     }
 }

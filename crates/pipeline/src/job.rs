@@ -32,7 +32,7 @@ pub use lumistack_shot::{
     ZoneSamples,
 };
 
-/// Most views of an automatic choice if Blender may render them, which takes minutes a view.
+/// Maximum number of automatic views if Blender may render them, which takes minutes a view.
 const MOST_OF_BLENDER: usize = 25;
 
 /// A job file.
@@ -45,7 +45,7 @@ pub struct Job {
     /// Version of the format.
     #[serde(default = "version")]
     pub version: u32,
-    /// Name for people and for the run folder; default: the file's stem.
+    /// Name in reports and of the run folder; default: the file's stem.
     #[serde(default)]
     pub name: String,
     /// Scene to render: `.gltf`, `.glb`, USD, or a file of an importer plugin. A job has one of
@@ -266,19 +266,19 @@ impl Job {
         Ok(display.with_views_chosen(most))
     }
 
-    /// Most views of a display's light field: limited by the job's memory, and by time if Blender
+    /// Maximum number of views of a display: limited by the job's memory, and by time if Blender
     /// may render them.
     pub(crate) fn most_views(&self, display: &Display) -> usize {
         let [cols, rows] = display.field.resolution;
         let affordable = self.render.affordable_views(cols * rows);
-        if self.may_be_blenders() { affordable.min(MOST_OF_BLENDER) } else { affordable }
+        if self.may_render_in_blender() { affordable.min(MOST_OF_BLENDER) } else { affordable }
     }
 
     /// The job with the automatic settings set that depend on the display's views.
     ///
     /// A display that does not load changes nothing here; [`Self::resolve_display`] returns its
     /// error.
-    pub(crate) fn settled(&self) -> Self {
+    pub(crate) fn with_automatic_settings(&self) -> Self {
         let mut job = self.clone();
         if let Ok(display) = job.display.resolve() {
             job.render.denoise = job.denoise_for(&display);
@@ -293,14 +293,14 @@ impl Job {
     pub(crate) fn denoise_for(&self, display: &Display) -> Denoise {
         let fixed = matches!(display.field.views, Views::Fixed(_));
         match self.render.denoise {
-            Denoise::Auto if fixed || self.may_be_blenders() => Denoise::Off,
+            Denoise::Auto if fixed || self.may_render_in_blender() => Denoise::Off,
             Denoise::Auto => Denoise::Shared,
             chosen => chosen,
         }
     }
 
     /// True if Blender may render the views, which takes minutes each.
-    fn may_be_blenders(&self) -> bool {
+    fn may_render_in_blender(&self) -> bool {
         let is_file = self.scene.as_deref().is_some_and(is_blend);
         self.render.engine == Engine::Blender || is_file && self.render.engine == Engine::Auto
     }
@@ -356,7 +356,7 @@ impl Job {
         self.window.check()?;
         self.light.check()?;
         if self.render.engine == Engine::Blender && self.light.background != Background::Environment {
-            let expected = "`environment` where Blender renders: its own world is seen";
+            let expected = "`environment`, since Blender renders its own world as the background";
             return fail("light.background", expected, "a colour".into());
         }
         self.check_graph()?;
@@ -384,7 +384,7 @@ impl Job {
         let mut ids: Vec<&str> = Vec::new();
         for (i, node) in self.nodes.iter().enumerate() {
             if !is_folder_name(&node.id) || node.id == OutputJob::LIGHT_FIELD || ids.contains(&node.id.as_str()) {
-                let expected = "a name of its own: letters, digits, `-` and `_`, and not `light_field`";
+                let expected = "a unique name of letters, digits, `-` and `_`, other than `light_field`";
                 return fail(format!("nodes[{i}].id"), expected, format!("`{}`", node.id));
             }
             ids.push(&node.id);
@@ -416,7 +416,7 @@ impl Job {
                 );
             }
             if taken.contains(&(from, output.name())) {
-                let expected = "a `name` of its own beside another of the same plugin";
+                let expected = "a unique `name`, since another output has the same folder";
                 return fail(format!("outputs[{i}]"), expected, format!("`{}` twice", output.name()));
             }
             taken.push((from, output.name()));
@@ -538,13 +538,13 @@ mod tests {
                 format!("{nodes}{}", output("from = \"c\"")),
                 "outputs[0].from: expected `light_field` or one of a, b, found `c`",
             ),
-            (format!("{nodes}[[nodes]]\nid = \"a\"\n"), "nodes[2].id: expected a name of its own"),
-            (format!("{nodes}[[nodes]]\nid = \"../a\"\n"), "nodes[2].id: expected a name of its own"),
+            (format!("{nodes}[[nodes]]\nid = \"a\"\n"), "nodes[2].id: expected a unique name"),
+            (format!("{nodes}[[nodes]]\nid = \"../a\"\n"), "nodes[2].id: expected a unique name"),
             (
                 format!("{nodes}params = {{ x = 1 }}\nfactorize = {{ }}\n"),
                 "nodes[1].factorize: expected nothing, as only `tensor-display` has it",
             ),
-            (format!("{display}{}{}", output(""), output("")), "outputs[1]: expected a `name` of its own"),
+            (format!("{display}{}{}", output(""), output("")), "outputs[1]: expected a unique `name`"),
             (format!("{display}{}", output("name = \"a/b\"")), "outputs[0].name: expected letters"),
         ] {
             let error = job(&text).unwrap_err();

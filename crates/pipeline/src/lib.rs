@@ -1,14 +1,18 @@
-//! From a job file to its outputs.
+//! The pipeline from a job file to its outputs.
 //!
 //! ```text
-//! job.toml ─▶ ingest ─▶ render ─▶ target/ ─▶ factorize ─▶ layers/ ─▶ output plugins ─▶ outputs/ ─▶ report
-//!                        (or a light field that somebody else rendered)
+//! job.toml ─▶ ingest ─▶ render ─▶ target/ ─▶ factorize ─▶ layers/ ─▶ output plugins
+//!                        (or a light field of another renderer)      ─▶ outputs/ ─▶ report
 //! ```
 //!
-//! Every arrow is a stage (`stage/`), and what a job asks for is a plan of them (`plan/`) in a run folder (`store/`).
+//! Every arrow is a stage (`stage/`). A job's plan (`plan/`) has the stages as steps in a run
+//! folder (`store/`).
 //!
-//! A job with `[[nodes]]` feeds several displays from one light field; each has its patterns and its report in `nodes/ID/`. A sequence goes this way once for
-//! every time, each display factorized from its patterns of the time before. A sweep solves many designs on the light fields of a job, whatever that is.
+//! * A job with `[[nodes]]` feeds several displays from one light field. Each has its patterns and
+//!   its report in `nodes/ID/`.
+//! * A sequence has these steps for each time step. Every time step starts from the patterns of the
+//!   one before.
+//! * A sweep solves many designs on the light fields of a still, a sequence or a graph.
 
 mod compare;
 mod error;
@@ -16,12 +20,12 @@ mod farm;
 mod inspect;
 mod job;
 mod live;
-mod only_views;
-mod outlook;
 mod plan;
+mod predict;
 pub mod presets;
 mod reader;
 mod refused;
+mod render_views;
 mod run;
 pub mod schema;
 mod simulate;
@@ -42,38 +46,39 @@ pub use job::{
     Near, NodeJob, OutputJob, PoseJob, RenderJob, ReportJob, SearchJob, SequenceJob, SourceJob, SweepJob, Tone,
     WindowFrom, WindowJob, ZoneSamples,
 };
-pub use live::{LiveFolder, Studio};
+pub use live::{LiveFields, LiveFolder};
 #[cfg(feature = "gpu")]
 pub use lumistack_factorizer_gpu::{Adapter as GpuAdapter, adapters as gpu_adapters};
 #[cfg(feature = "dynamic")]
 pub use lumistack_plugin_host::{Launcher, plugin_child};
 pub use lumistack_plugin_host::{OutputData, PresentContext, PresenterInput, PresenterOutput, Registry, present};
-pub use lumistack_shot::automatic_look;
-pub use only_views::render_only;
-pub use outlook::{Outlook, outlook, outlook_on};
+pub use lumistack_shot::automatic_tone_mapping;
 pub use plan::steps::{Plan, Step};
 pub use plan::sweep::SweepSummary;
-pub use plan::units::Cut;
+pub use plan::units::BlockSize;
+pub use predict::{Prediction, predict, predict_on};
 pub use reader::{is_blend, is_usd};
 pub use refused::{RefusedOutput, refused_outputs};
+pub use render_views::render_views;
 pub use run::{NodeSummary, SequenceSummary, Summary, plan, run, run_step, sweep};
 pub use simulate::{RunFolder, Viewpoint, picture_from, simulate_to_file, update_preview};
 pub use stage::denoise::oidn_version;
-pub use stage::ingest::{Ingested, SceneContents, load_scene, scene_contents, take_scene};
+pub use stage::ingest::{Ingested, SceneContents, ingest_scene, load_scene, scene_contents};
 pub use stage::place::place_window;
 pub use stage::score::References;
 pub use steps::{
-    ReportOn, Traced, WeightsFrom, expose_field, factorize_field, open_field, render_field, weights_of, write_output,
-    write_report_on,
+    RenderedField, ReportOn, WeightsFrom, expose_field, factorize_field, open_field, render_field, weights_of,
+    write_output, write_report_on,
 };
 pub use store::clean::{Cleaned, Freed, clean};
-pub use store::settings::resealed;
-pub use view_options::{ViewLayer, ViewOptions, ViewPick};
+pub use store::settings::with_new_seal;
+pub use view_options::{ExtraChannel, ViewOptions, ViewSelection};
 
-/// Sets the number of worker threads of the whole program; results do not depend on it. Call it before any work.
+/// Sets the number of worker threads of the program. Results do not depend on it. Call it before
+/// any other work.
 ///
 /// # Errors
-/// When work has already started.
+/// If work has already started.
 pub fn set_threads(count: usize) -> Result<(), String> {
     rayon::ThreadPoolBuilder::new().num_threads(count).build_global().map_err(|error| error.to_string())
 }

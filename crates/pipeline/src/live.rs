@@ -1,12 +1,12 @@
 //! A job whose settings and files change while its display is shown (`lumistack live`).
 //!
-//! [`Studio`] makes its light fields and repeats only stages whose input changed. [`LiveFolder`]
-//! writes the last state as a run folder.
+//! [`LiveFields`] makes its light fields and repeats only stages whose input changed.
+//! [`LiveFolder`] writes the last state as a run folder.
 
 mod change;
+mod fields;
 mod folder;
 mod progressive;
-mod studio;
 
+pub use fields::LiveFields;
 pub use folder::LiveFolder;
-pub use studio::Studio;

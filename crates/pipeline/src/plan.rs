@@ -9,8 +9,9 @@
 //! sweep      fields/1: the light fields of a still or a sequence ▶ designs ▶ table
 //! ```
 //!
-//! A plan is data. It can be printed with estimates ([`estimate`]) and executed ([`execute`]), by
-//! this process or by others: a step reads inputs from the run folder if they are not in memory.
+//! A plan is data: it can be printed with estimates ([`estimate`]) and executed ([`execute`]).
+//! Other processes can execute its steps: a step reads inputs from the run folder if they are not
+//! in memory.
 
 pub(crate) mod estimate;
 pub(crate) mod execute;

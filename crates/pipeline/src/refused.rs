@@ -47,6 +47,7 @@ pub fn refused_outputs(job: &Job, registry: &Registry, task: Task<'_>) -> Result
             (own, geometry)
         }
     };
+    // Opening an output makes its plugin check display and parameters, and writes nothing.
     let mut refused = Vec::new();
     for (output, display) in outputs_on(&job, &display, &geometry)? {
         match output::open(&output, &display, registry, task) {

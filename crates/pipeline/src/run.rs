@@ -16,12 +16,12 @@ use crate::plan::execute::Executor;
 use crate::plan::execute::context::Context;
 use crate::plan::graph::add_displays;
 use crate::plan::sequence::add_times;
-use crate::plan::steps::{Kind, Plan};
+use crate::plan::steps::{PartKind, Plan};
 use crate::plan::still::{Before, add_field};
 use crate::plan::sweep::{self, Designs, SweepSummary};
 use crate::store::farm::forget;
 use crate::store::folder;
-use crate::store::lock::{Hold, UNIT_LIMIT, take_for_unit};
+use crate::store::lock::{Hold, UNIT_LIMIT, lock_for_unit};
 use crate::store::names::Work;
 use crate::store::plugin_files;
 
@@ -105,7 +105,7 @@ pub fn run(
 ) -> Result<Summary, PipelineError> {
     let start = Instant::now();
     let job = &without_sweep(job, registry)?;
-    let _owned = folder::take(run_dir, work_of(job), job, registry, task)?;
+    let _owned = folder::lock(run_dir, work_of(job), job, registry, task)?;
     forget(run_dir);
     run_in(job, run_dir, registry, command, start, task)
 }
@@ -121,12 +121,12 @@ pub(crate) fn run_finished(
     task: Task<'_>,
 ) -> Result<(), PipelineError> {
     // A worker that seemed lost may still run its unit, so wait until the folder is free.
-    drop(take_for_unit(run_dir, Hold::Alone, UNIT_LIMIT, task)?);
+    drop(lock_for_unit(run_dir, Hold::Alone, UNIT_LIMIT, task)?);
     if job.sweep.is_some() {
         return sweep(job, run_dir, registry, task).map(|_| ());
     }
     let job = &without_sweep(job, registry)?;
-    let _owned = folder::take(run_dir, work_of(job), job, registry, task)?;
+    let _owned = folder::lock(run_dir, work_of(job), job, registry, task)?;
     let summary = run_in(job, run_dir, registry, None, Instant::now(), task)?;
     match summary.failed_outputs {
         failed if failed.is_empty() => Ok(()),
@@ -162,7 +162,7 @@ pub fn run_step(
     task: Task<'_>,
 ) -> Result<(), PipelineError> {
     let job = &without_sweep(job, registry)?;
-    let _owned = folder::take(run_dir, work_of(job), job, registry, task)?;
+    let _owned = folder::lock(run_dir, work_of(job), job, registry, task)?;
     Executor::new(&of_run(job, run_dir)?, registry, None, task).execute_alone(step)
 }
 
@@ -178,7 +178,7 @@ pub fn sweep(job: &Job, dir: &Path, registry: &Registry, task: Task<'_>) -> Resu
     };
     table.check()?;
     let job = &plugin_files::resolved(job, registry)?;
-    let _owned = folder::take(dir, Work::Sweep, job, registry, task)?;
+    let _owned = folder::lock(dir, Work::Sweep, job, registry, task)?;
     let (plan, designs) = of_sweep(job, dir)?;
     sweep::execute(&plan, &designs, job, registry, task)
 }
@@ -215,7 +215,7 @@ pub(crate) fn work_of(job: &Job) -> Work {
 pub(crate) fn of_run(job: &Job, run_dir: &Path) -> Result<Plan, PipelineError> {
     job.check()?;
     let mut plan = Plan::new(job, run_dir);
-    let root = plan.add_part(PathBuf::new(), Kind::Run, job.clone(), None);
+    let root = plan.add_part(PathBuf::new(), PartKind::Run, job.clone(), None);
     if job.sequence.is_some() {
         add_times(&mut plan, root, false)?;
     } else {

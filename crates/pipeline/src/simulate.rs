@@ -14,7 +14,7 @@ use crate::presets;
 use crate::store::code;
 use crate::store::files::write;
 use crate::store::key::{KeyBuilder, content_hash};
-use crate::store::lock::take_preview;
+use crate::store::lock::lock_preview;
 use crate::store::plugin_files::plugin_key;
 use crate::store::stamps::Stamps;
 
@@ -91,8 +91,8 @@ impl RunFolder {
     }
 
     /// A warning, if the viewpoint sees some of the display from outside of the viewing zone.
-    pub fn beyond_zone(&self, viewpoint: Viewpoint) -> Option<String> {
-        let share = share_beyond_zone(&self.display, viewpoint)?;
+    pub fn zone_warning(&self, viewpoint: Viewpoint) -> Option<String> {
+        let share = share_outside_zone(&self.display, viewpoint)?;
         let field = &self.display.field;
         let [x, y] = field.fov_deg;
         let part = if share > 0.999 { "all".into() } else { format!("{:.0} %", (100.0 * share).max(1.0)) };
@@ -127,7 +127,7 @@ pub fn update_preview(dir: &Path, registry: &Registry, task: Task<'_>) -> Result
     if stamps.is_current(PREVIEW, &key) {
         return Ok(false);
     }
-    let _owned = take_preview(dir, task)?;
+    let _owned = lock_preview(dir, task)?;
     stamps.clear(PREVIEW)?;
     let written = RunFolder::open(dir)?.write_preview(registry, &dir.join(PREVIEW), task)?;
     let files: Vec<PathBuf> = written.iter().map(|file| Path::new(PREVIEW).join(file)).collect();
@@ -164,6 +164,7 @@ pub fn picture_from(
     viewpoint: Viewpoint,
     raw: bool,
 ) -> Result<Tensor<3>, PipelineError> {
+    // Check the viewpoint, and simulate it.
     let scale = if raw { 1.0 } else { (1.0 / stack.brightness) as f32 };
     let simulator = Simulator::new(display, stack);
     let mut picture = match viewpoint {
@@ -189,13 +190,14 @@ pub fn picture_from(
         }
         Viewpoint::Sweep(count) => strip(display, &simulator, count)?,
     };
+    // Division by β shows the picture at the brightness of the target.
     picture.data_mut().iter_mut().for_each(|value| *value *= scale);
     Ok(picture)
 }
 
 /// Share of the display, 0..1, that a viewpoint sees along rays outside of the viewing zone. `None`
 /// for a sweep and for viewpoints that [`picture_from`] refuses.
-fn share_beyond_zone(display: &Display, viewpoint: Viewpoint) -> Option<f64> {
+fn share_outside_zone(display: &Display, viewpoint: Viewpoint) -> Option<f64> {
     let field = &display.field;
     let size_mm = display.field_pixels().size_mm();
     let slope_of = |place: [f64; 2]| match viewpoint {
@@ -292,7 +294,7 @@ mod tests {
     fn the_zone_ends_where_the_outermost_views_do() {
         // The display is 475 mm wide; its field of view is 20° × 20°.
         let display = presets::load("paper-three-layer").unwrap();
-        let share = |viewpoint| share_beyond_zone(&display, viewpoint).unwrap();
+        let share = |viewpoint| share_outside_zone(&display, viewpoint).unwrap();
         assert_eq!(share(Viewpoint::Angle([4.0, -2.0])), 0.0);
         assert_eq!(share(Viewpoint::Angle([9.9, 0.0])), 0.0);
         assert_eq!(share(Viewpoint::Angle([10.1, 0.0])), 1.0);
@@ -302,10 +304,10 @@ mod tests {
         let near = share(Viewpoint::Eye([100.0, 0.0, 600.0]));
         // |x - 100| <= 105.8 of ±237.5, |y| <= 105.8 of ±148.4
         assert!((near - (1.0 - (211.6 / 475.0) * (211.6 / 296.9))).abs() < 0.05, "{near}");
-        assert_eq!(share_beyond_zone(&display, Viewpoint::Sweep(3)), None);
+        assert_eq!(share_outside_zone(&display, Viewpoint::Sweep(3)), None);
         let mut perspective = display.clone();
         (perspective.field.projection, perspective.field.distance_mm) = (ProjectionKind::Perspective, Some(600.0));
-        let share = |viewpoint| share_beyond_zone(&perspective, viewpoint).unwrap();
+        let share = |viewpoint| share_outside_zone(&perspective, viewpoint).unwrap();
         assert_eq!(share(Viewpoint::Eye([100.0, 0.0, 600.0])), 0.0);
         assert_eq!(share(Viewpoint::Eye([110.0, 0.0, 600.0])), 1.0);
     }

@@ -1,7 +1,9 @@
-//! The stages between a job and its outputs, one file each: inputs, the key of the result, the work, and the result.
+//! Stages of the pipeline, and their table.
 //!
-//! This is their table. A plan is made of steps, each a stage in a folder.
+//! Each stage has a file with its inputs, the key of its result, the work, and the result. The
+//! steps of a plan are stages in folders.
 
+pub(crate) mod channels;
 pub(crate) mod denoise;
 pub(crate) mod depth;
 pub(crate) mod design;
@@ -12,7 +14,6 @@ pub(crate) mod field;
 pub(crate) mod fields;
 pub(crate) mod flicker;
 pub(crate) mod ingest;
-pub(crate) mod layers;
 pub(crate) mod measure;
 pub(crate) mod node;
 pub(crate) mod output;
@@ -34,20 +35,21 @@ use crate::store::code::{self, Code};
 /// A row of the table of stages.
 pub(crate) struct StageInfo {
     pub(crate) name: &'static str,
-    /// Name in reports; `None` of what people need not know.
-    pub(crate) told: Option<&'static str>,
-    /// Its part of a job, beside the results of the stages before. Equal values make equal results.
+    /// Name in reports; `None` if reports leave the stage out.
+    pub(crate) label: Option<&'static str>,
+    /// The job's values that the result depends on, besides results of other stages. Equal values
+    /// give equal results.
     pub(crate) reads: fn(&Job) -> Value,
-    /// Files and folders that it writes, relative to its folder.
+    /// Files and folders that it writes, relative to the folder of its part.
     pub(crate) writes: &'static [&'static str],
-    /// Fingerprints in its key.
+    /// Fingerprints of the code in its key.
     pub(crate) code: Code,
 }
 
-/// Scene files become a lit scene.
+/// Reads scene files into a lit scene.
 pub(crate) const INGEST: StageInfo = StageInfo {
     name: "ingest",
-    told: Some("ingest"),
+    label: Some("ingest"),
     reads: |job| {
         let light = &job.light;
         let lamps = (light.environment_strength, light.environment_rotation_deg, light.visible, light.automatic);
@@ -57,21 +59,21 @@ pub(crate) const INGEST: StageInfo = StageInfo {
     code: code::SCENE,
 };
 
-/// The display finds its place in the scene: side, window, depth.
+/// Places the window in the scene: side, position, depth scale.
 pub(crate) const PLACE: StageInfo = StageInfo {
     name: "place",
-    told: None,
+    label: None,
     reads: |job| json!([job.window, display(job)]),
     writes: &["cache/side-*", "cache/window-*", "cache/fit-*"],
     code: code::VIEWS,
 };
 
-/// Every view is path-traced.
+/// Traces every view.
 pub(crate) const TRACE: StageInfo = StageInfo {
     name: "trace",
-    told: Some("render"),
+    label: Some("render"),
     reads: |job| {
-        // another filter traces nothing again, but for halves
+        // Cached views serve every filter of the same kind: halves, split light or plain.
         let denoise = job.render.denoise;
         let kept = [denoise.takes_halves(), denoise == Denoise::Shared];
         let render = RenderJob { denoise: Denoise::Off, ..job.render.clone() };
@@ -81,19 +83,19 @@ pub(crate) const TRACE: StageInfo = StageInfo {
     code: code::VIEWS,
 };
 
-/// Noise is taken out of all views together.
+/// Denoises all views together.
 pub(crate) const DENOISE: StageInfo = StageInfo {
     name: "denoise",
-    told: Some("render"),
+    label: Some("render"),
     reads: |job| json!(job.render.denoise),
     writes: &["cache/views"],
     code: code::VIEWS,
 };
 
-/// One exposure and one tone curve make all views display-referred: the light field.
+/// Applies one exposure and tone curve to all views: the light field.
 pub(crate) const EXPOSE: StageInfo = StageInfo {
     name: "expose",
-    told: Some("render"),
+    label: Some("render"),
     reads: |job| {
         let light = &job.light;
         json!([light.exposure_ev, light.automatic_exposure, light.tone, light.background])
@@ -102,88 +104,88 @@ pub(crate) const EXPOSE: StageInfo = StageInfo {
     code: code::FIELDS,
 };
 
-/// The scene's pictures all over the zone, for the report.
+/// Renders the scene's pictures over the viewing zone, for the zone score.
 pub(crate) const SCORE: StageInfo = StageInfo {
     name: "score",
-    told: Some("render for the score"),
+    label: Some("render for the score"),
     reads: |job| json!([job.report.zone_directions, job.factorize.eyes, job.render.max_bounces, job.seed]),
     writes: &["cache/views"],
     code: code::VIEWS,
 };
 
-/// A light field that somebody else rendered is read.
+/// Reads a light field of another renderer.
 pub(crate) const READ: StageInfo = StageInfo {
     name: "read",
-    told: Some("read"),
+    label: Some("read"),
     reads: |job| json!([job.geometry, job.light.exposure_ev, job.light.tone, display(job)]),
     writes: &["target"],
     code: code::FIELDS,
 };
 
-/// A plugin makes the light field.
+/// Makes the light field by a plugin.
 pub(crate) const SOURCE: StageInfo = StageInfo {
     name: "source",
-    told: Some("source"),
+    label: Some("source"),
     reads: |job| json!([job.source, display(job)]),
     writes: &["target", "cache/source.json"],
     code: code::PLUGINS,
 };
 
-/// The light field is factorized into the patterns of a tensor display.
+/// Factorizes the light field into the patterns of a tensor display.
 pub(crate) const FACTORIZE: StageInfo = StageInfo {
     name: "factorize",
-    told: Some("factorize"),
+    label: Some("factorize"),
     reads: |job| json!([job.factorize, job.seed, display(job)]),
     writes: &["layers", "cache/convergence.json", "job.toml", "display.toml"],
     code: code::PATTERNS,
 };
 
-/// A plugin makes the patterns.
+/// Makes the patterns by a plugin.
 pub(crate) const NODE: StageInfo = StageInfo {
     name: "node",
-    told: Some("node"),
+    label: Some("node"),
     reads: |job| json!(display(job)),
     writes: &["layers", "display.toml"],
     code: code::PLUGINS,
 };
 
-/// An output plugin writes patterns or light field.
+/// Writes patterns or light field by an output plugin.
 pub(crate) const OUTPUT: StageInfo = StageInfo {
     name: "output",
-    told: Some("output"),
+    label: Some("output"),
     reads: |_| Value::Null,
     writes: &["outputs"],
     code: code::PLUGINS,
 };
 
-/// Error and flicker of a time.
+/// Measures error and flicker of a time step.
 pub(crate) const MEASURE: StageInfo = StageInfo {
     name: "measure",
-    told: Some("measure"),
+    label: Some("measure"),
     reads: |_| Value::Null,
     writes: &["cache/measure-figures.json"],
     code: code::FIELDS,
 };
 
-/// A design of a sweep is solved and scored.
+/// Solves a design of a sweep and scores it.
 pub(crate) const DESIGN: StageInfo = StageInfo {
     name: "design",
-    told: None,
+    label: None,
     reads: |job| json!([job.factorize, job.seed, job.sweep]),
     writes: &["designs"],
     code: code::DESIGNS,
 };
 
-/// A report, or the table of a sweep.
+/// Writes a report, or the table of a sweep.
 pub(crate) const REPORT: StageInfo = StageInfo {
     name: "report",
-    told: None,
+    label: None,
     reads: Job::to_json,
     writes: &["report.html", "report.json"],
     code: code::REPORTS,
 };
 
-/// A job's display as it is resolved: a preset or a file, and what the job changes about it.
+/// Returns a job's display as TOML: a preset or a file, with the job's changes.
 fn display(job: &Job) -> Option<String> {
     job.resolve_display().ok().map(|display| display.without_panels().to_toml())
 }
@@ -193,7 +195,7 @@ mod tests {
     use super::*;
     use crate::{DisplayJob, ZoneSamples};
 
-    /// All of them.
+    /// All stages.
     const STAGES: [&StageInfo; 14] = [
         &INGEST, &PLACE, &TRACE, &DENOISE, &EXPOSE, &SCORE, &READ, &SOURCE, &FACTORIZE, &NODE, &OUTPUT, &MEASURE,
         &DESIGN, &REPORT,
@@ -207,9 +209,9 @@ mod tests {
         }
     }
 
-    /// A value that a stage reads is part of its key, and one that it does not read is not.
+    /// A value that a stage reads is part of its key; other values are not.
     #[test]
-    fn what_a_stage_reads_is_what_it_depends_on() {
+    fn a_stage_depends_on_the_values_that_it_reads() {
         let job = Job { scene: Some("a.glb".into()), ..Job::new(DisplayJob::by_name_or_path("fig7-uniform")) };
         let changed = |change: fn(&mut Job)| {
             let mut other = job.clone();

@@ -1,4 +1,4 @@
-//! Single stages of a run, for callers that hold the data themselves: nothing is kept but what they ask for.
+//! Single stages of a run, for callers that have the data in memory and keep the results.
 
 use std::path::{Path, PathBuf};
 
@@ -9,51 +9,55 @@ use lumistack_factorizer::{Factorization, Iteration, Problem};
 use lumistack_field_io::{GeometryDefaults, GeometryFlags};
 use lumistack_plugin_host::{OutputContext, OutputData, Registry, Time};
 use lumistack_report::{DepthBudget, ReportInput, Solution};
-use lumistack_shot::Look;
+use lumistack_shot::ToneMapping;
 use serde_json::{Map, Value};
 
 use crate::error::{PipelineError, display_error, field_error, host_error};
 use crate::job::{FactorizeJob, Job, ReportJob};
-use crate::stage::device::at_site;
+use crate::stage::device::on_device;
 use crate::stage::factorize::Solve;
 use crate::stage::field::{array_weights, eye_weights, warn_of_depth};
 use crate::stage::fields::{Block, Shot};
 use crate::stage::ingest::Ingested;
-use crate::stage::read::{self, Beyond};
+use crate::stage::read::{self, OutOfRange};
 use crate::stage::score::{self, References};
 use crate::stage::{denoise, depth, expose, place, samples, trace};
 use crate::store::files::{check_folder, write_report};
 use crate::view_options::ViewOptions;
 
-/// A light field that was rendered.
-pub struct Traced {
-    /// The views, rounded to half floats, as a run's target.
+/// A rendered light field.
+pub struct RenderedField {
+    /// Views, rounded to half floats as in a run's target.
     pub field: LightField,
-    /// What its depth asks of the display.
+    /// The scene's depth against the display's depth of field.
     pub depth: DepthBudget,
-    /// Factor from scene-linear radiance to what is shown, before the tone curve.
+    /// Factor from scene-linear radiance to display-referred values, before the tone curve.
     pub exposure: f64,
     /// Name of the tone curve.
     pub tone: &'static str,
-    /// The scene's pictures all over the display's zone, where the job wants them.
+    /// The scene's pictures over the viewing zone, if the job requests them.
     pub references: Option<References>,
 }
 
-/// Renders the views that a display needs of a scene, and the pictures that its score takes. Of the job `window`, `light`, `render`, `seed` and `report.zone_directions`
-/// count, save for the views for reports; traced views are kept in `cache_dir` and taken from there.
+/// Renders the views that a display needs of a scene, and the pictures for its zone score.
+///
+/// Uses `window`, `light`, `render`, `seed` and `report.zone_directions` of the job, without its
+/// held-out and outside views. Traced views are cached in `cache_dir`.
 ///
 /// # Errors
-/// When a value makes no sense, or rendering fails or is cancelled.
+/// If a value is invalid, or rendering fails or is cancelled.
 pub fn render_field(
     job: &Job,
     display: &Display,
     ingested: &Ingested,
     cache_dir: &Path,
     task: Task<'_>,
-) -> Result<Traced, PipelineError> {
+) -> Result<RenderedField, PipelineError> {
     job.check()?;
+    // Place the window, then trace, denoise and expose as a run does.
     let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
     let placement = place::place(ingested, &job.window, display, &geometry, Some(cache_dir), task)?;
+    // The caller has no report, so views for it are not rendered.
     let mut job = job.clone();
     (job.render.held_out, job.render.outside) = (0, 0);
     job.render.denoise = job.denoise_for(display);
@@ -63,21 +67,23 @@ pub fn render_field(
     let (traced, _) = trace::run(shot, &ViewOptions::default(), cache_dir, task)?;
     denoise::run(shot, &traced.fields, task)?;
     let rendered = expose::run(shot, &traced, false, task)?;
+    // Depth and references are for the caller's own report.
     let depth = depth::budget(&traced.depths, display, &geometry, &placement);
     warn_of_depth(&depth, task);
-    let (exposure, tone) = (rendered.look.exposure, rendered.look.curve.name());
+    let (exposure, tone) = (rendered.tone_mapping.exposure, rendered.tone_mapping.curve.name());
     let seen = traced.depths.seen(&placement);
     let zone = score::zone_of(&job, display, &geometry);
-    let references = References::render(shot, &zone, (rendered.look, traced.engine), cache_dir, Block::ALL, task)?;
+    let references =
+        References::render(shot, &zone, (rendered.tone_mapping, traced.engine), cache_dir, Block::ALL, task)?;
     let references = references.map(References::held).transpose()?;
-    Ok(Traced { field: rendered.target.with_depth(Some(seen)), depth, exposure, tone, references })
+    Ok(RenderedField { field: rendered.target.with_depth(Some(seen)), depth, exposure, tone, references })
 }
 
-/// Reads a light field of any kind, as it is: values are not rounded. Where it says no size or angles, those of `display` are taken, if there is one. Where not all
-/// views are kept, some of those between come along, by which displays can be judged.
+/// Reads a light field of any kind, without rounding. Size and angles come from the file, or else
+/// from `display`. If `flags` leave views out, some of them are returned as references for scores.
 ///
 /// # Errors
-/// When it cannot be read, or its geometry is incomplete.
+/// If it cannot be read, or its geometry is incomplete.
 pub fn open_field(
     path: &Path,
     flags: &GeometryFlags,
@@ -97,10 +103,11 @@ pub fn open_field(
     Ok((field, references))
 }
 
-/// A light field under another exposure, in stops, and through the tone curve of this name: `linear`, which clips to 0..1, `khronos-neutral` or `agx`.
+/// Returns a light field with another exposure in stops and a tone curve: `linear`, which clips to
+/// 0..1, `khronos-neutral` or `agx`.
 ///
 /// # Errors
-/// When there is no such curve, or the exposure is not -100 to 100.
+/// If the tone curve does not exist, or the exposure is not -100 to 100.
 pub fn expose_field(field: &LightField, exposure_ev: f64, tone: &str) -> Result<LightField, PipelineError> {
     let Some((_, curve)) = ToneCurve::ALL.into_iter().find(|(name, _)| *name == tone) else {
         let names = ToneCurve::ALL.map(|(name, _)| name).join(", ");
@@ -110,17 +117,18 @@ pub fn expose_field(field: &LightField, exposure_ev: f64, tone: &str) -> Result<
         return Err(PipelineError::value("light field", "exposure_ev", "-100 to 100", exposure_ev.to_string()));
     }
     let mut field = field.clone();
-    Look { exposure: 2f64.powf(exposure_ev), curve }.apply(&mut field);
+    ToneMapping { exposure: 2f64.powf(exposure_ev), curve }.apply(&mut field);
     Ok(field)
 }
 
-/// Where weights come from, if not from the job.
+/// Shape and values of a weight array; `None` for the job's weights.
 pub type WeightsFrom = Option<(Vec<usize>, Vec<f32>)>;
 
-/// The weights of an array, `[view_y][view_x]` or `[view_y][view_x][row][col]`, or of the job's eyes.
+/// Returns the weights of an array, `[view_y][view_x]` or `[view_y][view_x][row][col]`, or of the
+/// job's eyes.
 ///
 /// # Errors
-/// When they do not fit the light field, or both are given.
+/// If they do not fit the light field, or both are given.
 pub fn weights_of(job: &FactorizeJob, array: WeightsFrom, target: &LightField) -> Result<Weights, PipelineError> {
     match array {
         Some(_) if !job.eyes.is_empty() => {
@@ -131,10 +139,11 @@ pub fn weights_of(job: &FactorizeJob, array: WeightsFrom, target: &LightField) -
     }
 }
 
-/// Factorizes a light field; the files that the job names are not read. `on_iteration` sees every evaluation of the objective.
+/// Factorizes a light field. Files that the job names are not read. `on_iteration` receives every
+/// evaluation of the objective.
 ///
 /// # Errors
-/// When display, light field, weights and settings do not fit, or when cancelled.
+/// If display, light field, weights and settings do not fit, or the task is cancelled.
 pub fn factorize_field(
     problem: &Problem<'_>,
     job: &FactorizeJob,
@@ -143,18 +152,19 @@ pub fn factorize_field(
     task: Task<'_>,
     on_iteration: &mut dyn FnMut(&Iteration),
 ) -> Result<Factorization, PipelineError> {
-    if let Some(beyond) = Beyond::of(problem.target) {
-        task.warn("light field", beyond.message(read::OFFER_OF_PYTHON));
+    if let Some(out_of_range) = OutOfRange::of(problem.target) {
+        task.warn("light field", out_of_range.message(read::REMEDY_IN_PYTHON));
     }
     let Problem { display, target, weights } = *problem;
     let solve = Solve { job, seed, display, target, weights };
-    at_site(&job.device, task, |site| solve.factorize(site, warm, task, on_iteration))
+    on_device(&job.device, task, |site| solve.factorize(site, warm, task, on_iteration))
 }
 
-/// Writes with an output plugin into `out_dir`; gives the files, relative to it.
+/// Writes files by an output plugin into `out_dir`. Returns their paths, relative to it.
 ///
 /// # Errors
-/// When there is no such plugin, it does not take the parameters or the data, or the files cannot be written.
+/// If there is no such plugin, it rejects the parameters or the data, or the files cannot be
+/// written.
 pub fn write_output(
     registry: &Registry,
     plugin: &str,
@@ -168,35 +178,37 @@ pub fn write_output(
     lumistack_plugin_host::run_output(registry, plugin, &params.into(), context).map_err(host_error)
 }
 
-/// What a report is about.
+/// Input of [`write_report_on`].
 pub struct ReportOn<'a> {
-    /// Headline.
+    /// Title of the page.
     pub title: &'a str,
     /// The display.
     pub display: &'a Display,
-    /// Its patterns.
+    /// Patterns of the display.
     pub stack: &'a LayerStack,
-    /// What it should show.
+    /// Target of the display.
     pub target: &'a LightField,
-    /// The scene all over the zone, where it is known.
+    /// The scene's pictures over the viewing zone, if known.
     pub references: Option<&'a References>,
     /// Weights of the target's rays.
     pub weights: &'a Weights,
-    /// Where a solver made the patterns: how.
+    /// Settings and convergence of a solver, if one made the patterns.
     pub solution: Option<(&'a Solution, &'a [lumistack_report::Iteration])>,
-    /// How it was made, for its table of settings.
+    /// Table of settings in the report.
     pub settings: &'a Value,
 }
 
-/// Writes `report.html` and `report.json` into `folder`; gives the latter's content.
+/// Writes `report.html` and `report.json` into `folder`. Returns the content of the latter.
 ///
 /// # Errors
-/// When the parts do not fit, the files cannot be written, or when cancelled.
+/// If the parts do not fit, a file cannot be written, or the task is cancelled.
 pub fn write_report_on(on: &ReportOn<'_>, folder: &Path, task: Task<'_>) -> Result<Value, PipelineError> {
     check_folder(folder)?;
-    // a value that no display shows may decide every figure
-    let beyond = Beyond::of(on.target).map(|beyond| beyond.message(read::OFFER_OF_PYTHON));
-    let warnings: Vec<_> = beyond.into_iter().map(|message| Warning { place: "light field".into(), message }).collect();
+    // Values out of range may dominate all scores, so the report must name them.
+    let out_of_range = OutOfRange::of(on.target).map(|out_of_range| out_of_range.message(read::REMEDY_IN_PYTHON));
+    let warnings: Vec<_> =
+        out_of_range.into_iter().map(|message| Warning { place: "light field".into(), message }).collect();
+    // The zone score needs references, which only rendered scenes have.
     let zone = on.references.map(|references| references.measure(on.display, on.stack, task)).transpose()?;
     let report = lumistack_report::build(
         &ReportInput {
@@ -223,6 +235,7 @@ pub fn write_report_on(on: &ReportOn<'_>, folder: &Path, task: Task<'_>) -> Resu
         },
         task,
     )
+    // A cancelled report is a cancelled task, as everywhere.
     .map_err(|error| match error {
         lumistack_report::ReportError::Cancelled(_) => PipelineError::Cancelled,
         other => PipelineError::Report(other),

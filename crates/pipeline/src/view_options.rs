@@ -5,21 +5,21 @@ use std::str::FromStr;
 use crate::error::PipelineError;
 use crate::job::{Engine, Job};
 
-/// Options of `render_only`.
+/// Options of `render_views`.
 #[derive(Clone, Debug, Default)]
 pub struct ViewOptions {
     /// Scene-linear radiance in 32-bit floats, without exposure, tone curve, clipping and
     /// background.
     pub linear: bool,
     /// Extra channels of every view.
-    pub layers: Vec<ViewLayer>,
+    pub channels: Vec<ExtraChannel>,
     /// Views to render; all if empty.
-    pub only: Vec<ViewPick>,
+    pub only: Vec<ViewSelection>,
 }
 
 /// An extra channel of a view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ViewLayer {
+pub enum ExtraChannel {
     /// z in display space of the first hit on a pixel's central ray, millimetres.
     Depth,
     /// Shading normal.
@@ -34,12 +34,12 @@ pub enum ViewLayer {
 
 /// Views by row and column, as in the names of their files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ViewPick {
+pub struct ViewSelection {
     /// First and last row, then first and last column; `None` for all.
     axes: [Option<[usize; 2]>; 2],
 }
 
-impl ViewLayer {
+impl ExtraChannel {
     pub(crate) const ALL: [(&str, Self); 5] = [
         ("depth", Self::Depth),
         ("normal", Self::Normal),
@@ -82,7 +82,7 @@ impl ViewLayer {
     }
 }
 
-impl FromStr for ViewLayer {
+impl FromStr for ExtraChannel {
     type Err = String;
 
     fn from_str(name: &str) -> Result<Self, String> {
@@ -91,7 +91,7 @@ impl FromStr for ViewLayer {
     }
 }
 
-impl FromStr for ViewPick {
+impl FromStr for ViewSelection {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -112,7 +112,7 @@ impl FromStr for ViewPick {
 impl ViewOptions {
     /// True if variances are requested.
     pub(crate) fn variance(&self) -> bool {
-        self.layers.contains(&ViewLayer::Variance)
+        self.channels.contains(&ExtraChannel::Variance)
     }
 
     /// Checks that a job of this many views can write the selected views and channels.
@@ -140,7 +140,7 @@ impl ViewOptions {
 
     /// The views to render, `[view_y, view_x]`, row by row; `views` counts rows and columns.
     pub(crate) fn chosen(&self, views: [usize; 2]) -> Result<Vec<[usize; 2]>, PipelineError> {
-        for ViewPick { axes } in &self.only {
+        for ViewSelection { axes } in &self.only {
             for (axis, (name, count)) in axes.iter().zip([("row", views[0]), ("column", views[1])]) {
                 if let Some([_, last]) = axis
                     && *last >= count
@@ -152,7 +152,7 @@ impl ViewOptions {
             }
         }
         let is_chosen = |view: &[usize; 2]| {
-            let holds = |pick: &ViewPick| {
+            let holds = |pick: &ViewSelection| {
                 let of_axis =
                     |axis: usize| pick.axes[axis].is_none_or(|[first, last]| (first..=last).contains(&view[axis]));
                 of_axis(0) && of_axis(1)
@@ -179,7 +179,7 @@ mod tests {
         let error = chosen(&["3,0"]).unwrap_err().to_string();
         assert!(error.contains("a row of 0 to 2, of 3 rows × 4 columns, found 3"), "{error}");
         for wrong in ["1", "a,1", "2..1,0", "1,2,3", "-1,0", ""] {
-            assert!(wrong.parse::<ViewPick>().is_err(), "{wrong}");
+            assert!(wrong.parse::<ViewSelection>().is_err(), "{wrong}");
         }
     }
 }

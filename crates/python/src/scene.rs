@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use lumistack_pipeline::{
-    ImporterJob, Ingested, LightJob, PipelineError, PoseJob, SceneContents, is_usd, load_scene, take_scene,
+    ImporterJob, Ingested, LightJob, PipelineError, PoseJob, SceneContents, ingest_scene, is_usd, load_scene,
 };
 use pyo3::prelude::*;
 use pyo3::types::PyList;
@@ -68,7 +68,7 @@ impl Scene {
                 // A stage in memory may differ from its files, so its content becomes part of the
                 // key.
                 let content = if is_given { walked.content() } else { Vec::new() };
-                take_scene(scene, &files, &content, &pose, &light, task)
+                ingest_scene(scene, &files, &content, &pose, &light, task)
             })?;
             return Ok(Self::new_of(path, light, ingested, SceneContents::Usd(walked.header.contents)));
         }
@@ -168,7 +168,7 @@ impl Scene {
             let content = splats::content(&parts);
             let named = |source| PipelineError::Scene { name: name.into(), source };
             let scene = parts.validate(task).map_err(named)?;
-            take_scene(scene, &[], &[content.as_slice()], &PoseJob::default(), &light, task)
+            ingest_scene(scene, &[], &[content.as_slice()], &PoseJob::default(), &light, task)
         })?;
         let (animations, variants, duration) = (Vec::new(), Vec::new(), None);
         Ok(Self { path: name.into(), light, ingested, animations, variants, duration })

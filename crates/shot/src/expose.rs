@@ -6,7 +6,7 @@ use lumistack_display::FieldGeometry;
 use lumistack_splats::Space;
 
 use crate::depth::Depths;
-use crate::look::Look;
+use crate::tone_mapping::ToneMapping;
 
 /// Most rays that an automatic exposure measures.
 const MOST_RAYS: usize = 4_000_000;
@@ -14,9 +14,15 @@ const MOST_RAYS: usize = 4_000_000;
 /// Exposes pixels `[..][rgb]` that are black outside surfaces, and blends them over a background.
 /// `missed` is the share 0..1 of each pixel's rays without a hit. Splats are blended over the
 /// background in their own colour space, as over a surface.
-pub fn expose_over(look: Look, background: [f32; 3], splats: Option<Space>, missed: &[f32], rgb: &mut [f32]) {
+pub fn expose_over(
+    tone_mapping: ToneMapping,
+    background: [f32; 3],
+    splats: Option<Space>,
+    missed: &[f32],
+    rgb: &mut [f32],
+) {
     if let Some(space) = splats {
-        look.apply_to(rgb);
+        tone_mapping.apply_to(rgb);
         for (pixel, &missed) in rgb.as_chunks_mut::<3>().0.iter_mut().zip(missed) {
             *pixel = space.before(*pixel, missed, background);
         }
@@ -29,7 +35,7 @@ pub fn expose_over(look: Look, background: [f32; 3], splats: Option<Space>, miss
             pixel.iter_mut().for_each(|value| *value /= covered);
         }
     }
-    look.apply_to(rgb);
+    tone_mapping.apply_to(rgb);
     for (pixel, &missed) in rgb.chunks_exact_mut(3).zip(missed) {
         for (value, background) in pixel.iter_mut().zip(background) {
             *value = (1.0 - missed) * *value + missed * background;
@@ -71,10 +77,10 @@ mod tests {
 
     #[test]
     fn edges_mix_what_is_shown_of_both() {
-        let look = Look { exposure: 2.0, curve: ToneCurve::Linear };
+        let tone_mapping = ToneMapping { exposure: 2.0, curve: ToneCurve::Linear };
         // a surface of radiance 0.3 that covers all, a quarter and nothing of a pixel
         let mut rgb: Vec<f32> = [0.3, 0.25 * 0.3, 0.0].iter().flat_map(|value| [*value; 3]).collect();
-        expose_over(look, [1.0, 0.5, 0.0], None, &[0.0, 0.75, 1.0], &mut rgb);
+        expose_over(tone_mapping, [1.0, 0.5, 0.0], None, &[0.0, 0.75, 1.0], &mut rgb);
         let expected = [0.6, 0.6, 0.6, 0.15 + 0.75, 0.15 + 0.375, 0.15, 1.0, 0.5, 0.0];
         for (found, expected) in rgb.iter().zip(expected) {
             assert!((found - expected).abs() < 1e-6, "{rgb:?}");

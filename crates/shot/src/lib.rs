@@ -2,7 +2,7 @@
 //! function of values in memory.
 //!
 //! ```text
-//! Scene ──light──▶ lit Scene ──place──▶ Placement ──Renderer──▶ radiance ──Look──▶ LightField
+//! Scene ─light─▶ lit Scene ─place─▶ Placement ─Renderer─▶ radiance ─ToneMapping─▶ LightField
 //! ```
 //!
 //! The pipeline keeps the results in a run folder, the browser page in memory. The crate uses no
@@ -14,11 +14,11 @@ mod error;
 mod expose;
 mod job;
 pub mod light;
-mod look;
 mod place;
 mod renderer;
 mod subject;
 mod surround;
+mod tone_mapping;
 
 pub use depth::Depths;
 pub use edit::edited;
@@ -28,10 +28,10 @@ pub use job::{
     AngularFilter, Background, Denoise, Engine, FitDepth, LightJob, Near, RenderJob, Tone, WindowFrom, WindowJob,
     ZoneSamples, seeded,
 };
-pub use look::{Look, automatic_look};
 pub use place::{Found, Placement, find_window, place};
 pub use renderer::{SceneRenderer, put_before, slopes};
 pub use subject::Subject;
+pub use tone_mapping::{ToneMapping, automatic_tone_mapping};
 
 /// Hash of this crate's sources, computed at build. It is part of the key of every kept result that
 /// depends on this code.

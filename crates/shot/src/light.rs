@@ -11,10 +11,10 @@ use lumistack_scene::{AlphaMode, Environment, Image, Lamp, Material, Pixels, Sce
 use crate::edit::edited;
 use crate::error::ShotError;
 use crate::job::LightJob;
-use crate::look::automatic_look;
 use crate::place::side;
 use crate::renderer::SceneRenderer;
 use crate::surround;
+use crate::tone_mapping::automatic_tone_mapping;
 
 /// Columns and rows of the studio map; it is smooth.
 const STUDIO: [usize; 2] = [128, 64];
@@ -65,7 +65,7 @@ pub(crate) fn probe(scene: &Arc<Scene>, task: Task<'_>) -> Result<Option<&'stati
     let mask = tracer.hit_mask(&window, &geometry, [0, 0], quiet)?;
     let brightest = radiance.data().chunks_exact(3).map(|rgb| rgb[0].max(rgb[1]).max(rgb[2]));
     let rays: Vec<(f32, bool)> = brightest.zip(mask.data().iter().map(|&hit| hit > 0.5)).collect();
-    let (exposure, curve) = automatic_look(scene, &rays);
+    let (exposure, curve) = automatic_tone_mapping(scene, &rays);
     let is_lit = |value: f32| curve.apply([(f64::from(value) * exposure) as f32; 3])[1] >= DARK as f32;
     let surfaces = rays.iter().filter(|(_, surface)| *surface);
     let count = surfaces.clone().count() as f64;

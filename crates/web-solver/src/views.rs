@@ -7,7 +7,7 @@ use lumistack_display::{Display, FieldGeometry, LightField, ViewGrid};
 use lumistack_pathtracer::denoise::SharedLight;
 use lumistack_pathtracer::{Settings as Paths, SplitView};
 use lumistack_shot::{
-    Denoise, Depths, LightJob, Look, Placement, WindowJob, brightest, place, put_before, seeded, slopes,
+    Denoise, Depths, LightJob, Placement, ToneMapping, WindowJob, brightest, place, put_before, seeded, slopes,
 };
 use lumistack_simd::{float_from_half, nearest_half};
 use lumistack_splats::Space;
@@ -207,8 +207,8 @@ impl Views {
         // One exposure and tone curve for all views.
         let picture = |view| Ok::<_, Error>(Cow::Borrowed(field.view(view)));
         let rays = brightest(field.geometry(), &places, &depths, picture)?;
-        let look = Look::choose(&self.light, &self.held.scene, &rays);
-        look.apply(&mut field);
+        let tone_mapping = ToneMapping::choose(&self.light, &self.held.scene, &rays);
+        tone_mapping.apply(&mut field);
         // the command rounds to half floats; display-referred values cannot overflow them
         field.radiance_mut().data_mut().iter_mut().for_each(|value| *value = float_from_half(nearest_half(*value)));
         Ok(field)

@@ -10,7 +10,7 @@ use lumistack_core::Task;
 use lumistack_display::Weights;
 use lumistack_factorizer::{FactorizeError, Settings};
 use lumistack_live::{Boxes, Due, Mailbox, Player, Solver, Start, State, Target};
-use lumistack_pipeline::{PipelineError, Registry, Studio};
+use lumistack_pipeline::{LiveFields, PipelineError, Registry};
 use serde_json::json;
 
 use super::clock::now;
@@ -91,7 +91,7 @@ impl Shared {
 /// # Errors
 /// When the first light field fails; later errors are reported, and the current state stays.
 pub(super) fn render(
-    mut studio: Studio,
+    mut live_fields: LiveFields,
     shared: &Shared,
     rates: Rates,
     registry: &Registry,
@@ -106,13 +106,13 @@ pub(super) fn render(
             (seen, is_new) = (number, true);
             let mut job = request.job.clone();
             if is_video {
-                job.light_field.clone_from(&studio.job().light_field);
+                job.light_field.clone_from(&live_fields.job().light_field);
             }
             if request.edition != edition {
                 edition = request.edition;
-                studio.reload();
+                live_fields.reload();
             }
-            if let Err(error) = studio.change(job) {
+            if let Err(error) = live_fields.change(job) {
                 task.warn("live", error.to_string());
             }
         }
@@ -129,9 +129,9 @@ pub(super) fn render(
                 Some(Due::Time(time)) => {
                     let job = lumistack_pipeline::Job {
                         light_field: Some(rates.times[time].clone()),
-                        ..studio.job().clone()
+                        ..live_fields.job().clone()
                     };
-                    is_new = studio.change(job).is_ok();
+                    is_new = live_fields.change(job).is_ok();
                 }
                 Some(Due::End) => {
                     requests.stop();
@@ -147,10 +147,10 @@ pub(super) fn render(
         // A new request must not cancel the first pass of the previous one: otherwise a series of
         // requests would show nothing.
         let cancel = if is_new { task.cancel.clone() } else { requests.pass() };
-        let pass = studio.pass(registry, Task { cancel: &cancel, ..task }).and_then(|made| {
-            *lock(&shared.files) = studio.files();
+        let pass = live_fields.pass(registry, Task { cancel: &cancel, ..task }).and_then(|made| {
+            *lock(&shared.files) = live_fields.files();
             Ok(match made {
-                Some(target) => Some(SolveRequest { target: Arc::new(target), settings: studio.settings()? }),
+                Some(target) => Some(SolveRequest { target: Arc::new(target), settings: live_fields.settings()? }),
                 None => None,
             })
         });
@@ -168,7 +168,7 @@ pub(super) fn render(
             }
             Err(error) => {
                 // the current state stays; files may be incomplete
-                *lock(&shared.files) = studio.files();
+                *lock(&shared.files) = live_fields.files();
                 task.warn("live", error.to_string());
                 is_new = false;
                 while !(is_video || shared.is_stopped() || requests.newest.wait_after(seen, IDLE).is_some()) {}

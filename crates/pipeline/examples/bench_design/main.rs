@@ -1,8 +1,13 @@
-//! `cargo xtask bench design`: how well quality is predicted, and whether a sweep survives being killed.
+//! `cargo xtask bench design`: compares predicted with solved quality, and kills a sweep
+//! repeatedly.
 //!
-//! 40 random designs (uniform and directional, 1 to 5 layers, 1 to 8 frames, β from 0.1 to 1, 15 to 70 mm apart, 10 to 80 lenslets per row) are solved on
-//! still-life at 80 × 50 pixels and 3 × 3 views, and compared with [`predicted_db`]; then 100 small designs are swept in a process that is killed again and
-//! again (SIGKILL), and compared byte by byte with the sweep that was not.
+//! First part: a solver factorizes still-life (80 × 50 pixels, 3 × 3 views) for 40 random designs,
+//! and [`predicted_db`] predicts its PSNR. Designs are uniform or directional, with 1 to 5 layers
+//! and 1 to 8 frames. Their β is 0.1 to 1, their gaps are 15 to 70 mm, and a row has 10 to 80
+//! lenslets.
+//!
+//! Second part: a process sweeps 100 small designs. It is killed (SIGKILL) and started again
+//! several times. Its table must have the bytes of a sweep without interruption.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
@@ -18,7 +23,7 @@ use lumistack_pipeline::{
 };
 use rayon::prelude::*;
 
-/// Least rank correlation of predicted and solved quality.
+/// Minimum rank correlation of predicted and solved quality.
 const LEAST_CORRELATION: f64 = 0.8;
 const DESIGNS: usize = 40;
 
@@ -26,9 +31,9 @@ fn main() -> ExitCode {
     let words: Vec<String> = std::env::args().skip(1).collect();
     let words: Vec<&str> = words.iter().map(String::as_str).collect();
     let result = match words.as_slice() {
-        // what is killed
+        // the process that is killed
         ["child", job, folder] => child(Path::new(job), Path::new(folder)),
-        // numbers to fit the constants of the prediction to
+        // data for a fit of the prediction's constants
         ["features", seed] => print_features(seed.parse().unwrap_or(1000)),
         _ => prediction().and_then(|()| killing()),
     };
@@ -76,7 +81,7 @@ fn random_display(seed: u64, number: u64, field: &LightField) -> Result<Display,
     let mut between = |low: f64, high: f64| low + (high - low) * f64::from(stream.next_f32());
     let directional = between(0.0, 1.0) < 0.5;
     let wrong =
-        |error: &dyn std::fmt::Display| PipelineError::value("bench", "design", "a sound one", error.to_string());
+        |error: &dyn std::fmt::Display| PipelineError::value("bench", "design", "a valid design", error.to_string());
     let base = presets::load(if directional { "fig7-directional" } else { "fig7-uniform" })?;
     let base = base.adapted_to(field.geometry()).map_err(|error| wrong(&error))?;
     let cols = between(10.0, 80.99).floor();
@@ -91,7 +96,7 @@ fn random_display(seed: u64, number: u64, field: &LightField) -> Result<Display,
     change.applied_to(&base).map_err(|error| wrong(&error))
 }
 
-/// Random designs with the PSNR that a solver reaches.
+/// Returns random designs, each with the PSNR in dB that a solver reaches.
 fn solved(seed: u64, count: usize) -> Result<Vec<(Display, f64)>, PipelineError> {
     let field = light_field()?;
     let solve = |number: u64| {
@@ -157,7 +162,7 @@ fn child(job: &Path, folder: &Path) -> Outcome {
     Ok(())
 }
 
-/// Kills the sweep whenever it has solved some more designs.
+/// Kills the sweep after 1, 15, 30, ... designs and compares its table with an uninterrupted one.
 fn killing() -> Outcome {
     let folder = target_folder().join("kill");
     let _ = std::fs::remove_dir_all(&folder);
@@ -171,9 +176,11 @@ fn killing() -> Outcome {
         command.arg("child").arg(&job).arg(out).stdout(Stdio::null());
         command.spawn()
     };
+    // The reference: a sweep without interruption.
     if !start(&whole)?.wait()?.success() {
         return Err("the sweep fails".into());
     }
+    // Kill the process as soon as the folder has the wanted number of designs.
     let done = || {
         let entries = std::fs::read_dir(killed.join("designs"));
         entries.map_or(0, |entries| {
@@ -193,6 +200,7 @@ fn killing() -> Outcome {
         }
         child.wait()?;
     }
+    // The last process finishes the sweep.
     if !start(&killed)?.wait()?.success() {
         return Err("the sweep does not go on".into());
     }

@@ -1,6 +1,8 @@
-//! Two renders of one view in figures and pictures, in linear light; shown with the exposure and the tone curve that a job with nothing set chooses for ours.
+//! Compares two renders of one view by scores in linear light and by pictures. Pictures use the
+//! exposure and tone curve that a job chooses for our render by default.
 //!
-//! With halves a and b of independent noise, E[(o_a − p_a)(o_b − p_b)] is the squared difference of the expected pictures: noise drops out.
+//! Halves a and b of a render have independent noise, which cancels in the product. Therefore
+//! E[(o_a − p_a)(o_b − p_b)] is the squared difference of the expected pictures o and p.
 
 use std::path::Path;
 
@@ -15,25 +17,25 @@ use crate::{Outcome, text};
 /// Gain of the difference picture.
 pub const GAIN: f32 = 4.0;
 
-/// A view rendered twice: `[row][col][rgb]`, scene-linear.
+/// A view rendered twice with independent noise: `[row][col][rgb]`, scene-linear.
 pub struct Halves {
     size: [usize; 2],
     halves: [Vec<f32>; 2],
-    /// Whether a surface covers more than half of the pixel.
+    /// True for pixels of which a surface covers more than half.
     covered: Vec<bool>,
 }
 
-/// What the figures of a pair are.
+/// Scores of a pair of renders.
 pub struct Figures {
-    /// Mean of ours over the mean of Blender's where either sees a surface, per channel.
+    /// Mean of ours over the mean of Blender's, per channel, over pixels with a surface in either.
     pub ratio: [f64; 3],
-    /// Root mean square of the noise-free difference over the mean of Blender's, where either sees a surface.
+    /// Root mean square of the noise-free difference over the mean of Blender's, same pixels.
     pub difference: f64,
-    /// The same of the two pictures as they are, noise and all.
+    /// The same with noise.
     pub with_noise: f64,
-    /// Pixels that both cover over pixels that either covers.
+    /// Pixels that both cover over pixels that either covers, 0..1.
     pub overlap: f64,
-    /// Shift of the middle of the covered pixels, ours minus Blender's, pixels (right, down).
+    /// Shift of the centroid of the covered pixels, ours minus Blender's, pixels (right, down).
     pub shift: [f64; 2],
 }
 
@@ -48,39 +50,41 @@ impl Halves {
         Ok(Self { size, halves: [a.into_linear(), b.into_linear()], covered })
     }
 
-    /// The mean of both halves.
+    /// Returns the mean of both halves.
     pub fn mean(&self) -> Vec<f32> {
         self.halves[0].iter().zip(&self.halves[1]).map(|(a, b)| 0.5 * (a + b)).collect()
     }
 
-    fn display_referred(&self, look: &Look) -> Vec<[f32; 3]> {
-        let exposed = |value: f32| (f64::from(value) * look.exposure) as f32;
-        self.mean().chunks_exact(3).map(|rgb| look.curve.apply([rgb[0], rgb[1], rgb[2]].map(exposed))).collect()
+    fn display_referred(&self, tone_mapping: &ToneMapping) -> Vec<[f32; 3]> {
+        let exposed = |value: f32| (f64::from(value) * tone_mapping.exposure) as f32;
+        self.mean().chunks_exact(3).map(|rgb| tone_mapping.curve.apply([rgb[0], rgb[1], rgb[2]].map(exposed))).collect()
     }
 
-    /// The picture as it is shown.
-    pub fn shown(&self, look: &Look) -> RgbImage {
-        let codes = self.display_referred(look).into_iter().flatten().map(srgb_code).collect();
+    /// Returns the picture after exposure and tone curve, in sRGB codes.
+    pub fn shown(&self, tone_mapping: &ToneMapping) -> RgbImage {
+        let codes = self.display_referred(tone_mapping).into_iter().flatten().map(srgb_code).collect();
         RgbImage::from_raw(self.size[0] as u32, self.size[1] as u32, codes).expect("a value for every pixel")
     }
 }
 
-/// How both pictures are shown.
-pub struct Look {
+/// Exposure and tone curve of both pictures.
+pub struct ToneMapping {
     /// Factor on radiance.
     pub exposure: f64,
-    /// From there to what the display shows.
+    /// Tone curve, applied after the exposure.
     pub curve: ToneCurve,
 }
 
-/// Figures of a pair.
+/// Computes the scores of a pair.
 pub fn figures(ours: &Halves, other: &Halves) -> Figures {
+    // Pixels without a surface in both renders show the environment, so scores leave them out.
     let (o, p) = (ours.mean(), other.mean());
     let either = |i: usize| ours.covered[i] || other.covered[i];
     let pixels: Vec<usize> = (0..ours.covered.len()).filter(|&i| either(i)).collect();
     let sum = |values: &[f32], c: usize| pixels.iter().map(|&i| f64::from(values[3 * i + c])).sum::<f64>();
     let ratio = [0, 1, 2].map(|c| sum(&o, c) / sum(&p, c));
     let mean = (0..3).map(|c| sum(&p, c)).sum::<f64>() / (3 * pixels.len()).max(1) as f64;
+    // The product of the halves' differences estimates the squared difference without noise.
     let (mut clean, mut noisy) = (0.0, 0.0);
     for &i in &pixels {
         for k in 3 * i..3 * i + 3 {
@@ -91,6 +95,7 @@ pub fn figures(ours: &Halves, other: &Halves) -> Figures {
     }
     let relative = |sum: f64| (sum.max(0.0) / (3 * pixels.len()).max(1) as f64).sqrt() / mean;
     let both = pixels.iter().filter(|&&i| ours.covered[i] && other.covered[i]).count();
+    // Centroids show a shift of the camera.
     let centre = |covered: &[bool]| {
         let (mut at, mut count) = ([0.0; 2], 0.0);
         for i in (0..covered.len()).filter(|&i| covered[i]) {
@@ -110,10 +115,10 @@ pub fn figures(ours: &Halves, other: &Halves) -> Figures {
     }
 }
 
-/// Where ours is shown brighter (orange) or darker (blue): luminance times [`GAIN`].
-pub fn difference(ours: &Halves, other: &Halves, look: &Look) -> RgbImage {
+/// Draws the difference of luminance times [`GAIN`]: orange if ours is brighter, blue if darker.
+pub fn difference(ours: &Halves, other: &Halves, tone_mapping: &ToneMapping) -> RgbImage {
     let [cols, rows] = ours.size;
-    let (o, p) = (ours.display_referred(look), other.display_referred(look));
+    let (o, p) = (ours.display_referred(tone_mapping), other.display_referred(tone_mapping));
     RgbImage::from_fn(cols as u32, rows as u32, |x, y| {
         let i = y as usize * cols + x as usize;
         let d = GAIN * (luminance(o[i]) - luminance(p[i]));

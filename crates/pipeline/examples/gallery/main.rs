@@ -1,12 +1,14 @@
-//! The gallery's own half: renders every glTF and USD file of a folder, and makes the page that shows each beside Blender's render.
+//! Renders every glTF and USD file of a folder, and writes the page that compares each with
+//! Blender.
 //!
 //! ```text
 //! gallery render SCENES OUT [--size COLSxROWS] [--samples N] [--turn DEG]
 //! gallery page OUT NOTES
 //! ```
 //!
-//! `cargo xtask gallery` calls both, and Blender in between. A file's folder in OUT holds `ours.json`, `ours-a.exr` and `ours-b.exr`
-//! (half of the samples each: their noise is independent), `covered-ours.npy` and, where there is one, `environment.exr`.
+//! `cargo xtask gallery` calls both, and Blender in between. A file's folder in OUT contains
+//! `ours.json`, `covered-ours.npy` and, if it has one, `environment.exr`. `ours-a.exr` and
+//! `ours-b.exr` have half of the samples each, so their noise is independent.
 
 mod compare;
 mod page;
@@ -15,7 +17,7 @@ mod render;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-/// What goes wrong, as one sentence.
+/// A result whose error is one sentence.
 type Outcome<T = ()> = Result<T, String>;
 
 fn main() -> ExitCode {
@@ -35,7 +37,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Any error as its sentence.
+/// Converts an error to its message.
 fn text(error: impl std::fmt::Display) -> String {
     error.to_string()
 }

@@ -1,4 +1,5 @@
-//! The page: a row of three pictures per file, its figures, and a sentence that says what differs and why.
+//! The page: per file a row of three pictures, its scores, and a sentence that explains
+//! differences.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -7,7 +8,7 @@ use lumistack_core::tone::ToneCurve;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use serde_json::Value;
 
-use crate::compare::{self, Halves, Look};
+use crate::compare::{self, Halves, ToneMapping};
 use crate::{Outcome, text};
 
 const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:1320px;padding:0 1rem;color:#222;background:#fafafa}
@@ -16,23 +17,25 @@ figure{margin:0;flex:1}figcaption{font-size:.85rem;color:#555}.row{display:flex;
 p{margin:.4rem 0;max-width:75em}.figures{font-size:.85rem;color:#555}.message{background:#fff3d6;padding:.4rem .7rem}.none{color:#a00}
 .warning{font-size:.85rem;color:#765}";
 
-/// The comments on the files.
+/// Notes on the files, from a TOML file.
 #[derive(serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Notes {
-    /// What holds for all pairs.
+    /// Notes that apply to all pairs.
     general: Vec<String>,
-    /// A sentence per file, by its name.
+    /// A note per file, by its name.
     files: BTreeMap<String, String>,
 }
 
-/// Writes `index.html` and its pictures from what lies in `out`.
+/// Writes `index.html` and its pictures from the folders in `out`.
 pub fn write(out: &Path, notes: &Path) -> Outcome {
     let source = std::fs::read_to_string(notes).map_err(|error| format!("{}: {error}", notes.display()))?;
     let notes: Notes = toml::from_str(&source).map_err(|error| format!("{}: {error}", notes.display()))?;
+    // Folders without `ours.json` are not of this gallery.
     let mut folders: Vec<PathBuf> = std::fs::read_dir(out).map_err(text)?.flatten().map(|entry| entry.path()).collect();
     folders.retain(|folder| folder.join("ours.json").is_file());
     folders.sort();
+    // One section per file, in the order of their names.
     let mut sections = Vec::new();
     for folder in &folders {
         sections.push(section(out, folder, &notes)?);
@@ -70,7 +73,7 @@ fn section(out: &Path, folder: &Path, notes: &Notes) -> Outcome<Markup> {
         None => pair(out, folder, &ours, blender.as_ref())?,
     };
     let warnings: Vec<&str> = ours["warnings"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
-    // the file is named above
+    // The heading names the file, so warnings leave its path out.
     let prefix = format!("{}: ", ours["path"].as_str().unwrap_or_default());
     Ok(html! {
         section id=(name) {
@@ -78,14 +81,14 @@ fn section(out: &Path, folder: &Path, notes: &Notes) -> Outcome<Markup> {
             (body)
             @match note {
                 Some(note) => p { (note) },
-                None => p.none { "Nobody has written down what differs here." },
+                None => p.none { "No note explains the differences yet." },
             }
             @for warning in warnings { p.warning { "Warning: " (warning.strip_prefix(&prefix).unwrap_or(warning)) } }
         }
     })
 }
 
-/// The three pictures of a file, written beside the page, with their figures.
+/// Writes the three pictures of a file beside the page. Returns them with captions and scores.
 fn pair(out: &Path, folder: &Path, ours: &Value, blender: Option<&Value>) -> Outcome<Markup> {
     let stem = folder.file_name().unwrap_or_default().to_string_lossy();
     let save = |picture: image::RgbImage, kind: &str| -> Outcome<String> {
@@ -95,17 +98,19 @@ fn pair(out: &Path, folder: &Path, ours: &Value, blender: Option<&Value>) -> Out
         Ok(relative)
     };
     let seconds = |about: &Value, key: &str| format!("{:.1} s", about[key].as_f64().unwrap_or(f64::NAN));
+    // Our picture sets exposure and tone curve of all three.
     let halves = Halves::read(folder, "ours", "covered-ours.npy")?;
     let curve = ToneCurve::ALL.iter().find(|(name, _)| ours["curve"] == *name);
     let (_, curve) = *curve.ok_or_else(|| format!("{}: ours.json names no tone curve", folder.display()))?;
-    let look = Look { exposure: ours["exposure"].as_f64().unwrap_or(1.0), curve };
-    let own = save(halves.shown(&look), "ours")?;
+    let tone_mapping = ToneMapping { exposure: ours["exposure"].as_f64().unwrap_or(1.0), curve };
+    let own = save(halves.shown(&tone_mapping), "ours")?;
     let caption = format!(
         "Lumistack: {} samples, {} (ready after {})",
         ours["samples"],
         seconds(ours, "seconds_render"),
         seconds(ours, "seconds_load")
     );
+    // Without Blender's render the row has our picture alone.
     let missing = match blender {
         None => Some("Not rendered.".to_owned()),
         Some(about) => about["error"].as_str().map(|message| format!("Blender: {message}")),
@@ -115,10 +120,11 @@ fn pair(out: &Path, folder: &Path, ours: &Value, blender: Option<&Value>) -> Out
             .row { (figure(&own, &caption)) figure { p.message { (missing) } } figure {} }
         });
     }
+    // Both pictures, their difference, and a line of scores.
     let about = blender.unwrap_or(&Value::Null);
     let other = Halves::read(folder, "blender", "covered.npy")?;
-    let theirs = save(other.shown(&look), "blender")?;
-    let differs = save(compare::difference(&halves, &other, &look), "difference")?;
+    let theirs = save(other.shown(&tone_mapping), "blender")?;
+    let differs = save(compare::difference(&halves, &other, &tone_mapping), "difference")?;
     let figures = compare::figures(&halves, &other);
     let theirs_caption = format!(
         "Blender {}: {} samples, {}",
@@ -137,10 +143,11 @@ fn pair(out: &Path, folder: &Path, ours: &Value, blender: Option<&Value>) -> Out
         100.0 * figures.overlap,
         figures.shift[0],
         figures.shift[1],
-        look.exposure,
-        look.curve.name(),
+        tone_mapping.exposure,
+        tone_mapping.curve.name(),
         ours["triangles"],
     );
+    // The same line appears in the log, so that runs can be compared without a browser.
     println!("{}: {line}", ours["name"].as_str().unwrap_or_default());
     let gain =
         format!("{} × luminance difference: orange where ours is brighter, blue where Blender's is", compare::GAIN);

@@ -1,4 +1,4 @@
-//! Our renders: automatic window and light, the straight view, twice with half of the samples.
+//! Our renders: automatic window and light, the central view, twice with half of the samples.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -10,34 +10,35 @@ use lumistack_field_io::npy;
 use lumistack_field_io::picture::{Precision, write_exr};
 use lumistack_pathtracer::{Renderer, Settings};
 use lumistack_pipeline::{
-    ImporterJob, LightJob, PoseJob, Registry, WindowJob, automatic_look, is_usd, load_scene, place_window, plugins,
+    ImporterJob, LightJob, PoseJob, Registry, WindowJob, automatic_tone_mapping, is_usd, load_scene, place_window,
+    plugins,
 };
 use lumistack_scene::{Pixels, Scene, Similarity, Window};
 use serde_json::{Value, json};
 
 use crate::{Outcome, text};
 
-/// Width of the window in millimetres. Only its shape matters here.
+/// Width of the window, mm. Only the aspect ratio has an effect here.
 const WIDTH_MM: f64 = 420.0;
 /// Scattering events after the first hit: enough for glass in front of glass.
 const MAX_BOUNCES: u32 = 12;
 
-/// What the command line may change.
+/// Options of the command line.
 pub struct Options {
     size: [usize; 2],
     samples: u32,
-    /// Degrees by which the window is turned about its vertical axis, for a second look.
+    /// Rotation of the window about its vertical axis, degrees.
     turn_deg: f64,
 }
 
 impl Options {
-    /// Reads the words after the folders.
+    /// Parses the options after the folders.
     pub fn parse(words: &[&str]) -> Outcome<Self> {
         let mut options = Self { size: [420, 262], samples: 128, turn_deg: 0.0 };
         let mut words = words.iter();
         while let Some(&word) = words.next() {
             let value = words.next().ok_or_else(|| format!("{word} needs a value"))?;
-            let wrong = || format!("{word}: {value} is not what it takes");
+            let wrong = || format!("{word}: invalid value {value}");
             match word {
                 "--samples" => options.samples = value.parse().map_err(|_| wrong())?,
                 "--turn" => options.turn_deg = value.parse().map_err(|_| wrong())?,
@@ -54,6 +55,7 @@ impl Options {
 
 /// Renders every file below `scenes`.
 pub fn all(scenes: &Path, out: &Path, options: &Options) -> Outcome {
+    // Sorted files give the same order on every machine.
     let mut files = Vec::new();
     find(scenes, &mut files)?;
     files.sort();
@@ -61,6 +63,7 @@ pub fn all(scenes: &Path, out: &Path, options: &Options) -> Outcome {
         return Err(format!("{} holds no glTF or USD file", scenes.display()));
     }
     let registry = plugins(&[]).map_err(text)?;
+    // A file that fails gets its message in `ours.json`, and the others follow.
     for file in files {
         let name = file.strip_prefix(scenes).unwrap_or(&file).to_string_lossy().replace('\\', "/");
         let folder = out.join(name.replace('/', "__"));
@@ -99,9 +102,10 @@ fn find(folder: &Path, files: &mut Vec<PathBuf>) -> Outcome {
     Ok(())
 }
 
-/// Renders a file into its folder and says what Blender needs to do the same.
+/// Renders a file into its folder. Returns the settings that Blender needs for the same render.
 fn one(file: &Path, folder: &Path, options: &Options, registry: &Registry, task: Task<'_>) -> Outcome<Value> {
     let [cols, rows] = options.size;
+    // The window is chosen as for a job with defaults.
     let start = Instant::now();
     let ingested =
         load_scene(file, &PoseJob::default(), &ImporterJob::default(), registry, &LightJob::default(), None, task)
@@ -115,6 +119,7 @@ fn one(file: &Path, folder: &Path, options: &Options, registry: &Registry, task:
     let renderer = Renderer::new(scene.clone(), task).map_err(text)?.without_backdrop();
     let seconds_load = start.elapsed().as_secs_f64();
 
+    // Two renders with different seeds have independent noise.
     let start = Instant::now();
     let mut brightest = vec![0.0; rows * cols];
     for (seed, name) in [(1, "ours-a"), (2, "ours-b")] {
@@ -131,8 +136,9 @@ fn one(file: &Path, folder: &Path, options: &Options, registry: &Registry, task:
     let mask = renderer.hit_mask(&window, &geometry, [0, 0], task).map_err(text)?;
     npy::write(&folder.join("covered-ours.npy"), &[rows, cols], mask.data()).map_err(text)?;
 
+    // Exposure and tone curve follow from the mean of both, as in a job.
     let rays: Vec<(f32, bool)> = brightest.into_iter().zip(mask.data().iter().map(|&share| share > 0.5)).collect();
-    let (exposure, curve) = automatic_look(scene, &rays);
+    let (exposure, curve) = automatic_tone_mapping(scene, &rays);
 
     let (map, bounds) = (window.scene_from_display, scene.bounds());
     let reach = 2.0 * f64::from(bounds.size().length()) + (bounds.centre().as_dvec3() - map.translation).length();
@@ -148,7 +154,7 @@ fn one(file: &Path, folder: &Path, options: &Options, registry: &Registry, task:
         "environment": environment,
         "exposure": exposure,
         "curve": curve.name(),
-        // farther from the window than anything in the scene, scene units
+        // upper bound of distances from the window to the scene, scene units
         "reach": reach,
         "window": {
             "centre": map.translation.to_array(),
@@ -158,14 +164,14 @@ fn one(file: &Path, folder: &Path, options: &Options, registry: &Registry, task:
     }))
 }
 
-/// The window seen from the right by `degrees`.
+/// Rotates the window about its vertical axis by `degrees`, to the right.
 fn turned(window: &Window, degrees: f64) -> Window {
     let map = window.scene_from_display;
     let rotation = map.rotation * DQuat::from_rotation_y(degrees.to_radians());
     Window { scene_from_display: Similarity { rotation, ..map }, ..*window }
 }
 
-/// The environment as a picture, its strength multiplied in, and how it is turned.
+/// Writes the environment as a picture, with its strength. Returns its name and rotation.
 fn write_environment(scene: &Scene, folder: &Path) -> Outcome<Value> {
     let Some(environment) = scene.environment else { return Ok(Value::Null) };
     let image = &scene.images[environment.image];

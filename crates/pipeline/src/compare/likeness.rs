@@ -38,7 +38,7 @@ pub(super) fn zone_of(run: &Path) -> Option<ZoneLikeness> {
     Some(ZoneLikeness { psnr_db: number("psnr_zone")?, worst_tenth_db: number("psnr_zone_worst_tenth")? })
 }
 
-/// Most views per axis of a target that are compared.
+/// Maximum number of compared views of a target, per axis.
 const MOST_VIEWS: usize = 5;
 
 /// A selection of a grid's views: evenly spread, with the middle and the outermost ones.

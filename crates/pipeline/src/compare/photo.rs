@@ -60,7 +60,8 @@ pub struct PhotoComparison {
 /// Compares a photograph with the simulation of the run from the camera's position.
 ///
 /// `corners` are those of the light field's rectangle in the photograph, in pixels from its top
-/// left corner: top left, top right, bottom right, bottom left. Default: the photograph's corners.
+/// left corner. Their order is top left, top right, bottom right, bottom left. Default: the
+/// photograph's corners.
 ///
 /// # Errors
 /// If the run or the photograph cannot be read, the pose is wrong, or the corners span no area.

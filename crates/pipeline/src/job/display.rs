@@ -50,8 +50,8 @@ pub struct DisplayJob {
 }
 
 impl DisplayJob {
-    /// Takes a user's text as the path of a file if it ends in `.toml` or has a slash, otherwise as
-    /// the name of a preset.
+    /// Takes a user's text as the name of a preset. With the ending `.toml` or a slash it is the
+    /// path of a file.
     pub fn by_name_or_path(text: impl AsRef<OsStr>) -> Self {
         let path = Path::new(text.as_ref());
         match path.to_str() {

@@ -1,4 +1,4 @@
-//! `[factorize]`: settings of the factorizer.
+//! `[factorize]`: settings of the factorization.
 
 use std::path::PathBuf;
 
@@ -10,59 +10,62 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::PipelineError;
 
-/// Factorizer settings.
+/// Settings of the factorization.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct FactorizeJob {
     /// Name of the solver.
     #[schemars(extend("enum" = solver_names().collect::<Vec<_>>()))]
     pub solver: String,
-    /// Where: `auto`, `cpu`, `gpu` or `gpu:NAME`.
+    /// Device of the solver: `auto`, `cpu`, `gpu` or `gpu:NAME`.
     pub device: String,
-    /// Full updates. Without it 16 of as many views as the display wants: the score over the zone stands still before that (still life, 13 × 13 views: within
-    /// 0.03 dB of 50 from the 12th on). 50 of views that a display or job fixes.
+    /// Iterations. Default: 50 if a display or job fixes the views, otherwise 16. The zone score
+    /// changes little after 12 iterations of a display's own views (still life, 13 × 13 views: 0.03
+    /// dB to iteration 50).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<u32>,
-    /// Starting values: `auto`, `random`, `smooth` or `content`.
+    /// Start: `auto`, `random`, `smooth` or `content`.
     #[schemars(extend("enum" = StartKind::names().collect::<Vec<_>>()))]
     pub start: String,
-    /// Levels of half the resolution to begin at; without it what suits the solver.
+    /// Number of coarser levels to start at, each of half the resolution. Default: the solver's.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub coarse_levels: Option<u32>,
     /// Iterations at each coarser level.
     pub coarse_iterations: u32,
-    /// Whether patterns of layers with few `bits` are re-optimized on the levels that the panel can show.
+    /// If true, patterns of layers with few `bits` are optimized again on the panel's levels.
     pub levels: bool,
-    /// [columns, rows] of tiles in which the display is solved, one after another or by many machines; without it and `tile_mib` the display is solved as a whole.
+    /// Tiles, [columns, rows], each 1 to 1000: the display is solved tile by tile, on one machine
+    /// or many. Without `tiles` and `tile_mib` the display is solved as a whole.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tiles: Option<[usize; 2]>,
-    /// Memory that a solve may take, MiB: the display is cut into as few tiles as keep within it. Not with `tiles`.
+    /// Memory of a solve, MiB, 1 to 16777216: sets the least number of tiles that fit. Not together
+    /// with `tiles`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tile_mib: Option<u64>,
-    /// A `layers` folder to start from instead.
+    /// Folder `layers` of an earlier run to start from, instead of `start`.
     #[serde(skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub warm_start: Option<PathBuf>,
-    /// `.npy` of weights, `[view_y][view_x]` or `[view_y][view_x][row][col]`.
+    /// `.npy` of weights ≥ 0, `[view_y][view_x]` or `[view_y][view_x][row][col]`.
     #[serde(skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub weights: Option<PathBuf>,
-    /// Weight of rays far from every eye of `eyes`.
+    /// Weight of rays far from all `eyes`.
     pub eye_floor: f64,
-    /// Where viewers' eyes are expected; rays count by how near they pass.
+    /// Expected eye positions. The weight of a ray falls with its distance from them.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub eyes: Vec<EyeJob>,
 }
 
-/// A Gaussian around an expected eye.
+/// A Gaussian weight around an expected eye position.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EyeJob {
-    /// [x, y, z] in display space, millimetres; z > 0.
+    /// Position [x, y, z] in display space, mm; z > 0.
     pub eye_mm: [f64; 3],
-    /// Standard deviation, millimetres.
+    /// Standard deviation, mm.
     pub sigma_mm: f64,
-    /// Weight of rays through its centre.
+    /// Weight of rays through the position.
     #[serde(default = "default_eye_weight")]
     pub weight: f64,
 }
@@ -92,13 +95,15 @@ impl Default for FactorizeJob {
 }
 
 impl FactorizeJob {
-    /// Full updates.
+    /// Returns the number of iterations: the job's or the default.
     pub fn iterations(&self) -> u32 {
         self.iterations.unwrap_or(lumistack_factorizer::Settings::default().iterations)
     }
 
+    /// Checks `tiles` and `tile_mib`.
+    ///
     /// # Errors
-    /// Where numbers of tiles make no sense.
+    /// If a number is out of range, both are given, or the device is a graphics processor.
     pub(crate) fn check_tiles(&self) -> Result<(), PipelineError> {
         let fail = |key: &str, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
         let is_cut = self.tiles.is_some() || self.tile_mib.is_some();
@@ -118,7 +123,7 @@ impl FactorizeJob {
         }
     }
 
-    /// The expected eyes as the display model takes them.
+    /// Converts the expected eyes for the display model.
     pub(crate) fn eye_boxes(&self) -> Vec<EyeBox> {
         let boxed = |&EyeJob { eye_mm, sigma_mm, weight }: &EyeJob| EyeBox { eye_mm, sigma_mm, weight };
         self.eyes.iter().map(boxed).collect()

@@ -52,12 +52,13 @@ impl Default for SequenceJob {
 }
 
 impl SequenceJob {
-    /// Most time steps of a sequence: names of their folders have four digits.
+    /// Maximum number of time steps: names of their folders have four digits.
     pub const MOST: usize = 9999;
 
     /// Checks ranges, and keys that need a scene or a source.
     pub(super) fn check(&self, has_scene: bool, has_light_field: bool) -> Result<(), PipelineError> {
         let fail = |key: &str, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
+        // Only a folder of light fields determines the number of time steps.
         match self.times {
             Some(times) if !(1..=Self::MOST).contains(&times) => {
                 return fail("sequence.times", "1 to 9999", times.to_string());
@@ -68,6 +69,7 @@ impl SequenceJob {
             }
             _ => {}
         }
+        // Keys that have no effect for this input are errors, since they are mistakes.
         if (self.turn_deg != 0.0 || self.shift_mm != [0.0; 3]) && !has_scene {
             return fail("sequence", "`turn_deg` and `shift_mm` for a scene only", "them without a scene".into());
         }
@@ -75,6 +77,7 @@ impl SequenceJob {
             let expected = "`duration_s` for a scene or a source only";
             return fail("sequence", expected, "it with light fields".into());
         }
+        // Ranges. The types allow any number, also NaN.
         if self.chunk_times == Some(0) {
             return fail("sequence.chunk_times", "1 or more", "0".into());
         }

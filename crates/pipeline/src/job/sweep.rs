@@ -47,16 +47,16 @@ pub struct SweepJob {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SearchJob {
-    /// Most thickness from the rearmost part to the frontmost, millimetres.
+    /// Maximum thickness from the rearmost part to the frontmost, millimetres.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_thickness_mm: Option<f64>,
     /// Highest refresh rate of the panels, Hz. All frames together must be shown 60 times a second.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_refresh_hz: Option<f64>,
-    /// Most panels: one per layer, and one behind the lenslets.
+    /// Maximum number of panels: one per layer, and one behind the lenslets.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_panels: Option<usize>,
-    /// Least brightness scale β.
+    /// Minimum brightness scale β.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub min_brightness: Option<f64>,
     /// Sufficient PSNR, dB. The search proposes the design of fewest panels and frames that reaches
@@ -101,6 +101,6 @@ impl SweepJob {
         Ok(())
     }
 
-    /// Most designs; a larger number is taken for a mistake.
+    /// Maximum number of designs; more are an error.
     pub const MOST: usize = 10_000;
 }

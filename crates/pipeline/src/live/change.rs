@@ -16,7 +16,7 @@ impl Job {
         let mut all = self.to_json();
         let found = value.to_string();
         set(&mut all, key, value)?;
-        let parsed: Self = serde_json::from_value(all).map_err(|error| unfit(key, &error.to_string(), found))?;
+        let parsed: Self = serde_json::from_value(all).map_err(|error| wrong_value(key, &error.to_string(), found))?;
         let job = Self { folder: self.folder.clone(), file: self.file.clone(), ..parsed };
         job.check()?;
         job.display.resolve()?;
@@ -50,7 +50,7 @@ fn set(all: &mut Value, key: &str, value: Value) -> Result<(), PipelineError> {
 }
 
 /// Converts the parser's message to an error with the known keys, or the expected type.
-fn unfit(key: &str, message: &str, found: String) -> PipelineError {
+fn wrong_value(key: &str, message: &str, found: String) -> PipelineError {
     let last = key.rsplit('.').next().unwrap_or(key);
     if let Some((unknown, known)) =
         message.split_once(", expected ").filter(|(text, _)| text.starts_with("unknown field"))

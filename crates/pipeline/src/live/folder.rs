@@ -12,14 +12,14 @@ use crate::job::Job;
 use crate::steps::{ReportOn, write_report_on};
 use crate::store::files::remove_reports;
 use crate::store::folder;
-use crate::store::lock::Owned;
+use crate::store::lock::FolderLock;
 use crate::store::names::Work;
 use crate::store::settings::{write_display, write_job};
 
 /// A run folder that a live display has locked until the value is dropped.
 pub struct LiveFolder {
     dir: PathBuf,
-    _owned: Owned,
+    _owned: FolderLock,
 }
 
 impl LiveFolder {
@@ -28,8 +28,8 @@ impl LiveFolder {
     /// # Errors
     /// If another run uses it, a file of others is in the way, or an input lies where files are
     /// written.
-    pub fn take(dir: &Path, job: &Job, registry: &Registry, task: Task<'_>) -> Result<Self, PipelineError> {
-        let owned = folder::take(dir, Work::Run, job, registry, task)?;
+    pub fn lock(dir: &Path, job: &Job, registry: &Registry, task: Task<'_>) -> Result<Self, PipelineError> {
+        let owned = folder::lock(dir, Work::Run, job, registry, task)?;
         Ok(Self { dir: dir.to_owned(), _owned: owned })
     }
 
@@ -43,7 +43,7 @@ impl LiveFolder {
     ///
     /// # Errors
     /// If a file cannot be written, or when cancelled.
-    pub fn leave(&self, job: &Job, state: &State, task: Task<'_>) -> Result<PathBuf, PipelineError> {
+    pub fn finish(&self, job: &Job, state: &State, task: Task<'_>) -> Result<PathBuf, PipelineError> {
         let (dir, target) = (&self.dir, &state.target);
         remove_reports(dir)?;
         // Results of an earlier run in this folder do not match these patterns.

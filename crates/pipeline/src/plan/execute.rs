@@ -1,7 +1,8 @@
-//! Executes plans: one step after another, each with what the steps before it left in memory.
+//! Executes plans step by step. Each step finds the results of its inputs in memory.
 //!
-//! A result is dropped after the last step that takes it. A step whose inputs are in no memory executes them first; their results are current in the run folder, so
-//! they are read back. So any step can be executed alone, in another process.
+//! A result is dropped after the last step that reads it. If the results of inputs are not in
+//! memory, the inputs are executed first; they read their current results from the run folder.
+//! Therefore another process can execute any step alone.
 
 mod check;
 pub(crate) mod context;
@@ -20,26 +21,26 @@ use lumistack_plugin_host::Registry;
 use lumistack_report::Stage;
 
 use self::context::Context;
-use self::listen::{PlaceProgress, Tee};
+use self::listen::{Tee, TimeStepProgress};
 use super::estimate::{self, Record};
-use super::steps::{Kind, Plan, Step, What};
+use super::steps::{PartKind, Plan, Step, StepKind};
 use crate::error::PipelineError;
 use crate::stage::fields::Block;
 use crate::stage::output;
 use crate::store::folder;
-use crate::store::lock::{Hold, UNIT_LIMIT, take_for_unit, take_known};
+use crate::store::lock::{Hold, UNIT_LIMIT, lock_for_unit, lock_known};
 use crate::store::names::Work;
 use crate::store::used;
 
 /// Executes the steps of a plan.
 pub(crate) struct Executor<'a> {
     pub(crate) context: Context<'a>,
-    /// Numbers of steps by their ids.
+    /// Indices of steps by their ids.
     ids: HashMap<&'a str, usize>,
-    ends: Vec<Ends>,
+    ends: Vec<LastSteps>,
     done: Vec<bool>,
     records: BTreeMap<String, Record>,
-    /// Where a unit of work is executed: the part that it works in, and how it holds its folder.
+    /// For a unit of work: its part, and how it holds the part's folder.
     unit: Option<(usize, Hold)>,
 }
 
@@ -48,7 +49,7 @@ impl<'a> Executor<'a> {
         let ids = plan.indices();
         Self {
             context: Context::new(plan, registry, command, task),
-            ends: Ends::of(plan, &ids),
+            ends: LastSteps::of(plan, &ids),
             ids,
             done: vec![false; plan.steps.len()],
             records: BTreeMap::new(),
@@ -56,33 +57,33 @@ impl<'a> Executor<'a> {
         }
     }
 
-    /// Executes all steps. The caller holds the run folder.
+    /// Executes all steps. The caller has locked the run folder.
     ///
     /// # Errors
-    /// When a step fails or is cancelled; finished steps are kept and taken up by the next run.
+    /// If a step fails or is cancelled. Finished steps are kept, and the next run reuses them.
     pub(crate) fn execute(&mut self) -> Result<(), PipelineError> {
         self.context.check()?;
-        let is_design = |step: &Step| matches!(self.context.plan.parts[step.part].kind, Kind::Sweep);
-        // the designs of a sweep are solved side by side by its own
+        let is_design = |step: &Step| matches!(self.context.plan.parts[step.part].kind, PartKind::Sweep);
+        // The sweep solves its designs in parallel, in `plan/sweep.rs`.
         let steps = (0..self.context.plan.steps.len()).filter(|index| !is_design(&self.context.plan.steps[*index]));
         let result = steps.collect::<Vec<_>>().into_iter().try_for_each(|index| {
             self.run(index)?;
             self.release(index)
         });
-        // a run that failed before it kept anything leaves nothing
-        let keeps = |step: &Step| !matches!(step.what, What::Ingest | What::Place | What::Read);
+        // A run that failed before its first kept result leaves no file.
+        let keeps = |step: &Step| !matches!(step.kind, StepKind::Ingest | StepKind::Place | StepKind::Read);
         if !self.context.plan.steps.iter().zip(&self.done).any(|(step, done)| *done && keeps(step)) {
             return result;
         }
-        // the next plan knows the steps that were finished, and their times
+        // The next plan reads times and keys of the finished steps, also after an error.
         let noted = estimate::note(self.context.plan, self.context.registry, std::mem::take(&mut self.records));
         result.and(noted)
     }
 
-    /// Executes one step; the results of those before it are read back from the run folder, or made where they are not there.
+    /// Executes one step. Results of earlier steps are read from the run folder, or made.
     ///
     /// # Errors
-    /// As [`execute`](Self::execute), and when there is no such step.
+    /// As [`execute`](Self::execute), and if there is no such step.
     pub(crate) fn execute_alone(&mut self, id: &str) -> Result<(), PipelineError> {
         self.context.check()?;
         let index = self.index(id)?;
@@ -90,11 +91,11 @@ impl<'a> Executor<'a> {
         estimate::note(self.context.plan, self.context.registry, std::mem::take(&mut self.records))
     }
 
-    /// Executes steps of one part as a unit of work, while other processes execute others. The caller holds the run folder together with them, and all units whose
-    /// results this one takes are done.
+    /// Executes steps of one part as a unit of work, while other processes execute other units. The
+    /// caller shares the lock of the run folder with them. All input units are done.
     ///
     /// # Errors
-    /// As [`execute`](Self::execute), and when there is no such step.
+    /// As [`execute`](Self::execute), and if there is no such step.
     pub(crate) fn execute_unit(
         &mut self,
         steps: &[String],
@@ -114,7 +115,7 @@ impl<'a> Executor<'a> {
         Ok(())
     }
 
-    /// Takes results of units that are done into memory, while other processes work.
+    /// Reads results of done units into memory, while other processes work.
     ///
     /// # Errors
     /// As [`execute_unit`](Self::execute_unit).
@@ -126,28 +127,29 @@ impl<'a> Executor<'a> {
         })
     }
 
-    /// Checks jobs, displays, settings and outputs before any work.
+    /// Checks jobs, displays, settings and outputs of all parts.
     ///
     /// # Errors
-    /// The first of them that makes no sense.
+    /// The first invalid value.
     pub(crate) fn check(&mut self) -> Result<(), PipelineError> {
         self.context.check()
     }
 
-    /// Solves a tile of patterns in a round, or traces a block of pictures, for which the scene and the place of the window are enough.
+    /// Solves a tile of the patterns in a round, or traces a block of pictures. Tracing needs only
+    /// the scene and its placement.
     fn run_block(&mut self, index: usize, block: Block, round: Option<usize>) -> Result<(), PipelineError> {
         let plan = self.context.plan;
         let step = &plan.steps[index];
         self.enter(step.part)?;
-        if let (What::Patterns, Some(round)) = (step.what, round.and_then(|round| round.checked_sub(1))) {
+        if let (StepKind::Patterns, Some(round)) = (step.kind, round.and_then(|round| round.checked_sub(1))) {
             return self.context.patterns_tile(step.part, round, block, self.context.task);
         }
-        let place = plan.steps.iter().position(|other| other.part == step.part && other.what == What::Place);
+        let place = plan.steps.iter().position(|other| other.part == step.part && other.kind == StepKind::Place);
         place.map_or(Ok(()), |place| self.run(place))?;
         let task = self.context.task;
-        match step.what {
-            What::Trace => self.context.trace_block(step.part, block, task),
-            What::Score => self.context.score_block(step.part, block, task),
+        match step.kind {
+            StepKind::Trace => self.context.trace_block(step.part, block, task),
+            StepKind::Score => self.context.score_block(step.part, block, task),
             _ => Err(PipelineError::value("plan", "unit", "a block of pictures to trace", &step.id)),
         }
         .map(|_| ())
@@ -165,44 +167,45 @@ impl<'a> Executor<'a> {
         let plan = self.context.plan;
         let step = &plan.steps[index];
         for input in &step.inputs {
-            // in a plan that is executed as a whole they are done
+            // A whole plan has executed the inputs already. A unit of work reads the patterns of a
+            // warm start from their files.
             let input = self.index(input)?;
-            // the patterns to start from are read from their files
-            let of_file = self.unit.is_some() && [step.what, plan.steps[input].what] == [What::Patterns; 2];
+            let of_file = self.unit.is_some() && [step.kind, plan.steps[input].kind] == [StepKind::Patterns; 2];
             if !of_file {
                 self.run(input)?;
             }
         }
         self.context.task.cancel.check()?;
         self.enter(step.part)?;
+        // Collect the step's warnings for its report, and show the time step in progress.
         let warnings = Tee::new(self.context.task.warnings);
         let time = plan.time(step.part);
         let place = time.and_then(|(time, sequence)| match &plan.parts[sequence].kind {
-            Kind::Sequence(times) => Some(format!("{}/{}", time + 1, times.count())),
+            PartKind::Sequence(times) => Some(format!("{}/{}", time + 1, times.count())),
             _ => None,
         });
-        let progress = PlaceProgress { next: self.context.task.progress, place };
+        let progress = TimeStepProgress { next: self.context.task.progress, place };
         let task = Task { progress: &progress, warnings: &warnings, cancel: self.context.task.cancel };
         let start = Instant::now();
         let cached = self.work(step, task);
         self.context.warned.extend(warnings.list.take().into_iter().map(|warning| (step.part, warning)));
         let (cached, seconds) = (cached?, start.elapsed().as_secs_f64());
-        if let Some(told) = told(plan, step) {
+        if let Some(label) = label(plan, step) {
             let stages = &mut self.context.states[step.part].stages;
-            match stages.last_mut().filter(|last| last.name == told) {
-                // tracing, filtering and exposing are one to people
+            match stages.last_mut().filter(|last| last.name == label) {
+                // Reports show tracing, denoising and exposing as one stage.
                 Some(last) => (last.seconds, last.cached) = (last.seconds + seconds, last.cached && cached),
-                None => stages.push(Stage { name: told, seconds, cached }),
+                None => stages.push(Stage { name: label, seconds, cached }),
             }
         }
-        let files = self.context.states[step.part].ingested.as_ref().filter(|_| step.what == What::Ingest);
+        let files = self.context.states[step.part].ingested.as_ref().filter(|_| step.kind == StepKind::Ingest);
         let files = files.map_or(Vec::new(), |ingested| ingested.files.clone());
         self.records.insert(step.id.clone(), Record::new(seconds, cached, files));
         self.done[index] = true;
         Ok(())
     }
 
-    /// Takes the folder of a part, which somebody may run alone.
+    /// Locks the folder of a part, since another run may use that folder alone.
     fn enter(&mut self, part: usize) -> Result<(), PipelineError> {
         let of_part = &self.context.plan.parts[part];
         let Some(parent) = of_part.parent else { return Ok(()) };
@@ -211,38 +214,40 @@ impl<'a> Executor<'a> {
             return Ok(());
         }
         if let Some((own, hold)) = self.unit {
-            // finished results of other parts are only read
+            // A unit of work only reads the finished results of other parts.
             if self.context.plan.is_below(own, part) {
                 let hold = if own == part { hold } else { Hold::Shared };
-                let owned = take_for_unit(&self.context.dir(part), hold, UNIT_LIMIT, self.context.task)?;
+                let owned = lock_for_unit(&self.context.dir(part), hold, UNIT_LIMIT, self.context.task)?;
                 self.context.states[part].owned = Some(owned);
             }
             return Ok(());
         }
-        let in_sweep = matches!(self.context.plan.parts[0].kind, Kind::Sweep);
+        // The folder of a time step is a run folder of its own, with the checks of one.
+        let in_sweep = matches!(self.context.plan.parts[0].kind, PartKind::Sweep);
         let owned = match of_part.kind {
-            Kind::Time(_) if !in_sweep => {
+            PartKind::Time(_) if !in_sweep => {
                 let job = self.context.job(part);
-                folder::take(&self.context.dir(part), Work::Run, &job, self.context.registry, self.context.task)?
+                folder::lock(&self.context.dir(part), Work::Run, &job, self.context.registry, self.context.task)?
             }
-            _ => take_known(&self.context.dir(part), self.context.task)?,
+            _ => lock_known(&self.context.dir(part), self.context.task)?,
         };
         self.context.states[part].owned = Some(owned);
         Ok(())
     }
 
-    /// Drops what no step takes any more, and tidies folders in which the last step has worked.
+    /// Drops results that no later step reads. Removes unused views and unlocks folders without
+    /// later steps.
     fn release(&mut self, index: usize) -> Result<(), PipelineError> {
         for part in 0..self.context.states.len() {
-            let Ends { works, takes } = self.ends[part];
-            if works == index {
+            let LastSteps { in_folder, in_memory } = self.ends[part];
+            if in_folder == index {
                 let views = std::mem::take(&mut self.context.states[part].views);
                 if self.context.states[part].field.is_some() {
                     used::keep_only_views(&self.context.dir(part), &views)?;
                 }
                 self.context.states[part].owned = None;
             }
-            if takes == index {
+            if in_memory == index {
                 let state = &mut self.context.states[part];
                 (state.field, state.patterns, state.references, state.traced) = (None, None, None, None);
             }
@@ -250,72 +255,78 @@ impl<'a> Executor<'a> {
         Ok(())
     }
 
-    /// Does a step's work; says whether its result was there already.
+    /// Executes a step. Returns true if its result was cached.
     fn work(&mut self, step: &Step, task: Task<'_>) -> Result<bool, PipelineError> {
         let (context, part) = (&mut self.context, step.part);
-        match step.what {
-            What::Ingest => context.ingest(part, task),
-            What::Place => context.place(part, task),
-            What::Trace => context.trace(part, task),
-            What::Denoise => context.denoise(part, task),
-            What::Expose => context.expose(part, task),
-            What::Score => context.score(part, task),
-            What::Read => context.read(part, task),
-            What::Source => context.source(part, task),
-            What::Patterns => context.patterns(part, task),
-            What::FieldOutput(number) => context.field_output(part, number, task),
-            What::StackOutput(number) => context.stack_output(part, number, task),
-            What::Measure => context.measure(part, task),
-            What::Report => match &context.plan.parts[part].kind {
-                Kind::Sequence(_) => context.report_sequence(part),
-                Kind::Run | Kind::Time(_) if !context.plan.parts[part].job.nodes.is_empty() => {
+        match step.kind {
+            StepKind::Ingest => context.ingest(part, task),
+            StepKind::Place => context.place(part, task),
+            StepKind::Trace => context.trace(part, task),
+            StepKind::Denoise => context.denoise(part, task),
+            StepKind::Expose => context.expose(part, task),
+            StepKind::Score => context.score(part, task),
+            StepKind::Read => context.read(part, task),
+            StepKind::Source => context.source(part, task),
+            StepKind::Patterns => context.patterns(part, task),
+            StepKind::FieldOutput(number) => context.field_output(part, number, task),
+            StepKind::StackOutput(number) => context.stack_output(part, number, task),
+            StepKind::Measure => context.measure(part, task),
+            StepKind::Report => match &context.plan.parts[part].kind {
+                PartKind::Sequence(_) => context.report_sequence(part),
+                PartKind::Run | PartKind::Time(_) if !context.plan.parts[part].job.nodes.is_empty() => {
                     context.report_graph(part)
                 }
                 _ => context.report(part, task),
             },
-            // a sweep solves its designs side by side
-            What::Design(_) | What::Search => Ok(false),
+            // `plan/sweep.rs` solves the designs in parallel
+            StepKind::Design(_) | StepKind::Search => Ok(false),
         }
     }
 }
 
-/// The name by which people are told of a step; `None` for one that is no stage to them.
-fn told(plan: &Plan, step: &Step) -> Option<String> {
-    let info = plan.stage_of(step.part, step.what);
-    let (told, job) = (info.told?, &plan.parts[step.part].job);
-    Some(match step.what {
-        What::FieldOutput(i) | What::StackOutput(i) => output::stage_name(&job.outputs[i]),
-        What::Patterns => {
-            plan.node(step.part).filter(|_| info.name == "node").map_or(told, |node| node.plugin.as_str()).into()
+/// Returns the name of a step in reports; `None` for steps that reports leave out.
+fn label(plan: &Plan, step: &Step) -> Option<String> {
+    let info = plan.stage_of(step.part, step.kind);
+    let (label, job) = (info.label?, &plan.parts[step.part].job);
+    Some(match step.kind {
+        StepKind::FieldOutput(i) | StepKind::StackOutput(i) => output::stage_name(&job.outputs[i]),
+        StepKind::Patterns => {
+            plan.node(step.part).filter(|_| info.name == "node").map_or(label, |node| node.plugin.as_str()).into()
         }
-        What::Source => job.source.as_ref().map_or(told, |source| source.plugin.as_str()).into(),
-        _ => told.to_owned(),
+        StepKind::Source => job.source.as_ref().map_or(label, |source| source.plugin.as_str()).into(),
+        _ => label.to_owned(),
     })
 }
 
-/// The last steps that concern a part.
+/// Indices of the last steps that concern a part.
 #[derive(Clone, Copy, Default)]
-struct Ends {
-    /// In its folder or below.
-    works: usize,
-    /// That take what it holds in memory.
-    takes: usize,
+struct LastSteps {
+    /// The last step in its folder or below.
+    in_folder: usize,
+    /// The last step that reads its results in memory.
+    in_memory: usize,
 }
 
-impl Ends {
+impl LastSteps {
     fn of(plan: &Plan, ids: &HashMap<&str, usize>) -> Vec<Self> {
         let mut ends = vec![Self::default(); plan.parts.len()];
         for (index, step) in plan.steps.iter().enumerate() {
             for part in plan.around(step.part) {
-                ends[part] = Self { works: index, takes: index };
+                ends[part] = Self { in_folder: index, in_memory: index };
             }
-            // exposure and geometry of the first time are noted, and so are the figures of every time
-            let is_whole = matches!(plan.parts[step.part].kind, Kind::Sequence(_)) && step.what == What::Report;
-            if is_whole || matches!(step.what, What::Ingest | What::Place | What::Trace | What::Read | What::Source) {
+            // Exposure, geometry and scores of time steps are kept elsewhere, so these steps do not
+            // extend the life of light fields.
+            let is_whole = matches!(plan.parts[step.part].kind, PartKind::Sequence(_)) && step.kind == StepKind::Report;
+            if is_whole
+                || matches!(
+                    step.kind,
+                    StepKind::Ingest | StepKind::Place | StepKind::Trace | StepKind::Read | StepKind::Source
+                )
+            {
                 continue;
             }
             for input in step.inputs.iter().filter_map(|id| ids.get(id.as_str())) {
-                plan.around(plan.steps[*input].part).for_each(|part| ends[part].takes = index);
+                plan.around(plan.steps[*input].part).for_each(|part| ends[part].in_memory = index);
             }
         }
         ends

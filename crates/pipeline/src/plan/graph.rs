@@ -12,7 +12,7 @@
 
 use lumistack_display::{Display, FieldGeometry};
 
-use super::steps::{Kind, Plan, What};
+use super::steps::{PartKind, Plan, StepKind};
 use super::still::{TimeBefore, add_display, add_field_outputs, add_score};
 use crate::error::PipelineError;
 use crate::job::{Job, NodeJob, OutputJob};
@@ -38,12 +38,12 @@ pub(crate) fn add_displays(
     let mut ends = add_field_outputs(plan, part, field);
     for (number, node) in job.nodes.iter().enumerate() {
         let folder = folder.join("nodes").join(&node.id);
-        let of_node = plan.add_part(folder, Kind::Node(number), job_of(&job, node), Some(part));
+        let of_node = plan.add_part(folder, PartKind::Node(number), job_of(&job, node), Some(part));
         let [_, end] = add_display(plan, of_node, field, &score, before(Some(node)), reports);
         ends.push(end);
     }
     if reports {
-        ends = vec![plan.add_step(part, What::Report, ends)];
+        ends = vec![plan.add_step(part, StepKind::Report, ends)];
     }
     ends
 }

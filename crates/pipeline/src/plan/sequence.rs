@@ -14,7 +14,7 @@
 //! memory at once, since flicker compares them.
 
 use super::graph::add_displays;
-use super::steps::{Kind, Plan, What};
+use super::steps::{PartKind, Plan, StepKind};
 use super::still::{Before, TimeBefore, add_field};
 use super::times::{Times, name};
 use crate::error::PipelineError;
@@ -30,11 +30,11 @@ pub(crate) fn add_times(plan: &mut Plan, part: usize, fields_only: bool) -> Resu
     let (job, folder) = (plan.parts[part].job.clone(), plan.parts[part].folder.clone());
     let Some(sequence) = &job.sequence else { return Ok(Vec::new()) };
     let times = Times::find(&job, sequence)?;
-    plan.parts[part].kind = Kind::Sequence(times.clone());
+    plan.parts[part].kind = PartKind::Sequence(times.clone());
     // The window is placed once, for the first time step; later ones move with it.
     let placed = job.scene.is_some().then(|| {
-        let ingest = plan.add_step(part, What::Ingest, Vec::new());
-        let place = plan.add_step(part, What::Place, vec![ingest.clone()]);
+        let ingest = plan.add_step(part, StepKind::Ingest, Vec::new());
+        let place = plan.add_step(part, StepKind::Place, vec![ingest.clone()]);
         [ingest, place]
     });
     // Every time step is a part with its own job, and depends on the previous one.
@@ -43,7 +43,7 @@ pub(crate) fn add_times(plan: &mut Plan, part: usize, fields_only: bool) -> Resu
     for time in 0..times.count() {
         let before = times.start(time).map(|before| plan.folder.join(&folder).join(before));
         let of_time = times.job(&job, time, before.as_deref(), None);
-        let of_time = plan.add_part(folder.join(name(time)), Kind::Time(time), of_time, Some(part));
+        let of_time = plan.add_part(folder.join(name(time)), PartKind::Time(time), of_time, Some(part));
         let before = Before {
             ingested: placed.as_ref().filter(|_| times.shares_scene()).map(|[ingest, _]| ingest.as_str()),
             placed: placed.as_ref().map(|[_, place]| place.as_str()),
@@ -66,7 +66,7 @@ pub(crate) fn add_times(plan: &mut Plan, part: usize, fields_only: bool) -> Resu
         fields.push(field);
     }
     if !fields_only {
-        plan.add_step(part, What::Report, ends);
+        plan.add_step(part, StepKind::Report, ends);
     }
     Ok(fields)
 }

@@ -51,12 +51,12 @@ pub struct Step {
     #[serde(skip)]
     pub(crate) part: usize,
     #[serde(skip)]
-    pub(crate) what: What,
+    pub(crate) kind: StepKind,
 }
 
 /// The work of a step in its part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum What {
+pub(crate) enum StepKind {
     Ingest,
     Place,
     Trace,
@@ -86,7 +86,7 @@ pub(crate) enum What {
 pub(crate) struct Part {
     /// The folder, relative to the run folder.
     pub(crate) folder: PathBuf,
-    pub(crate) kind: Kind,
+    pub(crate) kind: PartKind,
     /// The folder's job, as far as it is known before execution.
     pub(crate) job: Job,
     /// The part whose folder contains this one.
@@ -95,7 +95,7 @@ pub(crate) struct Part {
 
 /// Kinds of folders.
 #[derive(Clone, Debug)]
-pub(crate) enum Kind {
+pub(crate) enum PartKind {
     /// A still, or a light field with several nodes.
     Run,
     /// A node of the parent part, by number.
@@ -113,19 +113,19 @@ impl Plan {
         Self { name: job.name.clone(), folder: folder.to_owned(), steps: Vec::new(), parts: Vec::new() }
     }
 
-    pub(crate) fn add_part(&mut self, folder: PathBuf, kind: Kind, job: Job, parent: Option<usize>) -> usize {
+    pub(crate) fn add_part(&mut self, folder: PathBuf, kind: PartKind, job: Job, parent: Option<usize>) -> usize {
         self.parts.push(Part { folder, kind, job, parent });
         self.parts.len() - 1
     }
 
     /// Adds a step after its inputs. Returns its id.
-    pub(crate) fn add_step(&mut self, part: usize, what: What, inputs: Vec<String>) -> String {
+    pub(crate) fn add_step(&mut self, part: usize, kind: StepKind, inputs: Vec<String>) -> String {
         let Part { folder, job, .. } = &self.parts[part];
-        let info = self.stage_of(part, what);
+        let info = self.stage_of(part, kind);
         let (stage, writes) = (info.name, info.writes);
-        let name = match what {
-            What::FieldOutput(i) | What::StackOutput(i) => stage_name(&job.outputs[i]),
-            What::Design(i) => format!("design-{:05}", i + 1),
+        let name = match kind {
+            StepKind::FieldOutput(i) | StepKind::StackOutput(i) => stage_name(&job.outputs[i]),
+            StepKind::Design(i) => format!("design-{:05}", i + 1),
             _ => stage.to_owned(),
         };
         let place = folder.iter().map(|part| part.to_string_lossy());
@@ -143,28 +143,28 @@ impl Plan {
             memory_bytes,
             seconds,
             part,
-            what,
+            kind,
         });
         id
     }
 
     /// The stage of a step.
-    pub(crate) fn stage_of(&self, part: usize, what: What) -> &'static StageInfo {
-        match what {
-            What::Ingest => &stage::INGEST,
-            What::Place => &stage::PLACE,
-            What::Trace => &stage::TRACE,
-            What::Denoise => &stage::DENOISE,
-            What::Expose => &stage::EXPOSE,
-            What::Score => &stage::SCORE,
-            What::Read => &stage::READ,
-            What::Source => &stage::SOURCE,
-            What::FieldOutput(_) | What::StackOutput(_) => &stage::OUTPUT,
-            What::Patterns if is_factorized(self.node(part)) => &stage::FACTORIZE,
-            What::Patterns => &stage::NODE,
-            What::Measure => &stage::MEASURE,
-            What::Report => &stage::REPORT,
-            What::Design(_) | What::Search => &stage::DESIGN,
+    pub(crate) fn stage_of(&self, part: usize, kind: StepKind) -> &'static StageInfo {
+        match kind {
+            StepKind::Ingest => &stage::INGEST,
+            StepKind::Place => &stage::PLACE,
+            StepKind::Trace => &stage::TRACE,
+            StepKind::Denoise => &stage::DENOISE,
+            StepKind::Expose => &stage::EXPOSE,
+            StepKind::Score => &stage::SCORE,
+            StepKind::Read => &stage::READ,
+            StepKind::Source => &stage::SOURCE,
+            StepKind::FieldOutput(_) | StepKind::StackOutput(_) => &stage::OUTPUT,
+            StepKind::Patterns if is_factorized(self.node(part)) => &stage::FACTORIZE,
+            StepKind::Patterns => &stage::NODE,
+            StepKind::Measure => &stage::MEASURE,
+            StepKind::Report => &stage::REPORT,
+            StepKind::Design(_) | StepKind::Search => &stage::DESIGN,
         }
     }
 
@@ -181,7 +181,7 @@ impl Plan {
     /// The node of a part, if it is one.
     pub(crate) fn node(&self, part: usize) -> Option<&NodeJob> {
         match (&self.parts[part].kind, self.parts[part].parent) {
-            (Kind::Node(number), Some(parent)) => self.parts[parent].job.nodes.get(*number),
+            (PartKind::Node(number), Some(parent)) => self.parts[parent].job.nodes.get(*number),
             _ => None,
         }
     }
@@ -189,7 +189,7 @@ impl Plan {
     /// The part with the light field of a part: itself, or the parent of a node.
     pub(crate) fn field_part(&self, part: usize) -> usize {
         match (&self.parts[part].kind, self.parts[part].parent) {
-            (Kind::Node(_), Some(parent)) => parent,
+            (PartKind::Node(_), Some(parent)) => parent,
             _ => part,
         }
     }
@@ -198,7 +198,7 @@ impl Plan {
     pub(crate) fn time(&self, part: usize) -> Option<(usize, usize)> {
         let of_field = self.field_part(part);
         match (&self.parts[of_field].kind, self.parts[of_field].parent) {
-            (Kind::Time(time), Some(sequence)) => Some((*time, sequence)),
+            (PartKind::Time(time), Some(sequence)) => Some((*time, sequence)),
             _ => None,
         }
     }
@@ -206,13 +206,13 @@ impl Plan {
     /// The same part at another time step of its sequence: the time step's part, or its same node.
     pub(crate) fn at_time(&self, part: usize, time: usize) -> Option<usize> {
         let (_, sequence) = self.time(part)?;
-        let is_time = |other: &Part| matches!(other.kind, Kind::Time(t) if t == time) && other.parent == Some(sequence);
+        let is_time =
+            |other: &Part| matches!(other.kind, PartKind::Time(t) if t == time) && other.parent == Some(sequence);
         let of_field = self.parts.iter().position(is_time)?;
         match self.parts[part].kind {
-            Kind::Node(number) => self
-                .parts
-                .iter()
-                .position(|other| matches!(other.kind, Kind::Node(n) if n == number) && other.parent == Some(of_field)),
+            PartKind::Node(number) => self.parts.iter().position(|other| {
+                matches!(other.kind, PartKind::Node(n) if n == number) && other.parent == Some(of_field)
+            }),
             _ => Some(of_field),
         }
     }

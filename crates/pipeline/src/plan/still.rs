@@ -1,6 +1,6 @@
 //! Steps of a still: one light field, patterns of one display, outputs and a report.
 
-use super::steps::{Kind, Plan, What};
+use super::steps::{PartKind, Plan, StepKind};
 
 /// Steps of other parts that a part's light field depends on.
 #[derive(Clone, Copy, Default)]
@@ -19,24 +19,24 @@ pub(crate) fn add_field(plan: &mut Plan, part: usize, before: Before<'_>) -> Str
     let denoised = job.render.denoise.filters();
     let ids = |id: Option<&str>| id.map(str::to_owned).into_iter().collect::<Vec<_>>();
     if job.scene.is_none() {
-        let what = if job.light_field.is_some() { What::Read } else { What::Source };
-        return plan.add_step(part, what, ids(before.first));
+        let kind = if job.light_field.is_some() { StepKind::Read } else { StepKind::Source };
+        return plan.add_step(part, kind, ids(before.first));
     }
     let ingest = match before.ingested {
         Some(id) => id.to_owned(),
-        None => plan.add_step(part, What::Ingest, ids(before.placed)),
+        None => plan.add_step(part, StepKind::Ingest, ids(before.placed)),
     };
     let mut inputs = vec![ingest];
     inputs.extend(ids(before.placed));
-    let mut last = plan.add_step(part, What::Place, inputs);
-    last = plan.add_step(part, What::Trace, vec![last]);
+    let mut last = plan.add_step(part, StepKind::Place, inputs);
+    last = plan.add_step(part, StepKind::Trace, vec![last]);
     if denoised {
-        last = plan.add_step(part, What::Denoise, vec![last]);
+        last = plan.add_step(part, StepKind::Denoise, vec![last]);
     }
     // The exposure of the first time step comes first: it is a setting of this step.
     let mut inputs = ids(before.first);
     inputs.push(last);
-    plan.add_step(part, What::Expose, inputs)
+    plan.add_step(part, StepKind::Expose, inputs)
 }
 
 /// Adds the step that renders the scene for the zone score, which only reports use.
@@ -44,7 +44,7 @@ pub(crate) fn add_score(plan: &mut Plan, part: usize, field: &str) -> Vec<String
     if plan.parts[part].job.scene.is_none() {
         return Vec::new();
     }
-    vec![plan.add_step(part, What::Score, vec![field.to_owned()])]
+    vec![plan.add_step(part, StepKind::Score, vec![field.to_owned()])]
 }
 
 /// The same display at the previous time step.
@@ -75,13 +75,13 @@ pub(crate) fn add_display(
             fields => inputs.extend_from_slice(fields),
         }
     }
-    let patterns = plan.add_step(part, What::Patterns, inputs);
+    let patterns = plan.add_step(part, StepKind::Patterns, inputs);
     let mut last = vec![patterns.clone(), field.clone()];
     // Outputs. Those of the light field belong to the graph, not to its nodes.
-    let is_node = matches!(plan.parts[part].kind, Kind::Node(_));
+    let is_node = matches!(plan.parts[part].kind, PartKind::Node(_));
     let outputs = plan.parts[part].job.outputs.clone();
     for (number, _) in outputs.iter().enumerate().filter(|(_, output)| !output.takes_light_field()) {
-        last.push(plan.add_step(part, What::StackOutput(number), vec![patterns.clone(), field.clone()]));
+        last.push(plan.add_step(part, StepKind::StackOutput(number), vec![patterns.clone(), field.clone()]));
     }
     if !is_node {
         last.extend(add_field_outputs(plan, part, &field));
@@ -90,11 +90,11 @@ pub(crate) fn add_display(
     if plan.time(part).is_some() {
         let mut inputs = vec![patterns.clone(), field.clone()];
         inputs.extend(before.into_iter().flat_map(|before| [before.patterns, before.field]));
-        last.push(plan.add_step(part, What::Measure, inputs));
+        last.push(plan.add_step(part, StepKind::Measure, inputs));
     }
     if reports {
         last.extend_from_slice(score);
-        last = vec![plan.add_step(part, What::Report, last)];
+        last = vec![plan.add_step(part, StepKind::Report, last)];
     }
     let end = last.pop().unwrap_or_else(|| patterns.clone());
     [patterns, end]
@@ -104,5 +104,5 @@ pub(crate) fn add_display(
 pub(crate) fn add_field_outputs(plan: &mut Plan, part: usize, field: &str) -> Vec<String> {
     let outputs = plan.parts[part].job.outputs.clone();
     let of_field = outputs.iter().enumerate().filter(|(_, output)| output.takes_light_field());
-    of_field.map(|(number, _)| plan.add_step(part, What::FieldOutput(number), vec![field.to_owned()])).collect()
+    of_field.map(|(number, _)| plan.add_step(part, StepKind::FieldOutput(number), vec![field.to_owned()])).collect()
 }

@@ -1,13 +1,17 @@
-//! Many designs on one light field: PSNR all over the zone and brightness over layers, frames, β, distances, fields of view and lenslets.
+//! Sweeps: zone score and brightness of many designs over layers, frames, β, gaps, fields of view
+//! and lenslets.
 //!
 //! ```text
-//! job + [sweep] ─▶ designs ─┬─ by light field ─▶ fields/1/target ─┬─▶ designs/KEY.json ─▶ sweep.csv, sweep.json, plots/
-//!                           └─ ...              fields/2/target ─┘   one each, in parallel
+//! job + [sweep] ─▶ designs ─┬─ by light field ─▶ fields/1/target ─┬─▶ designs/KEY.json
+//!                           └─ ...               fields/2/target ─┘   one each, in parallel
+//! designs/*.json ─▶ sweep.csv, sweep.json, plots/
 //! ```
 //!
-//! Of a sequence every light field is one per time, fields/1/t0001/target. A design's file is written beside and renamed, and keyed by all that it depends on, so
-//! that a sweep which was killed goes on from what it has and ends with the same bytes. Designs are solved side by side: small ones do not fill a machine one by
-//! one.
+//! A sweep of a sequence has a light field per time step, `fields/1/t0001/target`. The file of a
+//! design is written atomically, and its key includes all that it depends on. Therefore a killed
+//! sweep continues with its finished designs and ends with the same bytes.
+//!
+//! Designs are solved in parallel, since a small one does not use all threads.
 
 mod designs;
 mod search;
@@ -27,7 +31,7 @@ use serde_json::json;
 
 use super::execute::Executor;
 use super::sequence::add_times;
-use super::steps::{Kind, Plan, What};
+use super::steps::{PartKind, Plan, StepKind};
 use super::still::{Before, add_field, add_score};
 use super::times::later;
 use crate::error::PipelineError;
@@ -37,39 +41,41 @@ use crate::store::files::write;
 use crate::store::settings::write_job;
 use crate::store::used;
 
-/// Pixels per unit of plots as PNG.
+/// Pixels per unit of the plots in PNG files.
 const PNG_SCALE: f32 = 1.5;
 
-/// What a sweep ended with.
+/// Results of a sweep.
 #[derive(Clone, Debug, Serialize)]
 pub struct SweepSummary {
     /// The table.
     #[serde(serialize_with = "lumistack_core::path_text::told")]
     pub csv: PathBuf,
-    /// Designs in it.
+    /// Number of designs in the table.
     pub designs: usize,
-    /// How many of them were there already.
+    /// Number of designs that earlier runs had solved.
     pub kept: usize,
-    /// The plots, as SVG; beside each the same as PNG.
+    /// Plots as SVG; each has a PNG of the same name.
     #[serde(serialize_with = "lumistack_core::path_text::told_each")]
     pub plots: Vec<PathBuf>,
-    /// Plots that `plots = "all"` would add.
+    /// Number of plots that `plots = "all"` would add.
     pub more_plots: usize,
-    /// The design of the highest PSNR all over the zone, or at the target views where that is not known; of several the first.
+    /// The design with the highest zone score, or PSNR at the target views if there is none. The
+    /// first of equal ones.
     pub best: Option<Row>,
-    /// Of a search, the proposed design and the next best, best first.
+    /// The designs that a search proposes, best first.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub proposed: Vec<Row>,
-    /// Of a search, the proposed display as a file.
+    /// File of the display that a search proposes.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[serde(serialize_with = "lumistack_core::path_text::told_optional")]
     pub display: Option<PathBuf>,
 }
 
-/// Solves one design of a sweep, by number from 1, and keeps its row. Its light fields are done.
+/// Solves one design of a sweep, by number from 1, and writes its row. Its light fields must be
+/// done.
 ///
 /// # Errors
-/// When the sweep has no such design, it cannot be solved, or when cancelled.
+/// If the sweep has no such design, the solver fails, or the task is cancelled.
 pub(crate) fn execute_design(
     plan: &Plan,
     designs: &Designs,
@@ -78,7 +84,7 @@ pub(crate) fn execute_design(
     registry: &Registry,
     task: Task<'_>,
 ) -> Result<(), PipelineError> {
-    let step = plan.steps.iter().find(|step| step.what == What::Design(number - 1));
+    let step = plan.steps.iter().find(|step| step.kind == StepKind::Design(number - 1));
     let known = step.zip(designs.candidates.get(number - 1));
     let unknown = || PipelineError::value("plan", "unit", "a design of the sweep", number.to_string());
     let (step, candidate) = known.ok_or_else(unknown)?;
@@ -91,7 +97,7 @@ pub(crate) fn execute_design(
     solver.solve(candidate, job.factorize.iterations(), task.cancel).map(|_| ())
 }
 
-/// Takes the light fields of parts out of an executor's memory; `None` where there are none.
+/// Takes the light fields of parts from an executor's memory; `None` if there are none.
 fn shared(executor: &mut Executor<'_>, parts: &[usize], job: &Job) -> Result<Option<Shared>, PipelineError> {
     let states = &mut executor.context.states;
     let times = parts.iter().filter_map(|part| states[*part].field.take()).collect::<Vec<Arc<_>>>();
@@ -99,33 +105,34 @@ fn shared(executor: &mut Executor<'_>, parts: &[usize], job: &Job) -> Result<Opt
     if times.is_empty() { Ok(None) } else { Shared::new(times, references, job).map(Some) }
 }
 
-/// Designs, and the parts that hold their light fields.
+/// Designs, and the parts of their light fields.
 #[derive(Default)]
 pub(crate) struct Designs {
     candidates: Vec<Candidate>,
-    /// By number of the light field the parts of its times.
+    /// For each light field, the parts of its time steps.
     fields: Vec<Vec<usize>>,
 }
 
-/// Adds a sweep: the light fields that its designs need, and the designs.
+/// Adds the steps of a sweep: light fields, then designs, then the table.
 ///
 /// # Errors
-/// When a design makes no sense, or the constraints of a search leave none.
+/// If a design is invalid, or no design keeps the constraints of a search.
 pub(crate) fn add(plan: &mut Plan, job: &Job, sweep: &SweepJob) -> Result<Designs, PipelineError> {
     sweep.check()?;
-    let root = plan.add_part(PathBuf::new(), Kind::Sweep, job.clone(), None);
+    let root = plan.add_part(PathBuf::new(), PartKind::Sweep, job.clone(), None);
     let (candidates, jobs) = designs::all(job, sweep)?;
     let candidates = match &sweep.search {
         Some(search) => search::allowed(candidates, search)?,
         None => candidates,
     };
+    // Only light fields that some design needs get a part.
     let (mut fields, mut inputs) = (Vec::new(), Vec::new());
     for (number, of_field) in jobs.into_iter().enumerate() {
         let (mut parts, mut ids) = (Vec::new(), Vec::new());
         if candidates.iter().any(|candidate| candidate.field == number) {
             let folder = Path::new("fields").join((number + 1).to_string());
             let is_sequence = of_field.sequence.is_some();
-            let part = plan.add_part(folder, Kind::Run, of_field, Some(root));
+            let part = plan.add_part(folder, PartKind::Run, of_field, Some(root));
             ids =
                 if is_sequence { add_times(plan, part, true)? } else { vec![add_field(plan, part, Before::default())] };
             let steps = plan.steps.iter().filter(|step| ids.contains(&step.id));
@@ -137,23 +144,27 @@ pub(crate) fn add(plan: &mut Plan, job: &Job, sweep: &SweepJob) -> Result<Design
         fields.push(parts);
         inputs.push(ids);
     }
+    // A search decides later which designs it solves, so it is one step.
     let ends = match sweep.search {
-        Some(_) => vec![plan.add_step(root, What::Search, inputs.concat())],
+        Some(_) => vec![plan.add_step(root, StepKind::Search, inputs.concat())],
         None => {
             let designs = candidates.iter().enumerate();
             designs
-                .map(|(number, candidate)| plan.add_step(root, What::Design(number), inputs[candidate.field].clone()))
+                .map(|(number, candidate)| {
+                    plan.add_step(root, StepKind::Design(number), inputs[candidate.field].clone())
+                })
                 .collect()
         }
     };
-    plan.add_step(root, What::Report, ends);
+    plan.add_step(root, StepKind::Report, ends);
     Ok(Designs { candidates, fields })
 }
 
-/// Executes the plan of a sweep: its light fields one after another, then designs side by side, then the table.
+/// Executes a sweep: light fields one after another, then designs in parallel, then the table.
 ///
 /// # Errors
-/// When any stage fails or is cancelled; finished designs are kept and taken up by the next run.
+/// If a stage fails or the task is cancelled. Finished designs are kept, and the next run reuses
+/// them.
 pub(crate) fn execute(
     plan: &Plan,
     designs: &Designs,
@@ -161,6 +172,7 @@ pub(crate) fn execute(
     registry: &Registry,
     task: Task<'_>,
 ) -> Result<SweepSummary, PipelineError> {
+    // Light fields first: designs read them from memory.
     let dir = &plan.folder;
     let mut executor = Executor::new(plan, registry, None, task);
     executor.execute()?;
@@ -169,6 +181,7 @@ pub(crate) fn execute(
     for parts in &designs.fields {
         fields.push(shared(&mut executor, parts, job)?);
     }
+    // Solve all designs, or those that the search selects.
     let solver = Solver { job, fields, folder: dir.join("designs"), later: later(job), registry };
     let sweep = Sweep { solver, used: Mutex::default(), task };
     let (rows, kept, proposed) = match job.sweep.as_ref().and_then(|sweep| sweep.search.as_ref()) {
@@ -186,6 +199,7 @@ pub(crate) fn execute(
             Some(path)
         }
     };
+    // The table and its plots.
     let csv = dir.join("sweep.csv");
     write(&csv, table::csv(&rows).as_bytes())?;
     let all = json!({ "schema": "lumistack/sweep", "version": 1, "name": job.name, "rows": rows });
@@ -193,6 +207,7 @@ pub(crate) fn execute(
     let which = job.sweep.as_ref().map(|sweep| sweep.plots).unwrap_or_default();
     let (plots, more_plots) = table::plots(&rows, which).map_err(PipelineError::Plot)?;
     let plots = write_plots(&dir.join("plots"), &plots)?;
+    // Remove light fields of older settings.
     let used_fields = designs.fields.iter().enumerate().filter(|(_, parts)| !parts.is_empty());
     let used_rows = sweep.used.into_inner().unwrap_or_else(PoisonError::into_inner);
     used::keep_only_fields(dir, used_fields.map(|(number, _)| number + 1), used_rows)?;
@@ -201,10 +216,10 @@ pub(crate) fn execute(
     Ok(SweepSummary { csv, designs: rows.len(), kept, plots, more_plots, best, proposed, display })
 }
 
-/// Writes plots as SVG and PNG; gives the SVGs.
+/// Writes plots as SVG and PNG. Returns the paths of the SVG files.
 ///
 /// # Errors
-/// When they cannot be drawn or written.
+/// If a plot cannot be drawn or written.
 fn write_plots(folder: &Path, plots: &[table::Plot]) -> Result<Vec<PathBuf>, PipelineError> {
     std::fs::create_dir_all(folder).map_err(PipelineError::write(folder))?;
     plots
@@ -219,24 +234,25 @@ fn write_plots(folder: &Path, plots: &[table::Plot]) -> Result<Vec<PathBuf>, Pip
         .collect()
 }
 
-/// Solves designs side by side.
+/// Solves designs in parallel.
 struct Sweep<'a> {
     solver: Solver<'a>,
-    /// Names of the files of all rows that were asked for.
+    /// Names of the files of all rows that this sweep used.
     used: Mutex<BTreeSet<String>>,
     task: Task<'a>,
 }
 
 impl Sweep<'_> {
-    /// A row for every candidate, in their order, and how many were there already.
+    /// Returns a row per candidate, in their order, and the number of rows of earlier runs.
     ///
     /// # Errors
-    /// When a design cannot be solved, or when cancelled.
+    /// If the solver fails on a design, or the task is cancelled.
     fn solve_all(&self, candidates: &[Candidate], iterations: u32) -> Result<(Vec<Row>, usize), PipelineError> {
         let folder = &self.solver.folder;
         std::fs::create_dir_all(folder).map_err(PipelineError::write(folder))?;
         let progress = self.task.progress;
         progress.begin("sweep", candidates.len() as u64, "designs");
+        // Candidates take very different times, so threads take them one by one.
         let finished = AtomicUsize::new(0);
         let solved: Result<Vec<(Row, bool)>, PipelineError> = candidates
             .par_iter()
@@ -251,6 +267,7 @@ impl Sweep<'_> {
             })
             .collect();
         progress.end();
+        // A stopped sweep can continue, so say how far it came.
         let solved = solved.inspect_err(|error| {
             if matches!(error, PipelineError::Cancelled) {
                 let (done, all) = (finished.load(Ordering::Relaxed), candidates.len());

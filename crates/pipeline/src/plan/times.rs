@@ -1,56 +1,73 @@
-//! A time of a sequence is a plain job.
+//! Time steps of a sequence. Each is the job of a still.
 //!
-//! Light fields differ in the file that is read, a moving window in where the display stands, an animated scene in its pose.
+//! Time steps differ in the light field's file, in the window if it moves, or in the pose of an
+//! animated scene.
 
 use std::path::{Path, PathBuf};
 
 use glam::{DQuat, DVec3};
 use lumistack_factorizer::AUTO;
 use lumistack_scene::{Similarity, Window};
-use lumistack_shot::{Look, Placement};
+use lumistack_shot::{Placement, ToneMapping};
 
 use crate::error::PipelineError;
 use crate::job::{FactorizeJob, FitDepth, Job, Near, NodeJob, PoseJob, SequenceJob, SourceJob, WindowFrom, WindowJob};
 use crate::stage::design::Later;
 use crate::stage::node::is_factorized;
 
-/// What `auto` takes after the first time. Extrapolating along a few iterations from patterns of another target overshoots. Measured with content that moves
-/// 2 pixels a time (3 layers, 6 frames, 160 × 100, 5 × 5 views, 5 iterations): block-exact reaches 49.9 dB and flicker 48.8 dB at β = 0.2, extrapolated 47.8 and 46.6 dB; 45.3 dB both
-/// at β = 1, flicker 45.8 and 45.3 dB. Extrapolated gets ahead from 8 to 12 iterations on, and then in error alone. Moving the patterns along with the content first (each
-/// value times the ratio of the two times' content starts) gains 4 dB at the start and 0.1 to 0.4 dB at the end: not worth a second target in memory.
+/// The solver that `auto` selects after the first time step.
+///
+/// Extrapolation overshoots in a few iterations from patterns of another target. Measured with
+/// content that moves 2 pixels per time step (3 layers, 6 frames, 160 × 100, 5 × 5 views, 5
+/// iterations):
+///
+/// | β | solver | PSNR (dB) | flicker (dB) |
+/// |---|---|---|---|
+/// | 0.2 | block-exact | 49.9 | 48.8 |
+/// | 0.2 | extrapolated | 47.8 | 46.6 |
+/// | 1 | block-exact | 45.3 | 45.8 |
+/// | 1 | extrapolated | 45.3 | 45.3 |
+///
+/// Extrapolation is better from 8 to 12 iterations on, and only in error. A start with patterns
+/// moved like the content gains 4 dB at first, but 0.1 to 0.4 dB at the end. That is not worth a
+/// second target in memory.
 const WARM_SOLVER: &str = "block-exact";
 
-/// Below the folder of a sequence: for each time that begins a chunk, patterns of times before it, solved once more.
+/// Folder below a sequence's: for each time step that begins a chunk, patterns of time steps before
+/// it.
 pub(crate) const WARM_UP: &str = "cache/warm-up";
-/// Times before a chunk that are solved once more. Measured with a window that turns by 0.4° a time (84 × 52 pixels, three layers and frames, 25 views): at seams one
-/// is as good as two, within 0.01 dB of the chain's error and 0.5 dB below its flicker; content that moves faster has more to catch up.
+/// Number of time steps before a chunk that are solved again.
+///
+/// Measured with a window that turns by 0.4° per time step (84 × 52 pixels, 25 views, three layers
+/// and frames). One is as good as two: the error is within 0.01 dB of a sequence without chunks,
+/// the flicker 0.5 dB lower. Content that moves faster needs more.
 const WARM_UP_TIMES: usize = 2;
 
-/// The times of a job.
+/// The time steps of a job.
 #[derive(Clone, Debug)]
 pub(crate) struct Times {
     pub(crate) sequence: SequenceJob,
-    /// Of a sequence of light fields, one per time.
+    /// Light fields of a sequence of files, one per time step.
     fields: Vec<PathBuf>,
     count: usize,
 }
 
-/// Facts of the first time that all others share.
+/// Results of the first time step that all others use.
 #[derive(Clone, Copy)]
-pub(crate) struct Begun {
-    /// The place of the window at the first time.
+pub(crate) struct FirstTimeStep {
+    /// Window and depth scale of the first time step.
     pub(crate) placement: Placement,
-    /// Whether the scene got the studio light.
+    /// True if the scene got studio light.
     pub(crate) studio: bool,
-    /// Exposure and tone curve, once the first time is exposed.
-    pub(crate) look: Option<Look>,
+    /// Exposure and tone curve, once the first time step has them.
+    pub(crate) tone_mapping: Option<ToneMapping>,
 }
 
 impl Times {
-    /// Lists the light fields, or counts the times.
+    /// Lists the light fields, or counts the time steps.
     ///
     /// # Errors
-    /// When there are no light fields, or fewer than the job asks for.
+    /// If there are no light fields, or fewer than the job's number of time steps.
     pub(crate) fn find(job: &Job, sequence: &SequenceJob) -> Result<Self, PipelineError> {
         let fields = match (&job.scene, &job.light_field) {
             (None, Some(folder)) => light_fields(folder, sequence.times)?,
@@ -64,24 +81,26 @@ impl Times {
         self.count
     }
 
-    /// The light fields, one per time; none of other sequences.
+    /// Returns the light fields, one per time step; empty for other sequences.
     pub(crate) fn into_fields(self) -> Vec<PathBuf> {
         self.fields
     }
 
-    /// Whether all times look at the same scene in the same pose.
+    /// True if the scene has the same pose in all time steps.
     pub(crate) fn shares_scene(&self) -> bool {
         self.sequence.duration_s == 0.0
     }
 
-    /// The times before a time that are solved once more for it, in their order: some where a chunk begins, else none.
+    /// Returns the time steps that are solved again before a time step that begins a chunk; else
+    /// none.
     pub(crate) fn warm_up(&self, time: usize) -> std::ops::Range<usize> {
         let begins = time > 0 && self.sequence.chunk_times.is_some_and(|chunk| time.is_multiple_of(chunk));
         let count = if begins { self.sequence.warm_up_times.unwrap_or(WARM_UP_TIMES) } else { 0 };
         time.saturating_sub(count)..time
     }
 
-    /// The folder whose patterns a time starts from, below that of the sequence; `None` of the first.
+    /// Returns the folder of the patterns that a time step starts from, below the sequence's
+    /// folder; `None` for the first.
     pub(crate) fn start(&self, time: usize) -> Option<PathBuf> {
         let before = name(time.checked_sub(1)?);
         Some(if self.warm_up(time).is_empty() {
@@ -91,14 +110,18 @@ impl Times {
         })
     }
 
-    /// The pose at the first time.
+    /// Returns the pose of the first time step.
     pub(crate) fn first_pose(&self, job: &Job) -> PoseJob {
         pose_at(job, &self.sequence, 0.0)
     }
 
-    /// The job of a time. After the first one it starts from the patterns in `before`, the folder of [`start`](Self::start), and takes the exposure and the tone curve of the
-    /// first. `begun` is not known before the work.
-    pub(crate) fn job(&self, job: &Job, time: usize, before: Option<&Path>, begun: Option<Begun>) -> Job {
+    /// Returns the job of a time step.
+    ///
+    /// Later time steps start from the patterns in `before`, the folder of [`start`](Self::start).
+    /// They have exposure and tone curve of the first one. `begun` is `None` before the first time
+    /// step has run.
+    pub(crate) fn job(&self, job: &Job, time: usize, before: Option<&Path>, first_step: Option<FirstTimeStep>) -> Job {
+        // Another light field, or the window and pose of this time step.
         let mut of = Job { sequence: None, sweep: None, name: format!("{} {}", job.name, name(time)), ..job.clone() };
         if let Some(path) = self.fields.get(time) {
             of.light_field = Some(path.clone());
@@ -108,17 +131,18 @@ impl Times {
         }
         if job.scene.is_some() {
             of.pose = pose_at(job, &self.sequence, self.share(time));
-            if let Some(Begun { placement, studio, .. }) = begun {
+            if let Some(FirstTimeStep { placement, studio, .. }) = first_step {
                 let window = moved(&placement.window, &self.sequence, self.share(time));
                 of.window = WindowJob { depth_scale: placement.depth_scale, ..given(&window) };
-                // light that the first time needed none of must not come up on the way
+                // Studio light stays on or off for the whole sequence.
                 of.light.automatic &= studio;
             }
             if !self.sequence.reports {
-                // only reports show them
+                // Only reports use these views.
                 (of.render.held_out, of.render.outside, of.report.zone_directions) = (0, 0, 0);
             }
         }
+        // Later time steps start from the patterns of the one before, with the same exposure.
         let Some(before) = before else { return of };
         for node in of.nodes.iter_mut().filter(|node| is_factorized(Some(node))) {
             let layers = before.join("nodes").join(&node.id).join("layers");
@@ -127,27 +151,29 @@ impl Times {
         if of.nodes.is_empty() {
             of.factorize = self.warm(&job.factorize, Some(before.join("layers")));
         }
-        if let Some(look) = begun.and_then(|begun| begun.look).filter(|look| look.exposure > 0.0) {
-            (of.light.automatic_exposure, of.light.exposure_ev) = (false, look.exposure.log2());
-            of.light.tone = look.curve.into();
+        if let Some(tone_mapping) =
+            first_step.and_then(|first_step| first_step.tone_mapping).filter(|tone_mapping| tone_mapping.exposure > 0.0)
+        {
+            (of.light.automatic_exposure, of.light.exposure_ev) = (false, tone_mapping.exposure.log2());
+            of.light.tone = tone_mapping.curve.into();
         }
         of
     }
 
-    /// How a time is factorized that starts from patterns.
+    /// Returns the settings of a time step that starts from patterns.
     pub(crate) fn warm(&self, first: &FactorizeJob, layers: Option<PathBuf>) -> FactorizeJob {
         let solver = if first.solver == AUTO { WARM_SOLVER.into() } else { first.solver.clone() };
         let iterations = self.sequence.iterations;
         FactorizeJob { warm_start: layers, iterations: Some(iterations), coarse_levels: None, solver, ..first.clone() }
     }
 
-    /// How a time is factorized for which the patterns of the time before are no start.
+    /// Returns the settings of a time step whose content differs too much from the one before.
     pub(crate) fn fresh(&self, job: &Job, node: Option<&NodeJob>) -> FactorizeJob {
         let first = node.and_then(|node| node.factorize.as_ref()).unwrap_or(&job.factorize);
         FactorizeJob { warm_start: None, iterations: Some(self.sequence.iterations), ..first.clone() }
     }
 
-    /// Where the light field of a time comes from, for people.
+    /// Describes the origin of a time step's light field for the report.
     pub(crate) fn source(&self, job: &Job, time: usize) -> String {
         if let Some(path) = self.fields.get(time) {
             return path.display().to_string();
@@ -168,13 +194,14 @@ impl Times {
         SourceJob { time: first.time + time as u64, time_s, ..first.clone() }
     }
 
-    /// How much of the movement is done, 0 at the first time and 1 at the last.
+    /// Returns the share of the movement that is done, 0 at the first time step and 1 at the last.
     fn share(&self, time: usize) -> f64 {
         time as f64 / (self.count - 1).max(1) as f64
     }
 }
 
-/// How the later times of a job's sequence are factorized in memory: from patterns, and where those are no start.
+/// Returns settings of later time steps for sequences that are solved in memory: with a warm start,
+/// and without.
 pub(crate) fn later(job: &Job) -> Later {
     let sequence = job.sequence.clone().unwrap_or_default();
     let times = Times { sequence, fields: Vec::new(), count: 1 };
@@ -184,12 +211,13 @@ pub(crate) fn later(job: &Job) -> Later {
     })
 }
 
-/// Folder of a time.
+/// Returns the name of a time step's folder.
 pub(crate) fn name(time: usize) -> String {
     format!("t{:04}", time + 1)
 }
 
-/// The window after a share of its movement: turned about its own vertical axis, and moved along the axes of its first time.
+/// Moves the window by a share of its movement. The rotation is about its vertical axis, the
+/// translation along the axes of the first time step.
 fn moved(window: &Window, sequence: &SequenceJob, share: f64) -> Window {
     let map = window.scene_from_display;
     let turn = DQuat::from_rotation_y((share * sequence.turn_deg).to_radians());
@@ -201,7 +229,7 @@ fn moved(window: &Window, sequence: &SequenceJob, share: f64) -> Window {
     Window { scene_from_display, ..*window }
 }
 
-/// The pose after a share of the sequence's duration.
+/// Returns the pose after a share of the sequence's duration.
 fn pose_at(job: &Job, sequence: &SequenceJob, share: f64) -> PoseJob {
     let mut pose = job.pose.clone();
     if sequence.duration_s != 0.0 {
@@ -210,7 +238,7 @@ fn pose_at(job: &Job, sequence: &SequenceJob, share: f64) -> PoseJob {
     pose
 }
 
-/// A window as a job gives it.
+/// Converts a window to job values.
 fn given(window: &Window) -> WindowJob {
     let map = window.scene_from_display;
     WindowJob {
@@ -220,13 +248,14 @@ fn given(window: &Window) -> WindowJob {
         up: Some((map.rotation * DVec3::Y).to_array()),
         width: Some(map.scale * window.size_mm[0]),
         near: window.near_mm.map_or(Near::Off, |near| Near::At(near * map.scale)),
-        // all times are fitted as the first one is
+        // Placement of the first time step has compressed depth already.
         fit_depth: FitDepth::Off,
         ..WindowJob::default()
     }
 }
 
-/// One light field per time: the folders in `folder`, without any the `.npy` files, without any the pictures; in the order of their names.
+/// Returns one light field per time step: the folders in `folder`; without folders its `.npy`
+/// files; without those its pictures. Sorted by name.
 fn light_fields(folder: &Path, times: Option<usize>) -> Result<Vec<PathBuf>, PipelineError> {
     let error = |source| PipelineError::Read { path: folder.to_owned(), source };
     let mut entries = Vec::new();
@@ -238,6 +267,7 @@ fn light_fields(folder: &Path, times: Option<usize>) -> Result<Vec<PathBuf>, Pip
     let has_extension = |path: &Path, wanted: &[&str]| {
         path.extension().is_some_and(|found| wanted.iter().any(|wanted| found.eq_ignore_ascii_case(wanted)))
     };
+    // Pictures beside folders or arrays are previews, so the first kind that exists wins.
     let kinds: [&dyn Fn(&Path) -> bool; 3] = [&|path| path.is_dir(), &|path| has_extension(path, &["npy"]), &|path| {
         has_extension(path, &["png", "jpg", "jpeg", "exr", "hdr"])
     }];
@@ -246,8 +276,8 @@ fn light_fields(folder: &Path, times: Option<usize>) -> Result<Vec<PathBuf>, Pip
     paths.sort_by_cached_key(|path| natural(&path.file_name().unwrap_or_default().to_string_lossy()));
     let wanted = times.unwrap_or(paths.len());
     let expected = match times {
-        Some(times) => format!("at least {times} light fields, one per time"),
-        None => format!("1 to {} light fields, one per time", SequenceJob::MOST),
+        Some(times) => format!("at least {times} light fields, one per time step"),
+        None => format!("1 to {} light fields, one per time step", SequenceJob::MOST),
     };
     if paths.len() < wanted || !(1..=SequenceJob::MOST).contains(&wanted) {
         let found = format!("{} folders, .npy files or pictures", paths.len());
@@ -257,7 +287,7 @@ fn light_fields(folder: &Path, times: Option<usize>) -> Result<Vec<PathBuf>, Pip
     Ok(paths)
 }
 
-/// Sorts numbers in names by their value: "t2" before "t10".
+/// Returns a sort key that orders numbers in names by value: "t2" before "t10".
 fn natural(name: &str) -> Vec<(String, u128, String)> {
     let mut parts = Vec::new();
     let mut rest = name;
@@ -266,7 +296,7 @@ fn natural(name: &str) -> Vec<(String, u128, String)> {
         let (text, after) = rest.split_at(digits);
         let end = after.find(|c: char| !c.is_ascii_digit()).unwrap_or(after.len());
         let (number, after) = after.split_at(end);
-        // longer numbers than fit sort last, among themselves as texts
+        // Numbers of more than 128 bits sort last, by their text.
         parts.push((
             text.into(),
             number.parse().unwrap_or(if number.is_empty() { 0 } else { u128::MAX }),

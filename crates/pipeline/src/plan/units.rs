@@ -1,60 +1,66 @@
-//! A plan as units of work, which many machines execute in one run folder.
+//! Units of work of a plan, which many machines execute in one run folder.
 //!
 //! ```text
-//! place ─▶ trace 1-of-N ... ─▶ expose ─▶ factorize ─▶ results        of every time and node
-//!                                 └─▶ factorize/round-1/1-of-N ... ─▶ round-2/... ─▶ factorize       of a still that is solved in tiles
+//! place ─▶ trace 1-of-N ... ─▶ expose ─▶ factorize ─▶ results   of every time step and node
+//!                                └─▶ factorize/round-1/1-of-N ... ─▶ round-2/... ─▶ factorize
+//!                                                               of a still in tiles
 //!     └──▶ score 1-of-N ... ────────────────────────▶ results
-//! expose ─▶ designs 1-of-N ...                                        of a sweep
-//! finish: what is left, after all others
+//! expose ─▶ designs 1-of-N ...                                  of a sweep
+//! finish: all other steps, after all other units
 //! ```
 //!
-//! Blocks of pictures are finer than steps, since tracing is most of the work and pictures are published one by one. Other units hold several steps, since each step
-//! alone reads its inputs anew. The last unit is the plain run, which takes up everything and makes again what is not as it was written. So bytes never depend on
-//! the cut.
+//! Tracing is most of the work and writes pictures one by one, so blocks of pictures are smaller
+//! than a step. Other units have several steps, since each unit reads its inputs again.
+//!
+//! The last unit is the plain run. It reuses all results, and makes damaged or missing ones again.
+//! So the bytes of results do not depend on the cut.
 
 use std::collections::{BTreeSet, HashMap};
 
 use lumistack_farm::{Kind as UnitKind, Unit};
 
-use super::steps::{Kind, Plan, Step, What};
+use super::steps::{PartKind, Plan, Step, StepKind};
 use crate::stage::node::{display as display_of_node, is_factorized};
 use crate::stage::tiles::Tiles;
 
 /// The id of the last unit.
 pub(crate) const FINISH: &str = "finish";
 
-/// How a plan is cut.
+/// How a plan is cut into units of work.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Cut {
-    /// Expected time of a block of pictures, seconds.
+pub struct BlockSize {
+    /// Expected time of a block of pictures, seconds, > 0.
     pub block_seconds: f64,
-    /// Number of blocks of each light field, whatever they take.
+    /// Number of blocks of each light field; overrides `block_seconds`.
     pub blocks: Option<usize>,
 }
 
-impl Default for Cut {
+impl Default for BlockSize {
     fn default() -> Self {
         Self { block_seconds: 20.0, blocks: None }
     }
 }
 
-/// Cuts a plan whose estimates are known.
-pub(crate) fn units(plan: &Plan, cut: Cut) -> Vec<Unit> {
-    let mut cutter = Cutter { plan, cut, units: Vec::new(), made_by: HashMap::new() };
+/// Cuts a plan, whose estimates must be filled in.
+pub(crate) fn units(plan: &Plan, block_size: BlockSize) -> Vec<Unit> {
+    let mut cutter = Cutter { plan, block_size, units: Vec::new(), made_by: HashMap::new() };
     for step in &plan.steps {
         cutter.add(step);
     }
     cutter.finish()
 }
 
-/// Share of a solve's time that joining its tiles takes.
+/// Time to join the tiles of a solve, as a share of the solve.
 const JOIN: f64 = 0.02;
 
-/// How a still's solve is cut, and the memory of a tile; `None` where it is not, or where only a light field says how large the display is.
+/// Returns the tiles of a still's solve, and the memory of one in bytes. `None` if it is not cut,
+/// or if only the light field's file has the display's size.
 fn tiles_of(plan: &Plan, part: usize) -> Option<(Tiles, u64)> {
     let field_part = plan.field_part(part);
     let (job, of_field) = (&plan.parts[part].job, &plan.parts[field_part].job);
-    if !matches!(plan.parts[field_part].kind, Kind::Run) || of_field.scene.is_none() || !is_factorized(plan.node(part))
+    if !matches!(plan.parts[field_part].kind, PartKind::Run)
+        || of_field.scene.is_none()
+        || !is_factorized(plan.node(part))
     {
         return None;
     }
@@ -65,58 +71,59 @@ fn tiles_of(plan: &Plan, part: usize) -> Option<(Tiles, u64)> {
         Some(node) => display_of_node(node, &job.resolve_display().ok()?, &display, &geometry).ok()?.0,
     };
     let tiles = Tiles::of(&job.factorize, &display, &geometry)?;
-    // with one view
+    // one view is read at a time
     let bytes = tiles.bytes(&display, &geometry) + 12 * (geometry.rows * geometry.cols) as u64;
     Some((tiles, bytes))
 }
 
 struct Cutter<'a> {
     plan: &'a Plan,
-    cut: Cut,
+    block_size: BlockSize,
     units: Vec<Unit>,
-    /// Units after which the result of a step is there.
+    /// Indices of the units that make the result of a step.
     made_by: HashMap<&'a str, BTreeSet<usize>>,
 }
 
 impl<'a> Cutter<'a> {
     fn add(&mut self, step: &'a Step) {
-        let kind = match step.what {
-            What::Place if !matches!(self.plan.parts[step.part].kind, Kind::Time(_)) => UnitKind::Place,
-            What::Trace => return self.add_blocks(step, UnitKind::Views, step.inputs.clone()),
-            What::Score => {
-                // directions are those of the display, not of the light field
-                let place = self.plan.steps.iter().filter(|other| other.part == step.part && other.what == What::Place);
+        let kind = match step.kind {
+            StepKind::Place if !matches!(self.plan.parts[step.part].kind, PartKind::Time(_)) => UnitKind::Place,
+            StepKind::Trace => return self.add_blocks(step, UnitKind::Views, step.inputs.clone()),
+            StepKind::Score => {
+                // Directions depend on the display alone, so the light field need not be done.
+                let place =
+                    self.plan.steps.iter().filter(|other| other.part == step.part && other.kind == StepKind::Place);
                 return self.add_blocks(step, UnitKind::Score, place.map(|step| step.id.clone()).collect());
             }
-            What::Read | What::Source | What::Expose => UnitKind::Field,
-            What::Patterns => {
+            StepKind::Read | StepKind::Source | StepKind::Expose => UnitKind::Field,
+            StepKind::Patterns => {
                 self.add_tiles(step);
                 UnitKind::Patterns
             }
-            What::FieldOutput(_) | What::StackOutput(_) | What::Measure => return self.add_result(step),
-            What::Report if self.is_report_of_time(step) => return self.add_result(step),
-            What::Design(number) => return self.add_design(step, number),
-            // made with what takes them
-            What::Ingest | What::Place | What::Denoise => return self.pass(step),
-            // the last unit's
-            What::Report | What::Search => return,
+            StepKind::FieldOutput(_) | StepKind::StackOutput(_) | StepKind::Measure => return self.add_result(step),
+            StepKind::Report if self.is_report_of_time(step) => return self.add_result(step),
+            StepKind::Design(number) => return self.add_design(step, number),
+            // units that read these results make them
+            StepKind::Ingest | StepKind::Place | StepKind::Denoise => return self.pass(step),
+            // the last unit makes these
+            StepKind::Report | StepKind::Search => return,
         };
         let mut inputs = self.inputs(&step.inputs);
-        // the last round's tiles, where the step is cut
+        // A solve in tiles waits for the tiles of the last round, and only joins them.
         let last = self.made_by.remove(step.id.as_str());
         inputs.extend(last.iter().flatten());
         let mut unit = self.unit(step, step.id.clone(), kind, inputs);
         if last.is_some() {
             unit.seconds *= JOIN;
         }
-        for taken in self.taken_along(step) {
+        for taken in self.merged_steps(step) {
             (unit.seconds, unit.memory_bytes) =
                 (unit.seconds + taken.seconds, unit.memory_bytes.max(taken.memory_bytes));
         }
         self.push(step, unit);
     }
 
-    /// A step without a unit: those who take it wait for its inputs.
+    /// Adds no unit: units that read this step wait for its inputs.
     fn pass(&mut self, step: &'a Step) {
         let inputs = self.inputs(&step.inputs);
         self.made_by.insert(&step.id, inputs);
@@ -149,7 +156,7 @@ impl<'a> Cutter<'a> {
         let inputs = self.inputs(&inputs);
         let views =
             self.plan.parts[step.part].job.resolve_display().map_or(1, |display| display.views().iter().product());
-        let wanted = self.cut.blocks.unwrap_or((step.seconds / self.cut.block_seconds).ceil() as usize);
+        let wanted = self.block_size.blocks.unwrap_or((step.seconds / self.block_size.block_seconds).ceil() as usize);
         let count = wanted.clamp(1, views.max(1));
         for number in 1..=count {
             let unit = self.unit(step, format!("{}/{number}-of-{count}", step.id), kind, inputs.clone());
@@ -158,11 +165,13 @@ impl<'a> Cutter<'a> {
         }
     }
 
-    /// Adds the tiles of a still's patterns, round after round. Times of a sequence solve theirs within their own unit.
+    /// Adds the tiles of a still's patterns, round by round. A time step solves all its tiles in
+    /// its own unit.
     fn add_tiles(&mut self, step: &'a Step) {
         let Some((tiles, memory_bytes)) = tiles_of(self.plan, step.part) else { return };
         let (rounds, count) = (tiles.rounds(), tiles.count());
         let seconds = step.seconds / (rounds * count) as f64;
+        // A tile of a later round needs the borders of its neighbours from the round before.
         let mut before: Vec<usize> = Vec::new();
         for round in 1..=rounds {
             let first = self.units.len();
@@ -182,20 +191,20 @@ impl<'a> Cutter<'a> {
         self.made_by.insert(&step.id, before.into_iter().collect());
     }
 
-    /// A name in a step's folder.
+    /// Returns a path in a step's folder, with `/` on every system.
     fn place(&self, step: &Step, name: &str) -> String {
         let folder = step.folder.to_string_lossy().replace('\\', "/");
         if folder.is_empty() { name.to_owned() } else { format!("{folder}/{name}") }
     }
 
     fn add_design(&mut self, step: &'a Step, number: usize) {
-        let count = self.plan.steps.iter().filter(|step| matches!(step.what, What::Design(_))).count();
+        let count = self.plan.steps.iter().filter(|step| matches!(step.kind, StepKind::Design(_))).count();
         let inputs = self.inputs(&step.inputs);
         let unit = self.unit(step, format!("designs/{}-of-{count}", number + 1), UnitKind::Design, inputs);
         self.push(step, Unit { block: Some([number + 1, count]), ..unit });
     }
 
-    /// Adds a step to the results of its part, but for a still, whose results are made last.
+    /// Adds a step to the unit `results` of its part. The last unit makes the results of a still.
     fn add_result(&mut self, step: &'a Step) {
         if step.part == 0 {
             return;
@@ -206,6 +215,7 @@ impl<'a> Cutter<'a> {
         let mut inputs = self.inputs(&step.inputs);
         inputs.retain(|input| Some(*input) != known);
         let unit = self.unit(step, id, UnitKind::Results, inputs);
+        // The part has such a unit already: merge the step into it.
         let Some(known) = known else { return self.push(step, unit) };
         self.made_by.entry(&step.id).or_default().insert(known);
         let all = &mut self.units[known];
@@ -224,15 +234,16 @@ impl<'a> Cutter<'a> {
         }
     }
 
-    /// Whether a step is the report of a time with one display, which is kept; those of nodes and of the whole are made of figures in memory.
+    /// True if a step is the report of a time step with one display. Only such reports are cached.
     fn is_report_of_time(&self, step: &Step) -> bool {
         let part = &self.plan.parts[step.part];
-        matches!(part.kind, Kind::Time(_)) && part.job.nodes.is_empty()
+        matches!(part.kind, PartKind::Time(_)) && part.job.nodes.is_empty()
     }
 
-    /// Steps without a unit that a unit of a step executes on its way.
-    fn taken_along(&self, step: &Step) -> Vec<&'a Step> {
-        let alike = |other: &&Step| other.part == step.part && step.what == What::Expose && other.what == What::Denoise;
+    /// Returns steps without a unit that the unit of a step also executes.
+    fn merged_steps(&self, step: &Step) -> Vec<&'a Step> {
+        let alike =
+            |other: &&Step| other.part == step.part && step.kind == StepKind::Expose && other.kind == StepKind::Denoise;
         self.plan.steps.iter().filter(alike).collect()
     }
 
@@ -240,7 +251,7 @@ impl<'a> Cutter<'a> {
         let taken: BTreeSet<&String> = self.units.iter().flat_map(|unit| &unit.inputs).collect();
         let ends = self.units.iter().map(|unit| &unit.id).filter(|id| !taken.contains(id)).cloned().collect();
         let left = self.plan.steps.iter().filter(|step| !self.units.iter().any(|unit| unit.steps.contains(&step.id)));
-        let left = left.filter(|step| step.what != What::Denoise).map(|step| (step.seconds, step.memory_bytes));
+        let left = left.filter(|step| step.kind != StepKind::Denoise).map(|step| (step.seconds, step.memory_bytes));
         let (seconds, memory_bytes) = left.fold((0.0, 0), |(s, m), (seconds, memory)| (s + seconds, memory.max(m)));
         let writes = ["job.toml", "report.html", "report.json", "outputs"].map(String::from).to_vec();
         let (id, steps) = (FINISH.to_owned(), Vec::new());

@@ -1,12 +1,13 @@
-//! Denoising of a rendered light field: views in two halves in, filtered views and what was done to them out.
+//! Denoising of a light field: traced views in, filtered views and error estimates out.
 //!
 //! ```text
-//! cache/views/target-KEY/view_YY_XX-a.exr -b.exr       halves of the samples, as traced
+//! cache/views/target-KEY/view_YY_XX-a.exr -b.exr     traced halves of the samples
 //! cache/views/target-KEY/guided/view_YY_XX.exr       filtered; figures.json is written last
 //! ```
 //!
-//! A run that is stopped goes on from its finished halves, and another filter costs no rendering. Light that views share is told from all else while it is
-//! traced: `split_YY_XX.exr` take the place of the halves.
+//! A stopped run continues from its finished halves, and another filter needs no new rendering. For
+//! the filter `shared`, the path tracer separates light that views share from other light. Then
+//! `split_YY_XX.exr` replace the halves.
 
 mod oidn;
 
@@ -18,7 +19,7 @@ use lumistack_pathtracer::denoise::{self, Estimate, NoisyView, SharedLight, View
 use lumistack_pathtracer::{Checks, Renderer, Settings, SplitView};
 use lumistack_report::{DenoisedView, Denoising};
 use lumistack_scene::Window;
-use lumistack_shot::Look;
+use lumistack_shot::ToneMapping;
 
 use self::oidn::Oidn;
 use super::fields::{FieldJob, Shot};
@@ -27,43 +28,44 @@ use crate::job::Denoise;
 use crate::store::files::{read_json, write_json};
 use crate::store::views::{read_split, read_view, split_path, view_path, write_view};
 
-/// The version of Open Image Denoise that `oidn` would take.
+/// Returns the version of Open Image Denoise that the denoiser `oidn` uses.
 ///
 /// # Errors
-/// When there is none, with where it was looked for.
+/// If it is not installed. The message lists the places where it was searched.
 pub fn oidn_version() -> Result<String, PipelineError> {
     Oidn::find().map(|oidn| oidn.version)
 }
 
-/// Rays per pixel that the guides are averaged over.
+/// Rays per pixel of the guide features.
 pub(crate) const FEATURE_SAMPLES: u32 = 16;
 /// Paths of each render of a checked pixel, over those of a pixel of the views.
 const CHECK_FACTOR: u32 = 2;
-/// Views whose pixels are checked, at most: all over the zone, and enough to judge a filter by.
+/// Maximum number of views whose pixels are checked. They spread over the viewing zone and suffice
+/// to judge a filter.
 const CHECKED_VIEWS: usize = 25;
-/// What the path tracer takes.
+/// Maximum number of samples of the path tracer.
 const MOST_SAMPLES: u32 = 65536;
 
-/// What a denoiser did to the target.
+/// Effect of a denoiser on the target.
 pub(crate) struct Denoised {
     kind: Denoise,
-    /// Per view, in the order of the grid; exposed radiance.
+    /// Per view, in the order of the grid; of exposed radiance.
     figures: Vec<ViewFigures>,
-    /// The middle view as it was, `[row][col][rgb]`, as displayed.
+    /// The central view before the filter, `[row][col][rgb]`, as displayed.
     unbiased: Vec<f32>,
-    /// The middle view as it became, likewise.
+    /// The central view after the filter, likewise.
     filtered: Vec<f32>,
 }
 
-/// Fails early where a filter cannot be had: before an hour of rendering, not after.
+/// Checks before any rendering that the filter is available.
 pub(crate) fn check(kind: Denoise) -> Result<(), PipelineError> {
     if kind == Denoise::Oidn { Oidn::find().map(drop) } else { Ok(()) }
 }
 
-/// Filters the views of all fields that the filter has not been over; says whether it had been over all of them.
+/// Filters all views that are not filtered yet. Returns true if all were.
 ///
 /// # Errors
-/// When cancelled, when a file cannot be written, or when Open Image Denoise is asked for and fails.
+/// If cancelled, if a file cannot be written, or if Open Image Denoise fails.
 pub(crate) fn run(shot: Shot<'_>, fields: &[FieldJob], task: Task<'_>) -> Result<bool, PipelineError> {
     let kind = shot.denoise();
     let mut cached = true;
@@ -76,7 +78,7 @@ pub(crate) fn run(shot: Shot<'_>, fields: &[FieldJob], task: Task<'_>) -> Result
     Ok(cached)
 }
 
-/// Whether the filter has been here.
+/// True if all filtered views of a field are in the cache.
 pub(crate) fn is_finished(field: &FieldJob, kind: Denoise) -> bool {
     let folder = field.finished(kind);
     let is_there = |view| read_view(&view_path(&folder, view, None), &field.traced).is_some();
@@ -84,10 +86,10 @@ pub(crate) fn is_finished(field: &FieldJob, kind: Denoise) -> bool {
     !kind.filters() || (read_figures(&folder).is_some() && shows && field.traced.grid.iter().all(is_there))
 }
 
-/// Filters the views; what was done to them is written last.
+/// Filters the views. Writes the error estimates last, which marks the end.
 ///
 /// # Errors
-/// When cancelled, when a file cannot be written, or when Open Image Denoise is asked for and fails.
+/// If cancelled, if a file cannot be written, or if Open Image Denoise fails.
 fn filter(
     field: &FieldJob,
     kind: Denoise,
@@ -102,9 +104,10 @@ fn filter(
         Denoise::Shared => shared(field, task)?,
         _ => by_guides(field, kind, renderer, window, &folder, task)?,
     };
+    // Pixels of some views are rendered again, to measure noise and bias of the filter.
     let settings = field.seeded(&[]);
     let of_checks = Settings { samples: (CHECK_FACTOR * settings.samples).min(MOST_SAMPLES), ..settings };
-    let mut told = Vec::new();
+    let mut written = Vec::new();
     let stage = if field.is_target() { "check the denoiser" } else { "write views" };
     let count = geometry.grid.iter().count();
     task.progress.begin(stage, count as u64, "views");
@@ -118,16 +121,17 @@ fn filter(
             Checks::default()
         };
         let figures = denoise::figures(&picture, &before, &checks);
-        told.push((figures.mean, [figures.change, figures.mse_before, figures.mse_after].map(|e| e.parts())));
+        written.push((figures.mean, [figures.change, figures.mse_before, figures.mse_after].map(|e| e.parts())));
         task.progress.advance(1, "");
         Ok::<_, PipelineError>(())
     });
     let checked: Result<(), PipelineError> = checked.collect();
     task.progress.end();
     checked?;
-    write_json(&figures_path(&folder), &told)?;
+    // Figures are written last, since they mark the field as finished.
+    write_json(&figures_path(&folder), &written)?;
     if kind == Denoise::Shared {
-        // gigabytes, of which the report shows the middle
+        // Split views take gigabytes, and the report shows the central one alone.
         let middle = middle(geometry);
         for view in geometry.grid.iter().filter(|view| *view != middle) {
             let path = split_path(&field.folder, view);
@@ -137,12 +141,13 @@ fn filter(
     Ok(())
 }
 
-/// The view whose unbiased picture the report shows.
+/// Returns the central view, whose unfiltered picture the report shows.
 fn middle(geometry: &FieldGeometry) -> [usize; 2] {
     geometry.grid.views().map(|count| count / 2)
 }
 
-/// A view before and after the filter, by its number and place: one at a time, since all of them together are large.
+/// Returns a view before and after the filter, by number and grid position. One view at a time,
+/// since all together are large.
 type Filtered<'a> = Box<dyn Fn(usize, [usize; 2]) -> Result<[Tensor<3>; 2], PipelineError> + 'a>;
 
 /// Averages the light that views share.
@@ -164,13 +169,13 @@ fn shared<'a>(field: &'a FieldJob, task: Task<'_>) -> Result<Filtered<'a>, Pipel
     }))
 }
 
-/// A view in parts, as it was traced.
+/// Reads a traced view with separated light.
 fn split(field: &FieldJob, view: [usize; 2]) -> Result<SplitView, PipelineError> {
     let path = split_path(&field.folder, view);
     read_split(&path, &field.traced).ok_or_else(PipelineError::replaced(&path, "cached view"))
 }
 
-/// Filters two halves of every view, guided by what they show.
+/// Filters two halves of every view, guided by features of the first hits.
 fn by_guides<'a>(
     field: &FieldJob,
     kind: Denoise,
@@ -196,7 +201,7 @@ fn by_guides<'a>(
     Ok(Box::new(move |number, _| Ok([views[number].mean(), filtered[number].clone()])))
 }
 
-/// A half of a view, as it was traced.
+/// Reads a traced half of a view.
 fn half(field: &FieldJob, view: [usize; 2], half: usize) -> Result<Tensor<3>, PipelineError> {
     let path = view_path(&field.folder, view, Some(half));
     read_view(&path, &field.traced)
@@ -206,24 +211,37 @@ fn half(field: &FieldJob, view: [usize; 2], half: usize) -> Result<Tensor<3>, Pi
         .ok_or_else(PipelineError::replaced(&path, "cached view"))
 }
 
-/// What the report tells of the filter.
+/// Reads the effect of the filter, for the report.
 ///
 /// # Errors
-/// When what the filter wrote is not there.
-pub(crate) fn denoised(field: &FieldJob, kind: Denoise, look: Look) -> Result<Option<Denoised>, PipelineError> {
+/// If a file of the filter is missing.
+pub(crate) fn denoised(
+    field: &FieldJob,
+    kind: Denoise,
+    tone_mapping: ToneMapping,
+) -> Result<Option<Denoised>, PipelineError> {
     if !kind.filters() {
         return Ok(None);
     }
+    // Figures are of scene-linear radiance; the report shows exposed radiance.
     let folder = field.finished(kind);
     let path = figures_path(&folder);
-    let missing = || PipelineError::value(&path, "content", "the figures just written", "others or none");
+    let missing = || {
+        PipelineError::value(
+            &path,
+            "content",
+            "the figures that were just written",
+            "others or none; another program changes this folder",
+        )
+    };
     let mut figures = read_figures(&folder).ok_or_else(missing)?;
     for f in &mut figures {
-        f.mean *= look.exposure;
-        f.change = f.change.scaled(look.exposure);
-        f.mse_before = f.mse_before.scaled(look.exposure.powi(2));
-        f.mse_after = f.mse_after.scaled(look.exposure.powi(2));
+        f.mean *= tone_mapping.exposure;
+        f.change = f.change.scaled(tone_mapping.exposure);
+        f.mse_before = f.mse_before.scaled(tone_mapping.exposure.powi(2));
+        f.mse_after = f.mse_after.scaled(tone_mapping.exposure.powi(2));
     }
+    // The picture before the filter is the mean of the halves, or the sum of the separated light.
     let middle = middle(&field.traced);
     let mut unbiased: Vec<f32> = if kind == Denoise::Shared {
         split(field, middle)?.radiance().data().to_vec()
@@ -232,13 +250,13 @@ pub(crate) fn denoised(field: &FieldJob, kind: Denoise, look: Look) -> Result<Op
         a.data().iter().zip(b.data()).map(|(a, b)| 0.5 * (a + b)).collect()
     };
     let mut filtered = read_view(&view_path(&folder, middle, None), &field.traced).ok_or_else(missing)?;
-    look.apply_to(&mut unbiased);
-    look.apply_to(&mut filtered);
+    tone_mapping.apply_to(&mut unbiased);
+    tone_mapping.apply_to(&mut filtered);
     Ok(Some(Denoised { kind, figures, unbiased, filtered }))
 }
 
 impl Denoised {
-    /// For the report.
+    /// Returns the figures for the report.
     pub(crate) fn about(&self) -> Denoising<'_> {
         let pair = |estimate: Estimate| [estimate.value(), estimate.error()];
         let view = |figures: &ViewFigures| DenoisedView {
@@ -278,12 +296,14 @@ fn run_filter(
 ) -> Result<Vec<Tensor<3>>, PipelineError> {
     match kind {
         Denoise::Auto | Denoise::Off | Denoise::Shared => Ok(views.iter().map(NoisyView::mean).collect()),
+        // Our filter works on all views together.
         Denoise::Guided => {
             task.progress.begin("denoise", denoise::steps(geometry), "bands");
             let filtered = denoise::denoise(geometry, views, Around::default(), task);
             task.progress.end();
             Ok(filtered?)
         }
+        // The external program works on one view at a time, by files in a temporary folder.
         Denoise::Oidn => {
             let oidn = Oidn::find()?;
             let exchange = folder.join("exchange");
@@ -310,7 +330,7 @@ fn figures_path(folder: &Path) -> PathBuf {
     folder.join("figures.json")
 }
 
-/// What was done to the views in a folder; `None` before it is finished.
+/// Reads the figures of a folder; `None` if the filter has not finished.
 fn read_figures(folder: &Path) -> Option<Vec<ViewFigures>> {
     let list: Vec<(f64, [[f64; 3]; 3])> = read_json(&figures_path(folder))?;
     let figures = list.into_iter().map(|(mean, parts)| {

@@ -1,4 +1,4 @@
-//! How deep the views see, kept in the cache beside them, and what that asks of a display.
+//! Depths of the views, cached beside them, and the depth that they need of a display.
 
 use std::path::Path;
 
@@ -12,12 +12,12 @@ use crate::error::{PipelineError, field_error};
 use crate::store::files::{read_json, write_json};
 use crate::store::key::content_hash;
 
-/// Their file beside the views.
+/// File of the depths, beside the views.
 const FILE: &str = "depth.npy";
-/// Beside it a hash of its content.
+/// File with a hash of its content.
 const HASH: &str = "depth.json";
 
-/// The depths that were kept for the views of a geometry.
+/// Reads cached depths for the views of a geometry; `None` if they are missing or damaged.
 pub(crate) fn kept(folder: &Path, geometry: &FieldGeometry) -> Option<Depths> {
     let geometry = Depths::coarse(geometry);
     let [view_rows, view_cols] = geometry.grid.views();
@@ -29,10 +29,10 @@ pub(crate) fn kept(folder: &Path, geometry: &FieldGeometry) -> Option<Depths> {
     (shape == [view_rows, view_cols, geometry.rows, geometry.cols]).then_some(Depths { geometry, z_mm })
 }
 
-/// Traces depths and keeps them in a folder.
+/// Traces depths and writes them into a folder.
 ///
 /// # Errors
-/// When cancelled, or the file cannot be written.
+/// If cancelled, or the file cannot be written.
 pub(crate) fn trace(
     renderer: &SceneRenderer,
     window: &Window,
@@ -50,7 +50,8 @@ pub(crate) fn trace(
     Ok(depths)
 }
 
-/// What depths ask of a display that shows the views at the slopes of `shown`, with depth scaled as the placement says.
+/// Compares the depths with the depth of field of a display. `shown` has the slopes at which the
+/// display shows the views; the placement has the depth scale.
 pub(crate) fn budget(depths: &Depths, display: &Display, shown: &FieldGeometry, placement: &Placement) -> DepthBudget {
     let projection = shown.grid.projection;
     let z_mm: Vec<f32> =

@@ -1,7 +1,8 @@
-//! A design of a sweep is solved on the light fields of all times, for every node, and scored.
+//! Solves a design of a sweep on the light fields of all time steps, for every node, and scores it.
 //!
-//! A figure over several times is that of all their rays together, as in the report of a sequence; beside it stands the worst time's. A node without a display of its
-//! own takes the design's, any other keeps its own and is the same for all designs: a baseline.
+//! A score over several time steps is of all their rays together, as in a sequence's report. The
+//! worst time step's score is in a column beside it. A node without a display of its own has the
+//! design's display. Other nodes keep theirs; they are equal for all designs, as baselines.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -12,11 +13,11 @@ use lumistack_design::table::{Design, MOST_DB, NodeRow, Row};
 use lumistack_display::{Display, LayerStack, LightField, Weights, ZoneScore, score};
 use lumistack_plugin_host::Registry;
 
-use super::device::Site;
+use super::device::SolverDevice;
 use super::factorize::Solve;
 use super::field::{Field, add_weights, eye_weights};
 use super::node;
-use super::node::Given;
+use super::node::NodeInput;
 use super::score::References;
 use crate::error::{PipelineError, display_error};
 use crate::job::{FactorizeJob, Job, NodeJob};
@@ -24,27 +25,29 @@ use crate::store::code;
 use crate::store::files::{read_json, write_json};
 use crate::store::key::KeyBuilder;
 
-/// A design to solve.
+/// A design to solve, with its display.
 #[derive(Clone, Debug)]
 pub(crate) struct Candidate {
     pub(crate) design: Design,
     pub(crate) display: Display,
-    /// Its light fields, by number.
+    /// Index of its light fields.
     pub(crate) field: usize,
 }
 
-/// Light fields that several designs share, one per time.
+/// Light fields that several designs share, one per time step.
 pub(crate) struct Shared {
     times: Vec<Arc<Field>>,
-    /// The scene's pictures all over the zone, of a still.
+    /// The scene's pictures over the viewing zone, of a still.
     references: Option<Arc<References>>,
-    /// Hash of all of it.
+    /// Hash of all light fields, weights and references.
     key: String,
 }
 
 impl Shared {
+    /// Computes the hash of the light fields.
+    ///
     /// # Errors
-    /// When expected eyes make no sense.
+    /// If expected eyes are invalid.
     pub(crate) fn new(
         times: Vec<Arc<Field>>,
         references: Option<Arc<References>>,
@@ -65,27 +68,27 @@ impl Shared {
     }
 }
 
-/// How the later times of a sequence are factorized: from patterns, and where those are no start.
+/// Returns settings of later time steps: with a warm start, and without.
 pub(crate) type Later = Box<dyn Fn(&FactorizeJob) -> [FactorizeJob; 2] + Send + Sync>;
 
-/// Solves designs and keeps their rows.
+/// Solves designs and writes their rows.
 pub(crate) struct Solver<'a> {
     pub(crate) job: &'a Job,
     pub(crate) fields: Vec<Option<Shared>>,
-    /// Of the rows.
+    /// Folder of the rows.
     pub(crate) folder: PathBuf,
     pub(crate) later: Later,
     pub(crate) registry: &'a Registry,
 }
 
-/// Warnings about one design among a hundred tell nobody anything.
+/// Drops warnings, since those of single designs in a large sweep have no use.
 struct Silent;
 
 impl Warnings for Silent {
     fn warn(&self, _warning: Warning) {}
 }
 
-/// Errors of a display at one time.
+/// Errors of a display at one time step.
 struct Errors {
     target: SquaredError,
     zone: Option<ZoneScore>,
@@ -94,10 +97,11 @@ struct Errors {
 }
 
 impl Solver<'_> {
-    /// The row of a design, the name of its file, and whether it was there already.
+    /// Returns the row of a design, the name of its file, and true if it was cached.
     ///
     /// # Errors
-    /// When the design makes no sense or cannot be solved, its row cannot be kept, or when cancelled.
+    /// If the design is invalid, the solver fails, the row cannot be written, or the task is
+    /// cancelled.
     pub(crate) fn solve(
         &self,
         candidate: &Candidate,
@@ -110,6 +114,7 @@ impl Solver<'_> {
         };
         let display = self.display_on(candidate, shared)?;
         display.check().map_err(|source| display_error(source, &candidate.design.display))?;
+        // The key has everything that the row depends on.
         let job = &self.job.factorize;
         let mut key = KeyBuilder::new("design", code::DESIGNS);
         key.add("field", shared.key.as_bytes())
@@ -125,6 +130,7 @@ impl Solver<'_> {
         }
         let name = format!("{}.json", &key.finish()[..24]);
         let path = self.folder.join(&name);
+        // A row counts only if it describes this design.
         if let Some(row) = read_json::<Row>(&path).filter(|row| row.design == candidate.design) {
             return Ok((row, name, true));
         }
@@ -133,7 +139,8 @@ impl Solver<'_> {
         Ok((row, name, false))
     }
 
-    /// A light field that was read has a geometry of its own, to which the display adapts.
+    /// Returns the display of a design. For a light field from a file it is adapted to the file's
+    /// geometry.
     fn display_on(&self, candidate: &Candidate, shared: &Shared) -> Result<Display, PipelineError> {
         match (&self.job.scene, shared.times.first()) {
             (None, Some(first)) => {
@@ -160,7 +167,7 @@ impl Solver<'_> {
             rows.push(node_row(node.map_or("", |node| &node.id), &times));
         }
         let of_nodes = if self.job.nodes.is_empty() { Vec::new() } else { rows.clone() };
-        // the figures of all are the first one's
+        // the scores of the row are those of the first node
         let first = rows.swap_remove(0);
         Ok(Row {
             design: candidate.design.clone(),
@@ -174,7 +181,7 @@ impl Solver<'_> {
         })
     }
 
-    /// The errors of a display at all times, each from the patterns of the time before.
+    /// Solves a display for all time steps. Each starts from the patterns of the one before.
     fn times(
         &self,
         of_node: Option<&NodeJob>,
@@ -183,13 +190,14 @@ impl Solver<'_> {
         iterations: u32,
         cancel: &Cancel,
     ) -> Result<Vec<Errors>, PipelineError> {
-        // bars of many designs at once would be noise
+        // Designs are solved in parallel, so their progress would mix.
         let task = Task { progress: &NoProgress, warnings: &Silent, cancel };
         let own = of_node.and_then(|node| node.display.as_ref()).map(|display| display.resolve()).transpose()?;
         let factorize = of_node.and_then(|node| node.factorize.as_ref()).unwrap_or(&self.job.factorize);
         let first = FactorizeJob { iterations: Some(iterations), ..factorize.clone() };
         let mut before: Option<LayerStack> = None;
         let mut all = Vec::new();
+        // A node may have a display of its own, which the light field's geometry adapts.
         for field in &shared.times {
             let target = &field.target;
             let display = match (of_node, &own) {
@@ -197,31 +205,33 @@ impl Solver<'_> {
                 _ => design.clone(),
             };
             let weights = eye_weights(factorize, target.geometry())?;
+            // Make the patterns: by a node plugin, or by a solver, with or without warm start.
             let stack = match of_node.filter(|of_node| !node::is_factorized(Some(of_node))) {
                 Some(node) => {
-                    let given = Given { node, seed: self.job.seed, display: &display, target, weights: &weights };
+                    let given = NodeInput { node, seed: self.job.seed, display: &display, target, weights: &weights };
                     node::make(given, self.registry, task)?.0
                 }
                 None => {
                     let weights = &weights;
                     let solve = Solve { job: &first, seed: self.job.seed, display: &display, target, weights };
                     match &before {
-                        None => solve.factorize(&Site::Processor, None, task, &mut |_| {})?.stack,
+                        None => solve.factorize(&SolverDevice::Processor, None, task, &mut |_| {})?.stack,
                         Some(before) => {
                             let [warm, fresh] = (self.later)(factorize);
                             let fresh = Solve { job: &fresh, ..solve };
                             match fresh.warm_start_pays(before, &warm.solver, task)? {
                                 true => {
                                     Solve { job: &warm, ..solve }
-                                        .factorize(&Site::Processor, Some(before), task, &mut |_| {})?
+                                        .factorize(&SolverDevice::Processor, Some(before), task, &mut |_| {})?
                                         .stack
                                 }
-                                false => fresh.factorize(&Site::Processor, None, task, &mut |_| {})?.stack,
+                                false => fresh.factorize(&SolverDevice::Processor, None, task, &mut |_| {})?.stack,
                             }
                         }
                     }
                 }
             };
+            // Score the patterns at the target views, between them, and over the viewing zone.
             let error = |field: &LightField, weights: &Weights| {
                 let views = score(&display, &stack, field, weights).views.into_iter();
                 views.fold(SquaredError::default(), |sum, view| sum.merged(view.error))
@@ -242,7 +252,7 @@ fn node_row(id: &str, times: &[Errors]) -> NodeRow {
     let brightness = times.last().map_or(1.0, |time| time.brightness);
     let between = times.iter().filter_map(|time| time.between).reduce(SquaredError::merged).map(SquaredError::psnr);
     let worst = times.iter().map(|time| time.target.psnr()).fold(f64::INFINITY, f64::min);
-    // of a still alone
+    // only stills have references
     let zone = times.first().and_then(|time| time.zone.as_ref());
     NodeRow {
         id: id.into(),

@@ -1,4 +1,5 @@
-//! Where patterns are solved: on the processor, or on a graphics processor in a build with the feature `gpu`.
+//! The device of the solver: the processor, or a graphics processor in a build with the feature
+//! `gpu`.
 
 use lumistack_core::Task;
 use lumistack_factorizer::device::Executor;
@@ -7,22 +8,22 @@ use lumistack_factorizer::{FactorizeError, Processor};
 use crate::error::PipelineError;
 use crate::store::key::KeyBuilder;
 
-/// An open place to solve at.
-pub(crate) enum Site {
+/// An open device to solve on.
+pub(crate) enum SolverDevice {
     Processor,
     #[cfg(feature = "gpu")]
     Device {
         device: lumistack_factorizer_gpu::Device,
-        /// Whether nobody asked for it, so that the processor will do as well.
+        /// True if the job requests no graphics processor, so that the processor may replace it.
         optional: bool,
     },
 }
 
-impl Site {
-    /// The one that a job names: `auto`, `cpu`, `gpu` or `gpu:NAME`.
+impl SolverDevice {
+    /// Opens the device that a job names: `auto`, `cpu`, `gpu` or `gpu:NAME`.
     ///
     /// # Errors
-    /// When it is none of these, or the device is not there.
+    /// If the name is another one, or the device is missing.
     pub(crate) fn of(device: &str) -> Result<Self, PipelineError> {
         check(device)?;
         #[cfg(feature = "gpu")]
@@ -31,7 +32,7 @@ impl Site {
             let name = device.strip_prefix("gpu:");
             match device {
                 "cpu" => {}
-                // most machines have none that is worth it
+                // Without a usable graphics processor, `auto` is the processor.
                 "auto" => {
                     if let Ok(device) = Device::open(None) {
                         return Ok(Self::Device { device, optional: true });
@@ -54,7 +55,7 @@ impl Site {
         }
     }
 
-    /// Whether the processor may take over.
+    /// True if the processor may replace the device.
     fn is_optional(&self) -> bool {
         match self {
             Self::Processor => false,
@@ -63,10 +64,10 @@ impl Site {
         }
     }
 
-    /// Adds what the results depend on beside the processor's code: a device rounds in its own way.
+    /// Adds the device to a key: its rounding differs from the processor's.
     pub(crate) fn add_to(&self, key: &mut KeyBuilder) {
         match self {
-            // keys of results of the processor are the same in every build
+            // Results of the processor have equal keys in builds with and without the feature.
             Self::Processor => _ = key,
             #[cfg(feature = "gpu")]
             Self::Device { device, .. } => {
@@ -78,29 +79,30 @@ impl Site {
     }
 }
 
-/// Works at the site of a job; where that is a device that nobody asked for, and it cannot do this or is lost, on the processor, with a note.
+/// Executes work on a job's device. If `auto` selected a graphics processor that fails, the
+/// processor repeats the work, with a warning.
 ///
 /// # Errors
-/// Those of the work, and of [`Site::of`].
-pub(crate) fn at_site<T>(
+/// Those of the work and of [`SolverDevice::of`].
+pub(crate) fn on_device<T>(
     device: &str,
     task: Task<'_>,
-    mut work: impl FnMut(&Site) -> Result<T, PipelineError>,
+    mut work: impl FnMut(&SolverDevice) -> Result<T, PipelineError>,
 ) -> Result<T, PipelineError> {
-    let site = Site::of(device)?;
+    let site = SolverDevice::of(device)?;
     match work(&site) {
         Err(PipelineError::Factorize(error @ FactorizeError::Device { .. })) if site.is_optional() => {
             task.warn("device", format!("{error}; solving on the processor instead"));
-            work(&Site::Processor)
+            work(&SolverDevice::Processor)
         }
         result => result,
     }
 }
 
-/// Checks the words of a job, without looking for the device.
+/// Checks the device name of a job, without opening the device.
 ///
 /// # Errors
-/// When they name no kind of device, or one that this build has no code for.
+/// If the name is unknown, or this build has no code for the device.
 pub(crate) fn check(device: &str) -> Result<(), PipelineError> {
     let is_gpu = device == "gpu" || device.strip_prefix("gpu:").is_some_and(|name| !name.is_empty());
     if is_gpu && !cfg!(feature = "gpu") {
@@ -122,7 +124,7 @@ mod tests {
         for good in ["auto", "cpu"] {
             check(good).unwrap();
         }
-        assert!(matches!(Site::of("cpu").unwrap(), Site::Processor));
+        assert!(matches!(SolverDevice::of("cpu").unwrap(), SolverDevice::Processor));
         for bad in ["", "gpu:", "GPU", "cuda"] {
             assert!(check(bad).unwrap_err().to_string().contains("factorize.device"), "{bad}");
         }

@@ -1,17 +1,21 @@
-//! Traced views become display-referred light fields: one exposure and one tone curve for all of them, and a background where the job has one.
+//! Exposes traced views to display-referred light fields, with one exposure and tone curve, and a
+//! background if the job has one.
 //!
 //! ```text
-//! L = (1 − m) · curve(exposure · radiance / (1 − m)) + m · background          m: share of a pixel's samples that meet no surface
+//! L = (1 − m) · curve(exposure · radiance / (1 − m)) + m · background
+//!
+//! m: share of a pixel's samples that hit no surface
 //! ```
 //!
-//! Radiance is traced without what is seen of the environment, so that neither exposure nor cached views depend on the background.
+//! Views are traced without a visible environment. Neither exposure nor cached views depend on the
+//! background.
 
 use std::borrow::Cow;
 
 use lumistack_core::Task;
 use lumistack_core::tone::ToneCurve;
 use lumistack_display::LightField;
-use lumistack_shot::{Look, brightest, expose_over};
+use lumistack_shot::{ToneMapping, brightest, expose_over};
 use lumistack_splats::Space;
 
 use super::denoise::{self, Denoised};
@@ -21,24 +25,25 @@ use crate::error::PipelineError;
 use crate::job::Background;
 use crate::store::paged::Paged;
 
-/// Display-referred light fields.
+/// Display-referred light fields of a shot.
 pub(crate) struct Exposed {
-    /// What the display should show. Views that were not wanted are black.
+    /// Target of the display. Views that were not chosen are black.
     pub(crate) target: LightField,
-    /// In-between views that the solver does not see.
+    /// Held-out views between the target's.
     pub(crate) held_out: Option<LightField>,
-    /// Views beyond the outermost ones, which it does not see either.
+    /// Views outside the viewing zone.
     pub(crate) outside: Option<LightField>,
-    /// How scene-linear radiance became display-referred.
-    pub(crate) look: Look,
-    /// What the denoiser did to the target, where there is one.
+    /// Exposure and tone curve of all views.
+    pub(crate) tone_mapping: ToneMapping,
+    /// Effect of the denoiser on the target, if there was one.
     pub(crate) denoised: Option<Denoised>,
 }
 
-/// Reads the finished views of all fields and makes them display-referred, with one look for all; with `linear` leaves them as they are.
+/// Reads the finished views of all fields and applies one exposure and tone curve. With `linear`,
+/// values stay scene-linear.
 ///
 /// # Errors
-/// When a view is not there, or the scene's background cannot be traced.
+/// If a view is missing, or the scene's background cannot be traced.
 pub(crate) fn run(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Result<Exposed, PipelineError> {
     let all: usize = traced.fields.iter().map(|field| field.geometry.grid.iter().count()).sum();
     task.progress.begin("expose", all as u64, "views");
@@ -52,7 +57,7 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
     let Traced { fields, depths, views, .. } = traced;
     let kind = shot.denoise();
     let read = |one: &FieldJob, view| one.radiance(view, shot);
-    // what is too large for memory is read twice instead
+    // Light fields too large for memory are read twice: for the exposure, and for the result.
     let mut radiance = Vec::new();
     for one in fields {
         let mut field = None;
@@ -64,30 +69,33 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
         }
         radiance.push(field);
     }
-    let look = if linear {
-        Look { exposure: 1.0, curve: ToneCurve::Linear }
+    // The exposure comes from the target alone, and serves all fields.
+    let tone_mapping = if linear {
+        ToneMapping { exposure: 1.0, curve: ToneCurve::Linear }
     } else {
         let picture = |view| match &radiance[0] {
             Some(held) => Ok(Cow::Borrowed(held.view(view))),
-            None => read(&fields[0], view).map(Cow::Owned),
+            None => read(&fields[0], view).map(Cow::FolderLock),
         };
-        Look::choose(&job.light, &ingested.scene, &brightest(&fields[0].geometry, views, depths, picture)?)
+        ToneMapping::choose(&job.light, &ingested.scene, &brightest(&fields[0].geometry, views, depths, picture)?)
     };
-    let denoised = denoise::denoised(&fields[0], kind, look)?;
+    let denoised = denoise::denoised(&fields[0], kind, tone_mapping)?;
+    // Exposes one view: with a background, surfaces cover only a share of a pixel.
     let expose_view = |field: &FieldJob, view: [usize; 2], rgb: &mut [f32]| -> Result<(), PipelineError> {
         if linear {
-            // neither exposed nor clipped nor rounded
+            // linear values are neither exposed, nor clipped, nor rounded
             return Ok(());
         }
         if let Background::Colour(background) = job.light.background {
             let missed = field.missed(view, shot, task)?;
-            expose_over(look, background, Space::of(&ingested.scene), &missed, rgb);
+            expose_over(tone_mapping, background, Space::of(&ingested.scene), &missed, rgb);
         } else {
-            look.apply_to(rgb);
+            tone_mapping.apply_to(rgb);
         }
         lumistack_field_io::round_to_half(rgb);
         Ok(())
     };
+    // Expose in memory, or view by view into a mapped file.
     let (mut target, mut held_out, mut outside) = (None, None, None);
     for (field, radiance) in fields.iter().zip(radiance) {
         let (wanted, grid) = (field.wanted(views), &field.geometry.grid);
@@ -121,5 +129,5 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
         }
     }
     let target = target.ok_or_else(|| PipelineError::job("views", "at least one", "none"))?;
-    Ok(Exposed { target, held_out, outside, look, denoised })
+    Ok(Exposed { target, held_out, outside, tone_mapping, denoised })
 }

@@ -1,4 +1,4 @@
-//! The patterns of a tensor display are factorized from a light field.
+//! Factorizes a light field into the patterns of a tensor display.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -10,7 +10,7 @@ use lumistack_factorizer::{AUTO, Factorization, Problem, StartKind};
 use lumistack_report::{Iteration, Solution};
 use serde::{Deserialize, Serialize};
 
-use super::device::{self, Site, at_site};
+use super::device::{self, SolverDevice, on_device};
 use super::field::add_weights;
 use crate::error::{PipelineError, factorize_error, field_error};
 use crate::job::FactorizeJob;
@@ -19,15 +19,15 @@ use crate::store::files::{read_json, write_json};
 use crate::store::key::KeyBuilder;
 use crate::store::stamps::Stamps;
 
-/// Patterns, and how a solver came to them.
+/// Patterns, and the convergence of the solver.
 pub(crate) struct Solved {
     pub(crate) stack: LayerStack,
     pub(crate) steps: Vec<Iteration>,
-    /// `None` of a method that tells none.
+    /// `None` for methods that report none.
     pub(crate) solution: Option<Solution>,
 }
 
-/// What is to be solved.
+/// The input of a solver.
 #[derive(Clone, Copy)]
 pub(crate) struct Solve<'a> {
     pub(crate) job: &'a FactorizeJob,
@@ -38,8 +38,8 @@ pub(crate) struct Solve<'a> {
 }
 
 impl Solve<'_> {
-    /// Hash of all that the patterns depend on.
-    pub(crate) fn key(&self, warm: Option<&LayerStack>, site: &Site) -> KeyBuilder {
+    /// Returns the hash of all that the patterns depend on.
+    pub(crate) fn key(&self, warm: Option<&LayerStack>, site: &SolverDevice) -> KeyBuilder {
         let Self { job, seed, display, target, weights } = *self;
         let mut key = KeyBuilder::new("factorize", code::PATTERNS);
         key.add("display", display.without_panels().to_toml().as_bytes())
@@ -55,13 +55,14 @@ impl Solve<'_> {
         key
     }
 
-    /// Factorizes, from patterns if there are some; `on_iteration` sees every evaluation of the objective.
+    /// Factorizes, with a warm start if there is one. `on_iteration` receives every evaluation of
+    /// the objective.
     ///
     /// # Errors
-    /// When the settings make no sense, the solver fails, or when cancelled.
+    /// If the settings are invalid, the solver fails, or the task is cancelled.
     pub(crate) fn factorize(
         &self,
-        site: &Site,
+        site: &SolverDevice,
         warm: Option<&LayerStack>,
         task: Task<'_>,
         on_iteration: &mut dyn FnMut(&lumistack_factorizer::Iteration),
@@ -72,8 +73,8 @@ impl Solve<'_> {
             .map_err(factorize_error)
     }
 
-    /// Whether `warm` patterns are a better start for this than none, with the solver that goes on from them. On the processor, wherever the work is done
-    /// then: the choice is the same on all machines.
+    /// True if a warm start from these patterns is better than a fresh start, for `solver`. The
+    /// processor decides on every device, so that all machines choose alike.
     ///
     /// # Errors
     /// As [`factorize`](Self::factorize).
@@ -89,9 +90,9 @@ impl Solve<'_> {
     }
 }
 
-/// How the solver came to the patterns, as it is kept between runs.
+/// Settings and convergence of a solve, as its file has them.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(crate) struct Kept {
+pub(crate) struct Convergence {
     pub(crate) solver: String,
     pub(crate) start: String,
     pub(crate) coarse_levels: u32,
@@ -100,12 +101,12 @@ pub(crate) struct Kept {
     pub(crate) steps: Vec<Step>,
 }
 
-/// A point of the convergence curve, as it is kept between runs.
+/// A point of the convergence curve, as its file has it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Step {
     pub(crate) iteration: u32,
     pub(crate) objective: f64,
-    /// `None` where the patterns are exact.
+    /// `None` if the patterns are exact.
     pub(crate) psnr_view: Option<f64>,
     pub(crate) seconds: f64,
 }
@@ -117,8 +118,8 @@ impl Step {
     }
 }
 
-impl Kept {
-    /// By a node plugin.
+impl Convergence {
+    /// Converts the solution of a node plugin.
     pub(crate) fn of_node(
         solution: lumistack_plugin_host::Solution,
         steps: &[(lumistack_plugin_host::Step, f64)],
@@ -144,8 +145,8 @@ impl Kept {
         }
     }
 
-    /// For the report.
-    pub(crate) fn told(self, stack: LayerStack) -> Solved {
+    /// Joins the convergence with the patterns, for the report.
+    pub(crate) fn into_solved(self, stack: LayerStack) -> Solved {
         let Self { solver, start, coarse_levels, kkt_residual, levels, steps } = self;
         let steps = steps.into_iter().map(|step| Iteration {
             iteration: step.iteration,
@@ -158,85 +159,90 @@ impl Kept {
     }
 }
 
-/// The patterns in `layers/`, factorized where they are not current; and whether they were.
+/// Returns the patterns in `layers/`, factorized if they are not current, and true if they were
+/// cached.
 ///
 /// # Errors
-/// When the settings make no sense, the solver fails, a file cannot be written, or when cancelled.
+/// If the settings are invalid, the solver fails, a file cannot be written, or the task is
+/// cancelled.
 pub(crate) fn run_whole(solve: Solve<'_>, stamps: &Stamps, task: Task<'_>) -> Result<(Solved, bool), PipelineError> {
     let warm = warm_stack(solve.job, solve.display)?;
-    at_site(&solve.job.device, task, |site| {
-        take_up("factorize", &solve.key(warm.as_ref(), site).finish(), solve.display, stamps, || {
+    on_device(&solve.job.device, task, |site| {
+        reuse_or_make("factorize", &solve.key(warm.as_ref(), site).finish(), solve.display, stamps, || {
             let (start, mut steps) = (Instant::now(), Vec::new());
             let factorization = solve.factorize(site, warm.as_ref(), task, &mut |step| {
                 steps.push(Step::of(step, start.elapsed().as_secs_f64()));
             })?;
-            let kept = Kept::of(&factorization, steps, warm.is_some());
+            let kept = Convergence::of(&factorization, steps, warm.is_some());
             Ok((factorization.stack, Some(kept)))
         })
     })
 }
 
-/// The patterns of a stage in `layers/` and how they were found, as `make` gives them where they are not current; and whether they were.
+/// Returns the patterns of a stage in `layers/` with their convergence, and true if they were
+/// cached. If not, `make` makes them.
 ///
 /// # Errors
-/// Those of `make`, and when a file cannot be written.
-pub(crate) fn take_up(
+/// Those of `make`, and if a file cannot be written.
+pub(crate) fn reuse_or_make(
     stage: &str,
     key: &str,
     display: &Display,
     stamps: &Stamps,
-    make: impl FnOnce() -> Result<(LayerStack, Option<Kept>), PipelineError>,
+    make: impl FnOnce() -> Result<(LayerStack, Option<Convergence>), PipelineError>,
 ) -> Result<(Solved, bool), PipelineError> {
-    take_up_written(stage, key, display, stamps, || {
+    reuse_or_write(stage, key, display, stamps, || {
         let (stack, kept) = make()?;
         lumistack_field_io::write_stack(&stamps.dir().join("layers"), display, &stack).map_err(field_error)?;
         Ok((stack, kept))
     })
 }
 
-/// [`take_up`], where `make` writes `layers/` itself.
+/// Is [`reuse_or_make`] for a `make` that writes `layers/` itself.
 ///
 /// # Errors
-/// As [`take_up`].
-pub(crate) fn take_up_written(
+/// As [`reuse_or_make`].
+pub(crate) fn reuse_or_write(
     stage: &str,
     key: &str,
     display: &Display,
     stamps: &Stamps,
-    make: impl FnOnce() -> Result<(LayerStack, Option<Kept>), PipelineError>,
+    make: impl FnOnce() -> Result<(LayerStack, Option<Convergence>), PipelineError>,
 ) -> Result<(Solved, bool), PipelineError> {
     let layers = stamps.dir().join("layers");
     let curve = stamps.dir().join("cache/convergence.json");
-    let told = |kept: Option<Kept>, stack| match kept {
-        Some(kept) => kept.told(stack),
+    let solved = |kept: Option<Convergence>, stack| match kept {
+        Some(kept) => kept.into_solved(stack),
         None => Solved { stack, steps: Vec::new(), solution: None },
     };
+    // Cached patterns must be those of this display.
     let kept = || {
         let stack = lumistack_field_io::read_stack(&layers).ok()?;
         check_stack(&stack, display, &layers).ok()?;
-        Some(told(read_json::<Option<Kept>>(&curve)?, stack))
+        Some(solved(read_json::<Option<Convergence>>(&curve)?, stack))
     };
     let make = || {
         let (stack, kept) = make()?;
         let mut files = files_of(&layers)?;
         write_json(&curve, &kept)?;
         files.push("cache/convergence.json".into());
-        Ok((told(kept, stack), files))
+        Ok((solved(kept, stack), files))
     };
-    stamps.take_up(stage, key, kept, make)
+    stamps.reuse_or_make(stage, key, kept, make)
 }
 
-/// Which start a time of a sequence takes, as it is kept between runs.
+/// The choice of a start for a time step, as its file has it.
 #[derive(Serialize, Deserialize)]
 struct Choice {
     key: String,
     warm: bool,
 }
 
-/// Whether a fresh start, `fresh`, gets nearer to the target than `warm` patterns do by the solver of `solve`'s job.
+/// True if a fresh start by the settings `fresh` is better than `warm` patterns with the solver of
+/// `solve`'s job. The choice is cached.
 ///
 /// # Errors
-/// When the patterns cannot be read, the solver fails, or when cancelled.
+/// If the patterns cannot be read, the solver fails, or the task is cancelled.
 pub(crate) fn prefers_fresh(
     solve: Solve<'_>,
     fresh: &FactorizeJob,
@@ -263,10 +269,10 @@ pub(crate) fn prefers_fresh(
     Ok(!warm)
 }
 
-/// The files of patterns, relative to the run's folder.
+/// Returns the files of patterns, relative to the run folder.
 ///
 /// # Errors
-/// When they are not there.
+/// If they are missing.
 fn files_of(layers: &Path) -> Result<Vec<PathBuf>, PipelineError> {
     let index = lumistack_field_io::read_stack_index(layers).map_err(field_error)?;
     let mut files: Vec<PathBuf> = vec!["layers/stack.json".into()];
@@ -275,7 +281,7 @@ fn files_of(layers: &Path) -> Result<Vec<PathBuf>, PipelineError> {
     Ok(files)
 }
 
-/// The patterns that a job starts from.
+/// Reads the patterns that a job starts from.
 pub(crate) fn warm_stack(job: &FactorizeJob, display: &Display) -> Result<Option<LayerStack>, PipelineError> {
     let Some(path) = &job.warm_start else { return Ok(None) };
     let stack = lumistack_field_io::read_stack(path).map_err(field_error)?;
@@ -283,10 +289,10 @@ pub(crate) fn warm_stack(job: &FactorizeJob, display: &Display) -> Result<Option
     Ok(Some(stack))
 }
 
-/// Checks the names in a job's table, without any work.
+/// Checks names and numbers of a job's table, without any work.
 ///
 /// # Errors
-/// When there is no such solver or start.
+/// If a solver, start or device does not exist, or numbers of tiles are invalid.
 pub(crate) fn check(job: &FactorizeJob) -> Result<(), PipelineError> {
     start_kind(&job.start)?;
     device::check(&job.device)?;
@@ -307,7 +313,7 @@ pub(crate) fn solver_settings(job: &FactorizeJob, seed: u64) -> Result<lumistack
     })
 }
 
-/// `None` for the choice that suits the solver.
+/// Returns the start of a name; `None` for the solver's default.
 fn start_kind(name: &str) -> Result<Option<StartKind>, PipelineError> {
     if name == AUTO {
         return Ok(None);
@@ -331,10 +337,10 @@ pub(crate) fn add_stack(key: &mut KeyBuilder, stack: &LayerStack) {
     }
 }
 
-/// Refuses patterns of another display.
+/// Checks that patterns are of this display.
 ///
 /// # Errors
-/// Where shapes differ.
+/// If their shapes differ.
 pub(crate) fn check_stack(stack: &LayerStack, display: &Display, path: &Path) -> Result<(), PipelineError> {
     stack.check(display).map_err(|source: StackError| PipelineError::Stack { path: path.to_owned(), source })
 }

@@ -1,4 +1,4 @@
-//! The light field that displays are made to show: what every node and every output of a run starts from, and its folder `target/`.
+//! The light field that a run's nodes and outputs start from, and its folder `target/`.
 
 use std::path::{Path, PathBuf};
 
@@ -6,7 +6,7 @@ use lumistack_core::{Task, Tensor};
 use lumistack_display::{Display, FieldGeometry, LightField, Projection, Weights};
 use lumistack_field_io::GeometryDefaults;
 use lumistack_report::DepthBudget;
-use lumistack_shot::{Look, Placement};
+use lumistack_shot::{Placement, ToneMapping};
 use lumistack_simd::{float_from_half, nearest_half};
 use serde_json::{Map, Value, json};
 
@@ -21,30 +21,30 @@ use crate::store::code;
 use crate::store::key::KeyBuilder;
 use crate::store::stamps::Stamps;
 
-/// A light field with all that is known of it.
+/// A light field with its display and its origin.
 pub(crate) struct Field {
     pub(crate) target: LightField,
     pub(crate) held_out: Option<LightField>,
     pub(crate) outside: Option<LightField>,
-    /// The display that it was made for, or that has adapted to it.
+    /// The display, adapted to the light field if that comes from a file.
     pub(crate) display: Display,
-    /// How it became display-referred, where it was rendered.
-    pub(crate) look: Option<Look>,
-    /// What the scene's depth asks of the display, where it was rendered.
+    /// Exposure and tone curve of a rendered light field.
+    pub(crate) tone_mapping: Option<ToneMapping>,
+    /// The scene's depth against the display's depth of field, of a rendered light field.
     pub(crate) depth: Option<DepthBudget>,
-    /// What a denoiser did to the target.
+    /// Effect of a denoiser on the target.
     pub(crate) denoised: Option<Denoised>,
-    /// For the report.
+    /// Facts about the scene or file, for the report.
     pub(crate) about: Value,
-    /// Folders of cached views that it was made from.
+    /// Folders of the cached views.
     pub(crate) views: Vec<PathBuf>,
 }
 
 impl Field {
-    /// Writes the folders of a shot's light fields, where they do not hold them already.
+    /// Writes the folders of a shot's light fields, if they changed.
     ///
     /// # Errors
-    /// When a file cannot be written.
+    /// If a file cannot be written.
     pub(crate) fn of_scene(
         path: &Path,
         shot: Shot<'_>,
@@ -55,7 +55,8 @@ impl Field {
         task: Task<'_>,
     ) -> Result<Self, PipelineError> {
         let Shot { placement, geometry, .. } = shot;
-        let info = field_info(exposed.look, placement);
+        // Outputs and other programs read the light field from these folders.
+        let info = field_info(exposed.tone_mapping, placement);
         let fields = [
             ("target", Some(&exposed.target)),
             ("held-out", exposed.held_out.as_ref()),
@@ -68,16 +69,17 @@ impl Field {
         });
         task.progress.end();
         written?;
+        // Warn about depth as soon as it is known.
         let depth = depth::budget(&traced.depths, display, geometry, placement);
         warn_of_depth(&depth, task);
         let about = about_scene(path, shot, traced, &exposed);
-        let Exposed { target, held_out, outside, look, denoised } = exposed;
+        let Exposed { target, held_out, outside, tone_mapping, denoised } = exposed;
         Ok(Self {
             target: target.with_depth(Some(traced.depths.seen(placement))),
             held_out,
             outside,
             display: display.clone(),
-            look: Some(look),
+            tone_mapping: Some(tone_mapping),
             depth: Some(depth),
             denoised,
             about,
@@ -85,10 +87,11 @@ impl Field {
         })
     }
 
-    /// Makes a light field from `place`, that no scene was rendered for, the target; the display adapts to it.
+    /// Makes a given light field the target, and adapts the display to it. `place` is its file or
+    /// plugin.
     ///
     /// # Errors
-    /// When the display cannot show it, or it cannot be written.
+    /// If the display cannot show it, or it cannot be written.
     pub(crate) fn of_given(
         target: LightField,
         place: &Path,
@@ -109,7 +112,7 @@ impl Field {
             held_out: None,
             outside: None,
             display: adapted,
-            look: None,
+            tone_mapping: None,
             depth: None,
             denoised: None,
             about,
@@ -118,10 +121,10 @@ impl Field {
     }
 }
 
-/// Refuses a light field whose rays are not those of the time before, which stand at `place`.
+/// Checks that a light field has the rays of an earlier time step's, which comes from `place`.
 ///
 /// # Errors
-/// On another geometry.
+/// If the geometry differs.
 pub(crate) fn check_geometry(
     path: &Path,
     found: &FieldGeometry,
@@ -146,7 +149,7 @@ pub(crate) fn check_geometry(
     Err(PipelineError::value(path, "geometry", expected, text(found)))
 }
 
-/// What a light field takes of its display where it does not say itself.
+/// Returns the display's values for a light field without size or angles.
 pub(crate) fn field_defaults(display: &Display) -> GeometryDefaults {
     GeometryDefaults { width_mm: Some(display.field_pixels().size_mm()[0]), fov_deg: Some(display.field.fov_deg) }
 }
@@ -154,7 +157,7 @@ pub(crate) fn field_defaults(display: &Display) -> GeometryDefaults {
 pub(crate) fn warn_of_depth(budget: &DepthBudget, task: Task<'_>) {
     if !budget.is_seen() {
         let message = "no surface is seen: the picture is empty. --look-from AZ,EL frames the scene from another side, --camera takes another \
-                       camera, --near=off shows what stands before the near limit";
+                       camera, --near=off shows surfaces before the near limit";
         task.warn("window", message);
     }
     if let Some(advice) = budget.advice() {
@@ -169,6 +172,7 @@ fn about_scene(path: &Path, shot: Shot<'_>, traced: &Traced, exposed: &Exposed) 
     let [low, high] = percentiles_of_halves(exposed.target.radiance().data(), [0.01, 0.99]).map(f64::from);
     let span = high - low;
     let map = placement.window.scene_from_display;
+    // Names and values of a table in the report.
     json!({
         "file": path.display().to_string(),
         "pose": pose,
@@ -184,19 +188,20 @@ fn about_scene(path: &Path, shot: Shot<'_>, traced: &Traced, exposed: &Exposed) 
         "depth scale": placement.depth_scale,
         "framed from azimuth and elevation (degrees)": placement.looked_from_deg,
         "near limit before the window (mm)": placement.window.near_mm,
-        "exposure": exposed.look.exposure,
-        "tone curve": exposed.look.curve.name(),
+        "exposure": exposed.tone_mapping.exposure,
+        "tone curve": exposed.tone_mapping.curve.name(),
         "paths per pixel and view": shot.samples_per_view(),
         "paths chosen because": shot.samples.map(|samples| samples.reason()),
-        // shares of the window and of the range 0..1: whether framing, light and exposure fit the scene
+        // Shares of the window and of the range 0..1 show how well framing, light and exposure fit
+        // the scene.
         "coverage": traced.depths.coverage(geometry.grid.views().map(|count| count / 2)),
         "target span": span,
     })
 }
 
-/// Percentiles of values that are half floats, by their number: without a copy of all values.
+/// Returns percentiles of values that are half floats. Counts per bit pattern avoid a sorted copy.
 fn percentiles_of_halves(values: &[f32], shares: [f64; 2]) -> [f32; 2] {
-    // in the order of numbers: bits of negative ones fall
+    // Map bits to the order of the values: negative halves have falling bits.
     let turn = |bits: u16| if bits & 0x8000 == 0 { bits | 0x8000 } else { !bits };
     let mut counts = vec![0usize; 1 << 16];
     values.iter().for_each(|&value| counts[usize::from(turn(nearest_half(value)))] += 1);
@@ -212,11 +217,11 @@ fn percentiles_of_halves(values: &[f32], shares: [f64; 2]) -> [f32; 2] {
     })
 }
 
-/// What a light field's index says of how it was made.
-pub(crate) fn field_info(look: Look, placement: &Placement) -> Map<String, Value> {
+/// Returns exposure, tone curve and depth scale for the index of a light field.
+pub(crate) fn field_info(tone_mapping: ToneMapping, placement: &Placement) -> Map<String, Value> {
     let mut info = Map::new();
-    info.insert("exposure".into(), look.exposure.into());
-    info.insert("tone".into(), look.curve.name().into());
+    info.insert("exposure".into(), tone_mapping.exposure.into());
+    info.insert("tone".into(), tone_mapping.curve.name().into());
     info.insert("depth_scale".into(), placement.depth_scale.into());
     if let Some(from_deg) = placement.looked_from_deg {
         info.insert("look_from_deg".into(), from_deg.to_vec().into());
@@ -224,7 +229,7 @@ pub(crate) fn field_info(look: Look, placement: &Placement) -> Map<String, Value
     info
 }
 
-/// Writes a light-field folder unless it already holds these values.
+/// Writes a light-field folder, unless it has these values already.
 fn write_if_changed(
     stamps: &Stamps,
     name: &str,
@@ -239,20 +244,20 @@ fn write_if_changed(
         files.extend(field.geometry().grid.iter().map(view_file));
         Ok(((), files))
     };
-    stamps.take_up(name, &field_key(name, field, info), || Some(()), write).map(|_| ())
+    stamps.reuse_or_make(name, &field_key(name, field, info), || Some(()), write).map(|_| ())
 }
 
-/// Hash of everything that a light-field folder holds.
+/// Returns a hash of the content of a light-field folder.
 pub(crate) fn field_key(name: &str, field: &LightField, info: &Map<String, Value>) -> String {
     let mut key = KeyBuilder::new(name, code::FIELDS);
     key.add("geometry", format!("{:?}", field.geometry()).as_bytes()).add_f32("radiance", field.radiance().data());
     key.add_json("info", info).finish()
 }
 
-/// The weights of a job's file, or else of its expected eyes; uniform where there are none.
+/// Returns the weights of a job's file, or else of its expected eyes; uniform without both.
 ///
 /// # Errors
-/// When the file cannot be read, the weights do not fit the light field, or both are given.
+/// If the file cannot be read, the weights do not fit the light field, or both are given.
 pub(crate) fn weights(job: &FactorizeJob, geometry: &FieldGeometry) -> Result<Weights, PipelineError> {
     let Some(path) = &job.weights else { return eye_weights(job, geometry) };
     if !job.eyes.is_empty() {
@@ -262,10 +267,10 @@ pub(crate) fn weights(job: &FactorizeJob, geometry: &FieldGeometry) -> Result<We
     array_weights(path, &shape, data, geometry)
 }
 
-/// The weights of expected eyes; uniform where there are none.
+/// Returns the weights of expected eyes; uniform without eyes.
 ///
 /// # Errors
-/// When an eye is no eye.
+/// If an eye is invalid.
 pub(crate) fn eye_weights(job: &FactorizeJob, geometry: &FieldGeometry) -> Result<Weights, PipelineError> {
     if job.eyes.is_empty() {
         return Ok(Weights::Uniform);
@@ -274,10 +279,10 @@ pub(crate) fn eye_weights(job: &FactorizeJob, geometry: &FieldGeometry) -> Resul
         .map_err(|error| PipelineError::job("factorize.eyes", error.expected, error.found))
 }
 
-/// Weights from an array that came from `path`.
+/// Returns weights of an array, whose origin `path` names in errors.
 ///
 /// # Errors
-/// When they do not fit the light field.
+/// If they do not fit the light field.
 pub(crate) fn array_weights(
     path: &Path,
     shape: &[usize],

@@ -1,5 +1,5 @@
-//! The light fields of a shot: the target, views in between and views beyond the zone. Tracing, filtering and exposing each take up where the stage before left
-//! them, in `cache/views/NAME-KEY`.
+//! Light fields of a shot: the target, held-out views, and views outside the viewing zone. Tracing,
+//! denoising and exposing exchange them in `cache/views/NAME-KEY`.
 
 use std::path::{Path, PathBuf};
 
@@ -17,17 +17,17 @@ use crate::store::code;
 use crate::store::key::KeyBuilder;
 use crate::store::views::{read_splats, read_view, splats_path, variance_path, view_path};
 
-/// A scene in front of a display, as a job wants it seen.
+/// A scene in front of a display, with the job's settings.
 #[derive(Clone, Copy)]
 pub(crate) struct Shot<'a> {
     pub(crate) job: &'a Job,
     pub(crate) ingested: &'a Ingested,
     pub(crate) placement: &'a Placement,
-    /// Of the display's light field.
+    /// Geometry of the display's light field.
     pub(crate) geometry: &'a FieldGeometry,
-    /// Width of slopes of the display's own prefilter.
+    /// Width of the display's angular prefilter, in slopes.
     pub(crate) footprint: [f64; 2],
-    /// The measured number of paths, where the job leaves it open.
+    /// Measured number of paths, if the job sets none.
     pub(crate) samples: Option<Samples>,
 }
 
@@ -36,17 +36,18 @@ impl Shot<'_> {
         &self.placement.window
     }
 
-    /// Slopes at which views are traced: with a depth scale smaller than those that the display shows.
+    /// Returns the geometry with the slopes at which views are traced: the display's slopes times
+    /// the depth scale.
     fn traced(&self, geometry: &FieldGeometry) -> FieldGeometry {
         geometry.with_grid(geometry.grid.scaled(self.placement.depth_scale))
     }
 
-    /// Key of what a view is before it is exposed, but for its geometry and its samples.
+    /// Returns a key of a view before exposure, without its geometry and samples.
     pub(crate) fn key(&self) -> KeyBuilder {
         let light = &self.job.light;
         let mut key = KeyBuilder::new("render", code::VIEWS);
         self.ingested.add_to(&mut key);
-        // of a view before it is exposed
+        // Only settings of light that change traced radiance: exposure comes later.
         key.add_json(
             "light",
             &(light.environment_strength, light.automatic, light.environment_rotation_deg, light.from_splats),
@@ -55,12 +56,12 @@ impl Shot<'_> {
         key
     }
 
-    /// What takes noise out of the views: nothing where no paths are traced.
+    /// Returns the filter of the views: none if no paths are traced.
     pub(crate) fn denoise(&self) -> Denoise {
         if self.ingested.is_traced() { self.job.render.denoise } else { Denoise::Off }
     }
 
-    /// Paths per pixel and view.
+    /// Returns the number of paths per pixel and view.
     pub(crate) fn samples_per_view(&self) -> u32 {
         let by_job = || self.job.render.samples_of_view(self.geometry.grid.iter().count());
         self.samples.map_or_else(by_job, |samples| samples.per_view)
@@ -72,10 +73,11 @@ impl Shot<'_> {
         job.render.settings(job.seed, samples, hidden, self.placement.depth_scale, self.footprint)
     }
 
-    /// All light fields of the shot, the target first, each with the folder of its traced views below `cache_dir`. `blender` says whether Blender renders them.
+    /// Returns all light fields of the shot, the target first. Each has a folder of traced views
+    /// below `cache_dir`. `blender` is true if Blender renders them.
     pub(crate) fn fields(&self, cache_dir: &Path, blender: bool) -> Vec<FieldJob> {
         let (job, geometry, settings) = (self.job, self.geometry, self.settings());
-        // views for the report only average over directions as the target's do, however far apart they stand
+        // Views for the report have the target's width of averaging, not their own distance.
         let settings_of_others = Settings {
             angular_filter: match settings.angular_filter {
                 lumistack_pathtracer::AngularFilter::Bin => {
@@ -85,6 +87,7 @@ impl Shot<'_> {
             },
             ..settings
         };
+        // Folder names have a key of all that traced views depend on.
         let mut key = self.key();
         key.add_json("render", &(&job.render.max_bounces, settings.samples, job.seed));
         key.add("settings", format!("{settings:?}").as_bytes());
@@ -119,7 +122,7 @@ impl Shot<'_> {
     }
 }
 
-/// A part of a list of pictures to trace: of COUNT parts the one with this number, from 0.
+/// One of `count` parts of a list of pictures to trace.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Block {
     number: usize,
@@ -130,12 +133,12 @@ impl Block {
     /// The whole list.
     pub(crate) const ALL: Self = Self { number: 0, count: 1 };
 
-    /// A block by its number from 1; `None` where the numbers make no sense.
+    /// Returns a block by its number from 1; `None` if the number is out of range.
     pub(crate) fn new([number, count]: [usize; 2]) -> Option<Self> {
         (1..=count).contains(&number).then(|| Self { number: number - 1, count })
     }
 
-    /// From 0.
+    /// Returns the block's number, from 0.
     pub(crate) fn number(self) -> usize {
         self.number
     }
@@ -148,14 +151,14 @@ impl Block {
         self.number == 0
     }
 
-    /// The block's part of a list. Each element belongs to one block.
+    /// Returns the block's part of a list. Each element belongs to exactly one block.
     pub(crate) fn of<T>(self, list: Vec<T>) -> Vec<T> {
         let [from, to] = [self.number, self.number + 1].map(|number| list.len() * number / self.count);
         list.into_iter().skip(from).take(to - from).collect()
     }
 }
 
-/// Evenly spread in-between views: at most `per_axis` of the midpoints on each axis.
+/// Returns evenly spread held-out views: at most `per_axis` of the midpoints on each axis.
 pub(crate) fn held_out_grid(grid: &ViewGrid, per_axis: usize) -> Option<ViewGrid> {
     if per_axis == 0 || grid.views() == [1, 1] {
         return None;
@@ -168,22 +171,22 @@ pub(crate) fn held_out_grid(grid: &ViewGrid, per_axis: usize) -> Option<ViewGrid
     Some(ViewGrid { projection: grid.projection, slope_x: pick(&midpoints.slope_x), slope_y: pick(&midpoints.slope_y) })
 }
 
-/// Parts in which views are traced: the filters need two halves.
+/// Returns the parts in which views are traced: filters need two halves.
 pub(crate) fn parts(kind: Denoise) -> &'static [Option<usize>] {
     if kind.takes_halves() { &[Some(0), Some(1)] } else { &[None] }
 }
 
-/// One light field to render.
+/// A light field to render.
 pub(crate) struct FieldJob {
     pub(crate) name: &'static str,
-    /// Of random numbers.
+    /// Stream of random numbers.
     stream: u64,
-    /// Of the display.
+    /// Geometry of the display.
     pub(crate) geometry: FieldGeometry,
-    /// The same in the scene: with the slopes at which it is traced.
+    /// The same with the slopes at which it is traced.
     pub(crate) traced: FieldGeometry,
     pub(crate) settings: Settings,
-    /// Where its traced views lie.
+    /// Folder of the traced views.
     pub(crate) folder: PathBuf,
 }
 
@@ -192,17 +195,17 @@ impl FieldJob {
         self.stream == 0
     }
 
-    /// Where finished views lie.
+    /// Returns the folder of the finished views.
     pub(crate) fn finished(&self, kind: Denoise) -> PathBuf {
         if kind.filters() { self.folder.join(kind.name()) } else { self.folder.clone() }
     }
 
-    /// The views to render: of the target those that were chosen, else all.
+    /// Returns the views to render: the chosen ones of the target, all of other fields.
     pub(crate) fn wanted(&self, chosen: &[[usize; 2]]) -> Vec<[usize; 2]> {
         if self.is_target() { chosen.to_vec() } else { self.geometry.grid.iter().collect() }
     }
 
-    /// Settings with which a view is traced, or a half of its samples.
+    /// Returns the settings of a view, or of a half of its samples.
     pub(crate) fn settings_of(&self, half: Option<usize>) -> Settings {
         match half {
             None => self.seeded(&[]),
@@ -210,10 +213,12 @@ impl FieldJob {
         }
     }
 
-    /// Share of every pixel of a view through which is seen what stands behind all of the scene, `[row][col]`.
+    /// Returns the share of every pixel that shows the background behind the scene, `[row][col]`,
+    /// 0..1.
     ///
     /// # Errors
-    /// When the scene cannot be rendered, a file is gone or cannot be written, or when cancelled.
+    /// If the scene cannot be rendered, a file is missing or cannot be written, or the task is
+    /// cancelled.
     pub(crate) fn missed(&self, view: [usize; 2], shot: Shot<'_>, task: Task<'_>) -> Result<Vec<f32>, PipelineError> {
         let mut missed = if shot.ingested.scene.instances.is_empty() {
             vec![1.0; self.traced.rows * self.traced.cols]
@@ -226,7 +231,7 @@ impl FieldJob {
         Ok(missed)
     }
 
-    /// What a view sees of the splats, `[row][col][r, g, b, T]`; `None` where the scene has none.
+    /// Reads the splats of a view, `[row][col][r, g, b, T]`; `None` if the scene has none.
     fn splats(&self, view: [usize; 2], ingested: &Ingested) -> Result<Option<Vec<f32>>, PipelineError> {
         if ingested.scene.placed_clouds.is_empty() {
             return Ok(None);
@@ -235,10 +240,11 @@ impl FieldJob {
         read_splats(&path, &self.traced).ok_or_else(PipelineError::replaced(&path, "cached view of splats")).map(Some)
     }
 
-    /// A finished view, `[row][col][rgb]` in scene-linear radiance before black: what was traced and denoised, behind its splats.
+    /// Returns a finished view, `[row][col][rgb]`, scene-linear over black: the denoised view
+    /// behind its splats.
     ///
     /// # Errors
-    /// When a file is gone.
+    /// If a file is missing.
     pub(crate) fn radiance(&self, view: [usize; 2], shot: Shot<'_>) -> Result<Vec<f32>, PipelineError> {
         let mut picture = if shot.ingested.is_traced() {
             let path = view_path(&self.finished(shot.denoise()), view, None);
@@ -252,7 +258,8 @@ impl FieldJob {
         Ok(picture)
     }
 
-    /// Share of the samples of every pixel of a view that meet no surface, `[row][col]`; kept beside the view.
+    /// Returns the share of every pixel's samples that hit no surface, `[row][col]`, 0..1; cached
+    /// beside the view.
     fn missed_by_surfaces(&self, view: [usize; 2], shot: Shot<'_>, task: Task<'_>) -> Result<Vec<f32>, PipelineError> {
         let (kind, window) = (shot.denoise(), shot.window());
         let path = self.folder.join(format!("missed_{:02}_{:02}.npy", view[0], view[1]));
@@ -274,10 +281,11 @@ impl FieldJob {
         Ok(missed)
     }
 
-    /// Variance of every value of a view before it is filtered, `[row][col][rgb]`: of the mean of its halves, where it has halves.
+    /// Returns the variance of every value of a view before denoising, `[row][col][rgb]`. If there
+    /// are halves, it is that of their mean.
     ///
     /// # Errors
-    /// When it was not rendered with the view.
+    /// If it was not rendered with the view.
     pub(crate) fn variance(&self, view: [usize; 2], kind: Denoise) -> Result<Vec<f32>, PipelineError> {
         let parts = parts(kind);
         let mut variance = vec![0.0; 3 * self.traced.rows * self.traced.cols];
@@ -291,7 +299,7 @@ impl FieldJob {
         Ok(variance)
     }
 
-    /// Settings with the seed of this field, and of a part of it.
+    /// Returns settings with the seed of this field, and of a part of it.
     pub(crate) fn seeded(&self, part: &[u64]) -> Settings {
         seeded(self.settings, self.stream, part)
     }

@@ -1,14 +1,18 @@
-//! Flicker over time: how much a display's error changes from one time of a sequence to the next.
+//! Flicker: the change of a display's error from one time step to the next.
 //!
 //! ```text
-//! e_t = L̃_t/β − L_t                                     error of a ray at time t
-//! flicker_t = rms over rays and channels of e_t − e_(t−1) = (L̃_t − L̃_(t−1))/β − (L_t − L_(t−1))
+//! e_t = L̃_t/β − L_t                                     error of a ray at time step t
+//! flicker_t = rms over rays and channels of e_t − e_(t−1)
+//!           = rms of (L̃_t − L̃_(t−1))/β − (L_t − L_(t−1))
 //! ```
 //!
-//! It is what changes in front of the viewer and should not: an error that stands still has none, however large it is. In linear light, over the rays
-//! with w > 0 that meet the display, given in dB as −20·log10 of it: the PSNR (peak 1) of the change that is shown against the change that is wanted. Independent errors
-//! give 3 dB less than `psnr_view`. An eye sees it most where nothing else moves, so it is also taken over the still rays alone: those whose target keeps
-//! its 8-bit sRGB codes to within [`STILL_CODES`] in every channel.
+//! Flicker is the change that a viewer sees and should not see. A constant error has none. It is
+//! computed in linear light, over the rays with w > 0 that hit the display. The figure is
+//! −20·log10(flicker) in dB: the PSNR (peak 1) of the emitted change against the target's.
+//! Independent errors give 3 dB less than `psnr_view`.
+//!
+//! Eyes are most sensitive where nothing else moves. Therefore a second figure has only still rays:
+//! those whose target keeps its 8-bit sRGB codes within [`STILL_CODES`].
 
 use lumistack_core::colour::srgb_code;
 use lumistack_core::metrics::SquaredError;
@@ -16,31 +20,32 @@ use lumistack_core::{Cancelled, Task};
 use lumistack_display::{Display, LayerStack, LightField, RayMap, Simulator, Weights};
 use rayon::prelude::*;
 
-/// Most that a still ray's target changes, 8-bit sRGB codes.
+/// Largest change of a still ray's target, 8-bit sRGB codes.
 const STILL_CODES: u8 = 1;
 
-/// What a display shows at one time, and what it should show.
+/// Patterns and target of a time step.
 #[derive(Clone, Copy)]
 pub(crate) struct Shown<'a> {
     pub(crate) stack: &'a LayerStack,
     pub(crate) target: &'a LightField,
 }
 
-/// Errors of one time.
+/// Errors of a time step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct TimeError {
-    /// Of L̃/β against L.
+    /// Error of L̃/β against L.
     pub(crate) error: SquaredError,
-    /// Of the change shown against the change wanted, all rays.
+    /// Error of the emitted change against the target's, over all rays.
     pub(crate) change: SquaredError,
-    /// The same, still rays only.
+    /// The same over still rays.
     pub(crate) still: SquaredError,
 }
 
-/// Simulates all views of a time, and of the time before. Without a time before, the last two errors stay empty.
+/// Simulates all views of a time step and of the one before. Without one before, the last two
+/// errors are empty.
 ///
 /// # Errors
-/// When cancelled.
+/// If cancelled.
 pub(crate) fn measure(
     display: &Display,
     now: Shown<'_>,
@@ -52,6 +57,7 @@ pub(crate) fn measure(
     let map = RayMap::new(display, geometry);
     let (simulator, earlier) = (Simulator::new(display, now.stack), before.map(|b| Simulator::new(display, b.stack)));
     let views: Vec<[usize; 2]> = geometry.grid.iter().collect();
+    // Sum the errors of one view; both time steps have the same rays.
     let of_view = |view: [usize; 2]| -> Result<TimeError, Cancelled> {
         task.cancel.check()?;
         let emitted = simulator.view(&map, geometry, view);
@@ -79,7 +85,8 @@ pub(crate) fn measure(
         }
         Ok(sums)
     };
-    // joined in the order of the views: the same figures on any number of threads
+    // Sums are joined in the order of the views, so that they do not depend on the number of
+    // threads.
     let of_views: Vec<TimeError> = views.into_par_iter().map(of_view).collect::<Result<_, _>>()?;
     Ok(of_views.into_iter().fold(TimeError::default(), |sum, view| TimeError {
         error: sum.error.merged(view.error),
@@ -96,7 +103,7 @@ mod tests {
     use super::*;
     use crate::presets;
 
-    /// Of a figure in dB against the naive one: both sum in f64 what the simulator gives.
+    /// Tolerance against the naive computation, dB: both sum the simulator's values in f64.
     const AGREEMENT_DB: f64 = 1e-6;
 
     fn display() -> Display {
@@ -111,7 +118,7 @@ mod tests {
         stack
     }
 
-    /// The right half keeps its values from one time to the next.
+    /// Returns targets whose right half is equal for all seeds.
     fn random_target(display: &Display, seed: u64) -> LightField {
         let mut target = LightField::black(display.geometry().unwrap()).unwrap();
         let (cols, mut still, mut moving) = (target.geometry().cols, Stream::new(77), Stream::new(seed));
@@ -157,7 +164,7 @@ mod tests {
         };
         assert!((found.change.psnr() - decibels(&|_| true)).abs() < AGREEMENT_DB);
         let right_half = |i: usize| (i / 3) % geometry.cols >= geometry.cols / 2;
-        // by chance a moving ray may keep its code
+        // a moving ray may keep its code by chance
         let same = |i: usize| {
             let code = |target: &LightField| srgb_code(target.radiance().data()[i]);
             code(now.target).abs_diff(code(before.target)) <= STILL_CODES

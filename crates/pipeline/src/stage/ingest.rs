@@ -1,4 +1,4 @@
-//! Scene file to a lit [`Scene`] and the [`Window`] through which the display looks at it.
+//! Reads a scene file into a lit [`Scene`].
 
 mod crop;
 mod from_splats;
@@ -22,26 +22,26 @@ use crate::store::handover;
 use crate::store::key::{KeyBuilder, hash};
 use crate::store::plugin_files::plugin_key;
 
-/// A loaded scene and what it was made from.
+/// A loaded scene with its origin.
 pub struct Ingested {
-    /// Lit scene.
+    /// The scene, with its lights.
     pub scene: Arc<Scene>,
-    /// Every file that was read, with a hash of its content.
+    /// All files that were read, each with a hash of its content.
     pub files: Vec<(PathBuf, String)>,
-    /// What was taken of them.
+    /// Pose and variants that were selected.
     pub pose: PoseJob,
-    /// Whether it got the built-in studio light.
+    /// True if it got the built-in studio light.
     pub(crate) studio: bool,
-    /// What it offers to choose from, where that came with it.
+    /// Contents to choose from, if the reader returned them.
     known: Option<SceneContents>,
     renderer: OnceLock<SceneRenderer>,
 }
 
 impl Ingested {
-    /// The scene prepared for rendering, once for everything that traces it.
+    /// Returns the scene prepared for rendering. The first call prepares it.
     ///
     /// # Errors
-    /// When it cannot be rendered, or when cancelled.
+    /// If the scene cannot be rendered, or the task is cancelled.
     pub(crate) fn renderer(&self, task: Task<'_>) -> Result<&SceneRenderer, PipelineError> {
         if let Some(renderer) = self.renderer.get() {
             return Ok(renderer);
@@ -53,12 +53,12 @@ impl Ingested {
         Ok(self.renderer.get_or_init(|| renderer))
     }
 
-    /// Whether paths are traced for its views: it has surfaces, or something is seen past its splats.
+    /// True if paths are traced for its views: it has surfaces, or a background behind its splats.
     pub(crate) fn is_traced(&self) -> bool {
         !self.scene.instances.is_empty() || self.scene.environment.is_some() || self.scene.backdrop.is_some()
     }
 
-    /// What its `.blend` file offers and what of it is lost, where it comes from one.
+    /// Returns contents and lost features of its `.blend` file, if it comes from one.
     pub(crate) fn blend(&self) -> Option<&BlendContents> {
         match &self.known {
             Some(SceneContents::Blend(contents)) => Some(contents),
@@ -66,7 +66,8 @@ impl Ingested {
         }
     }
 
-    /// What the scene offers to choose from, without another look at the file where it has been told already.
+    /// Returns the contents to choose from. The file is read only if the loader has not returned
+    /// them.
     ///
     /// # Errors
     /// As [`scene_contents`].
@@ -80,19 +81,19 @@ impl Ingested {
         self.known.clone().map_or_else(|| scene_contents(path, importer, registry, task), Ok)
     }
 
-    /// Adds everything the scene was made from.
+    /// Adds the scene's origin to a key.
     pub(crate) fn add_to(&self, key: &mut KeyBuilder) {
         for (path, content) in &self.files {
             key.add("file", path.file_name().unwrap_or_default().as_encoded_bytes()).add("content", content.as_bytes());
         }
         key.add_json("pose", &self.pose);
-        // whether light sources are seen depends on the job
+        // jobs may hide light sources, which changes their materials
         let lamps: Vec<u8> = self.scene.materials.iter().map(|material| material.lamp as u8).collect();
         key.add("lamps", &lamps);
     }
 }
 
-/// What a scene offers to choose from.
+/// Contents of a scene to choose from.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SceneContents {
     /// Animations and material variants.
@@ -103,10 +104,10 @@ pub enum SceneContents {
     Blend(lumistack_usd::BlendContents),
 }
 
-/// Lists what a scene offers to choose from.
+/// Lists the contents of a scene to choose from.
 ///
 /// # Errors
-/// When a file cannot be read or is broken.
+/// If a file cannot be read or is damaged.
 pub fn scene_contents(
     path: &Path,
     importer: &ImporterJob,
@@ -125,7 +126,7 @@ pub fn scene_contents(
     Ok(SceneContents::Gltf(lumistack_gltf::contents(&path.display().to_string(), &bytes, &resolver, task)?))
 }
 
-/// The scene as glTF: the file itself, or what an importer makes of it.
+/// Returns the scene as glTF: the file itself, or the document of an importer.
 fn gltf_bytes(
     path: &Path,
     reader: &Reader,
@@ -137,10 +138,10 @@ fn gltf_bytes(
     let Reader::Plugin(id) = reader else {
         return Ok(resolver.keep(path.to_owned(), read(path)?));
     };
-    // so that a missing file is told like any other
+    // Open the file first, so that a missing one has the same message as for other readers.
     lumistack_files::open(path).map_err(|source| PipelineError::Read { path: path.to_owned(), source })?;
     let file = path.file_name().unwrap_or_default().to_string_lossy();
-    // its own name may be one that the boundary's texts cannot hold
+    // A name that is not Unicode reaches the importer with replacement characters.
     let own = |name: &str| name == file && file.contains(char::REPLACEMENT_CHARACTER);
     let read = |name: &str| {
         let bytes = match own(name) {
@@ -155,11 +156,12 @@ fn gltf_bytes(
     lumistack_plugin_host::import_scene(registry, id, &params, &file, &read, task).map_err(host_error)
 }
 
-/// Loads a scene in its pose, replaces its environment where the job says so, and lights it where it has no light. What is not glTF goes
-/// through an importer. What another program made of the file is kept in `cache_dir`, and taken from there.
+/// Loads a scene in its pose, with the job's environment, or studio light if it has no light. Files
+/// that are neither glTF, USD nor `.blend` need an importer. `cache_dir` keeps conversions by other
+/// programs.
 ///
 /// # Errors
-/// When a file cannot be read, no importer takes it, or the scene cannot be rendered.
+/// If a file cannot be read, no importer accepts it, or the scene cannot be rendered.
 pub fn load_scene(
     path: &Path,
     pose: &PoseJob,
@@ -182,11 +184,12 @@ pub fn load_scene(
     Ok(Ingested { known, ..lit(scene, files, pose, light_job, task)? })
 }
 
-/// Lights a scene that the caller has made of these files, and of what lies in memory (`content`), as [`load_scene`] does.
+/// Lights a scene that the caller made, as [`load_scene`] does. Its key has the content of `files`
+/// and of `content`, parts in memory.
 ///
 /// # Errors
-/// When a file cannot be read or the scene cannot be rendered.
-pub fn take_scene(
+/// If a file cannot be read, or the scene cannot be rendered.
+pub fn ingest_scene(
     scene: Scene,
     files: &[PathBuf],
     content: &[&[u8]],
@@ -212,8 +215,9 @@ fn lit(
     light_job: &LightJob,
     task: Task<'_>,
 ) -> Result<Ingested, PipelineError> {
-    // what is left out gives no light either
+    // Crop first: removed splats emit no light.
     scene = crop::cropped(scene, pose, task)?;
+    // The job's environment replaces the file's.
     if let Some(environment) = &light_job.environment {
         files.push((environment.clone(), hash(&read(environment)?)));
         scene = lumistack_shot::edited(scene, task, |parts| {
@@ -227,7 +231,7 @@ fn lit(
     Ok(Ingested { scene, files, pose: pose.clone(), studio, known: None, renderer: OnceLock::new() })
 }
 
-/// What was loaded, and every file that was read, with a hash of its content.
+/// A scene, and all files that were read, each with a hash of its content.
 type Read = (Scene, Vec<(PathBuf, String)>);
 
 fn load_gltf(
@@ -243,6 +247,7 @@ fn load_gltf(
         let expected = "none, since only USD has variant sets; glTF's material variants are `pose.variant`";
         return Err(PipelineError::value(path, "pose.variants", expected, variants));
     }
+    // The importer and its parameters belong to the scene's origin.
     let resolver = Files::beside(path, importer.allow_outside)?;
     let max_picture_bytes = importer.picture_mib.saturating_mul(1 << 20);
     let options = LoadOptions { time_s, animation, variant, max_picture_bytes, ..LoadOptions::default() };
@@ -250,6 +255,7 @@ fn load_gltf(
         let bytes = gltf_bytes(path, reader, importer, registry, &resolver, task)?;
         Ok(lumistack_gltf::load_with(&path.display().to_string(), &bytes, &resolver, &options, task)?)
     };
+    // Files are recorded while the loader reads them.
     task.progress.begin("read scene", 1, "scene");
     let scene = read();
     task.progress.end();
@@ -271,7 +277,7 @@ fn load_usd(path: &Path, pose: &PoseJob, task: Task<'_>) -> Result<Read, Pipelin
         return Err(PipelineError::value(path, "pose.variant", expected, variant));
     }
     let options = lumistack_usd::LoadOptions { time_s, variants };
-    // another process works; nothing tells how far it has come
+    // OpenUSD runs in another process, which reports no progress.
     task.progress.begin("open USD", 1, "stage");
     let loaded = lumistack_usd::load(path, &options, task)?;
     task.progress.advance(1, "");
@@ -289,11 +295,11 @@ fn load_blend(
     let PoseJob { time_s, animation, variant, variants, .. } = pose.clone();
     let given = [("animation", animation), ("variant", variant), ("variants", variants.into_iter().next())];
     if let Some((key, found)) = given.into_iter().find_map(|(key, given)| Some((key, given?))) {
-        let expected = "none: of a .blend file the scene is taken as Blender shows it, at `pose.time_s`";
+        let expected = "none: a .blend file is converted as Blender shows it, at `pose.time_s`";
         return Err(PipelineError::value(path, format!("pose.{key}"), expected, found));
     }
     let HandedOver { glb, account } = handover::hand_over(path, time_s, cache_dir, task)?;
-    // Blender packs pictures into what it hands over, wherever they were
+    // Blender packs all pictures into the converted file.
     let resolver = Files::beside(path, false)?;
     let max_picture_bytes = importer.picture_mib.saturating_mul(1 << 20);
     let options = LoadOptions { max_picture_bytes, ..LoadOptions::default() };
@@ -303,26 +309,26 @@ fn load_blend(
     Ok(((scene, files), account.contents))
 }
 
-/// Files with hashes of their content.
+/// Returns files with hashes of their content.
 fn hashed(files: &[PathBuf]) -> Result<Vec<(PathBuf, String)>, PipelineError> {
     files.iter().map(|file| Ok((file.clone(), hash(&read(file)?)))).collect()
 }
 
-/// Reads what a scene's file refers to, and remembers it.
+/// Resolves references of a scene file, and records the files.
 struct Files {
     folder: Folder,
     read: Mutex<Vec<(PathBuf, String)>>,
 }
 
 impl Files {
-    /// What the scene at `path` refers to: regular files in its own folder, or anywhere.
+    /// Resolves references of the scene at `path`: regular files of its folder, or any.
     fn beside(path: &Path, allow_outside: bool) -> Result<Self, PipelineError> {
         let io = |source| PipelineError::Read { path: path.to_owned(), source };
         let folder = if allow_outside { Folder::anywhere(path) } else { Folder::around(path).map_err(io)? };
         Ok(Self { folder, read: Mutex::default() })
     }
 
-    /// Remembers what was read, and gives it back.
+    /// Records a file that was read. Returns its bytes.
     fn keep(&self, path: PathBuf, bytes: Vec<u8>) -> Vec<u8> {
         let mut read = self.read.lock().unwrap_or_else(PoisonError::into_inner);
         let entry = (path, hash(&bytes));
@@ -345,6 +351,6 @@ impl AssetResolver for Files {
     }
 }
 
-/// The way out where a scene is known to be harmless.
+/// Advice for references outside the scene's folder.
 const OUTSIDE_ADVICE: &str =
-    "--allow-outside (in a job `importer.allow_outside = true`) lets a scene read files that lie elsewhere";
+    "--allow-outside (in a job `importer.allow_outside = true`) lets a scene read files of other folders";

@@ -1,4 +1,4 @@
-//! Error and flicker of a time of a sequence, kept between runs.
+//! Error and flicker of a time step, cached between runs.
 
 use std::path::Path;
 
@@ -16,18 +16,18 @@ use crate::store::files::{read_json, write_json};
 use crate::store::key::KeyBuilder;
 use crate::store::stamps::Stamps;
 
-/// Sums of squares and counts, as they are kept between runs.
+/// Sums of squares and counts, as the file has them.
 #[derive(Serialize, Deserialize)]
-struct Kept {
+struct CachedSums {
     error: (f64, u64),
     change: (f64, u64),
     still: (f64, u64),
 }
 
-/// The figures of a time, their key, and whether they were kept.
+/// Returns the errors of a time step, their key, and true if they were cached.
 ///
 /// # Errors
-/// When they cannot be kept, or when cancelled.
+/// If the file cannot be written, or the task is cancelled.
 pub(crate) fn run(
     display: &Display,
     weights: &Weights,
@@ -36,6 +36,7 @@ pub(crate) fn run(
     stamps: &Stamps,
     task: Task<'_>,
 ) -> Result<(TimeError, String, bool), PipelineError> {
+    // Errors depend on display, weights, and patterns and targets of both time steps.
     let mut key = KeyBuilder::new("measure", code::FIELDS);
     key.add("display", display.without_panels().to_toml().as_bytes());
     add_weights(&mut key, weights);
@@ -45,17 +46,21 @@ pub(crate) fn run(
     }
     let (key, file) = (key.finish(), Path::new("cache/measure-figures.json"));
     let path = stamps.dir().join(file);
+    // Sums are stored, not figures in dB, since the sequence adds them up.
     let kept = || {
-        let Kept { error, change, still } = read_json(&path)?;
+        let CachedSums { error, change, still } = read_json(&path)?;
         let [error, change, still] = [error, change, still].map(|(sum, count)| SquaredError { sum, count });
         Some(TimeError { error, change, still })
     };
     let make = || {
         let found = flicker::measure(display, now, before, weights, task)?;
         let pair = |error: SquaredError| (error.sum, error.count);
-        write_json(&path, &Kept { error: pair(found.error), change: pair(found.change), still: pair(found.still) })?;
+        write_json(
+            &path,
+            &CachedSums { error: pair(found.error), change: pair(found.change), still: pair(found.still) },
+        )?;
         Ok((found, vec![file.to_owned()]))
     };
-    let (found, cached) = stamps.take_up("measure", &key, kept, make)?;
+    let (found, cached) = stamps.reuse_or_make("measure", &key, kept, make)?;
     Ok((found, key, cached))
 }

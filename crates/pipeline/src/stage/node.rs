@@ -1,11 +1,11 @@
-//! Nodes: what makes the patterns of a display from a light field. `tensor-display` is the factorizer, which takes the light field
-//! where it lies; every other is lent it across the boundary of plugins.
+//! Nodes: plugins that make the patterns of a display from a light field. The node `tensor-display`
+//! is the solver inside this process; other nodes get the light field through the plugin boundary.
 
 use lumistack_core::Task;
 use lumistack_display::{Display, FieldGeometry, LayerStack, LightField, Weights};
 use lumistack_plugin_host::{NodeData, PluginKind, Registry};
 
-use super::factorize::{Kept, Solved, take_up};
+use super::factorize::{Convergence, Solved, reuse_or_make};
 use super::field::add_weights;
 use crate::error::{PipelineError, display_error, host_error};
 use crate::job::NodeJob;
@@ -14,7 +14,7 @@ use crate::store::key::KeyBuilder;
 use crate::store::plugin_files::plugin_key;
 use crate::store::stamps::Stamps;
 
-/// Whether the factorizer makes a node's patterns; without nodes it does.
+/// True if the solver makes a node's patterns, as it does without nodes.
 pub(crate) fn is_factorized(node: Option<&NodeJob>) -> bool {
     node.is_none_or(|node| node.plugin == NodeJob::TENSOR_DISPLAY)
 }
@@ -22,7 +22,7 @@ pub(crate) fn is_factorized(node: Option<&NodeJob>) -> bool {
 /// Checks a node's plugin and parameters, without any work.
 ///
 /// # Errors
-/// When there is no such node, or it does not take the parameters.
+/// If there is no such node, or it rejects the parameters.
 pub(crate) fn check(node: &NodeJob, registry: &Registry) -> Result<(), PipelineError> {
     if is_factorized(Some(node)) {
         return Ok(());
@@ -32,10 +32,11 @@ pub(crate) fn check(node: &NodeJob, registry: &Registry) -> Result<(), PipelineE
     Ok(())
 }
 
-/// The display of a node on a light field of this geometry: its own, `of_job`, or else the one that all share. With how its backlight had to change.
+/// Returns the display of a node for a light field of this geometry: its own, `of_job`, or else the
+/// shared one. The text describes how its backlight was adapted.
 ///
 /// # Errors
-/// When it cannot show the light field.
+/// If the display cannot show the light field.
 pub(crate) fn display(
     node: &NodeJob,
     of_job: &Display,
@@ -55,9 +56,9 @@ pub(crate) fn display(
     Ok((display, change))
 }
 
-/// What a node makes patterns of.
+/// The input of a node plugin.
 #[derive(Clone, Copy)]
-pub(crate) struct Given<'a> {
+pub(crate) struct NodeInput<'a> {
     pub(crate) node: &'a NodeJob,
     pub(crate) seed: u64,
     pub(crate) display: &'a Display,
@@ -65,18 +66,18 @@ pub(crate) struct Given<'a> {
     pub(crate) weights: &'a Weights,
 }
 
-/// The patterns that a node plugin makes, in `layers/`; and whether they were current.
+/// Returns the patterns of a node plugin in `layers/`, and true if they were cached.
 ///
 /// # Errors
-/// When the plugin fails or is cancelled, or a file cannot be written.
+/// If the plugin fails or is cancelled, or a file cannot be written.
 pub(crate) fn run(
-    given: Given<'_>,
+    given: NodeInput<'_>,
     stamps: &Stamps,
     registry: &Registry,
     task: Task<'_>,
 ) -> Result<(Solved, bool), PipelineError> {
-    let Given { node, seed, display, target, weights } = given;
-    // baselines solve by the factorizer, too
+    let NodeInput { node, seed, display, target, weights } = given;
+    // Baselines use the factorizer, so its code belongs to the key.
     let mut key = KeyBuilder::new("node", code::PATTERNS);
     key.add("plugin", plugin_key(registry, &node.plugin, &node.params)?.as_bytes())
         .add("display", display.to_toml().as_bytes())
@@ -84,21 +85,21 @@ pub(crate) fn run(
         .add_f32("target", target.radiance().data())
         .add_json("seed", &seed);
     add_weights(&mut key, weights);
-    take_up("node", &key.finish(), display, stamps, || make(given, registry, task))
+    reuse_or_make("node", &key.finish(), display, stamps, || make(given, registry, task))
 }
 
-/// The patterns that a node plugin makes, which are kept nowhere, and how it came to them.
+/// Makes the patterns by a node plugin, without the cache. Returns them with their convergence.
 ///
 /// # Errors
-/// When the plugin fails or is cancelled.
+/// If the plugin fails or is cancelled.
 pub(crate) fn make(
-    given: Given<'_>,
+    given: NodeInput<'_>,
     registry: &Registry,
     task: Task<'_>,
-) -> Result<(LayerStack, Option<Kept>), PipelineError> {
-    let Given { node, seed, display, target, weights } = given;
+) -> Result<(LayerStack, Option<Convergence>), PipelineError> {
+    let NodeInput { node, seed, display, target, weights } = given;
     let data = NodeData { weights, seed, ..NodeData::new(display, target) };
     let made = lumistack_plugin_host::make_stack(registry, &node.plugin, &node.params.clone().into(), &data, task)
         .map_err(host_error)?;
-    Ok((made.stack, made.solution.map(|solution| Kept::of_node(solution, &made.steps))))
+    Ok((made.stack, made.solution.map(|solution| Convergence::of_node(solution, &made.steps))))
 }

@@ -1,4 +1,4 @@
-//! Output plugins: opened against the display before the work, and written after it.
+//! Output plugins: checked with the display before the work, and executed after it.
 
 use std::path::{Path, PathBuf};
 
@@ -19,7 +19,7 @@ use crate::store::stamps::Stamps;
 /// Checks plugins and parameters of a job's outputs, without any work.
 ///
 /// # Errors
-/// When there is no such output, or it does not take the parameters or what it would be given.
+/// If there is no such output, or it rejects the parameters or the kind of data.
 pub(crate) fn check(job: &Job, registry: &Registry) -> Result<(), PipelineError> {
     for output in &job.outputs {
         let info = registry.get_kind(&output.plugin, PluginKind::Output).map_err(PipelineError::Output)?.info();
@@ -30,7 +30,7 @@ pub(crate) fn check(job: &Job, registry: &Registry) -> Result<(), PipelineError>
             return Err(PipelineError::job("outputs", expected, format!("`{}`", output.plugin)));
         }
         if info.presents {
-            let found = format!("`{}`, which presents (`lumistack show` does)", output.plugin);
+            let found = format!("`{}`, which drives panels; run `lumistack show` for it", output.plugin);
             return Err(PipelineError::job("outputs", "a plugin that writes files", found));
         }
     }
@@ -41,10 +41,10 @@ fn port_of(output: &OutputJob) -> Port {
     if output.takes_light_field() { Port::LightField } else { Port::LayerStack }
 }
 
-/// Opens an output against a display: what it refuses is known before the work and not after.
+/// Opens an output for a display before the work, so that a refusal costs no time.
 ///
 /// # Errors
-/// When it refuses, or when cancelled.
+/// If the output refuses, or the task is cancelled.
 pub(crate) fn open(
     output: &OutputJob,
     display: &Display,
@@ -57,7 +57,7 @@ pub(crate) fn open(
     checked.map_err(host_error)
 }
 
-/// Those of `outputs` that could not be written, their paths after `prefix`.
+/// Returns the outputs that failed, with `prefix` before their paths.
 pub(crate) fn failed(outputs: &[Output], prefix: &Path) -> Vec<FailedOutput> {
     let failed =
         outputs.iter().filter_map(|output| Some((output.path.trim_start_matches("../"), output.failed.clone()?)));
@@ -65,7 +65,7 @@ pub(crate) fn failed(outputs: &[Output], prefix: &Path) -> Vec<FailedOutput> {
     failed.map(|(path, reason)| FailedOutput { path: place(path), reason }).collect()
 }
 
-/// Plugins are told how deep the middle view sees.
+/// Adds a light field to a key, with the depth of its central view, which outputs receive.
 fn add_field(key: &mut KeyBuilder, label: &str, field: &LightField) {
     key.add("geometry", format!("{:?}", field.geometry()).as_bytes()).add_f32(label, field.radiance().data());
     if let Some(depth) = field.depth() {
@@ -74,7 +74,7 @@ fn add_field(key: &mut KeyBuilder, label: &str, field: &LightField) {
     }
 }
 
-/// Name of an output's stage, by which its stamp is called.
+/// Returns the name of an output's stage, which is also that of its stamp.
 pub(crate) fn stage_name(output: &OutputJob) -> String {
     match output.takes_light_field() {
         true => format!("output-{}-{}", OutputJob::LIGHT_FIELD, output.name()),
@@ -82,11 +82,11 @@ pub(crate) fn stage_name(output: &OutputJob) -> String {
     }
 }
 
-/// Writes an output into `relative`, a folder relative to the run's, unless its files are current; says whether they were. One that fails costs neither the report
-/// nor the outputs after it.
+/// Writes an output into `relative`, a folder relative to the run's, unless its files are current.
+/// Returns true if they were. A failure is reported in the result, and the run continues.
 ///
 /// # Errors
-/// When cancelled, or the stamp cannot be written.
+/// If cancelled, or the stamp cannot be written.
 pub(crate) fn run(
     output: &OutputJob,
     relative: &str,
@@ -96,6 +96,7 @@ pub(crate) fn run(
     registry: &Registry,
     task: Task<'_>,
 ) -> Result<(Output, bool), PipelineError> {
+    // The key has everything that the plugin reads.
     let mut key = KeyBuilder::new(&format!("output {}", output.plugin), code::PLUGINS);
     key.add("display", display.to_toml().as_bytes());
     match data {
@@ -108,6 +109,7 @@ pub(crate) fn run(
         }
         OutputData::LightField(field) => add_field(&mut key, "radiance", field),
     }
+    // The list of files is cached with them, since only the plugin knows it.
     let stage = stage_name(output);
     let list = stamps.dir().join("cache").join(format!("{stage}-files.json"));
     let make = || {
@@ -122,8 +124,9 @@ pub(crate) fn run(
     let plugin = plugin_key(registry, &output.plugin, &output.params);
     let written: Result<(Vec<PathBuf>, bool), PipelineError> = plugin.and_then(|plugin| {
         key.add("plugin", plugin.as_bytes());
-        stamps.take_up(&stage, &key.finish(), || read_json(&list), make)
+        stamps.reuse_or_make(&stage, &key.finish(), || read_json(&list), make)
     });
+    // A failed output costs neither the report nor the outputs after it.
     match written {
         Ok((written, cached)) => {
             let label = format!("{}, {} files", output.name(), written.len());

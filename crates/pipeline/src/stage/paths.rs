@@ -1,18 +1,18 @@
-//! The choice of a number of paths per pixel and view, from what noise and display do to the
-//! seen pictures. `samples.rs` measures both.
+//! The choice of a number of paths per pixel and view, by the errors that noise and display cause
+//! in seen pictures. `samples.rs` measures both.
 
 use serde::{Deserialize, Serialize};
 
 /// Share of a display's squared error that noise may add: 0.25 dB.
 const NOISE_SHARE: f64 = 0.06;
-/// Squared errors below this one are not worth a path: 50 dB.
+/// Squared errors below this one need no more paths: 50 dB.
 const LEAST_ERROR: f64 = 1e-5;
-/// Paths per pixel of all views together, at most.
+/// Maximum number of paths per pixel, of all views together.
 const MOST_PATHS: usize = 3200;
-/// Numbers of paths that are chosen. Few numbers keep rendered views valid when a display changes
-/// a little.
+/// Numbers of paths to choose from. Few choices keep rendered views valid if a display changes a
+/// little.
 const CHOICES: [u32; 12] = [1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64];
-/// What was measured, and the choice that follows.
+/// Measured errors, and the number of paths that follows.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Samples {
     /// Paths per pixel and view, ≥ 1.
@@ -21,7 +21,7 @@ pub(crate) struct Samples {
     pub(crate) noise: f64,
     /// D: mean squared error of the seen pictures without noise.
     pub(crate) error: f64,
-    /// Whether more paths were needed than are allowed.
+    /// True if more paths were needed than are allowed.
     pub(crate) limited: bool,
 }
 
@@ -34,11 +34,14 @@ impl Samples {
         Self { per_view: choice.min(most), noise, error, limited: enough.is_none_or(|enough| enough > most) }
     }
 
-    /// For the report: why the number was chosen.
+    /// Explains the number in the report.
     pub(crate) fn reason(&self) -> String {
         let share = 100.0 * self.noise / f64::from(self.per_view) / self.error.max(LEAST_ERROR);
-        let limit =
-            if self.limited { format!("; more than {MOST_PATHS} of all views are not taken") } else { String::new() };
+        let limit = if self.limited {
+            format!("; all views together take at most {MOST_PATHS} paths per pixel")
+        } else {
+            String::new()
+        };
         format!("noise adds about {share:.1} % to the display's own squared error{limit}")
     }
 }
@@ -52,9 +55,9 @@ mod tests {
         let choose = |noise, error, views| Samples::new(noise, error, views);
         // without noise one path is enough, however good the display is
         assert_eq!((choose(0.0, 1e-3, 169).per_view, choose(0.0, 0.0, 169).limited), (1, false));
-        // n = V / (η D) = 5, and the next number that is chosen
+        // n = V / (η D) = 5, and the next choice
         assert_eq!(choose(4.9 * NOISE_SHARE * 2e-3, 2e-3, 169).per_view, 6);
-        // errors that nobody sees ask for nothing
+        // invisible errors need no paths
         assert_eq!(choose(2.9 * NOISE_SHARE * LEAST_ERROR, -1e-7, 169).per_view, 3);
         let limited = choose(1.0, 1e-3, 169);
         assert_eq!((limited.per_view, limited.limited), (18, true));

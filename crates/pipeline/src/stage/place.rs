@@ -1,4 +1,4 @@
-//! Where the display stands in a scene: found by `shot`, and kept in the cache.
+//! Places the window in a scene by `shot`, and caches the results.
 
 use std::path::Path;
 
@@ -16,13 +16,13 @@ use crate::store::code;
 use crate::store::key::KeyBuilder;
 use crate::store::stamps::remembered;
 
-/// A loaded scene whose answers are kept in a folder, if there is one.
-struct Kept<'a> {
+/// A loaded scene, with a folder for cached results.
+struct CachedScene<'a> {
     ingested: &'a Ingested,
     cache_dir: Option<&'a Path>,
 }
 
-impl Subject for Kept<'_> {
+impl Subject for CachedScene<'_> {
     type Error = PipelineError;
 
     fn scene(&self) -> &Scene {
@@ -46,10 +46,10 @@ impl Subject for Kept<'_> {
     }
 }
 
-/// [`lumistack_shot::place()`] of a loaded scene.
+/// Is [`lumistack_shot::place()`] for a loaded scene.
 ///
 /// # Errors
-/// As there, and when an answer cannot be kept.
+/// As there, and if a result cannot be written.
 pub(crate) fn place(
     ingested: &Ingested,
     job: &WindowJob,
@@ -58,13 +58,13 @@ pub(crate) fn place(
     cache_dir: Option<&Path>,
     task: Task<'_>,
 ) -> Result<Placement, PipelineError> {
-    lumistack_shot::place(&Kept { ingested, cache_dir }, job, display, geometry, task)
+    lumistack_shot::place(&CachedScene { ingested, cache_dir }, job, display, geometry, task)
 }
 
-/// [`find_window`] of a loaded scene: the window before depth is fitted.
+/// Is [`find_window`] for a loaded scene: the window before it is moved for depth.
 ///
 /// # Errors
-/// As there, and when an answer cannot be kept.
+/// As there, and if a result cannot be written.
 pub fn place_window(
     ingested: &Ingested,
     job: &WindowJob,
@@ -72,5 +72,5 @@ pub fn place_window(
     cache_dir: Option<&Path>,
     task: Task<'_>,
 ) -> Result<Window, PipelineError> {
-    find_window(&Kept { ingested, cache_dir }, job, geometry, task).map(|found| found.window)
+    find_window(&CachedScene { ingested, cache_dir }, job, geometry, task).map(|found| found.window)
 }

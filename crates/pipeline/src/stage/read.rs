@@ -1,21 +1,23 @@
-//! A light field that somebody else rendered is read: values that no display shows are told, and the job's exposure and tone curve are applied.
+//! Reads a light field of another renderer, warns about values out of range, and applies exposure
+//! and tone curve of the job.
 
 use std::path::Path;
 
 use lumistack_core::Task;
 use lumistack_display::{Display, FieldGeometry, LightField};
 use lumistack_field_io::LeftOut;
-use lumistack_shot::Look;
+use lumistack_shot::ToneMapping;
 use rayon::prelude::*;
 
 use super::field::field_defaults;
 use crate::error::{PipelineError, field_error};
 use crate::job::Job;
 
-/// Reads the light field at `path` for a display, and so many views as the report wants of those that the display leaves out.
+/// Reads the light field at `path` for a display. Also returns views that the display does not use,
+/// as many as the report scores.
 ///
 /// # Errors
-/// When it cannot be read, or its geometry is incomplete.
+/// If it cannot be read, or its geometry is incomplete.
 pub(crate) fn run(
     path: &Path,
     job: &Job,
@@ -26,33 +28,34 @@ pub(crate) fn run(
     let defaults = field_defaults(display);
     let most = job.report.zone_directions;
     let read = lumistack_field_io::open_for(path, &job.geometry, &defaults, Some(&footprint), most, task);
-    // not rounded, as `target/` is: figures are about what was given
+    // Values are not rounded as in `target/`: the report compares with the values of the file.
     let (mut field, mut left_out) = read.map_err(field_error)?;
-    if let Some(look) = Look::of_given(&job.light) {
-        look.apply(&mut field);
-        left_out.iter_mut().for_each(|view| look.apply_to(&mut view.radiance));
+    if let Some(tone_mapping) = ToneMapping::of_given(&job.light) {
+        tone_mapping.apply(&mut field);
+        left_out.iter_mut().for_each(|view| tone_mapping.apply_to(&mut view.radiance));
     }
-    if let Some(beyond) = Beyond::of(&field) {
-        task.warn(path.display().to_string(), beyond.message(OFFER_OF_COMMAND));
+    if let Some(out_of_range) = OutOfRange::of(&field) {
+        task.warn(path.display().to_string(), out_of_range.message(REMEDY_IN_COMMAND));
     }
     Ok((field, left_out))
 }
 
-/// What the command offers for values beyond 0 to 1.
-pub(crate) const OFFER_OF_COMMAND: &str =
+/// Remedies of the command for values outside 0..1.
+pub(crate) const REMEDY_IN_COMMAND: &str =
     "--exposure-ev STOPS scales them, --tone linear clips them, --tone khronos-neutral or agx compresses them";
-/// What the Python package offers.
-pub(crate) const OFFER_OF_PYTHON: &str =
+/// Remedies of the Python package.
+pub(crate) const REMEDY_IN_PYTHON: &str =
     "light_field.exposed(stops) scales and clips them, tone=\"khronos-neutral\" or \"agx\" compresses them";
 
-/// Slopes that the display cannot tell apart, once it has adapted to a light field; of one that it refuses, as it is.
+/// Returns the slopes that a display cannot separate, once adapted to a light field. If it cannot
+/// adapt, its own.
 pub(crate) fn adapted_footprint(display: &Display, geometry: &FieldGeometry) -> [f64; 2] {
     display.adapted_to(geometry).as_ref().unwrap_or(display).angular_footprint()
 }
 
-/// Values of a light field beyond what a display shows at the brightness that is asked of it.
+/// Statistics of values outside 0..1, which no display shows.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Beyond {
+pub(crate) struct OutOfRange {
     values: u64,
     above: u64,
     largest: f32,
@@ -61,8 +64,8 @@ pub(crate) struct Beyond {
     not_finite: u64,
 }
 
-impl Beyond {
-    /// Counts them; `None` where all values are 0 to 1.
+impl OutOfRange {
+    /// Counts the values; `None` if all are in 0..1.
     pub(crate) fn of(field: &LightField) -> Option<Self> {
         let parts = field.radiance().data().par_chunks(1 << 16).map(|values| {
             let mut part = Self { values: values.len() as u64, ..Self::default() };
@@ -88,7 +91,7 @@ impl Beyond {
         (all.above + all.below + all.not_finite > 0).then_some(all)
     }
 
-    /// How many they are, how far they go, and what `offer`s to do about it.
+    /// Describes the values: share, extremes, and the remedy.
     pub(crate) fn message(&self, offer: &str) -> String {
         let share = |count: u64| {
             let percent = 100.0 * count as f64 / self.values as f64;
@@ -113,7 +116,7 @@ impl Beyond {
         if self.not_finite > 0 {
             parts.push(format!("{} are no finite numbers", share(self.not_finite)));
         }
-        format!("{}; a display shows 0 to 1, and PSNR counts what it misses: {offer}", parts.join("; "))
+        format!("{}; a display shows 0 to 1, and PSNR counts the difference: {offer}", parts.join("; "))
     }
 }
 
@@ -127,17 +130,17 @@ mod tests {
         let grid = ViewGrid::uniform(Projection::Oblique, [3, 2], [20.0, 20.0]).unwrap();
         let mut field = LightField::black(FieldGeometry { rows: 100, cols: 100, pitch_mm: 1.0, grid }).unwrap();
         field.radiance_mut().data_mut().fill(1.0);
-        assert_eq!(Beyond::of(&field), None);
+        assert_eq!(OutOfRange::of(&field), None);
         let data = field.radiance_mut().data_mut();
         data[17] = 1e4;
-        let message = Beyond::of(&field).unwrap().message("nothing");
+        let message = OutOfRange::of(&field).unwrap().message("nothing");
         let expected = "1 of 180000 values lie above 1, the largest 10000 (-13.29 stops would fit it)";
         assert!(message.starts_with(expected), "{message}");
         let data = field.radiance_mut().data_mut();
         data[..18_000].fill(2.0);
         data[18_000..18_900].fill(-0.5);
         data[20_000] = f32::NAN;
-        let message = Beyond::of(&field).unwrap().message("nothing");
+        let message = OutOfRange::of(&field).unwrap().message("nothing");
         for part in [
             "10.00 % of all values lie above 1, the largest 2 ",
             "0.50 % of all values lie below 0, the smallest -0.5",

@@ -1,4 +1,4 @@
-//! Reports: of a display, of all nodes of a graph, of all times of a sequence.
+//! Reports of a display, of the nodes of a graph, and of a sequence.
 
 use lumistack_core::{Task, Warning};
 use lumistack_display::{Display, RayMap, Simulator, Weights};
@@ -12,8 +12,8 @@ use crate::job::Job;
 use crate::store::files::write_report;
 use crate::store::stamps::Stamps;
 
-/// Everything that a report of a display shows.
-pub(crate) struct About<'a> {
+/// Input of a display's report.
+pub(crate) struct ReportContent<'a> {
     pub(crate) job: &'a Job,
     pub(crate) display: &'a Display,
     pub(crate) field: &'a Field,
@@ -29,13 +29,15 @@ pub(crate) struct About<'a> {
 /// Makes the report of a display and writes it.
 ///
 /// # Errors
-/// When it cannot be made or written, or when cancelled.
-pub(crate) fn run(about: &About<'_>, stamps: &Stamps, task: Task<'_>) -> Result<Report, PipelineError> {
-    let About { job, display, field, solved, .. } = about;
+/// If it cannot be made or written, or the task is cancelled.
+pub(crate) fn run(about: &ReportContent<'_>, stamps: &Stamps, task: Task<'_>) -> Result<Report, PipelineError> {
+    let ReportContent { job, display, field, solved, .. } = about;
     let settings = job.to_json();
     let denoising = field.denoised.as_ref().map(|denoised| denoised.about());
     let measure = |references: &References| references.measure(display, &solved.stack, task);
+    // Measure the seen pictures first, which the report draws and scores.
     let zone = about.references.map(measure).transpose()?;
+    // Reports are made of values in memory; only the result is written.
     let report = lumistack_report::build(
         &ReportInput {
             title: &job.name,
@@ -69,7 +71,7 @@ pub(crate) fn run(about: &About<'_>, stamps: &Stamps, task: Task<'_>) -> Result<
 /// Writes the report of a graph.
 ///
 /// # Errors
-/// When it cannot be made or written.
+/// If it cannot be made or written.
 pub(crate) fn graph(input: &GraphInput<'_>, stamps: &Stamps) -> Result<(), PipelineError> {
     let (html, json) = lumistack_report::graph(input).map_err(PipelineError::Report)?;
     write_report(stamps.dir(), &html, &json)
@@ -78,14 +80,14 @@ pub(crate) fn graph(input: &GraphInput<'_>, stamps: &Stamps) -> Result<(), Pipel
 /// Writes the report of a sequence.
 ///
 /// # Errors
-/// When it cannot be made or written.
+/// If it cannot be made or written.
 pub(crate) fn sequence(input: &SequenceInput<'_>, stamps: &Stamps) -> Result<SequenceReport, PipelineError> {
     let report = lumistack_report::sequence(input).map_err(PipelineError::Report)?;
     write_report(stamps.dir(), &report.html, &report.json)?;
     Ok(report)
 }
 
-/// The central view as it should be and as it is shown.
+/// Returns the central view of the target and of the display, divided by β.
 pub(crate) fn thumbnails(display: &Display, field: &Field, solved: &Solved) -> [Thumbnail; 2] {
     let geometry = field.target.geometry();
     let middle = geometry.grid.views().map(|count| count / 2);

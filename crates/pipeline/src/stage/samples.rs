@@ -1,22 +1,22 @@
-//! The number of paths per pixel and view from which a display profits, measured on small parts
-//! of the picture before all of it is rendered.
+//! The number of paths per pixel and view that a display needs, measured on small parts of the
+//! picture before rendering all of it.
 //!
 //! ```text
 //! MSE(n) = D + V / n        D: squared error of the seen pictures of a solve without noise
-//!                           V: what the noise of one path per pixel and view adds to it
+//!                           V: error that the noise of one path per pixel and view adds
 //! n = V / (η D)             η: share of the error that noise may add
 //! ```
 //!
-//! Every part is rendered twice with one path per pixel and view, from independent seeds a and b.
-//! Both are solved for; S_a and S_b are seen pictures in directions that no solver saw, R_a and R_b
-//! renders of the scene from there, with seeds of their own:
+//! Every part is rendered twice with one path per pixel and view, from independent seeds a and b,
+//! and solved for both. S_a and S_b are seen pictures in directions that no solver used. R_a and
+//! R_b are renders of the scene from there, with seeds of their own:
 //!
 //! ```text
 //! V = E[(S_a − S_b)²] / 2        D = E[(S_a − R_a)(S_b − R_b)]
 //! ```
 //!
-//! D is free of all noises, since they are independent. Noise counts as far as it reaches the eye:
-//! a layer's pixel averages over all rays that cross it, so noise of the views says little.
+//! D contains no noise, since all seeds are independent. V contains only noise that reaches the
+//! eye: a layer's pixel averages over all rays through it, so the noise of the views says little.
 
 use std::path::Path;
 
@@ -28,10 +28,10 @@ use lumistack_display::{
 use lumistack_pathtracer::denoise::SharedLight;
 use lumistack_pathtracer::{AngularFilter, Settings, SplitView};
 use lumistack_scene::Window;
-use lumistack_shot::{Look, Placement};
+use lumistack_shot::{Placement, ToneMapping};
 use rayon::prelude::*;
 
-use super::device::Site;
+use super::device::SolverDevice;
 use super::factorize::Solve;
 use super::fields::Shot;
 use super::paths::Samples;
@@ -42,27 +42,29 @@ use crate::stage::ingest::Ingested;
 use crate::store::code;
 use crate::store::stamps::remembered;
 
-/// Parts of the picture, at most, and the share of its area that they cover, at most.
+/// Maximum number of parts of the picture.
 const PARTS: usize = 6;
+/// Maximum share of the picture's area that the parts cover.
 const MOST_AREA: f64 = 0.25;
-/// Edge of the middle of a part in pixels. Around it lies a margin in which rays leave the layers.
+/// Edge of the measured middle of a part, pixels. In the margin around it, rays leave the part's
+/// layers.
 const MIDDLE: usize = 40;
-/// Iterations of the solver. Noise and error stand in their final ratio after a few.
+/// Iterations of the solver. The ratio of noise and error is final after a few.
 const ITERATIONS: u32 = 8;
-/// Directions in which a part is seen.
+/// Number of directions in which a part is seen.
 const DIRECTIONS: usize = 4;
-/// Paths per pixel of each of the two renders of such a direction.
+/// Paths per pixel of each of the two renders of a direction.
 const REFERENCE_PATHS: u32 = 4;
-/// Share of a pixel's area that counts as all of it.
+/// A pixel counts if at least this share of its area is seen.
 const WHOLE: f32 = 0.999;
-/// Stream of random numbers that no view's radiance uses.
+/// Stream of random numbers that no view uses.
 const STREAM: u64 = 0x5a3b_0001;
 
-/// The number of paths per pixel and view, where the job leaves it open. It is measured once and
-/// kept in a folder of the cache.
+/// Returns the number of paths per pixel and view, if the job sets none. It is measured once and
+/// cached in a folder.
 ///
 /// # Errors
-/// When rendering or solving fails or is cancelled, or the folder cannot be written.
+/// If rendering or solving fails or is cancelled, or the folder cannot be written.
 pub(crate) fn measured(
     job: &Job,
     ingested: &Ingested,
@@ -74,11 +76,13 @@ pub(crate) fn measured(
     let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
     let views = geometry.grid.iter().count();
     let is_ours = job.render.engine != Engine::Blender && ingested.blend().is_none();
-    // views that are fixed are right at themselves alone, where noise counts more than between them
+    // A display with fixed views is right at these views alone, where noise counts more than
+    // between them.
     let is_chosen = !matches!(display.field.views, Views::Fixed(_));
     if !(job.render.samples_are_measured() && is_chosen && views > 1 && ingested.is_traced() && is_ours) {
         return Ok(None);
     }
+    // The key has all that noise and error depend on.
     let footprint = display.angular_footprint();
     let shot = Shot { job, ingested, placement, geometry: &geometry, footprint, samples: None };
     let mut key = shot.key();
@@ -95,7 +99,7 @@ struct Part {
     display: Display,
     geometry: FieldGeometry,
     window: Window,
-    /// Of its centre against that of the display, millimetres.
+    /// Centre of the part relative to the display's, mm.
     centre_mm: [f64; 2],
     margin: usize,
 }
@@ -103,7 +107,7 @@ struct Part {
 /// One of the two renders of a part.
 struct Half {
     field: LightField,
-    /// Which pixels show a surface, in the order of the radiance.
+    /// True for pixels that show a surface, in the order of the radiance.
     is_surface: Vec<bool>,
 }
 
@@ -126,14 +130,15 @@ fn measure(shot: Shot<'_>, display: &Display, task: Task<'_>) -> Result<Samples,
         let pixels = half.field.radiance().data().chunks_exact(3).zip(&half.is_surface);
         pixels.map(|(rgb, &is_surface)| (rgb[0].max(rgb[1]).max(rgb[2]), is_surface))
     });
-    let look = Look::choose(&job.light, &ingested.scene, &brightest.collect::<Vec<_>>());
-    halves.iter_mut().flatten().for_each(|half| look.apply(&mut half.field));
+    let tone_mapping = ToneMapping::choose(&job.light, &ingested.scene, &brightest.collect::<Vec<_>>());
+    halves.iter_mut().flatten().for_each(|half| tone_mapping.apply(&mut half.field));
 
+    // Directions of the zone score, distributed over the parts.
     let zone = score::zone_of(job, display, geometry);
     let directions = zone.directions(parts.len() * DIRECTIONS);
     let measured = parts.par_iter().zip(&halves).enumerate().map(|(number, (part, halves))| {
         let directions: Vec<&ViewGrid> = directions.iter().skip(number).step_by(parts.len()).collect();
-        let sums = compare(shot, part, halves, look, &directions, number as u64, quiet);
+        let sums = compare(shot, part, halves, tone_mapping, &directions, number as u64, quiet);
         task.progress.advance(1, "");
         sums
     });
@@ -144,7 +149,7 @@ fn measure(shot: Shot<'_>, display: &Display, task: Task<'_>) -> Result<Samples,
     Ok(Samples::new(all.noise / count, all.error / count, geometry.grid.iter().count()))
 }
 
-/// Sums over values of seen pictures.
+/// Sums over the values of seen pictures.
 #[derive(Clone, Copy, Default)]
 struct Sums {
     noise: f64,
@@ -158,28 +163,31 @@ impl Sums {
     }
 }
 
-/// Solves for both renders of a part and compares the seen pictures with the scene and with each other.
+/// Solves for both renders of a part, and compares the seen pictures with the scene and with each
+/// other.
 fn compare(
     shot: Shot<'_>,
     part: &Part,
     halves: &[Half; 2],
-    look: Look,
+    tone_mapping: ToneMapping,
     directions: &[&ViewGrid],
     number: u64,
     task: Task<'_>,
 ) -> Result<Sums, PipelineError> {
     let Shot { job, ingested, placement, .. } = shot;
+    // The defaults of the solver serve every job: only the ratio of noise and error counts.
     let of_solver = FactorizeJob { iterations: Some(ITERATIONS), ..FactorizeJob::default() };
     let solve = |half: &Half| {
         let target = &half.field;
         let solve =
             Solve { job: &of_solver, seed: job.seed, display: &part.display, target, weights: &Weights::Uniform };
-        solve.factorize(&Site::Processor, None, task, &mut |_| ()).map(|factorization| factorization.stack)
+        solve.factorize(&SolverDevice::Processor, None, task, &mut |_| ()).map(|factorization| factorization.stack)
     };
     let stacks = [solve(&halves[0])?, solve(&halves[1])?];
     let simulators = stacks.each_ref().map(|stack| Simulator::new(&part.display, stack));
     let tracer = &ingested.renderer(task)?.tracer;
 
+    // Sum noise and error over the middle of the part, in directions of the viewing zone.
     let mut sums = Sums::default();
     for (index, direction) in directions.iter().enumerate() {
         let geometry = part.geometry.with_grid(part.moved(direction));
@@ -195,9 +203,10 @@ fn compare(
             };
             let mut picture =
                 tracer.render_view(&part.window, &traced, [0, 0], &settings, task).map_err(render_error)?;
-            look.apply_to(picture.data_mut());
+            tone_mapping.apply_to(picture.data_mut());
             Ok::<_, PipelineError>(picture)
         };
+        // Two references with independent noise keep noise out of the error.
         let references = [reference(0)?, reference(1)?];
         for (row, col) in part.middle() {
             let pixel = row * part.geometry.cols + col;
@@ -216,7 +225,8 @@ fn compare(
     Ok(sums)
 }
 
-/// Renders a part with one path per pixel and view, without noise that views can share where the job shares it.
+/// Renders a part with one path per pixel and view. Light that views share is averaged if the job
+/// does so.
 fn render(shot: Shot<'_>, part: &Part, stream: [u64; 2], task: Task<'_>) -> Result<Half, PipelineError> {
     let Shot { job, ingested, placement, .. } = shot;
     let traced = part.geometry.with_grid(part.traced_grid(&shot.geometry.grid, placement.depth_scale));
@@ -226,6 +236,7 @@ fn render(shot: Shot<'_>, part: &Part, stream: [u64; 2], task: Task<'_>) -> Resu
     let splits: Result<Vec<SplitView>, _> =
         traced.grid.iter().map(|view| tracer.render_split(&part.window, &traced, view, &settings, task)).collect();
     let splits = splits.map_err(render_error)?;
+    // Averaged light has less noise, so the measurement must average as the job does.
     let light = if shot.denoise() == Denoise::Shared {
         let mut light = SharedLight::new(&traced);
         splits.iter().for_each(|split| light.add(split));
@@ -243,7 +254,7 @@ fn render(shot: Shot<'_>, part: &Part, stream: [u64; 2], task: Task<'_>) -> Resu
     Ok(Half { field, is_surface })
 }
 
-/// Settings of the views, whatever their number of paths.
+/// Returns the settings of the views, without their number of paths.
 fn settings(shot: Shot<'_>) -> Settings {
     let hide_environment = shot.job.light.background != Background::Environment;
     Settings {
@@ -254,14 +265,15 @@ fn settings(shot: Shot<'_>) -> Settings {
     }
 }
 
-/// Parts spread over the picture by the additive recurrence that also spreads [directions](lumistack_display::Zone::directions).
+/// Places parts over the picture by the additive recurrence of
+/// [directions](lumistack_display::Zone::directions).
 fn parts(display: &Display, geometry: &FieldGeometry, window: &Window) -> Vec<Part> {
     let margin = margin(display, geometry);
     let edge = MIDDLE + 2 * margin;
     let [rows, cols] = [edge.min(geometry.rows), edge.min(geometry.cols)];
     let area = (geometry.rows * geometry.cols) as f64 / (rows * cols) as f64;
     let count = ((MOST_AREA * area) as usize).clamp(1, PARTS);
-    // alone in the middle, or all over
+    // a single part is in the middle
     let places = spread(count);
     let [free_rows, free_cols] = [geometry.rows - rows, geometry.cols - cols].map(|free| free as f64);
     places
@@ -275,20 +287,20 @@ fn parts(display: &Display, geometry: &FieldGeometry, window: &Window) -> Vec<Pa
         .collect()
 }
 
-/// `count` points of the unit square; one is in its middle.
+/// Returns `count` points of the unit square; the first is the centre.
 fn spread(count: usize) -> Vec<[f64; 2]> {
     // the real root of x³ = x + 1: Roberts' R₂
     const RATIO: f64 = 1.324_717_957_244_746;
     (0..count).map(|i| [1.0, 2.0].map(|power| (0.5 + i as f64 * RATIO.powf(-power)).fract())).collect()
 }
 
-/// Pixels over which rays of the zone spread from the display's plane to its farthest layer.
+/// Returns the pixels that rays of the zone cross between the display plane and its farthest layer.
 fn margin(display: &Display, geometry: &FieldGeometry) -> usize {
     let most = |slopes: &[f64]| slopes.iter().fold(0.0f64, |most, slope| most.max(slope.abs()));
     let slope = most(&geometry.grid.slope_x).max(most(&geometry.grid.slope_y));
     let of_layers = display.layers.iter().map(|layer| layer.d_mm.abs());
     let reach_mm = of_layers.fold(0.0f64, f64::max) * slope;
-    // more would leave no part in a display whose rays cross it from side to side
+    // A larger margin would leave no part of a display whose rays cross it from side to side.
     ((reach_mm / geometry.pitch_mm).ceil() as usize + 1).min(MIDDLE)
 }
 
@@ -300,6 +312,7 @@ fn part(
     centre_mm: [f64; 2],
     margin: usize,
 ) -> Part {
+    // The part is a small display of the same layers.
     let shares = [cols as f64 / geometry.cols as f64, rows as f64 / geometry.rows as f64];
     let cut =
         |resolution: [usize; 2]| [0, 1].map(|axis| ((resolution[axis] as f64 * shares[axis]).ceil() as usize).max(1));
@@ -311,6 +324,7 @@ fn part(
     if let Backlight::Lenslets(lenslets) = &mut small.backlight {
         lenslets.lenslets = cut(lenslets.lenslets);
     }
+    // Its window is the part of the display's window.
     let map = window.scene_from_display;
     let translation = map.point(DVec3::new(centre_mm[0], centre_mm[1], 0.0));
     let size_mm = [cols, rows].map(|count| count as f64 * geometry.pitch_mm);
@@ -326,7 +340,8 @@ fn part(
 }
 
 impl Part {
-    /// The same eyes or parallel views, as slopes about the part's centre.
+    /// Returns the views with slopes relative to the part's centre: the same eyes, or parallel
+    /// views.
     fn moved(&self, grid: &ViewGrid) -> ViewGrid {
         let Projection::Perspective { distance_mm } = grid.projection else { return grid.clone() };
         let moved = |slopes: &[f64], axis: usize| {
@@ -335,12 +350,12 @@ impl Part {
         ViewGrid { projection: grid.projection, slope_x: moved(&grid.slope_x, 0), slope_y: moved(&grid.slope_y, 1) }
     }
 
-    /// Views of the whole display as they are traced.
+    /// Returns the views of the display with the slopes at which they are traced.
     fn traced_grid(&self, grid: &ViewGrid, depth_scale: f64) -> ViewGrid {
         self.moved(&grid.scaled(depth_scale))
     }
 
-    /// Pixels from which no ray of the zone leaves the part, or all where the part is the picture.
+    /// Returns the pixels whose rays stay in the part; all pixels if the part is the picture.
     fn middle(&self) -> impl Iterator<Item = (usize, usize)> + use<> {
         let FieldGeometry { rows, cols, .. } = self.geometry;
         let inside = |count: usize, margin: usize| {

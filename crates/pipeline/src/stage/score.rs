@@ -1,8 +1,10 @@
-//! How right a display is all over its zone: the scene's pictures in directions that no solver saw, beside the seen pictures from there.
+//! Scores a display over its viewing zone: seen pictures against the scene's pictures, in
+//! directions that no solver used.
 //!
-//! Every direction is rendered twice with independent seeds, so that the score is free of their noise
-//! ([`DirectionScore`]). A few samples are enough for that, since all pixels of all directions share the mean. SSIM and FLIP see noise, so the first
-//! directions, which are spread over the zone like all, get more samples.
+//! Every direction is rendered twice with independent seeds, so that the score contains no noise
+//! ([`DirectionScore`]). Few samples suffice, since the score averages over all pixels of all
+//! directions. SSIM and FLIP are sensitive to noise, so the first directions, which spread over the
+//! zone, have more samples.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -14,7 +16,7 @@ use lumistack_display::{
 use lumistack_field_io::{LeftOut, npy};
 use lumistack_pathtracer::{AngularFilter, Renderer, Settings};
 use lumistack_report::{ZoneFigures, ZoneView};
-use lumistack_shot::{Look, expose_over, put_before};
+use lumistack_shot::{ToneMapping, expose_over, put_before};
 use lumistack_splats::Space;
 use rayon::prelude::*;
 
@@ -25,33 +27,33 @@ use crate::store::code;
 use crate::store::key::KeyBuilder;
 use crate::store::views::{missing, read_view, write_view};
 
-/// Directions whose pictures have enough samples to be looked at: for SSIM, FLIP and the report's pictures.
+/// Directions with enough samples for SSIM, FLIP and the report's pictures.
 const CLEAN: usize = 8;
-/// Samples per pixel of such a direction, and of any other.
+/// Samples per pixel of such a direction, and of the others.
 const SAMPLES: [u32; 2] = [24, 4];
-/// Their random numbers are those of no view.
+/// Stream of random numbers that no view uses.
 const STREAM: u64 = 3;
 
-/// The scene's pictures in directions that no solver saw.
+/// The scene's pictures in directions that no solver used.
 pub struct References {
     geometry: FieldGeometry,
     directions: Vec<ViewGrid>,
     pictures: Pictures,
-    /// Hash of all that they show.
+    /// Hash of all that the pictures depend on.
     pub(crate) key: String,
-    /// Whether none had to be traced.
+    /// True if all pictures were cached.
     pub(crate) cached: bool,
 }
 
-/// Where they are.
+/// Place of the pictures.
 enum Pictures {
     /// In a folder of the cache, two per direction.
-    Rendered { folder: PathBuf, look: Look, background: Background, space: Option<Space> },
-    /// In memory, display-referred; both are one where there is no noise of ours.
+    Rendered { folder: PathBuf, tone_mapping: ToneMapping, background: Background, space: Option<Space> },
+    /// In memory, display-referred. Both of a pair are the same picture if there is no noise.
     Held { pictures: Vec<[Arc<Vec<f32>>; 2]>, left_out: bool },
 }
 
-/// The zone of a job's display, whose light field is `geometry`: around the expected eyes, where there are any.
+/// Returns the viewing zone of a job's display with this geometry, or that of the expected eyes.
 pub(crate) fn zone_of(job: &Job, display: &Display, geometry: &FieldGeometry) -> Zone {
     if job.factorize.eyes.is_empty() {
         return Zone::of_grid(&geometry.grid, Some(display.field.fov_deg));
@@ -60,15 +62,17 @@ pub(crate) fn zone_of(job: &Job, display: &Display, geometry: &FieldGeometry) ->
 }
 
 impl References {
-    /// Traces the pictures of a block that the cache does not hold; none depends on the look. `None` where the job wants no score, or
-    /// where Blender renders: its seeds are not ours to choose.
+    /// Traces the pictures of a block that are not cached; pictures do not depend on
+    /// `tone_mapping`.
+    /// Returns `None` if the job wants no score, or if Blender renders, since its seeds cannot be
+    /// chosen.
     ///
     /// # Errors
-    /// When rendering fails or is cancelled, or a picture cannot be stored.
+    /// If rendering fails or is cancelled, or a picture cannot be written.
     pub(crate) fn render(
         shot: Shot<'_>,
         zone: &Zone,
-        (look, engine): (Look, Engine),
+        (tone_mapping, engine): (ToneMapping, Engine),
         cache_dir: &Path,
         block: Block,
         task: Task<'_>,
@@ -80,6 +84,8 @@ impl References {
             return Ok(None);
         }
         let pixels = |direction: &ViewGrid| geometry.with_grid(direction.clone());
+        // The folder's name has a key of traced radiance; the score's key adds exposure and
+        // background.
         let mut key = shot.key();
         key.add_json("zone", &(SAMPLES, job.render.max_bounces, job.seed))
             .add_json("hidden", &(job.light.background != Background::Environment))
@@ -90,10 +96,11 @@ impl References {
         std::fs::create_dir_all(&folder).map_err(PipelineError::write(&folder))?;
         let (background, space) = (job.light.background, Space::of(&ingested.scene));
         let mut key = KeyBuilder::new("zone", code::VIEWS);
-        key.add("traced", traced.as_bytes()).add("look", format!("{look:?} {background:?}").as_bytes());
+        key.add("traced", traced.as_bytes()).add("look", format!("{tone_mapping:?} {background:?}").as_bytes());
         let key = key.finish();
-        let pictures = Pictures::Rendered { folder: folder.clone(), look, background, space };
+        let pictures = Pictures::Rendered { folder: folder.clone(), tone_mapping, background, space };
         let references = Self { geometry: geometry.clone(), directions, pictures, key, cached: false };
+        // Only missing pictures are traced.
         let all: Vec<(usize, usize)> = (0..references.directions.len()).flat_map(|i| [(i, 0), (i, 1)]).collect();
         let is_kept = |&(i, half): &(usize, usize)| references.one(i, half).is_some();
         let todo = missing(block.of(all), |&(i, half)| path(&folder, i, half), is_kept, task);
@@ -102,7 +109,7 @@ impl References {
         }
         let renderer = ingested.renderer(task)?;
         let tracer = &renderer.tracer;
-        // of all directions in one go
+        // One pass over the splats serves all directions.
         let mut splats = Vec::new();
         let grids: Vec<ViewGrid> = references.directions.iter().map(|grid| grid.scaled(depth_scale)).collect();
         let slopes: Vec<[f64; 2]> = grids.iter().map(|grid| [grid.slope_x[0], grid.slope_y[0]]).collect();
@@ -116,7 +123,7 @@ impl References {
             let settings = Settings {
                 samples: SAMPLES[usize::from(i >= CLEAN)] / 2,
                 max_bounces: job.render.max_bounces,
-                // the scene's picture loses no light
+                // References lose no light by clamping.
                 clamp: None,
                 seed: seed::derive(job.seed, &[STREAM, i as u64, half as u64]),
                 angular_filter: AngularFilter::Point,
@@ -132,6 +139,7 @@ impl References {
             if let (Some(splats), Some(space)) = (splats.get(i), space) {
                 put_before(space, splats.data(), picture.data_mut());
             }
+            // A background needs the share of each pixel that shows it.
             if background != Background::Environment {
                 let shape = [geometry.rows, geometry.cols];
                 let mut missed = if ingested.scene.instances.is_empty() {
@@ -152,7 +160,7 @@ impl References {
         result.map(|()| Some(references))
     }
 
-    /// Views of a given light field that its solver does not see; `None` where there are none.
+    /// Returns views of a file that the solver does not use; `None` if there are none.
     pub(crate) fn left_out(geometry: &FieldGeometry, views: Vec<LeftOut>) -> Option<Self> {
         let known = !views.is_empty();
         let views = views.into_iter().map(|view| (view.grid, Arc::new(view.radiance)));
@@ -160,7 +168,7 @@ impl References {
             .then(|| Self::of_pictures(geometry, views.map(|(grid, picture)| (grid, [picture.clone(), picture])), true))
     }
 
-    /// The views of a light field of which the caller knows that no solver saw them.
+    /// Returns references of a light field's views, which the caller has kept from every solver.
     pub fn views_of(field: &LightField) -> Self {
         let geometry = field.geometry();
         let views = geometry.grid.iter().map(|view| {
@@ -186,17 +194,17 @@ impl References {
         Self { geometry: geometry.clone(), directions, pictures, key: key.finish(), cached: true }
     }
 
-    /// The same in memory, for a folder that will be forgotten.
+    /// Reads all pictures into memory, for a folder that will be removed.
     ///
     /// # Errors
-    /// When a picture is gone.
+    /// If a picture is missing.
     pub(crate) fn held(self) -> Result<Self, PipelineError> {
         let pictures = (0..self.directions.len()).map(|i| Ok(self.read(i)?.map(Arc::new)));
         let pictures = Pictures::Held { pictures: pictures.collect::<Result<_, PipelineError>>()?, left_out: false };
         Ok(Self { pictures, ..self })
     }
 
-    /// The folder of the cache that holds them, where one does.
+    /// Returns the cache folder of the pictures, if they are in one.
     pub(crate) fn folder(&self) -> Option<&Path> {
         match &self.pictures {
             Pictures::Rendered { folder, .. } => Some(folder),
@@ -204,10 +212,10 @@ impl References {
         }
     }
 
-    /// Compares the seen pictures of a display with the references; keeps those that can be looked at.
+    /// Compares the seen pictures of a display with the references. Keeps pictures for the report.
     ///
     /// # Errors
-    /// When a picture is gone, or the work is cancelled.
+    /// If a picture is missing, or the task is cancelled.
     pub(crate) fn measure(
         &self,
         display: &Display,
@@ -224,16 +232,16 @@ impl References {
         Ok(ZoneFigures { score: ZoneScore { directions }, left_out, views: views.into_iter().flatten().collect() })
     }
 
-    /// The score of a display's seen pictures.
+    /// Returns the score of a display's seen pictures.
     ///
     /// # Errors
-    /// When a picture is gone, or the work is cancelled.
+    /// If a picture is missing, or the task is cancelled.
     pub fn score(&self, display: &Display, stack: &LayerStack, task: Task<'_>) -> Result<ZoneScore, PipelineError> {
         let each = self.each(display, stack, task, |_, _, _, _| ())?;
         Ok(ZoneScore { directions: each.into_iter().map(|(score, ())| score).collect() })
     }
 
-    /// The score of every direction, and what `keep` makes of its number, score, references and seen picture.
+    /// Scores every direction. `keep` receives its number, score, references and seen picture.
     fn each<T: Send>(
         &self,
         display: &Display,
@@ -256,28 +264,30 @@ impl References {
         measured
     }
 
-    /// The two pictures of a direction, display-referred.
+    /// Reads the two pictures of a direction, display-referred.
     fn read(&self, i: usize) -> Result<[Vec<f32>; 2], PipelineError> {
         let one = |half| {
-            let gone = || PipelineError::Replaced { path: self.place(i, half), what: "cached picture" };
+            let gone = || PipelineError::Replaced { path: self.place(i, half), role: "cached picture" };
             self.one(i, half).ok_or_else(gone)
         };
         Ok([one(0)?, one(1)?])
     }
 
-    /// One of them; `None` where it, or what is known of its background, is not there as it was written.
+    /// Reads one picture; `None` if the file, or that of its background, is missing or damaged.
     fn one(&self, i: usize, half: usize) -> Option<Vec<f32>> {
-        let (folder, look, background, space) = match &self.pictures {
-            Pictures::Rendered { folder, look, background, space } => (folder, *look, *background, *space),
+        let (folder, tone_mapping, background, space) = match &self.pictures {
+            Pictures::Rendered { folder, tone_mapping, background, space } => {
+                (folder, *tone_mapping, *background, *space)
+            }
             Pictures::Held { pictures, .. } => return pictures.get(i).map(|pair| Vec::clone(&pair[half])),
         };
         let mut picture = read_view(&path(folder, i, half), &self.geometry)?;
         match background {
-            Background::Environment => look.apply_to(&mut picture),
+            Background::Environment => tone_mapping.apply_to(&mut picture),
             Background::Colour(colour) => {
                 let (shape, missed) = npy::read(&missed_path(folder, i, half)).ok()?;
                 (shape == [self.geometry.rows, self.geometry.cols]).then_some(())?;
-                expose_over(look, colour, space, &missed, &mut picture);
+                expose_over(tone_mapping, colour, space, &missed, &mut picture);
             }
         }
         Some(picture)
@@ -292,7 +302,7 @@ fn path(folder: &Path, i: usize, half: usize) -> PathBuf {
     folder.join(format!("direction_{i:02}-{}.exr", ["a", "b"][half]))
 }
 
-/// Share of every pixel where no surface is.
+/// Returns the file of the share of every pixel that shows no surface.
 fn missed_path(folder: &Path, i: usize, half: usize) -> PathBuf {
     path(folder, i, half).with_extension("missed.npy")
 }

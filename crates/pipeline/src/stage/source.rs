@@ -1,4 +1,4 @@
-//! A source plugin makes the light field; what it made before is read back.
+//! Requests the light field from a source plugin, or reads it from the cache.
 
 use std::path::PathBuf;
 
@@ -17,9 +17,9 @@ use crate::store::key::KeyBuilder;
 use crate::store::plugin_files::plugin_key;
 use crate::store::stamps::Stamps;
 
-/// Which light field a source made, as it is kept between runs.
+/// Key of the source and of its light field, as the file has them.
 #[derive(Serialize, Deserialize)]
-pub(crate) struct Kept {
+pub(crate) struct SourceRecord {
     key: String,
     target: String,
 }
@@ -28,33 +28,33 @@ fn path(stamps: &Stamps) -> PathBuf {
     stamps.dir().join("cache/source.json")
 }
 
-impl Kept {
-    /// Notes it, once the light field lies in its folder.
+impl SourceRecord {
+    /// Writes the file, once the light field is in its folder.
     ///
     /// # Errors
-    /// When the file cannot be written.
+    /// If the file cannot be written.
     pub(crate) fn write(&self, stamps: &Stamps) -> Result<(), PipelineError> {
         write_json(&path(stamps), self)
     }
 }
 
-/// The light field, what is to be noted of it, and whether it was made before.
+/// Returns the light field, the keys to write, and true if it was cached.
 ///
 /// # Errors
-/// When there is no such plugin, or it fails, or when cancelled.
+/// If there is no such plugin, or it fails or is cancelled.
 pub(crate) fn run(
     source: &SourceJob,
     display: &Display,
     stamps: &Stamps,
     registry: &Registry,
     task: Task<'_>,
-) -> Result<(LightField, Kept, bool), PipelineError> {
+) -> Result<(LightField, SourceRecord, bool), PipelineError> {
     let mut key = KeyBuilder::new("source", code::PLUGINS);
     key.add("plugin", plugin_key(registry, &source.plugin, &source.params)?.as_bytes())
         .add("display", display.without_panels().to_toml().as_bytes())
         .add_json("time", &(source.time, source.time_s));
     let key = key.finish();
-    if let Some(kept) = read_json::<Kept>(&path(stamps)).filter(|kept| kept.key == key)
+    if let Some(kept) = read_json::<SourceRecord>(&path(stamps)).filter(|kept| kept.key == key)
         && stamps.is_current("target", &kept.target)
         && let Ok((field, _)) = lumistack_field_io::read_field_folder(&stamps.dir().join("target"))
         && field_key("target", &field, &Map::new()) == kept.target
@@ -66,5 +66,5 @@ pub(crate) fn run(
     let mut field = made.map_err(host_error)?;
     lumistack_field_io::round_to_half(field.radiance_mut().data_mut());
     let target = field_key("target", &field, &Map::new());
-    Ok((field, Kept { key, target }, false))
+    Ok((field, SourceRecord { key, target }, false))
 }

@@ -1,12 +1,17 @@
-//! A solve that is cut into tiles, so that it fits into memory, or onto many machines.
+//! Solves in tiles that fit into memory, or on many machines.
 //!
 //! ```text
-//! round 1   every tile, all that it holds:  tile of the light field ─▶ patterns    a start of the whole display's, as far as the tile holds it
-//! round 2 …  every tile, its free pixels:   patterns of the tiles around it, of the round before, are its start and its fixed border
+//! round 1    each tile, all its pixels:   tile of the light field ─▶ patterns;
+//!                                         a warm start is the tile's part of the given patterns
+//! round 2 …  each tile, its free pixels:  patterns of neighbouring tiles, of the round before,
+//!                                         are the start and the fixed border
 //! ```
 //!
-//! Every pixel is decided by one tile; its neighbours solve it, too, where it shares rays with theirs, and leave the result to it (restricted additive Schwarz). A
-//! tile of a round is kept by the hash of its own rays and borders, so work that was stopped goes on, and any machine may do any tile.
+//! One tile owns each pixel. Neighbouring tiles also solve a pixel that shares rays with theirs,
+//! and discard their result (restricted additive Schwarz).
+//!
+//! A tile of a round is cached by the hash of its rays and borders. Therefore a stopped run
+//! continues, and any machine can solve any tile.
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -15,10 +20,10 @@ use lumistack_core::{NoProgress, Task};
 use lumistack_display::{Backlight, Display, FieldGeometry, LayerStack, LightField, Region, Tile, Tiling, Weights};
 use lumistack_factorizer::{FactorizeError, Problem, Settings, factorize_tile, held_bytes, round_to_levels};
 
-use super::device::Site;
+use super::device::SolverDevice;
 use super::factorize::{
-    Kept, Solve, Solved, Step, add_stack, prefers_fresh, run_whole, solver_settings, take_up, take_up_written,
-    warm_stack,
+    Convergence, Solve, Solved, Step, add_stack, prefers_fresh, reuse_or_make, reuse_or_write, run_whole,
+    solver_settings, warm_stack,
 };
 use super::field::add_weights;
 use crate::error::{PipelineError, factorize_error, field_error};
@@ -29,21 +34,21 @@ use crate::store::key::KeyBuilder;
 use crate::store::stamps::Stamps;
 use crate::store::used::TILES;
 
-/// Rounds in which borders are exchanged, the first included; fewer where there are fewer iterations.
+/// Rounds in which tiles exchange borders, with the first; fewer if there are fewer iterations.
 const ROUNDS: usize = 4;
-/// Threads whose buffers count: the cut does not depend on the machine.
+/// Threads that estimates of memory assume: the cut must not depend on the machine.
 const THREADS: usize = 16;
-/// Field pixels to a side below which tiles are not cut further, however little memory they may take.
+/// Minimum edge of a tile in field pixels, even if it needs more memory than allowed.
 const SMALLEST: usize = 64;
 
-/// How a solve is cut.
+/// The tiles and rounds of a solve.
 pub(crate) struct Tiles {
     tiling: Tiling,
     rounds: usize,
 }
 
 impl Tiles {
-    /// As a job wants it; `None` where the display is solved as a whole.
+    /// Returns the tiles of a job; `None` if the display is solved as a whole.
     pub(crate) fn of(job: &FactorizeJob, display: &Display, geometry: &FieldGeometry) -> Option<Self> {
         let tiling = match (job.tiles, job.tile_mib) {
             (Some(tiles), _) => Tiling::new(display, geometry, tiles),
@@ -56,34 +61,33 @@ impl Tiles {
         (tiling.count() > 1).then_some(Self { tiling, rounds })
     }
 
-    /// Number of tiles.
     pub(crate) fn count(&self) -> usize {
         self.tiling.count()
     }
 
-    /// Number of rounds.
     pub(crate) fn rounds(&self) -> usize {
         self.rounds
     }
 
-    /// Numbers of the tiles of the round before whose patterns a tile takes.
+    /// Returns the neighbouring tiles whose patterns a tile reads.
     pub(crate) fn around(&self, number: usize) -> Vec<usize> {
         self.tiling.around(number)
     }
 
-    /// Memory that a tile takes, bytes.
+    /// Returns the memory of a tile, bytes.
     pub(crate) fn bytes(&self, display: &Display, geometry: &FieldGeometry) -> u64 {
         bytes(&self.tiling, display, geometry)
     }
 
-    /// A tile in the middle, which has neighbours on all sides where there are any.
+    /// Returns a tile in the middle, which has the most neighbours.
     fn middle(tiling: &Tiling) -> Tile {
         let [across, down] = tiling.tiles();
         tiling.tile(down / 2 * across + across / 2)
     }
 
-    /// Iterations of a round: half of what is left, and at least one for each round that follows. Patterns form in the first; a short last one leaves little
-    /// that neighbours do not know of each other.
+    /// Returns the iterations of a round: half of the rest, and at least one for each later round.
+    /// Patterns form in the first round. A short last round leaves small differences at the
+    /// borders.
     fn iterations(&self, job: &FactorizeJob, round: usize) -> std::ops::Range<u32> {
         let all = job.iterations() as usize;
         let left = |round: usize| if round < self.rounds { (all >> round).max(self.rounds - round) } else { 0 };
@@ -92,7 +96,7 @@ impl Tiles {
     }
 }
 
-/// The fewest tiles of which each takes so many bytes at most.
+/// Returns the fewest tiles that each take at most `most` bytes.
 fn fitting(display: &Display, geometry: &FieldGeometry, most: u64) -> Tiling {
     let mut tiles = [1, 1];
     loop {
@@ -106,7 +110,7 @@ fn fitting(display: &Display, geometry: &FieldGeometry, most: u64) -> Tiling {
     }
 }
 
-/// Memory that the largest tile takes with its part of the light field.
+/// Returns the memory of the largest tile with its part of the light field, bytes.
 fn bytes(tiling: &Tiling, display: &Display, geometry: &FieldGeometry) -> u64 {
     let tile = Tiles::middle(tiling);
     let own = tile.geometry(geometry);
@@ -115,22 +119,25 @@ fn bytes(tiling: &Tiling, display: &Display, geometry: &FieldGeometry) -> u64 {
     held_bytes(&tile.display(display, geometry), &own, THREADS) + 12 * rays
 }
 
-/// The patterns in `layers/`, factorized tile by tile or as a whole where they are not current; and whether they were.
+/// Returns the patterns in `layers/`, and true if they were cached. Otherwise they are solved in
+/// tiles, or as a whole.
 ///
 /// # Errors
-/// When the settings make no sense, the solver fails, a file cannot be written, or when cancelled.
+/// If the settings are invalid, the solver fails, a file cannot be written, or the task is
+/// cancelled.
 pub(crate) fn run(solve: Solve<'_>, stamps: &Stamps, task: Task<'_>) -> Result<(Solved, bool), PipelineError> {
     let Some(tiles) = Tiles::of(solve.job, solve.display, solve.target.geometry()) else {
         return run_whole(solve, stamps, task);
     };
     let warm = warm_stack(solve.job, solve.display)?;
-    let mut key = solve.key(warm.as_ref(), &Site::Processor);
+    let mut key = solve.key(warm.as_ref(), &SolverDevice::Processor);
     let Solve { job, seed, display, target, weights } = solve;
     let crop = |tile: &Tile| Ok(tile.light_field(target));
     let solve = CutSolve { job, seed, display, geometry: target.geometry(), weights, crop: &crop };
+    // The key of the whole leaves the keys of its tiles out, since they follow from it.
     key.add_json("tiles", &(tiles.tiling.tiles(), tiles.rounds));
     let work = Work { solve, tiles: &tiles, stamps };
-    take_up_written("factorize", &key.finish(), solve.display, stamps, || {
+    reuse_or_write("factorize", &key.finish(), solve.display, stamps, || {
         task.progress.begin("factorize", (tiles.rounds * tiles.count()) as u64, "tiles");
         let mut all = (0..tiles.rounds).flat_map(|round| (0..tiles.count()).map(move |number| [round, number]));
         let done = all.try_for_each(|at| {
@@ -144,10 +151,10 @@ pub(crate) fn run(solve: Solve<'_>, stamps: &Stamps, task: Task<'_>) -> Result<(
     })
 }
 
-/// One tile of one round, both from 0, whose tiles of the round before are done.
+/// Solves one tile of a round, both from 0. The tiles of the round before must be done.
 ///
 /// # Errors
-/// As of [`run`], and where the solve is not cut into so many.
+/// As [`run`], and if the solve is not cut into `count` tiles.
 pub(crate) fn run_tile(
     solve: CutSolve<'_>,
     [round, number, count]: [usize; 3],
@@ -156,18 +163,19 @@ pub(crate) fn run_tile(
 ) -> Result<(), PipelineError> {
     let tiles = Tiles::of(solve.job, solve.display, solve.geometry);
     let Some(tiles) = tiles.filter(|tiles| tiles.count() == count && round < tiles.rounds && number < count) else {
-        let expected = "a tile of the solve as it is cut";
+        let expected = "a tile of this solve";
         return Err(PipelineError::value("plan", "unit", expected, format!("tile {} of {count}", number + 1)));
     };
     let warm = if round == 0 { warm_stack(solve.job, solve.display)? } else { None };
     Work { solve, tiles: &tiles, stamps }.tile([round, number], warm.as_ref(), task)
 }
 
-/// Whether a fresh start, `fresh`, gets nearer to the target than the warm start of `solve`'s job; of a solve in tiles, whether it does in the middle.
+/// True if a fresh start, by the settings `fresh`, is better than the warm start of `solve`'s job.
+/// For a solve in tiles, the tile in the middle decides.
 ///
 /// # Errors
-/// When the patterns cannot be read, the solver fails, or when cancelled.
-pub(crate) fn begins_afresh(
+/// If the patterns cannot be read, the solver fails, or the task is cancelled.
+pub(crate) fn prefers_fresh_start(
     solve: Solve<'_>,
     fresh: &FactorizeJob,
     stamps: &Stamps,
@@ -193,7 +201,7 @@ fn own(tile: &Tile) -> Vec<Region> {
     tile.parts.iter().map(|part| part.own.clone()).collect()
 }
 
-/// What is to be solved in tiles, of which the light field may lie elsewhere.
+/// The input of a solve in tiles. The light field need not be in memory.
 #[derive(Clone, Copy)]
 pub(crate) struct CutSolve<'a> {
     pub(crate) job: &'a FactorizeJob,
@@ -201,11 +209,11 @@ pub(crate) struct CutSolve<'a> {
     pub(crate) display: &'a Display,
     pub(crate) geometry: &'a FieldGeometry,
     pub(crate) weights: &'a Weights,
-    /// A tile's part of the light field.
+    /// Reads a tile's part of the light field.
     pub(crate) crop: &'a dyn Fn(&Tile) -> Result<LightField, PipelineError>,
 }
 
-/// A solve in tiles, and where it is kept.
+/// A solve in tiles, with the folder of its results.
 struct Work<'a> {
     solve: CutSolve<'a>,
     tiles: &'a Tiles,
@@ -213,16 +221,17 @@ struct Work<'a> {
 }
 
 impl Work<'_> {
-    /// Folder of a tile's own pixels after a round.
+    /// Returns the folder of a tile's own pixels after a round.
     fn place(&self, [round, number]: [usize; 2]) -> PathBuf {
         let tile = format!("round-{}/tile-{}", round + 1, number + 1);
         self.stamps.dir().join("cache").join(TILES).join(tile)
     }
 
-    /// Solves a tile in a round where that is not done.
+    /// Solves a tile in a round, unless its result is current.
     fn tile(&self, at: [usize; 2], warm: Option<&LayerStack>, task: Task<'_>) -> Result<(), PipelineError> {
         let ([round, number], CutSolve { job, seed, display: whole, geometry, .. }) = (at, self.solve);
         task.cancel.check()?;
+        // The tile's part of display, target, weights and start.
         let tile = self.tiles.tiling.tile(number);
         let (display, target) = (tile.display(whole, geometry), (self.solve.crop)(&tile)?);
         let weights = tile.weights(self.solve.weights);
@@ -230,6 +239,7 @@ impl Work<'_> {
             0 => warm.map(|warm| warm.cut(&held(&tile))),
             _ => Some(self.borders(at, &tile, &display)?),
         };
+        // Only the last round rounds masks to the levels of the panel.
         let is_last = round + 1 == self.tiles.rounds;
         let settings = Settings {
             iterations: self.tiles.iterations(job, round).len() as u32,
@@ -237,6 +247,7 @@ impl Work<'_> {
             report_every: Settings::curve_interval(job.iterations()),
             ..solver_settings(job, seed)?
         };
+        // The key has all that the tile depends on, borders included.
         let mut key = KeyBuilder::new("tile", code::PATTERNS);
         key.add("display", whole.without_panels().to_toml().as_bytes())
             .add("geometry", format!("{geometry:?}").as_bytes())
@@ -248,6 +259,7 @@ impl Work<'_> {
         if let Some(start) = &start {
             add_stack(&mut key, start);
         }
+        // Only the pixels that the tile owns are kept.
         let mut of_own = display.clone();
         for (layer, part) in of_own.layers.iter_mut().zip(&tile.parts) {
             layer.resolution = [part.own.cols.len(), part.own.rows.len()];
@@ -270,8 +282,8 @@ impl Work<'_> {
                 }
             };
             match solved {
-                Ok(solved) => Ok((solved.stack.cut(&within), Some(Kept::of(&solved, steps, warm.is_some())))),
-                // pixels that no ray meets stay as they are
+                Ok(solved) => Ok((solved.stack.cut(&within), Some(Convergence::of(&solved, steps, warm.is_some())))),
+                // Pixels without rays keep the values of the start.
                 Err(FactorizeError::NoRays) => {
                     let unlit = start.clone().unwrap_or_else(|| clear(&display));
                     let problem = Problem { display: &display, target: &target, weights: &Weights::Uniform };
@@ -283,10 +295,10 @@ impl Work<'_> {
         };
         let place = self.place(at);
         std::fs::create_dir_all(place.join("cache")).map_err(PipelineError::write(&place))?;
-        take_up("tile", &key.finish(), &of_own, &Stamps::new(&place), make).map(drop)
+        reuse_or_make("tile", &key.finish(), &of_own, &Stamps::new(&place), make).map(drop)
     }
 
-    /// All that a tile holds, as the round before left it.
+    /// Returns the patterns of the round before over all pixels that a tile holds.
     fn borders(
         &self,
         [round, number]: [usize; 2],
@@ -305,8 +317,8 @@ impl Work<'_> {
         lumistack_field_io::read_stack(&self.place(at).join("layers")).map_err(field_error)
     }
 
-    /// Writes the patterns of all tiles into one folder.
-    fn join(&self) -> Result<(LayerStack, Option<Kept>), PipelineError> {
+    /// Writes the patterns of all tiles into one folder. Returns them.
+    fn join(&self) -> Result<(LayerStack, Option<Convergence>), PipelineError> {
         let (layers, last) = (self.stamps.dir().join("layers"), self.tiles.rounds - 1);
         let mut writer = lumistack_field_io::StackWriter::begin(&layers, self.solve.display).map_err(field_error)?;
         for number in 0..self.tiles.count() {
@@ -318,27 +330,30 @@ impl Work<'_> {
         Ok((lumistack_field_io::read_stack(&layers).map_err(field_error)?, Some(kept)))
     }
 
-    /// How all tiles came to their patterns. Figures are those of all tiles' rays, of which some are two tiles'; seconds are of one tile after another.
-    fn kept(&self) -> Option<Kept> {
-        let mut all: Option<Kept> = None;
+    /// Joins the convergence of all tiles. Errors are over the rays of all tiles, so rays of two
+    /// tiles count twice. Seconds are of one tile after another.
+    fn kept(&self) -> Option<Convergence> {
+        let mut all: Option<Convergence> = None;
         let mut before = 0.0;
         for round in 0..self.tiles.rounds {
             let notes = (0..self.tiles.count()).filter_map(|number| {
                 let path = self.place([round, number]).join("cache/convergence.json");
                 let pixels = self.tiles.tiling.tile(number).field.size().iter().product::<usize>();
-                Some((read_json::<Option<Kept>>(&path)??, pixels as f64))
+                Some((read_json::<Option<Convergence>>(&path)??, pixels as f64))
             });
             let notes: Vec<_> = notes.collect();
             let (first, _) = notes.first()?;
             let pixels: f64 = notes.iter().map(|(_, pixels)| pixels).sum();
-            let mean =
-                |of: &dyn Fn(&Kept) -> f64| notes.iter().map(|(kept, pixels)| pixels * of(kept)).sum::<f64>() / pixels;
-            let psnr = |of: &dyn Fn(&Kept) -> Option<f64>| {
+            // Means over tiles, weighted by their pixels.
+            let mean = |of: &dyn Fn(&Convergence) -> f64| {
+                notes.iter().map(|(kept, pixels)| pixels * of(kept)).sum::<f64>() / pixels
+            };
+            let psnr = |of: &dyn Fn(&Convergence) -> Option<f64>| {
                 let error = mean(&|kept| of(kept).map_or(0.0, |psnr| 10f64.powf(-0.1 * psnr)));
                 (error > 0.0).then(|| -10.0 * error.log10())
             };
             let begun = self.tiles.iterations(self.solve.job, round).start;
-            // where a round begins is where the one before ended
+            // The first point of a later round is the last point of the round before.
             let steps = (usize::from(round > 0)..first.steps.len()).map(|i| Step {
                 iteration: begun + first.steps[i].iteration,
                 objective: notes.iter().filter_map(|(kept, _)| Some(kept.steps.get(i)?.objective)).sum(),
@@ -352,7 +367,7 @@ impl Work<'_> {
                 .is_some()
                 .then(|| [0, 1, 2].map(|i| psnr(&|kept| kept.levels.map(|levels| levels[i])).unwrap_or(f64::INFINITY)));
             let kkt_residual = mean(&|kept| kept.kkt_residual.powi(2)).sqrt();
-            let mut kept = all.take().unwrap_or_else(|| Kept { steps: Vec::new(), ..first.clone() });
+            let mut kept = all.take().unwrap_or_else(|| Convergence { steps: Vec::new(), ..first.clone() });
             (kept.kkt_residual, kept.levels) = (kkt_residual, levels);
             kept.steps.extend(steps);
             all = Some(kept);
@@ -361,7 +376,7 @@ impl Work<'_> {
     }
 }
 
-/// Patterns that let all light through.
+/// Returns patterns that transmit all light.
 fn clear(display: &Display) -> LayerStack {
     let mut stack = LayerStack::filled(display, 1.0);
     for (layer, values) in display.layers.iter().zip(&mut stack.layers) {

@@ -1,4 +1,5 @@
-//! Path tracing of all views of a shot into the cache, picture by picture, so that a run that is stopped goes on from those that are finished.
+//! Traces all views of a shot into the cache, one picture at a time. A stopped run continues from
+//! the finished pictures.
 
 mod blender;
 
@@ -20,19 +21,19 @@ use crate::store::views::{
 };
 use crate::view_options::ViewOptions;
 
-/// The traced views of a shot, in the cache.
+/// The traced views of a shot in the cache.
 pub(crate) struct Traced {
-    /// The target first.
+    /// Light fields, the target first.
     pub(crate) fields: Vec<FieldJob>,
-    /// How deep the target's views see.
+    /// Depths of the target's views.
     pub(crate) depths: Depths,
-    /// The views of the target that were wanted, [view_y, view_x].
+    /// The chosen views of the target, [view_y, view_x].
     pub(crate) views: Vec<[usize; 2]>,
-    /// Who rendered them.
+    /// The renderer.
     pub(crate) engine: Engine,
 }
 
-/// Who renders a shot's views.
+/// Chooses the renderer of a shot's views.
 pub(crate) fn engine(shot: Shot<'_>, options: &ViewOptions, task: Task<'_>) -> Engine {
     blender::engine(shot.job, shot.ingested, options.variance(), task)
 }
@@ -41,17 +42,17 @@ pub(crate) fn engine(shot: Shot<'_>, options: &ViewOptions, task: Task<'_>) -> E
 struct Todo {
     field: usize,
     view: [usize; 2],
-    /// Which half of the samples, or all of them.
+    /// Half of the samples, 0 or 1; `None` for all of them.
     half: Option<usize>,
     path: PathBuf,
-    /// Where its variance is to be written, if it is wanted.
+    /// File of the variance, if it is requested.
     variance: Option<PathBuf>,
 }
 
-/// Traces all views that the cache does not hold; says whether it held them all.
+/// Traces all views that are not cached. Returns true if all were.
 ///
 /// # Errors
-/// When the options do not fit the job, rendering fails or is cancelled, or a view cannot be stored.
+/// If the options do not fit the job, rendering fails or is cancelled, or a view cannot be written.
 pub(crate) fn run(
     shot: Shot<'_>,
     options: &ViewOptions,
@@ -63,7 +64,8 @@ pub(crate) fn run(
     Ok((Traced { fields, depths, views, engine }, cached && known))
 }
 
-/// Traces the views of a block that the cache does not hold, and depths with the first block; says whether it held them. Others may trace other blocks meanwhile.
+/// Traces the views of a block that are not cached, and the depths with the first block. Returns
+/// true if all were cached. Other processes may trace other blocks.
 ///
 /// # Errors
 /// As [`run`].
@@ -78,7 +80,7 @@ struct Views {
     fields: Vec<FieldJob>,
     views: Vec<[usize; 2]>,
     engine: Engine,
-    /// Whether none had to be traced.
+    /// True if all were cached.
     cached: bool,
 }
 
@@ -95,6 +97,7 @@ fn trace_views(
     let (window, kind) = (shot.window(), shot.denoise());
     let engine = engine(shot, options, task);
     let fields = shot.fields(cache_dir, engine == Engine::Blender);
+    // List all pictures of all fields: views or halves of their samples.
     let mut all = Vec::new();
     for (number, field) in fields.iter().enumerate() {
         std::fs::create_dir_all(&field.folder).map_err(PipelineError::write(&field.folder))?;
@@ -109,7 +112,7 @@ fn trace_views(
             }
         }
     }
-    // what light is shared from is dropped when that is done
+    // The denoiser removes split views when it has finished, so they need not be traced again.
     let is_shared: Vec<bool> =
         fields.iter().map(|field| kind == Denoise::Shared && denoise::is_finished(field, kind)).collect();
     let is_kept = |Todo { field, path, variance, .. }: &Todo| {
@@ -122,11 +125,12 @@ fn trace_views(
         };
         traced && variance.as_ref().is_none_or(is_there)
     };
+    // Only pictures that the cache lacks are traced.
     let todo = missing(block.of(all), |todo| todo.path.clone(), is_kept, task);
     let splats = missing_splats(ingested, &fields, &views, block, task);
     let cached = todo.is_empty() && splats.iter().all(Vec::is_empty);
     if !(cached && fields.iter().all(|field| denoise::is_finished(field, kind))) {
-        // before an hour of rendering, not after
+        // Check the denoiser before the first hour of rendering.
         denoise::check(kind)?;
     }
     if engine == Engine::Blender {
@@ -148,7 +152,7 @@ fn trace_views(
     Ok(Views { fields, views, engine, cached })
 }
 
-/// How deep the views of the target see, and whether the cache held that.
+/// Returns the depths of the target's views, and true if they were cached.
 fn depths(shot: Shot<'_>, target: &FieldJob, task: Task<'_>) -> Result<(Depths, bool), PipelineError> {
     if let Some(kept) = depth::kept(&target.folder, &target.traced) {
         return Ok((kept, true));
@@ -157,7 +161,7 @@ fn depths(shot: Shot<'_>, target: &FieldJob, task: Task<'_>) -> Result<(Depths, 
     Ok((depth::trace(renderer, shot.window(), &target.traced, &target.folder, task)?, false))
 }
 
-/// The views of a block of every field whose splats the cache does not hold.
+/// Returns, for every field, the views of a block whose splats are not cached.
 fn missing_splats(
     ingested: &Ingested,
     fields: &[FieldJob],
@@ -175,7 +179,7 @@ fn missing_splats(
     fields.iter().map(of_field).collect()
 }
 
-/// Renders what the views of a field see of the splats.
+/// Renders the splats of a field's views.
 fn render_splats(
     renderer: &SceneRenderer,
     field: &FieldJob,
@@ -206,6 +210,7 @@ fn trace(
     task.progress.begin("render", steps, "tiles");
     let result = todo.iter().enumerate().try_for_each(|(number, Todo { field, view, half, path, variance })| {
         let field = &fields[*field];
+        // Each half of a view has its own seed.
         let settings = field.settings_of(*half);
         let picture = match variance {
             None if kind == Denoise::Shared => None,
@@ -217,6 +222,7 @@ fn trace(
                 Some(picture)
             }
         };
+        // Shared light needs the view in parts, from which its radiance follows.
         if kind == Denoise::Shared {
             let split = renderer.render_split(window, &field.traced, *view, &settings, task).map_err(render_error)?;
             write_split(path, &split)?;

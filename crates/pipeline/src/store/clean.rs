@@ -1,7 +1,8 @@
-//! What is in the way: left-overs of runs that were killed, and what was kept for settings that are no longer those of the run.
+//! Cleans run folders: left-overs of killed runs, and cached files of other settings.
 //!
-//! Every run sweeps both under its lock: left-overs when it begins, views of other settings when it has finished. `lumistack clean` does the same for folders
-//! in which no run will come, and on demand removes all that only saves time.
+//! Every run does so under its lock: left-overs at its begin, views of other settings at its end.
+//! `lumistack clean` does it for folders without a next run. It can also remove all files that only
+//! save time.
 
 use std::path::{Path, PathBuf};
 
@@ -11,75 +12,77 @@ use serde::Serialize;
 use super::files::read_json;
 use super::handover;
 use super::left_overs::{entries, is_folder, left_overs, parts};
-use super::lock::{OWNER, take_known, take_preview};
+use super::lock::{OWNER, lock_known, lock_preview};
 use super::names::is_ours;
 use super::used::{USED, Used, all_views, unused_in, unused_views};
 use crate::error::PipelineError;
 
-/// What stages leave in the cache beside their stamps, small and part of no other result.
+/// Small files of the placement, beside the stamps. No other result depends on them.
 const PLACED: [&str; 2] = ["window", "fit"];
 
-/// What `lumistack clean` removed, or would remove.
+/// Files that `lumistack clean` removed, or would remove.
 #[derive(Clone, Debug, Serialize)]
 pub struct Cleaned {
     /// The run folder.
     pub folder: PathBuf,
-    /// By kind; kinds of which there was nothing are left out.
+    /// Removed files by kind, without empty kinds.
     pub freed: Vec<Freed>,
-    /// What is still kept to save time at the next run, bytes.
+    /// Size of the remaining cached files, bytes.
     pub kept_bytes: u64,
 }
 
 impl Cleaned {
-    /// Bytes of all kinds.
+    /// Returns the bytes of all kinds.
     pub fn bytes(&self) -> u64 {
         self.freed.iter().map(|freed| freed.bytes).sum()
     }
 }
 
-/// One kind of what is in the way.
+/// Removed files of one kind.
 #[derive(Clone, Debug, Serialize)]
 pub struct Freed {
-    /// What it is, for people.
+    /// Description of the kind.
     pub kind: &'static str,
     /// Number of files.
     pub files: usize,
-    /// Their size.
+    /// Size of the files, bytes.
     pub bytes: u64,
     /// Files and folders, relative to the run folder.
     #[serde(skip)]
     pub paths: Vec<PathBuf>,
 }
 
-/// Removes what is in the way in a run folder, those of its nodes, times and light fields among it: left-overs of killed runs, and what is kept for other settings
-/// than those of the last run that finished; with `all` everything that only saves time. Results stay. With `dry_run` it only looks.
+/// Cleans a run folder with its nodes, time steps and light fields. Left-overs of killed runs and
+/// cached files of other settings are removed. With `all`, so is everything that only saves time.
+/// Results stay. With `dry_run`, nothing is removed.
 ///
 /// # Errors
-/// When it is no run folder, a run works there, or something cannot be removed.
+/// If it is not a run folder, a run uses it, or a file cannot be removed.
 pub fn clean(dir: &Path, all: bool, dry_run: bool, task: Task<'_>) -> Result<Cleaned, PipelineError> {
     if !is_ours(dir) {
         let found = match std::fs::metadata(dir) {
             Err(error) => error.to_string(),
             Ok(data) if !data.is_dir() => "a file".into(),
-            Ok(_) => "one without anything that a run leaves".into(),
+            Ok(_) => "a folder without files of a run".into(),
         };
         return Err(PipelineError::value(dir, "folder", "a folder of a run, a sequence, a sweep or of views", found));
     }
-    let _owned = take_known(dir, task)?;
+    let _owned = lock_known(dir, task)?;
     let mut kinds: Vec<(&'static str, Vec<PathBuf>)> = vec![("left-overs of stopped runs", left_overs(dir))];
     collect(dir, all, &mut kinds);
-    // of a preview that was stopped while it was made; not of one that is being made
+    // A preview under construction has its lock; one of a killed process has not.
     let preview = dir.join(".preview.partial");
-    if is_folder(&preview) && take_preview(dir, task).is_ok() {
+    if is_folder(&preview) && lock_preview(dir, task).is_ok() {
         kinds[0].1.push(preview);
     }
-    // without the note of who looks
+    // The lock's owner file belongs to this process.
     let kept = |part: &PathBuf| {
         let all = ["cache", "designs"].iter().map(|name| size(&part.join(name))[1]).sum::<u64>();
         all - size(&part.join("cache").join(OWNER))[1]
     };
     let mut kept_bytes: u64 = nested(dir).iter().map(kept).sum();
     let mut freed: Vec<Freed> = Vec::new();
+    // Remove, or only count, file by file.
     for (kind, paths) in kinds {
         for path in paths {
             let [files, bytes] = size(&path);
@@ -107,7 +110,7 @@ pub fn clean(dir: &Path, all: bool, dry_run: bool, task: Task<'_>) -> Result<Cle
     Ok(Cleaned { folder: dir.to_owned(), freed, kept_bytes })
 }
 
-/// A run folder and all within it.
+/// Returns a run folder and all run folders within it.
 fn nested(dir: &Path) -> Vec<PathBuf> {
     std::iter::once(dir.to_owned()).chain(parts(dir).iter().flat_map(|part| nested(part))).collect()
 }
@@ -115,7 +118,8 @@ fn nested(dir: &Path) -> Vec<PathBuf> {
 fn collect(dir: &Path, all: bool, kinds: &mut Vec<(&'static str, Vec<PathBuf>)>) {
     let cache = dir.join("cache");
     let used = read_json::<Used>(&cache.join(USED));
-    // a folder whose last run was stopped may go on from all that it has; one that finished before uses were noted is of another version
+    // A stopped run may reuse all files. A finished one without a list of used files is of an older
+    // version, which this one cannot reuse.
     let finished = ["report.json", "lightfield.json", "sweep.json"].iter().any(|name| dir.join(name).is_file());
     let known = used.or_else(|| finished.then(Used::default));
     if all {
@@ -123,6 +127,7 @@ fn collect(dir: &Path, all: bool, kinds: &mut Vec<(&'static str, Vec<PathBuf>)>)
     } else if let Some(used) = &known {
         kinds.push(("views of other settings", unused_views(&cache, used)));
     }
+    // Conversions by Blender stay while they are valid; placements stay without `all`.
     let of_kind = |name: &str, wanted: &[&str]| name.rsplit_once('-').is_some_and(|(kind, _)| wanted.contains(&kind));
     let kept = entries(&cache).into_iter();
     let (scenes, placed): (Vec<_>, Vec<_>) = kept
@@ -136,6 +141,7 @@ fn collect(dir: &Path, all: bool, kinds: &mut Vec<(&'static str, Vec<PathBuf>)>)
         let warm_up = cache.join("warm-up");
         kinds.push(("warm-ups of chunks", if is_folder(&warm_up) { vec![warm_up] } else { Vec::new() }));
     }
+    // Light fields and rows of a sweep.
     if dir.join("sweep.json").is_file()
         && let Some(used) = &known
         && !used.fields.is_empty()
@@ -148,14 +154,14 @@ fn collect(dir: &Path, all: bool, kinds: &mut Vec<(&'static str, Vec<PathBuf>)>)
         };
         kinds.push(("rows of designs", rows));
     }
-    // those that are removed as a whole need no look inside
+    // Folders that are removed as a whole are not searched.
     let gone: Vec<PathBuf> = kinds.iter().flat_map(|(_, paths)| paths.clone()).collect();
     for part in parts(dir).into_iter().filter(|part| !gone.contains(part)) {
         collect(&part, all, kinds);
     }
 }
 
-/// [files, bytes] of a file or of all below a folder.
+/// Returns [files, bytes] of a file, or of all files below a folder.
 fn size(path: &Path) -> [u64; 2] {
     let Ok(data) = std::fs::symlink_metadata(path) else { return [0, 0] };
     if !data.is_dir() {

@@ -1,9 +1,10 @@
-//! The code that kept results pass through, as fingerprints of the crates' sources: a change to any of it makes them stale.
+//! Code of cached results: fingerprints of the crates' sources that a result passes through. A
+//! change to any of them makes it stale.
 
 /// Fingerprints of crates.
 pub(crate) type Code = &'static [&'static str];
 
-/// Keys are decided here.
+/// This crate, which computes the keys.
 const PIPELINE: &str = env!("LUMISTACK_FINGERPRINT");
 const CORE: &str = lumistack_core::FINGERPRINT;
 const DISPLAY: &str = lumistack_display::FINGERPRINT;
@@ -22,7 +23,7 @@ pub(crate) const SCENE: Code = &[
     lumistack_shot::FINGERPRINT,
 ];
 
-/// From scene files to radiance: whatever is traced, depths and the window's place among it.
+/// From scene files to traced radiance, depths and the window's placement.
 pub(crate) const VIEWS: Code = &[
     PIPELINE,
     CORE,
@@ -64,7 +65,7 @@ pub(crate) const DESIGNS: Code = &[
     lumistack_plot::FINGERPRINT,
 ];
 
-/// What plugins are given and how it is written, beside the plugins' own code.
+/// From data to a plugin's files: code that passes data and writes, besides the plugin's own.
 pub(crate) const PLUGINS: Code =
     &[PIPELINE, CORE, FIELD_IO, DISPLAY, lumistack_plugin_host::PLUGIN_FINGERPRINT, lumistack_plugin_host::FINGERPRINT];
 
@@ -77,7 +78,7 @@ mod tests {
 
     use super::*;
 
-    /// The fingerprint of a crate's sources as they lie there now.
+    /// The fingerprint of a crate's present sources.
     fn of(name: &str, more: &[&str]) -> String {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(name);
         lumistack_fingerprint::of(&folder, more).unwrap()
@@ -90,7 +91,7 @@ mod tests {
         }
     }
 
-    /// What made pictures stale: the sources of a crate had changed, and its version, which somebody raises by hand, had not.
+    /// A version number that must be raised by hand missed changes of a crate's sources.
     #[test]
     fn keys_hold_the_sources_of_all_that_makes_a_result() {
         let scene = ["pipeline", "core", "scene", "gltf", "usd", "splats", "shot", "field-io"];

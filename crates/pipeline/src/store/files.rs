@@ -1,4 +1,4 @@
-//! Files of a run folder: written whole or not at all, older reports removed.
+//! Files of a run folder, written atomically.
 
 use std::path::Path;
 
@@ -31,17 +31,17 @@ pub(crate) fn check_folder(path: &Path) -> Result<(), PipelineError> {
     if path.is_file() { Err(PipelineError::NotAFolder { path: path.to_owned() }) } else { Ok(()) }
 }
 
-/// Before and after the hash in what is kept between runs: `{"blake3":"HASH","value":VALUE}`.
+/// Text before and after the hash in a cached value: `{"blake3":"HASH","value":VALUE}`.
 const SEAL: [&str; 2] = ["{\"blake3\":\"", "\",\"value\":"];
 
-/// What was kept between runs; `None` where there is nothing, something else, or something that is not as it was written.
+/// Reads a cached value; `None` if the file is missing, damaged or of another type.
 pub(crate) fn read_json<T: DeserializeOwned>(path: &Path) -> Option<T> {
     let text = std::fs::read_to_string(path).ok()?;
     let (hash, value) = text.strip_prefix(SEAL[0])?.strip_suffix('}')?.split_once(SEAL[1])?;
     (blake3::hash(value.as_bytes()).to_hex().as_str() == hash).then(|| serde_json::from_str(value).ok()).flatten()
 }
 
-/// Keeps a value for the next run, with a hash of it.
+/// Writes a cached value with its hash.
 pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), PipelineError> {
     let value = serde_json::to_string(value).expect("what is kept between runs serializes");
     let hash = blake3::hash(value.as_bytes()).to_hex();
@@ -57,7 +57,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_was_kept_and_has_changed_is_not_taken() {
+    fn changed_cached_values_are_not_used() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.json");
         write_json(&path, &(1.5, "a")).unwrap();

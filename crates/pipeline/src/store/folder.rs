@@ -1,4 +1,5 @@
-//! The folder of a run is taken for a job: one owner at a time, nothing foreign replaced, no input written over.
+//! Locks and checks the folder of a run: one owner at a time, no files of others replaced, no input
+//! overwritten.
 
 use std::path::{Component, Path, PathBuf};
 
@@ -7,33 +8,34 @@ use lumistack_plugin_host::Registry;
 
 use super::files::check_folder;
 use super::left_overs;
-use super::lock::{Owned, take_known};
+use super::lock::{FolderLock, lock_known};
 use super::names::{Work, is_ours};
 use super::plugin_files;
 use super::settings::{is_sealed, is_written_by_us};
 use crate::error::PipelineError;
 use crate::job::Job;
 
-/// Takes the folder for a job after checking that the job's files, and what others put there, are safe from it; sweeps what killed runs left.
+/// Checks and locks the folder for a job, and removes left-overs of killed runs.
 ///
 /// # Errors
-/// When somebody else works there, something foreign has a name that the work writes, or an input lies where the work writes.
-pub(crate) fn take(
+/// If another process uses the folder, a file of others has a name that the work writes, or the
+/// work would overwrite an input.
+pub(crate) fn lock(
     dir: &Path,
     work: Work,
     job: &Job,
     registry: &Registry,
     task: Task<'_>,
-) -> Result<Owned, PipelineError> {
+) -> Result<FolderLock, PipelineError> {
     check_folder(dir)?;
     check_inputs(dir, work, job, registry)?;
     check_foreign(dir, work)?;
-    let owned = take_known(dir, task)?;
-    left_overs::sweep(dir);
+    let owned = lock_known(dir, task)?;
+    left_overs::remove(dir);
     Ok(owned)
 }
 
-/// Refuses a folder in which something that Lumistack did not write has a name that the work writes.
+/// Checks that no file of others has a name that the work writes.
 fn check_foreign(dir: &Path, work: Work) -> Result<(), PipelineError> {
     let Ok(entries) = std::fs::read_dir(dir) else { return Ok(()) };
     let ours = is_ours(dir);
@@ -58,28 +60,30 @@ fn is_empty_folder(path: &Path) -> bool {
     std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_none())
 }
 
-/// Refuses a folder in which the work would write over what it reads.
+/// Checks that the work overwrites none of its inputs.
 fn check_inputs(dir: &Path, work: Work, job: &Job, registry: &Registry) -> Result<(), PipelineError> {
-    // nothing lies in a folder that is not there
+    // a folder that does not exist contains no input
     let Ok(root) = dir.canonicalize() else { return Ok(()) };
-    for (what, path) in inputs(job, registry) {
+    for (role, path) in inputs(job, registry) {
         let Ok(found) = path.canonicalize() else { continue };
         let Ok(inside) = found.strip_prefix(&root) else { continue };
         let written = match inside.components().next() {
             Some(Component::Normal(first)) => work.writes(first),
-            // the folder itself: its times are read where times are written
+            // The folder itself: a sequence may not read its light fields where it writes time
+            // steps.
             _ => work == Work::Sequence,
         };
-        // a run folder's own job may be run again, with other options too: all that it says is in the job that replaces it
-        let own_job = what == "job file" && inside == Path::new("job.toml") && is_written_by_us(&found, true);
+        // A run folder's own job file may be run again: the job that replaces it has all of its
+        // values.
+        let own_job = role == "job file" && inside == Path::new("job.toml") && is_written_by_us(&found, true);
         if written && !own_job {
-            return Err(PipelineError::Overwrites { input: path, what, folder: dir.to_owned() });
+            return Err(PipelineError::Overwrites { input: path, role, folder: dir.to_owned() });
         }
     }
     Ok(())
 }
 
-/// Every file and folder that a job reads.
+/// Returns every file and folder that a job reads, with its role.
 fn inputs(job: &Job, registry: &Registry) -> Vec<(&'static str, PathBuf)> {
     let mut job = job.clone();
     let mut list: Vec<(&str, PathBuf)> = Vec::new();
@@ -92,8 +96,8 @@ fn inputs(job: &Job, registry: &Registry) -> Vec<(&'static str, PathBuf)> {
         ("warm start", &job.factorize.warm_start),
         ("weights", &job.factorize.weights),
     ];
-    list.extend(named.into_iter().filter_map(|(what, path)| Some((what, path.clone()?))));
-    // those of nodes; what was named above is found again and changes nothing
+    list.extend(named.into_iter().filter_map(|(role, path)| Some((role, path.clone()?))));
+    // Files of nodes; a file that is listed twice changes nothing.
     list.extend(job.paths_mut().map(|path| ("input", path.clone())));
     let displays = job.sweep.iter().flat_map(|sweep| &sweep.displays).filter(|name| name.ends_with(".toml"));
     list.extend(displays.map(|name| ("display file", job.folder.join(name))));
@@ -108,7 +112,7 @@ fn inputs(job: &Job, registry: &Registry) -> Vec<(&'static str, PathBuf)> {
 mod tests {
     use super::super::lock::OWNER;
     use super::super::names::LOCK;
-    use super::super::settings::{resealed, write_display, write_sealed};
+    use super::super::settings::{with_new_seal, write_display, write_sealed};
     use super::*;
     use crate::presets;
     use lumistack_core::{Cancel, Collector, config};
@@ -123,9 +127,9 @@ mod tests {
         work(Task::quiet(&warnings, &cancel))
     }
 
-    fn try_take(dir: &Path, work: Work, job: &Job) -> Result<Owned, String> {
+    fn try_take(dir: &Path, work: Work, job: &Job) -> Result<FolderLock, String> {
         let registry = Registry::built_in().unwrap();
-        with_task(|task| take(dir, work, job, &registry, task).map_err(|error| error.to_string()))
+        with_task(|task| lock(dir, work, job, &registry, task).map_err(|error| error.to_string()))
     }
 
     #[test]
@@ -138,7 +142,7 @@ mod tests {
         assert!(error.contains(&run.display().to_string()) && error.contains(&process), "{error}");
         drop(first);
         assert!(!folder.path().join("runs").exists(), "nothing was kept, so nothing is left");
-        // a dead owner's name holds nobody
+        // the owner file of a dead process locks nothing
         std::fs::create_dir_all(run.join("cache")).unwrap();
         std::fs::write(run.join("cache").join(LOCK), "").unwrap();
         std::fs::write(run.join("cache").join(OWNER), "{\"process\":1,\"host\":\"gone\"}").unwrap();
@@ -172,19 +176,19 @@ mod tests {
             assert_eq!(std::fs::read_to_string(&path).unwrap(), "mine");
             assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "nothing was written");
         }
-        // other names are nobody's business
+        // other names do not matter
         std::fs::write(base.path().join("notes.txt"), "mine").unwrap();
         std::fs::create_dir(base.path().join("outputs")).unwrap();
         drop(try_take(base.path(), Work::Run, &job).unwrap());
     }
 
     #[test]
-    fn our_own_files_are_known_until_somebody_changes_them() {
+    fn our_own_files_are_known_until_they_change() {
         let folder = tempfile::tempdir().unwrap();
         let job = job(folder.path());
         let path = folder.path().join("job.toml");
         let accepted = || try_take(folder.path(), Work::Run, &job).map(drop);
-        // of before seals: every default written out; then sealed
+        // from before seals: with every default; then sealed
         std::fs::write(&path, job.to_toml()).unwrap();
         assert_eq!(accepted(), Ok(()));
         std::fs::write(&path, format!("{}# mine\n", job.to_toml())).unwrap();
@@ -192,7 +196,7 @@ mod tests {
         write_sealed(&path, &job.to_toml()).unwrap();
         assert_eq!(accepted(), Ok(()));
         assert_eq!(config::parse::<Job>(&std::fs::read_to_string(&path).unwrap()).unwrap(), job);
-        // it may be run again from where it lies
+        // a run's job file may be run where it is
         let again = Job { file: Some(path.clone()), ..job.clone() };
         assert!(try_take(folder.path(), Work::Run, &again).is_ok());
         let text = std::fs::read_to_string(&path).unwrap().replace("seed = 1", "seed = 2");
@@ -212,7 +216,7 @@ mod tests {
         let mut calibrated = display.clone();
         calibrated.layers[0].panel = Some(lumistack_display::Panel::default());
         let header = before.lines().next().unwrap();
-        let after = resealed(&before, &format!("{header}\n{}", calibrated.to_toml()));
+        let after = with_new_seal(&before, &format!("{header}\n{}", calibrated.to_toml()));
         std::fs::write(&path, &after).unwrap();
         assert!(is_written_by_us(&path, false), "Lumistack calibrated it");
         write_display(&path, &display).unwrap();
@@ -220,7 +224,7 @@ mod tests {
         // another display is another file
         write_display(&path, &Display { frames: display.frames + 1, ..display }).unwrap();
         assert!(std::fs::read_to_string(&path).unwrap() != after);
-        assert_eq!(resealed("a = 1", "a = 2"), "a = 2");
+        assert_eq!(with_new_seal("a = 1", "a = 2"), "a = 2");
     }
 
     #[test]
@@ -233,7 +237,7 @@ mod tests {
         assert!(try_take(dir, Work::Run, &job(dir)).is_err());
         let stamp = format!("{{\"key\": \"{}\", \"files\": [[\"layers/stack.json\", 2]]}}", "a".repeat(64));
         std::fs::write(dir.join("cache/factorize.json"), stamp).unwrap();
-        // written by a version that had fewer keys
+        // from a version with fewer keys
         let old = job(dir).to_toml().replace("seed = 1\n", "");
         std::fs::write(dir.join("job.toml"), old).unwrap();
         drop(try_take(dir, Work::Run, &job(dir)).unwrap());

@@ -1,4 +1,4 @@
-//! Scenes that Blender hands over, kept between runs.
+//! Scenes that Blender converted, cached between runs.
 
 use std::path::{Path, PathBuf};
 
@@ -11,14 +11,14 @@ use super::files::{read_json, write, write_json};
 use super::key::{KeyBuilder, hash};
 use crate::error::PipelineError;
 
-/// A hand-over that was kept: what it was made from, each file with a hash of its content.
+/// A cached conversion with its origin: every file with a hash of its content.
 #[derive(Serialize, Deserialize)]
-struct Kept {
+struct CachedConversion {
     account: BlendAccount,
     files: Vec<(PathBuf, String)>,
     program: Option<[u64; 2]>,
     glb: String,
-    /// Of the code that asks for it and reads it: no other program takes it up.
+    /// Fingerprint of the code that requests and reads it: no other version reuses it.
     code: String,
 }
 
@@ -26,13 +26,14 @@ fn code_of_scenes() -> String {
     KeyBuilder::new("scenes", code::SCENE).finish()
 }
 
-/// Whether a kept file (`blend-KEY.json` or `.glb`) belongs to a hand-over that a run would take up.
+/// True if a cached file (`blend-KEY.json` or `.glb`) belongs to a conversion that a run would
+/// reuse.
 pub(crate) fn holds(path: &Path) -> bool {
-    read_json::<Kept>(&path.with_extension("json")).is_some_and(|kept| kept.holds())
+    read_json::<CachedConversion>(&path.with_extension("json")).is_some_and(|kept| kept.holds())
 }
 
-impl Kept {
-    /// Whether Blender would hand over the same again.
+impl CachedConversion {
+    /// True if Blender would return the same scene again.
     fn holds(&self) -> bool {
         self.code == code_of_scenes()
             && self.program.is_some()
@@ -46,53 +47,56 @@ fn content_of(path: &Path) -> Option<String> {
     lumistack_files::read(path).ok().map(|bytes| hash(&bytes))
 }
 
-/// The scene of a `.blend` file at a time. With a folder it is kept there, and Blender is not asked again while the file, what it reads, Blender itself and
-/// what we run in it are the same.
+/// Converts the scene of a `.blend` file at a time in seconds. With a cache folder, Blender runs
+/// again only if the file, its references, Blender or our script in it changed.
 ///
 /// # Errors
-/// When Blender hands nothing over, or what it does cannot be kept.
+/// If Blender returns no scene, or the cache cannot be written.
 pub(crate) fn hand_over(
     path: &Path,
     time_s: Option<f64>,
     cache_dir: Option<&Path>,
     task: Task<'_>,
 ) -> Result<HandedOver, PipelineError> {
-    let ask = || lumistack_usd::hand_over(path, time_s, task).map_err(PipelineError::from);
+    let convert = || lumistack_usd::hand_over(path, time_s, task).map_err(PipelineError::from);
     let handed = match cache_dir {
-        Some(folder) => kept_or(ask, path, time_s, &lumistack_usd::blend_surroundings(), folder)?,
-        None => ask()?,
+        Some(folder) => kept_or(convert, path, time_s, &lumistack_usd::blend_surroundings(), folder)?,
+        None => convert()?,
     };
     handed.account.warnings.iter().for_each(|(place, text)| task.warn(place, text));
     Ok(handed)
 }
 
 fn kept_or(
-    ask: impl FnOnce() -> Result<HandedOver, PipelineError>,
+    convert: impl FnOnce() -> Result<HandedOver, PipelineError>,
     path: &Path,
     time_s: Option<f64>,
     surroundings: &str,
     folder: &Path,
 ) -> Result<HandedOver, PipelineError> {
+    // One cached conversion per file, time and surroundings.
     let mut key = KeyBuilder::new("blend", code::SCENE);
     let place = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     key.add("path", place.as_os_str().as_encoded_bytes()).add_json("time", &time_s);
     let key = key.add("surroundings", surroundings.as_bytes()).finish();
     let [stamp, file] = ["json", "glb"].map(|kind| folder.join(format!("blend-{}.{kind}", &key[..16])));
-    if let Some(kept) = read_json::<Kept>(&stamp).filter(Kept::holds)
+    if let Some(kept) = read_json::<CachedConversion>(&stamp).filter(CachedConversion::holds)
         && let Ok(glb) = std::fs::read(&file)
         && hash(&glb) == kept.glb
     {
         return Ok(HandedOver { glb, account: kept.account });
     }
+    // Without a valid one, run Blender.
     let before = content_of(&place);
-    let handed = ask()?;
+    let handed = convert()?;
     let HandedOver { glb, account } = &handed;
     let all = [std::slice::from_ref(&place), &account.files[..]].concat();
     let files: Option<Vec<_>> = all.into_iter().map(|path| Some((path.clone(), content_of(&path)?))).collect();
-    // a file that was saved meanwhile, or is gone, makes no kept result
+    // A file that changed meanwhile, or is missing, must not enter the cache.
     if let Some(files) = files.filter(|files| account.untracked.is_none() && Some(&files[0].1) == before.as_ref()) {
         let program = lumistack_usd::file_stamp(&account.program);
-        let kept = Kept { account: account.clone(), files, program, glb: hash(glb), code: code_of_scenes() };
+        let kept =
+            CachedConversion { account: account.clone(), files, program, glb: hash(glb), code: code_of_scenes() };
         std::fs::create_dir_all(folder).map_err(PipelineError::write(folder))?;
         write(&file, glb)?;
         write_json(&stamp, &kept)?;
@@ -104,8 +108,8 @@ fn kept_or(
 mod tests {
     use super::*;
 
-    /// How often Blender is asked for two hand-overs, between which something happens.
-    fn asked(untracked: Option<String>, between: impl FnOnce(&Path)) -> usize {
+    /// Returns the number of Blender's runs for two conversions, with a change between them.
+    fn conversions(untracked: Option<String>, between: impl FnOnce(&Path)) -> usize {
         let folder = tempfile::tempdir().unwrap();
         let place = |name: &str| folder.path().join(name);
         for name in ["szene.blend", "wood.png", "blender"] {
@@ -120,17 +124,17 @@ mod tests {
         };
         let mut count = 0;
         let mut hand_over = |time_s, surroundings: &str| {
-            let ask = || {
+            let convert = || {
                 count += 1;
                 Ok(HandedOver { glb: format!("{time_s:?}").into_bytes(), account: account.clone() })
             };
-            kept_or(ask, &place("szene.blend"), time_s, surroundings, &place("cache")).unwrap()
+            kept_or(convert, &place("szene.blend"), time_s, surroundings, &place("cache")).unwrap()
         };
         let first = hand_over(Some(0.5), "one");
         between(folder.path());
         let second = hand_over(Some(0.5), "one");
         assert_eq!((first.glb, first.account), (second.glb, second.account));
-        // another time and another Blender are other hand-overs
+        // another time and another Blender are other conversions
         let (late, other) = (hand_over(Some(1.0), "one"), hand_over(Some(0.5), "two"));
         assert_eq!((late.glb, other.glb), (b"Some(1.0)".to_vec(), b"Some(0.5)".to_vec()));
         count - 2
@@ -140,11 +144,11 @@ mod tests {
     fn blender_is_asked_again_when_something_has_changed() {
         let write =
             |name: &'static str| move |folder: &Path| std::fs::write(folder.join(name), "another content").unwrap();
-        assert_eq!(asked(None, |_| ()), 1);
+        assert_eq!(conversions(None, |_| ()), 1);
         for name in ["szene.blend", "wood.png", "blender", "gone.png"] {
-            assert_eq!(asked(None, write(name)), 2, "{name}");
+            assert_eq!(conversions(None, write(name)), 2, "{name}");
         }
-        assert_eq!(asked(None, |folder| std::fs::remove_file(folder.join("wood.png")).unwrap()), 2);
+        assert_eq!(conversions(None, |folder| std::fs::remove_file(folder.join("wood.png")).unwrap()), 2);
         let damage = |folder: &Path| {
             for file in std::fs::read_dir(folder.join("cache")).unwrap().flatten() {
                 if file.path().extension().is_some_and(|kind| kind == "glb") {
@@ -152,7 +156,7 @@ mod tests {
                 }
             }
         };
-        assert_eq!(asked(None, damage), 2);
-        assert_eq!(asked(Some("waves: a sequence of files".into()), |_| ()), 2);
+        assert_eq!(conversions(None, damage), 2);
+        assert_eq!(conversions(Some("waves: a sequence of files".into()), |_| ()), 2);
     }
 }

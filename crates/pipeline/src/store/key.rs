@@ -1,5 +1,5 @@
-//! Keys of results: a hash of the code that a result passes through, its resolved settings and the content of every file that it was made from, never of
-//! the number of threads.
+//! Keys of results: a hash of the code that a result passes through, its settings, and the content
+//! of all files that it depends on. The number of threads is not part of it.
 
 use std::path::Path;
 
@@ -7,19 +7,19 @@ use serde::Serialize;
 
 use super::code::Code;
 
-/// Hash of bytes, hexadecimal.
+/// Returns the BLAKE3 hash of bytes, hexadecimal.
 pub(crate) fn hash(bytes: &[u8]) -> String {
     blake3::hash(bytes).to_hex().to_string()
 }
 
-/// A hash of a file's content.
+/// Returns the hash of a file's content.
 pub(crate) fn content_hash(path: &Path) -> std::io::Result<String> {
     let mut hash = blake3::Hasher::new();
     hash.update_reader(std::fs::File::open(path)?)?;
     Ok(hash.finalize().to_hex().to_string())
 }
 
-/// Collects everything a stage's result depends on.
+/// Collects all that a result depends on.
 #[derive(Clone)]
 pub(crate) struct KeyBuilder(blake3::Hasher);
 
@@ -34,7 +34,7 @@ impl KeyBuilder {
         builder
     }
 
-    /// Adds a labelled value. Lengths are hashed too, so that neighbours cannot run together.
+    /// Adds a labelled value. Lengths are hashed too, so that different splits differ.
     pub(crate) fn add(&mut self, label: &str, bytes: &[u8]) -> &mut Self {
         for part in [label.as_bytes(), bytes] {
             self.0.update(&(part.len() as u64).to_le_bytes());
@@ -43,13 +43,13 @@ impl KeyBuilder {
         self
     }
 
-    /// Adds anything that serializes.
+    /// Adds a value as JSON.
     pub(crate) fn add_json(&mut self, label: &str, value: &impl Serialize) -> &mut Self {
         let text = serde_json::to_string(value).expect("settings serialize");
         self.add(label, text.as_bytes())
     }
 
-    /// Adds floats.
+    /// Adds values bit by bit.
     pub(crate) fn add_f32(&mut self, label: &str, values: &[f32]) -> &mut Self {
         self.0.update(&(label.len() as u64).to_le_bytes());
         self.0.update(label.as_bytes());
@@ -63,7 +63,7 @@ impl KeyBuilder {
         self
     }
 
-    /// The key in hexadecimal.
+    /// Returns the key, hexadecimal.
     pub(crate) fn finish(&self) -> String {
         self.0.finalize().to_hex().to_string()
     }

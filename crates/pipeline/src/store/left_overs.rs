@@ -1,24 +1,26 @@
-//! What runs that were killed left: temporary files and folders, which every run sweeps under its lock when it begins.
+//! Left-overs of killed runs: temporary files and folders. Every run removes them under its lock
+//! when it begins.
 
 use std::path::{Path, PathBuf};
 
 use super::names::{is_ours, is_time};
 
-/// Folders of a run folder in which every file is ours, so that temporary files there belong to nobody else.
+/// Folders of a run folder with files of ours only, where every temporary file may be removed.
 const OWN: [&str; 8] = ["cache", "target", "held-out", "outside", "layers", "designs", "plots", "outputs"];
-/// Removes what killed runs left in a run folder. The caller holds its lock.
-pub(crate) fn sweep(dir: &Path) {
+/// Removes left-overs of killed runs from a run folder. The caller has its lock.
+pub(crate) fn remove(dir: &Path) {
     remove_all(&left_overs(dir));
 }
 
-/// What is removed here saves time at most, so a file that cannot be removed is no error; `clean` counts what is left.
+/// Removes files and folders. They save time at most, so a failure is no error; `clean` counts the
+/// rest.
 pub(crate) fn remove_all(paths: &[PathBuf]) {
     for path in paths {
         let _ = if path.is_dir() { std::fs::remove_dir_all(path) } else { std::fs::remove_file(path) };
     }
 }
 
-/// Entries of a folder with their names, sorted; none of one that is not there.
+/// Returns the entries of a folder with their names, sorted; empty if it does not exist.
 pub(crate) fn entries(folder: &Path) -> Vec<(String, PathBuf)> {
     let list = std::fs::read_dir(folder).into_iter().flatten().flatten();
     let mut list: Vec<_> =
@@ -28,11 +30,11 @@ pub(crate) fn entries(folder: &Path) -> Vec<(String, PathBuf)> {
 }
 
 pub(crate) fn is_folder(path: &Path) -> bool {
-    // not what a link leads to
+    // links to folders are not followed
     std::fs::symlink_metadata(path).is_ok_and(|data| data.is_dir())
 }
 
-/// Temporary files and folders of a run folder, of its nodes, times and light fields.
+/// Returns temporary files and folders of a run folder, its nodes, time steps and light fields.
 pub(crate) fn left_overs(dir: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for (name, path) in entries(dir) {
@@ -46,11 +48,11 @@ pub(crate) fn left_overs(dir: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// As [`left_overs`], where everything is ours.
+/// Is [`left_overs`] for folders with files of ours only.
 fn below(folder: &Path, found: &mut Vec<PathBuf>) {
     for (name, path) in entries(folder) {
         let temporary = name.starts_with(".lumistack-") && name.ends_with(".tmp");
-        // where an output collects its files before they appear
+        // an output collects its files here before they appear
         let partial = name.starts_with('.') && name.ends_with(".partial") && is_folder(&path);
         if temporary || partial {
             found.push(path);
@@ -60,7 +62,8 @@ fn below(folder: &Path, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// Run folders within a run folder: nodes, times of a sequence, light fields of a sweep.
+/// Returns the run folders within a run folder: nodes, time steps of a sequence, light fields of a
+/// sweep.
 pub(crate) fn parts(dir: &Path) -> Vec<PathBuf> {
     let times = entries(dir).into_iter().filter(|(name, path)| is_time(name) && is_folder(path));
     let inner = ["nodes", "fields"].into_iter().flat_map(|name| entries(&dir.join(name)));

@@ -1,11 +1,13 @@
 //! The lock of a run folder: one owner at a time.
 //!
 //! ```text
-//! cache/lumistack.lock     locked by the operating system while a run works here, so that a dead owner holds nothing; also what marks a folder as ours
-//! cache/owner.json         process and host of the owner, for messages alone
+//! cache/lumistack.lock     locked by the operating system during a run, which frees it if the
+//!                          owner dies; its existence marks a folder as ours
+//! cache/owner.json         process and host of the owner, for messages
 //! ```
 //!
-//! Units of work on several machines hold a folder together: each publishes files that no other writes, and a run of the whole waits until they have ended.
+//! Units of work on several machines share a folder's lock, since each writes files that no other
+//! writes. A run of the whole waits until they have ended.
 
 use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
@@ -18,36 +20,36 @@ use super::files::write;
 use super::names::LOCK;
 use crate::error::{PipelineError, field_error};
 
-/// Below `cache`: whom the lock belongs to.
+/// File of the owner's process and host, below `cache`.
 pub(crate) const OWNER: &str = "owner.json";
-/// Of a preview that is made into a run's folder, beside a run that may be at work.
+/// Lock of a preview, which may be written while a run uses the folder.
 const PREVIEW_LOCK: &str = "preview.lock";
-/// How often the owner's name is looked for: it is written a moment after the lock is taken.
-const LOOKS: u32 = 25;
+/// Number of attempts to read the owner's file, which is written shortly after the lock is taken.
+const OWNER_ATTEMPTS: u32 = 25;
 
-/// How often a unit of work looks whether a folder is free.
-const UNIT_LOOKS: Duration = Duration::from_millis(100);
+/// Interval of a unit's attempts to lock a folder.
+const LOCK_INTERVAL: Duration = Duration::from_millis(100);
 
-/// How long a unit of work waits for a folder.
+/// Longest time that a unit waits for a folder.
 pub(crate) const UNIT_LIMIT: Duration = Duration::from_secs(600);
 
-/// How a unit of work holds a folder.
+/// How a unit of work locks a folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Hold {
-    /// Beside other units.
+    /// Together with other units.
     Shared,
-    /// Alone.
+    /// Without other units.
     Alone,
 }
 
-/// A run folder that belongs to this process until it is dropped.
+/// The lock of a run folder, held until it is dropped.
 #[derive(Debug)]
-pub(crate) struct Owned {
+pub(crate) struct FolderLock {
     lock: Option<File>,
     cache: PathBuf,
     file: &'static str,
     hold: Hold,
-    /// Folders that were not there before, outermost first.
+    /// Folders that the lock created, outermost first.
     made: Vec<PathBuf>,
 }
 
@@ -57,34 +59,40 @@ struct Owner {
     host: String,
 }
 
-/// Takes a folder that is known to be a run's.
-pub(crate) fn take_known(dir: &Path, task: Task<'_>) -> Result<Owned, PipelineError> {
-    Owned::lock(dir, LOCK, task)
+/// Locks a folder that is known to be a run's.
+pub(crate) fn lock_known(dir: &Path, task: Task<'_>) -> Result<FolderLock, PipelineError> {
+    FolderLock::lock(dir, LOCK, task)
 }
 
-/// Takes a folder for a unit of work. Waits for others up to a limit: work may be done twice where a machine seemed to be gone.
+/// Locks a folder for a unit of work. Waits up to a limit, since a machine that seemed lost may
+/// still work.
 ///
 /// # Errors
-/// When others hold the folder for longer, or when cancelled.
-pub(crate) fn take_for_unit(dir: &Path, hold: Hold, limit: Duration, task: Task<'_>) -> Result<Owned, PipelineError> {
+/// If other processes hold the lock for longer, or the task is cancelled.
+pub(crate) fn lock_for_unit(
+    dir: &Path,
+    hold: Hold,
+    limit: Duration,
+    task: Task<'_>,
+) -> Result<FolderLock, PipelineError> {
     let start = Instant::now();
     loop {
-        match Owned::lock_as(dir, LOCK, hold, task) {
+        match FolderLock::lock_as(dir, LOCK, hold, task) {
             Err(PipelineError::InUse { .. }) if start.elapsed() < limit => {
                 task.cancel.check()?;
-                std::thread::sleep(UNIT_LOOKS);
+                std::thread::sleep(LOCK_INTERVAL);
             }
             taken => return taken,
         }
     }
 }
 
-/// Takes the place of a run's preview, which does not disturb the run.
-pub(crate) fn take_preview(dir: &Path, task: Task<'_>) -> Result<Owned, PipelineError> {
-    Owned::lock(dir, PREVIEW_LOCK, task)
+/// Locks the preview of a run, which does not disturb the run.
+pub(crate) fn lock_preview(dir: &Path, task: Task<'_>) -> Result<FolderLock, PipelineError> {
+    FolderLock::lock(dir, PREVIEW_LOCK, task)
 }
 
-impl Owned {
+impl FolderLock {
     fn lock(dir: &Path, file: &'static str, task: Task<'_>) -> Result<Self, PipelineError> {
         Self::lock_as(dir, file, Hold::Alone, task)
     }
@@ -92,7 +100,7 @@ impl Owned {
     fn lock_as(dir: &Path, file: &'static str, hold: Hold, task: Task<'_>) -> Result<Self, PipelineError> {
         let cache = dir.join("cache");
         let made: Vec<PathBuf> = cache.ancestors().take_while(|path| !path.exists()).map(Path::to_path_buf).collect();
-        // what several made together is no one's to remove
+        // A folder that several processes share is not removed at the end.
         let made = if hold == Hold::Shared { Vec::new() } else { made.into_iter().rev().collect() };
         let mut owned = Self { lock: None, cache: cache.clone(), file, hold, made };
         let path = cache.join(file);
@@ -103,14 +111,13 @@ impl Owned {
             let taken = if hold == Hold::Shared { lock.try_lock_shared() } else { lock.try_lock() };
             match taken {
                 Ok(()) if is_at(&lock, &path) => owned.lock = Some(lock),
-                // the one before removed it with its folder
+                // the last owner removed the file with its folder
                 Ok(()) => continue,
                 Err(TryLockError::WouldBlock) => {
                     return Err(PipelineError::InUse { folder: dir.to_owned(), owner: owned.other() });
                 }
                 Err(TryLockError::Error(error)) => {
-                    let text =
-                        format!("this file system has no locks ({error}): make sure that only one run works here");
+                    let text = format!("this file system has no locks ({error}): run only one process in this folder");
                     task.warn(dir.display().to_string(), text);
                 }
             }
@@ -125,14 +132,14 @@ impl Owned {
         Ok(owned)
     }
 
-    /// Whom the lock belongs to, for people.
+    /// Describes the owner of the lock for messages.
     fn other(&self) -> String {
         if self.file != LOCK {
             return "another preview".into();
         }
         let read = || -> Option<Owner> { serde_json::from_slice(&std::fs::read(self.cache.join(OWNER)).ok()?).ok() };
-        let owner = (0..LOOKS).find_map(|look| {
-            if look > 0 {
+        let owner = (0..OWNER_ATTEMPTS).find_map(|attempt| {
+            if attempt > 0 {
                 std::thread::sleep(Duration::from_millis(20));
             }
             read()
@@ -141,20 +148,22 @@ impl Owned {
     }
 }
 
-impl Drop for Owned {
+impl Drop for FolderLock {
     fn drop(&mut self) {
-        // somebody else's, or of a file system without locks
+        // the lock is another's, or shared, or the file system has none
         if self.lock.is_none() || self.hold == Hold::Shared {
             return;
         }
         if self.file == LOCK {
             let _ = std::fs::remove_file(self.cache.join(OWNER));
         }
-        // a run that failed before it kept anything leaves nothing; on other systems an open file cannot be removed
+        // A run that failed before its first kept file leaves no folder. Only Unix removes open
+        // files.
         if cfg!(unix) && !self.made.is_empty() {
             let others = std::fs::read_dir(&self.cache)
                 .map_or(1, |list| list.flatten().filter(|e| e.file_name() != self.file).count());
-            // times and nodes that are finished stay, and so does the mark that they are ours
+            // Finished time steps and nodes stay, and so does the lock file that marks them as
+            // ours.
             let beside = self.cache.parent().and_then(|dir| std::fs::read_dir(dir).ok());
             let is_alone = beside.is_some_and(|list| list.flatten().all(|e| e.path() == self.cache));
             if others == 0 && is_alone {
@@ -167,7 +176,7 @@ impl Drop for Owned {
     }
 }
 
-/// Whether an open file is still the one of this name.
+/// True if an open file is still the one of this path.
 fn is_at(file: &File, path: &Path) -> bool {
     #[cfg(unix)]
     {

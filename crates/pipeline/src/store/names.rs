@@ -1,4 +1,4 @@
-//! Names that work writes under in a run folder, and folders that are certain to be ours.
+//! Names that work writes in a run folder, and the test for folders of ours.
 
 use std::ffi::OsStr;
 use std::path::Path;
@@ -7,24 +7,24 @@ use serde::Deserialize;
 
 use super::settings::is_written_by_us;
 
-/// Below `cache`: locked while a run works in the folder.
+/// The lock file, below `cache`.
 pub(crate) const LOCK: &str = "lumistack.lock";
 
-/// What works in a folder, which says under which names it writes.
+/// Kinds of work in a folder. Each writes its own names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Work {
     /// A run, with nodes or without.
     Run,
-    /// Times in folders of their own.
+    /// A sequence; its time steps have folders of their own.
     Sequence,
-    /// Views alone.
+    /// Views only.
     Views,
-    /// Many designs.
+    /// A sweep over designs.
     Sweep,
 }
 
 impl Work {
-    /// Whether a file or folder directly in the run's folder is one that the work writes.
+    /// True if the work writes this name directly in the run folder.
     pub(crate) fn writes(self, name: &OsStr) -> bool {
         let Some(name) = name.to_str() else { return false };
         if name == "cache" {
@@ -63,17 +63,19 @@ impl Work {
     }
 }
 
-/// Name of a sequence's time: t0001.
+/// True for names of time steps: t0001.
 pub(crate) fn is_time(name: &str) -> bool {
     name.strip_prefix('t').is_some_and(|digits| digits.len() >= 4 && digits.bytes().all(|b| b.is_ascii_digit()))
 }
 
-/// Whether a folder is certain to be one that Lumistack made: by its lock, by what runs of before locks kept, or by a job file that says so.
+/// True if Lumistack certainly made a folder: by its lock, its job file, or cached files of
+/// versions before locks.
 pub(crate) fn is_ours(dir: &Path) -> bool {
     let cache = dir.join("cache");
     if cache.join(LOCK).is_file() || is_written_by_us(&dir.join("job.toml"), false) {
         return true;
     }
+    // Versions before locks left stamps and keyed names in the cache.
     let kept = |name: &str| {
         let stem = name.split('.').next().unwrap_or_default();
         let is_keyed = |kinds: &[&str]| {
@@ -92,7 +94,7 @@ pub(crate) fn is_ours(dir: &Path) -> bool {
         let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
         entries.filter_map(|entry| entry.file_name().into_string().ok()).any(|name| kept(&name))
     };
-    // the designs of a sweep of before locks
+    // rows of sweeps from versions before locks
     let is_row = |name: &str| {
         name.strip_suffix(".json").is_some_and(|key| key.len() == 24 && key.bytes().all(|b| b.is_ascii_hexdigit()))
     };
@@ -102,7 +104,7 @@ pub(crate) fn is_ours(dir: &Path) -> bool {
         || rows.filter_map(|row| row.file_name().into_string().ok()).any(|name| is_row(&name))
 }
 
-/// A stamp of any version.
+/// True if the file is a stamp of any version.
 fn is_stamp(path: &Path) -> bool {
     #[derive(Deserialize)]
     struct AnyStamp {

@@ -1,4 +1,4 @@
-//! Light fields too large for memory: their values lie in a file without a name, of which the system holds the pages that are read.
+//! Light fields too large for memory, in an unnamed file that the system pages in.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -11,23 +11,23 @@ use memmap2::Mmap;
 
 use crate::error::PipelineError;
 
-/// Values that are made into bytes at a time.
+/// Number of values that are converted to bytes at a time.
 const PART: usize = 1 << 14;
 
-/// A light field that is written view by view.
+/// A light field that is written view by view to a file.
 pub(crate) struct Paged {
     geometry: FieldGeometry,
     file: BufWriter<File>,
-    /// For messages.
+    /// Folder of the file, for messages.
     folder: PathBuf,
     bytes: Vec<u8>,
 }
 
 impl Paged {
-    /// Begins one in a folder, on whose disk it will lie.
+    /// Creates the file on the disk of a folder.
     ///
     /// # Errors
-    /// When no file can be made there.
+    /// If the file cannot be created.
     pub(crate) fn begin(geometry: FieldGeometry, folder: &Path) -> Result<Self, PipelineError> {
         let file = tempfile::tempfile_in(folder).map_err(PipelineError::write(folder))?;
         Ok(Self {
@@ -41,7 +41,7 @@ impl Paged {
     /// Writes the next view in the order of the grid, `[row][col][rgb]`.
     ///
     /// # Errors
-    /// When the disk is full.
+    /// If the disk is full.
     pub(crate) fn write(&mut self, view: &[f32]) -> Result<(), PipelineError> {
         for part in view.chunks(PART) {
             self.bytes.clear();
@@ -51,14 +51,14 @@ impl Paged {
         Ok(())
     }
 
-    /// The light field, once all views are written.
+    /// Returns the light field, once all views are written.
     ///
     /// # Errors
-    /// When the disk is full, or the file cannot be mapped.
+    /// If the disk is full, or the file cannot be mapped.
     pub(crate) fn finish(self) -> Result<LightField, PipelineError> {
         let Self { geometry, file, folder, .. } = self;
         let file = file.into_inner().map_err(|error| PipelineError::write(&folder)(error.into_error()))?;
-        // SAFETY: the file has no name: nobody else writes it
+        // SAFETY: the file has no name, so no other process writes it
         let values = Mapped(unsafe { Mmap::map(&file) }.map_err(PipelineError::write(&folder))?);
         let [views_y, views_x] = geometry.grid.views();
         let shape = [views_y, views_x, geometry.rows, geometry.cols, 3];
@@ -74,7 +74,7 @@ struct Mapped(Mmap);
 
 impl AsRef<[f32]> for Mapped {
     fn as_ref(&self) -> &[f32] {
-        // SAFETY: a map begins at a page, and any bytes are valid numbers
+        // SAFETY: a map begins at a page, and all bit patterns are valid numbers
         unsafe { self.0.align_to::<f32>().1 }
     }
 }

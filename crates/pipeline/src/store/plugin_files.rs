@@ -1,4 +1,5 @@
-//! Parameters of plugins that are files: relative to the job's file, there before any work begins, and part of what a result depends on.
+//! Files in parameters of plugins. Paths are relative to the job's file, are checked before the
+//! work, and their content is part of keys.
 
 use std::path::Path;
 
@@ -11,7 +12,8 @@ use crate::error::{PipelineError, read};
 use crate::job::Job;
 use crate::reader::own_reader;
 
-/// The files among the parameters `params` of the plugin `id`: name and path. A text that begins with `{` is the content itself.
+/// Returns the files in the parameters of plugin `id`: name and path. A text that begins with `{`
+/// is the content itself.
 pub(crate) fn of<'a>(
     registry: &'a Registry,
     id: &str,
@@ -23,14 +25,15 @@ pub(crate) fn of<'a>(
     given.filter(|(_, path)| !path.is_empty() && !path.trim_start().starts_with('{'))
 }
 
-/// The job with every such path made absolute, and [settled](Job::settled).
+/// Returns the job with all such paths absolute, and with its defaults filled in by
+/// [`with_automatic_settings`](Job::with_automatic_settings).
 ///
 /// # Errors
-/// On a file that cannot be read.
+/// If a file cannot be read.
 pub(crate) fn resolved(job: &Job, registry: &Registry) -> Result<Job, PipelineError> {
-    let mut job = job.settled();
+    let mut job = job.with_automatic_settings();
     let folder = job.folder.clone();
-    // who reads a file without a plugin needs no look at all libraries
+    // Scenes with a reader of ours need no importer, so plugin libraries need not be loaded.
     let foreign = job.scene.as_ref().filter(|scene| own_reader(scene).is_none());
     let extension = foreign.and_then(|scene| scene.extension());
     let extension = extension.map(|extension| extension.to_string_lossy().to_ascii_lowercase());
@@ -40,6 +43,7 @@ pub(crate) fn resolved(job: &Job, registry: &Registry) -> Result<Job, PipelineEr
             Some(importer) if id.is_empty() => &importer.id,
             _ => id,
         };
+        // Check every file now, before an hour of rendering.
         let found: Vec<(String, String)> = of(registry, id, params).map(|(n, p)| (n.into(), p.into())).collect();
         for (name, given) in found {
             let path = folder.join(&given);
@@ -51,7 +55,8 @@ pub(crate) fn resolved(job: &Job, registry: &Registry) -> Result<Job, PipelineEr
             let absolute = std::path::absolute(&path).unwrap_or(path);
             let value = match absolute.to_str() {
                 Some(text) => text.to_owned(),
-                // parameters are JSON, which holds no such path: the content stands for it where that is a text of its own
+                // Parameters are JSON, which has no paths that are not UTF-8. A file of JSON is
+                // passed as its content.
                 None => lumistack_files::read_text(&absolute)
                     .ok()
                     .filter(|text| text.trim_start().starts_with('{'))
@@ -66,8 +71,8 @@ pub(crate) fn resolved(job: &Job, registry: &Registry) -> Result<Job, PipelineEr
     Ok(job)
 }
 
-/// What the work of a plugin depends on, besides what it is given: its version, its parameters, and its code, which changes while somebody writes
-/// it: the library's content, or the sources of one that is compiled in.
+/// Returns a key of a plugin: version, parameters with the content of their files, and code. The
+/// code is the content of a library, or the fingerprint of compiled-in sources.
 pub(crate) fn plugin_key(
     registry: &Registry,
     id: &str,

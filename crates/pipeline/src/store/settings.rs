@@ -1,5 +1,5 @@
-//! `job.toml` and `display.toml` of a run folder: they begin with a line that holds a hash of the rest, by which a file that somebody else wrote or changed
-//! is told from ours.
+//! `job.toml` and `display.toml` of a run folder. Their first line has a hash of the rest, which
+//! shows if a user wrote or changed the file.
 
 use std::ffi::OsStr;
 use std::path::Path;
@@ -13,7 +13,7 @@ use crate::job::Job;
 
 const SEAL: &str = "# Written by Lumistack; the next run into this folder replaces it. BLAKE3 of the rest: ";
 
-/// Writes `job.toml` so that it can be run from where it lies.
+/// Writes `job.toml` with absolute paths, so that it can be run from any folder.
 pub(crate) fn write_job(job: &Job, dir: &Path) -> Result<(), PipelineError> {
     let mut job = job.clone();
     for path in job.paths_mut() {
@@ -24,18 +24,19 @@ pub(crate) fn write_job(job: &Job, dir: &Path) -> Result<(), PipelineError> {
     write_sealed(&dir.join("job.toml"), &job.to_toml())
 }
 
-/// Writes `job.toml` or `display.toml`, so that it is told from what others write.
+/// Writes `job.toml` or `display.toml` with the hash in the first line.
 ///
 /// # Errors
-/// When it cannot be written.
+/// If it cannot be written.
 pub(super) fn write_sealed(path: &Path, text: &str) -> Result<(), PipelineError> {
     write(path, sealed(text).as_bytes())
 }
 
-/// Writes a run's `display.toml`. One of the same display that was calibrated since stays: patterns do not depend on that, and it took work.
+/// Writes a run's `display.toml`. A calibrated file of the same display stays: patterns do not
+/// depend on calibration, and it took work.
 ///
 /// # Errors
-/// When it cannot be written.
+/// If it cannot be written.
 pub(crate) fn write_display(path: &Path, display: &Display) -> Result<(), PipelineError> {
     let there = std::fs::read_to_string(path).ok().and_then(|text| Display::from_toml(&text).ok());
     let nominal = display.without_panels();
@@ -45,9 +46,10 @@ pub(crate) fn write_display(path: &Path, display: &Display) -> Result<(), Pipeli
     write_sealed(path, &display.to_toml())
 }
 
-/// The text of a run's settings file after Lumistack itself has changed it from `before`, as calibration does: if it was as a run wrote it, it counts as
-/// that again. Any other text stays as it is.
-pub fn resealed(before: &str, after: &str) -> String {
+/// Returns the text of a settings file that Lumistack changed from `before` to `after`, as
+/// calibration does. If `before` had a valid hash, the result has one too. Any other text is
+/// unchanged.
+pub fn with_new_seal(before: &str, after: &str) -> String {
     match (is_whole(before), after.strip_prefix(SEAL).and_then(|rest| rest.split_once('\n'))) {
         (Some(true), Some((_, rest))) => sealed(rest),
         _ => after.into(),
@@ -58,19 +60,20 @@ fn sealed(text: &str) -> String {
     format!("{SEAL}{}\n{text}", blake3::hash(text.as_bytes()).to_hex())
 }
 
-/// Whether a sealed text is as it was written; `None` without a seal.
+/// True if a text has a valid hash; `None` if it has no hash.
 fn is_whole(text: &str) -> Option<bool> {
     let (hash, rest) = text.strip_prefix(SEAL)?.split_once('\n')?;
     Some(blake3::hash(rest.as_bytes()).to_hex().as_str() == hash.trim_end())
 }
 
-/// As [`is_whole`], of a file.
+/// Is [`is_whole`] for a file.
 pub(crate) fn is_sealed(path: &Path) -> Option<bool> {
     is_whole(&std::fs::read_to_string(path).ok()?)
 }
 
-/// Whether a settings file of a run folder is as Lumistack wrote it. Those of before seals have every default written out and no comment; where the folder is
-/// known to be `ours` one of an older version, which had fewer keys, will do.
+/// True if a settings file is as Lumistack wrote it. Files from before hashes have every default
+/// and no comment. If the folder is known to be `ours`, files of older versions with fewer keys
+/// count too.
 pub(crate) fn is_written_by_us(path: &Path, ours: bool) -> bool {
     if let Some(whole) = is_sealed(path) {
         return whole;

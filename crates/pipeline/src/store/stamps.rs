@@ -1,7 +1,8 @@
-//! Stamps beside the results of stages, which make a rerun cheap.
+//! Stamps of results, by which a rerun finds what is current.
 //!
-//! A stamp holds the [key](super::key) of a stage. It is written last, so that a stage that was killed midway has none, and holds a hash of every file that the stage wrote: one that was
-//! damaged or replaced since is no result, whatever its size and time.
+//! A stamp has the [key](super::key) of a stage and a hash of every file that the stage wrote. It
+//! is written last, so a killed stage has none. Damaged or replaced files make it invalid, even
+//! with equal size and time.
 
 use std::path::{Path, PathBuf};
 
@@ -13,10 +14,11 @@ use super::files::{read_json, write_json};
 use super::key::content_hash;
 use crate::error::PipelineError;
 
-/// What a file of the cache holds, or what `make` gives, which is then kept there. Without a folder nothing is kept.
+/// Returns a cached value, or makes it and writes it to the cache. Without a folder nothing is
+/// cached.
 ///
 /// # Errors
-/// Those of `make`, and when the file cannot be written.
+/// Those of `make`, and if the file cannot be written.
 pub(crate) fn remembered<T: Serialize + DeserializeOwned>(
     folder: Option<&Path>,
     file: &str,
@@ -42,26 +44,27 @@ pub(crate) struct Stamps {
 #[derive(Serialize, Deserialize)]
 struct Stamp {
     key: String,
-    /// Each with a hash of its content.
+    /// Files, each with a hash of its content.
     files: Vec<(PathBuf, String)>,
 }
 
 impl Stamps {
-    /// Stamps of a run folder, kept in `cache/`.
+    /// Returns the stamps of a run folder, which are in its `cache/`.
     pub(crate) fn new(run_dir: &Path) -> Self {
         Self { run_dir: run_dir.to_owned() }
     }
 
-    /// The run folder.
+    /// Returns the run folder.
     pub(crate) fn dir(&self) -> &Path {
         &self.run_dir
     }
 
-    /// The result of a stage, and whether it was there: what was `kept` where the stamp holds the key, else what `make` gives with the files that it wrote.
+    /// Returns the result of a stage, and true if it was cached. If the stamp has the key, `kept`
+    /// reads the result. Otherwise `make` makes it and returns its files.
     ///
     /// # Errors
-    /// Those of `make`, and when the stamp cannot be written.
-    pub(crate) fn take_up<T>(
+    /// Those of `make`, and if the stamp cannot be written.
+    pub(crate) fn reuse_or_make<T>(
         &self,
         stage: &str,
         key: &str,
@@ -79,12 +82,12 @@ impl Stamps {
         Ok((made, false))
     }
 
-    /// Whether the stage finished, with whatever key, and all its files still have the content that they had.
+    /// True if the stage finished, with any key, and its files are unchanged.
     pub(crate) fn is_whole(&self, stage: &str) -> bool {
         self.stamp(stage).is_some_and(|stamp| self.holds(&stamp))
     }
 
-    /// Whether the stage finished with this key and all its files still have the content that they had.
+    /// True if the stage finished with this key, and its files are unchanged.
     pub(crate) fn is_current(&self, stage: &str, key: &str) -> bool {
         self.stamp(stage).is_some_and(|stamp| stamp.key == key && self.holds(&stamp))
     }
@@ -98,10 +101,10 @@ impl Stamps {
         stamp.files.par_iter().all(holds)
     }
 
-    /// Records that the stage has finished; `files` are relative to the run folder.
+    /// Records that a stage has finished; `files` are relative to the run folder.
     ///
     /// # Errors
-    /// When a file is missing or the stamp cannot be written.
+    /// If a file is missing, or the stamp cannot be written.
     pub(crate) fn write(&self, stage: &str, key: &str, files: &[PathBuf]) -> Result<(), PipelineError> {
         let hashed = files.par_iter().map(|file| {
             let path = self.run_dir.join(file);
@@ -115,10 +118,10 @@ impl Stamps {
         lumistack_field_io::atomic::write_bytes(&self.path(stage), &text).map_err(PipelineError::Field)
     }
 
-    /// Forgets a stage, before its files change.
+    /// Removes the stamp of a stage, before its files change.
     ///
     /// # Errors
-    /// When the stamp cannot be removed.
+    /// If the stamp cannot be removed.
     pub(crate) fn clear(&self, stage: &str) -> Result<(), PipelineError> {
         let path = self.path(stage);
         match std::fs::remove_file(&path) {
@@ -160,7 +163,7 @@ mod tests {
         assert!(!stamps.is_current("s", "k"));
         stamps.write("s", "k", &["a.txt".into()]).unwrap();
         assert!(stamps.is_current("s", "k") && !stamps.is_current("s", "other"));
-        // of equal size, and with the time that it had
+        // with the same size and time as before
         let written = std::fs::metadata(&file).unwrap().modified().unwrap();
         std::fs::write(&file, "two").unwrap();
         std::fs::File::options().write(true).open(&file).unwrap().set_modified(written).unwrap();

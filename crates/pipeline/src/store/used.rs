@@ -1,4 +1,5 @@
-//! What the last run that finished made use of. Every run removes the views of other settings when it has finished.
+//! Cached files that the last finished run used. Every finished run removes views of other
+//! settings.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -11,21 +12,22 @@ use super::key::KeyBuilder;
 use super::left_overs::{entries, is_folder, remove_all};
 use crate::error::PipelineError;
 
-/// Below `cache`: what the last run that finished made use of.
+/// The list of used files, below `cache`.
 pub(crate) const USED: &str = "used.json";
-/// Below `cache`: patterns of tiles under way, of which a run that finished has no use.
+/// Folder of unfinished tiles, below `cache`. A finished run does not need it.
 pub(crate) const TILES: &str = "tiles";
-/// Fields of views: each has folders `NAME-KEY` in the cache.
+/// Names of light fields; each has folders `NAME-KEY` in the cache.
 const FIELDS: [&str; 4] = ["target", "held-out", "outside", "zone"];
-/// What a run that finished made use of, by name.
+/// Names of the files that a finished run used.
 #[derive(Default, Serialize, Deserialize)]
 pub(crate) struct Used {
-    /// Of the code that views pass through: no other program finds them.
+    /// Fingerprint of the code of views: no other version finds them.
     code: String,
     /// Folders of views.
     views: BTreeSet<String>,
-    /// Of a sweep, its light fields and rows.
+    /// Light fields of a sweep.
     pub(crate) fields: BTreeSet<String>,
+    /// Rows of a sweep.
     pub(crate) designs: BTreeSet<String>,
 }
 
@@ -33,10 +35,10 @@ fn code_of_views() -> String {
     KeyBuilder::new("used", code::VIEWS).finish()
 }
 
-/// Notes which cached views the run in `dir` used and removes those of other settings.
+/// Writes which cached views the run in `dir` used, and removes all others.
 ///
 /// # Errors
-/// When the note cannot be written.
+/// If the list cannot be written.
 pub(crate) fn keep_only_views(dir: &Path, used: &[PathBuf]) -> Result<(), PipelineError> {
     let cache = dir.join("cache");
     let views = used.iter().filter_map(|path| Some(path.file_name()?.to_string_lossy().into_owned())).collect();
@@ -49,11 +51,11 @@ pub(crate) fn keep_only_views(dir: &Path, used: &[PathBuf]) -> Result<(), Pipeli
     Ok(())
 }
 
-/// Notes which light fields (numbers) and rows (files) the sweep in `dir` used and removes light fields of other settings. Rows are small and stay: a sweep over
-/// more values takes them up.
+/// Writes which light fields (numbers) and rows (files) the sweep in `dir` used, and removes other
+/// light fields. Rows are small and stay for sweeps over more values.
 ///
 /// # Errors
-/// When the note cannot be written.
+/// If the list cannot be written.
 pub(crate) fn keep_only_fields(
     dir: &Path,
     fields: impl Iterator<Item = usize>,
@@ -66,7 +68,7 @@ pub(crate) fn keep_only_fields(
     Ok(())
 }
 
-/// Folders of cached views of a run (`cache/views`) or of `render` (`cache`).
+/// Returns the folders of cached views of a run (`cache/views`) or of `render` (`cache`).
 pub(crate) fn all_views(cache: &Path) -> Vec<(String, PathBuf)> {
     let is_field =
         |name: &str| name.rsplit_once('-').is_some_and(|(field, key)| FIELDS.contains(&field) && key.len() == 16);

@@ -1,7 +1,7 @@
-//! Cached views that know whether they are as they were written: a hash of name, size and pixels stands in the header.
+//! Cached views with a hash of name, size and pixels in their header.
 //!
-//! Views are written one by one while a run may be killed at any time, so each carries its own hash instead of a stamp for all. The name is part of it: a
-//! view that was copied over another is not that other.
+//! A run may be killed between two views, so each view has its own hash instead of a common stamp.
+//! The hash includes the name, so a copy of another view is invalid.
 
 use std::path::{Path, PathBuf};
 
@@ -15,29 +15,29 @@ use lumistack_pathtracer::SplitView;
 use super::key::KeyBuilder;
 use crate::error::{PipelineError, field_error};
 
-/// The file of a view, or of a half of its samples.
+/// Returns the file of a view, or of a half of its samples.
 pub(crate) fn view_path(folder: &Path, view: [usize; 2], half: Option<usize>) -> PathBuf {
     let half = half.map_or("", |half| ["-a", "-b"][half]);
     folder.join(format!("view_{:02}_{:02}{half}.exr", view[0], view[1]))
 }
 
-/// The file of the variance of a view, or of a half of its samples.
+/// Returns the file of the variance of a view, or of a half of its samples.
 pub(crate) fn variance_path(folder: &Path, view: [usize; 2], half: Option<usize>) -> PathBuf {
     let half = half.map_or("", |half| ["-a", "-b"][half]);
     folder.join(format!("variance_{:02}_{:02}{half}.exr", view[0], view[1]))
 }
 
-/// The file of a view in parts.
+/// Returns the file of a view with separated light.
 pub(crate) fn split_path(folder: &Path, view: [usize; 2]) -> PathBuf {
     folder.join(format!("split_{:02}_{:02}.exr", view[0], view[1]))
 }
 
-/// The file of what a view sees of the splats.
+/// Returns the file of a view's splats.
 pub(crate) fn splats_path(folder: &Path, view: [usize; 2]) -> PathBuf {
     folder.join(format!("splats_{:02}_{:02}.exr", view[0], view[1]))
 }
 
-/// Reads what a view sees of the splats, `[row][col][r, g, b, T]`; `None` where it is not there as it was written.
+/// Reads the splats of a view, `[row][col][r, g, b, T]`; `None` if the file is missing or damaged.
 pub(crate) fn read_splats(path: &Path, geometry: &FieldGeometry) -> Option<Vec<f32>> {
     let values = 4 * geometry.rows * geometry.cols;
     let mut read = read_picture(path, [geometry.cols, splat_rows(geometry.rows)])?;
@@ -45,10 +45,11 @@ pub(crate) fn read_splats(path: &Path, geometry: &FieldGeometry) -> Option<Vec<f
     Some(read)
 }
 
-/// Writes it: values of four in the pixels of three of a picture that is a third higher.
+/// Writes the splats of a view `[row][col][r, g, b, T]`, as a picture of three channels and 4/3 of
+/// the height.
 ///
 /// # Errors
-/// When the file cannot be written.
+/// If the file cannot be written.
 pub(crate) fn write_splats(path: &Path, light: &Tensor<3>) -> Result<(), PipelineError> {
     let [rows, cols, _] = light.shape();
     let mut values = light.data().to_vec();
@@ -60,7 +61,7 @@ fn splat_rows(rows: usize) -> usize {
     (4 * rows).div_ceil(3)
 }
 
-/// Reads a view in parts; `None` where it is not there as it was written.
+/// Reads a view with separated light; `None` if the file is missing or damaged.
 pub(crate) fn read_split(path: &Path, geometry: &FieldGeometry) -> Option<SplitView> {
     let [rows, cols] = [geometry.rows, geometry.cols];
     let pictures = read_picture(path, [cols, SPLIT_PICTURES * rows])?;
@@ -75,10 +76,11 @@ pub(crate) fn read_split(path: &Path, geometry: &FieldGeometry) -> Option<SplitV
     SplitView::from_values(parts)
 }
 
-/// Writes a view in parts: its values three by three as pictures, one below the other.
+/// Writes a view with separated light: three values per pixel in each of several pictures, one
+/// below the other.
 ///
 /// # Errors
-/// When the file cannot be written.
+/// If the file cannot be written.
 pub(crate) fn write_split(path: &Path, split: &SplitView) -> Result<(), PipelineError> {
     let ([rows, cols], values) = (split.size(), SplitView::VALUES);
     let mut pictures = vec![0.0; 3 * rows * cols * SPLIT_PICTURES];
@@ -91,15 +93,16 @@ pub(crate) fn write_split(path: &Path, split: &SplitView) -> Result<(), Pipeline
     write_picture(path, [cols, SPLIT_PICTURES * rows], &pictures)
 }
 
-/// Pictures of three channels that hold a view in parts.
+/// Number of pictures of three channels for a view with separated light.
 const SPLIT_PICTURES: usize = SplitView::VALUES.div_ceil(3);
 
-/// Reads a view of the geometry's size; `None` where it is not there as it was written.
+/// Reads a view of the geometry's size; `None` if the file is missing or damaged.
 pub(crate) fn read_view(path: &Path, geometry: &FieldGeometry) -> Option<Vec<f32>> {
     read_picture(path, [geometry.cols, geometry.rows])
 }
 
-/// Those of `all` that are not kept. To read what is kept takes seconds and is a stage; where none of the files is there, there is nothing to read.
+/// Returns the elements of `all` that are not cached. Reading cached files takes seconds, so it
+/// shows progress; without any file it is skipped.
 pub(crate) fn missing<T: Send + Sync>(
     all: Vec<T>,
     file: impl Fn(&T) -> PathBuf,
@@ -110,34 +113,34 @@ pub(crate) fn missing<T: Send + Sync>(
         return all;
     }
     task.progress.begin("kept views", all.len() as u64, "views");
-    let look = |one: &T| {
+    let check = |one: &T| {
         let kept = is_kept(one);
         task.progress.advance(1, "");
         kept
     };
-    let kept: Vec<bool> = all.par_iter().map(look).collect();
+    let kept: Vec<bool> = all.par_iter().map(check).collect();
     task.progress.end();
     all.into_iter().zip(kept).filter_map(|(one, kept)| (!kept).then_some(one)).collect()
 }
 
-/// Writes a view, linear.
+/// Writes a view `[row][col][rgb]`, linear.
 ///
 /// # Errors
-/// When the file cannot be written.
+/// If the file cannot be written.
 pub(crate) fn write_view(path: &Path, picture: &Tensor<3>) -> Result<(), PipelineError> {
     let [rows, cols, _] = picture.shape();
     write_picture(path, [cols, rows], picture.data())
 }
 
-/// Writes a view, `[row][col][rgb]` linear, `size` = [columns, rows].
+/// Writes a picture `[row][col][rgb]`, linear, of `size` = [columns, rows].
 ///
 /// # Errors
-/// When the file cannot be written.
+/// If the file cannot be written.
 pub(crate) fn write_picture(path: &Path, size: [usize; 2], rgb: &[f32]) -> Result<(), PipelineError> {
     picture::write_exr_noted(path, size, rgb, Precision::Float, &seal(path, size, rgb)).map_err(field_error)
 }
 
-/// Reads a view of this size; `None` where there is none, or another than was written.
+/// Reads a picture of this size; `None` if the file is missing, damaged or of another size.
 pub(crate) fn read_picture(path: &Path, size: [usize; 2]) -> Option<Vec<f32>> {
     let (picture, note) = Picture::read_noted(path).ok()?;
     if picture.size() != size {
@@ -158,7 +161,7 @@ mod tests {
 
     const SIZE: [usize; 2] = [16, 8];
 
-    /// Pixels that no compression makes smaller.
+    /// Returns pixels that no compression reduces.
     fn grain(seed: u64) -> Vec<f32> {
         let mut state = seed;
         let mut next = || {
@@ -183,7 +186,7 @@ mod tests {
             std::fs::write(&first, &damaged).unwrap();
             assert_eq!(read_picture(&first, SIZE), None, "byte {place} of {}", bytes.len());
         }
-        // a picture of the same size that is another's, or nobody's
+        // a picture of the same size: that of another view, or one without a hash
         std::fs::copy(&second, &first).unwrap();
         assert_eq!(read_picture(&first, SIZE), None);
         picture::write_exr(&first, SIZE, &grain(1), Precision::Float).unwrap();

@@ -1,4 +1,4 @@
-//! One cloud gives the same picture from every file that is read.
+//! One cloud gives the same picture from all file formats.
 //!
 //! USD needs `LUMISTACK_PYTHON` to name a Python with usd-core, and is skipped without.
 
@@ -15,10 +15,11 @@ use lumistack_splats::{Renderer, SplatView, Wanted, glb, write};
 
 use crate::usd::has_usd;
 
-/// Least agreement of two files, dB.
+/// Minimum agreement of two files, PSNR in dB.
 const LEAST_PSNR: f64 = 50.0;
 
-/// A bumpy ball of flat splats, upright, with colours that change with the direction; its values are those that an `.spz` file can hold.
+/// A bumpy ball of flat splats with colours that change with the direction. Its values are
+/// representable in an `.spz` file.
 fn ball() -> Cloud {
     let mut cloud = Cloud { degree: 2, ..Cloud::default() };
     for i in 0..1200 {
@@ -35,13 +36,14 @@ fn ball() -> Cloud {
     read_spz(&write::spz(&cloud).unwrap(), 1 << 30).unwrap().cloud
 }
 
-/// The same as trainers keep it, y down and z away: half a turn about x.
+/// The cloud in the convention of trainers, y down and z away: rotated by half a turn about x.
 fn as_trained(cloud: &Cloud) -> Cloud {
     let mut turned = cloud.clone();
     let turn = Quat::from_xyzw(1.0, 0.0, 0.0, 0.0);
     turned.positions.iter_mut().for_each(|at| *at = turn * *at);
     turned.rotations.iter_mut().for_each(|rotation| *rotation = turn * *rotation);
-    // harmonics with an odd power of y z in all: orders −1, 0 of degree 1; orders −2, 1 of degree 2
+    // Harmonics with an odd power of y and z together change sign: orders −1, 0 of degree 1; orders
+    // −2, 1 of degree 2.
     for splat in turned.harmonics.chunks_exact_mut(27) {
         for k in [1, 2, 4, 7] {
             splat[3 * k..3 * k + 3].iter_mut().for_each(|value| *value = -*value);
@@ -50,7 +52,7 @@ fn as_trained(cloud: &Cloud) -> Cloud {
     turned
 }
 
-/// A stage that shows the cloud.
+/// A USD stage with the cloud.
 fn usda(cloud: &Cloud) -> String {
     let tuples = |rows: &mut dyn Iterator<Item = Vec<f32>>| -> String {
         let texts = rows.map(|row| format!("({})", row.iter().map(f32::to_string).collect::<Vec<_>>().join(", ")));
@@ -80,7 +82,7 @@ fn loaded(path: &Path) -> Arc<Scene> {
     loaded.scene
 }
 
-/// Views of a scene from somewhere to the side, `[view][row][col][r, g, b, T]`.
+/// Views of a scene from the side, `[view][row][col][r, g, b, T]`.
 fn pictures(scene: &Arc<Scene>) -> Vec<f32> {
     let grid = ViewGrid::uniform(Projection::Perspective { distance_mm: 500.0 }, [2, 2], [20.0, 20.0]).unwrap();
     let geometry = FieldGeometry { rows: 60, cols: 80, pitch_mm: 3.0, grid };

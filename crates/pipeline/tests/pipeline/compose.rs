@@ -1,4 +1,4 @@
-//! Plans compose: a sequence of a job with several nodes, a sweep over it, and every step of it alone.
+//! Plans of a sequence of a graph, of a sweep over it, and of every step alone.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use lumistack_core::{Cancel, Collector, Task};
 use lumistack_pipeline::{Job, Plan, Registry, plan, run, run_step, sweep};
 use serde_json::Value;
 
-/// Figures of a sweep against those of a run: both sum the same errors, in another order.
+/// Tolerance of a sweep's scores against a run's: both sum the same errors in different orders.
 const AGREEMENT_DB: f64 = 1e-9;
 
 const DISPLAY: &str = "[display]\npreset = \"paper-three-layer\"\nresolution = [24, 15]\nviews = [3, 3]\nframes = 2\n";
@@ -27,7 +27,7 @@ pub(crate) fn job(folder: &Path, head: &str, tables: &[&str]) -> Job {
     Job::load(&path).unwrap()
 }
 
-/// Files below a folder, those of the cache and reports, which tell times, left out.
+/// Files below a folder, without the cache and without reports, which contain times.
 pub(crate) fn results(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     fn walk(folder: &Path, root: &Path, found: &mut BTreeMap<PathBuf, Vec<u8>>) {
         for entry in std::fs::read_dir(folder).unwrap() {
@@ -77,7 +77,7 @@ fn a_sweep_over_a_sequence_of_two_nodes() {
     }
     assert_eq!(report["psnr_view"], report["nodes"][0]["psnr_view"]);
 
-    // a rerun finds all of it, as the plan has told
+    // a rerun uses all cached results, as the plan says
     let found = plan(&job, &dir, &registry).unwrap();
     for id in ["t0001/source", "t0001/nodes/a/factorize", "t0002/nodes/b/factorize", "t0002/nodes/a/output-images"] {
         assert_eq!(cached(&found, id), Some(true), "{id}");
@@ -90,7 +90,7 @@ fn a_sweep_over_a_sequence_of_two_nodes() {
         json(&dir.join("report.json"))["nodes"][1]["times"].as_array().unwrap().iter().all(|t| t["cached"] == true)
     );
 
-    // a time is a graph that runs on its own
+    // a time step is a graph that runs on its own
     let alone = folder.path().join("alone");
     let of_time = Job::load(&dir.join("t0002/job.toml")).unwrap();
     with_task(|task| run(&of_time, &alone, &registry, None, task)).unwrap();
@@ -99,7 +99,7 @@ fn a_sweep_over_a_sequence_of_two_nodes() {
         assert!(again[Path::new(name)] == all[&Path::new("t0002").join(name)], "{name}");
     }
 
-    // its designs: a takes them, b has a display of its own and is the same in every row
+    // Node a has the designs' displays; b has its own, and is equal in every row.
     let mut swept = job.clone();
     let table = lumistack_pipeline::SweepJob { frames: vec![1, 2], ..lumistack_pipeline::SweepJob::default() };
     swept.sweep = Some(table);
@@ -123,7 +123,7 @@ fn a_sweep_over_a_sequence_of_two_nodes() {
     assert_eq!((again.designs, again.kept), (2, 2));
 }
 
-/// A window that moves through a scene before two displays, with a report of every display at every time.
+/// A window that moves through a scene, with two displays and a report per display and time step.
 #[test]
 fn a_walk_before_two_displays() {
     let registry = Registry::built_in().unwrap();
@@ -145,7 +145,7 @@ fn a_walk_before_two_displays() {
     for id in ["t0001/trace", "t0002/trace", "t0002/expose", "t0002/nodes/a/factorize"] {
         assert_eq!(cached(&found, id), Some(true), "{id}");
     }
-    // one that is stopped, or changed later, is known to be gone
+    // a killed or later changed step is not current
     std::fs::write(dir.join("t0002/nodes/a/layers/layer_0.npy"), "damaged").unwrap();
     assert_eq!(cached(&plan(&job, &dir, &registry).unwrap(), "t0002/nodes/a/factorize"), Some(false));
 }
@@ -158,7 +158,7 @@ fn every_step_can_be_executed_alone() {
     let [whole, parts] = ["whole", "parts"].map(|name| folder.path().join(name));
     with_task(|task| run(&job, &whole, &registry, None, task)).unwrap();
     for step in plan(&job, &parts, &registry).unwrap().steps {
-        // nothing but the run folder goes from one to the next
+        // only the run folder connects the steps
         with_task(|task| run_step(&job, &parts, &step.id, &registry, task)).unwrap();
     }
     assert!(results(&whole) == results(&parts));

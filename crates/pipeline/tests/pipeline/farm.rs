@@ -1,21 +1,22 @@
-//! Units of work: bytes do not depend on the cut, units of one run work at once, and what is not sound is refused.
+//! Units of work: bytes do not depend on the cut, units run in parallel, and wrong plans are
+//! refused.
 
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::time::Duration;
 
-use lumistack_pipeline::{Cut, FarmPlan, Job, Registry, farm_plan, farm_unit, run, sweep};
+use lumistack_pipeline::{BlockSize, FarmPlan, Job, Registry, farm_plan, farm_unit, run, sweep};
 
 use crate::compose::{SOURCE, TIMES, job, json, results, with_task};
 
 const DISPLAY: &str = "[display]\npreset = \"paper-three-layer\"\nresolution = [20, 12]\nframes = 2\n";
-const CUT: Cut = Cut { block_seconds: 1.0, blocks: Some(2) };
+const CUT: BlockSize = BlockSize { block_seconds: 1.0, blocks: Some(2) };
 
 fn scene() -> String {
     sample("letters/letters.gltf")
 }
 
-/// The line of a job that names a sample scene.
+/// Returns the line of a job that names a sample scene.
 fn sample(file: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes").join(file).canonicalize().unwrap();
     format!("scene = {:?}\n", path.to_str().unwrap())
@@ -26,7 +27,7 @@ fn unit(dir: &Path, id: &str, registry: &Registry) -> Result<bool, String> {
     done.map(|done| done.cached).map_err(|error| error.to_string())
 }
 
-/// Executes all units, as many at once as there are, each as soon as its inputs are done.
+/// Executes all units in parallel, each as soon as its inputs are done.
 fn execute(job: &Job, dir: &Path, registry: &Registry) -> FarmPlan {
     let plan = with_task(|task| farm_plan(job, dir, registry, CUT, task)).unwrap();
     let waiting = Mutex::new(plan.units.clone());
@@ -69,16 +70,17 @@ fn units_of_a_still_give_the_bytes_of_a_run() {
         ["place", "trace/1-of-2", "trace/2-of-2", "expose", "score/1-of-2", "score/2-of-2", "factorize", "finish"];
     assert_eq!(ids(&plan), expected);
     assert_eq!(results(&one), results(&many));
-    // the report measures what a run's does
+    // the report has the scores of a run's
     let figure = |dir: &PathBuf| json(&dir.join("report.json"))["psnr_zone"].clone();
     assert!(figure(&one).is_number() && figure(&one) == figure(&many));
 
-    // what is done is not done again, but for the check of everything, which makes again what was damaged
+    // Done units are skipped, except the last, which checks all results and makes damaged ones
+    // again.
     assert_eq!(unit(&many, "trace/2-of-2", &registry), Ok(true));
     std::fs::write(many.join("layers/layer_0.npy"), "damaged").unwrap();
     assert_eq!(unit(&many, "finish", &registry), Ok(false));
     assert_eq!(results(&one), results(&many));
-    // a plain run may leave other results, so nothing is taken for done after it
+    // a plain run may change results, so no unit counts as done after it
     with_task(|task| run(&job, &many, &registry, None, task)).unwrap();
     assert!(plan.done(&many, "expose").is_none());
     let error = unit(&many, "factorize", &registry).unwrap_err();
@@ -111,7 +113,7 @@ fn units_of_a_sequence_of_two_nodes_give_the_bytes_of_a_run() {
     let warm = &of("t0002/nodes/a/factorize").inputs;
     assert!(warm.contains(&"t0002/source".to_owned()) && warm.contains(&"t0001/nodes/a/factorize".to_owned()));
     assert_eq!(of("t0001/nodes/a/results").steps.len(), 2);
-    // reports of the whole are equal but for times and paths
+    // reports of the whole are equal except for times and paths
     let times = |dir: &PathBuf| json(&dir.join("report.json"))["nodes"][0]["psnr_change"].clone();
     assert!(times(&one).is_number() && times(&one) == times(&many));
 }
@@ -126,7 +128,7 @@ fn units_of_a_moving_window_give_the_bytes_of_a_run() {
     with_task(|task| run(&job, &one, &registry, None, task)).unwrap();
     let plan = execute(&job, &many, &registry);
     assert_eq!(results(&one), results(&many));
-    // views of all times need the place alone
+    // views of all time steps need the placement only
     for unit in plan.units.iter().filter(|unit| unit.block.is_some()) {
         assert_eq!(unit.inputs, ["place"], "{}", unit.id);
     }
@@ -150,13 +152,13 @@ fn chunks_of_a_sequence_do_not_wait_for_each_other() {
             let id = format!("t000{time}/{node}factorize");
             plan.units.iter().find(|unit| unit.id == id).unwrap().inputs.clone()
         };
-        // the light fields of the warm-up instead of the patterns before
+        // the light fields of the warm-up, not the patterns before
         assert_eq!(inputs(4), ["t0002/expose", "t0003/expose", "t0004/expose"]);
         assert!(inputs(5).contains(&format!("t0004/{node}factorize")));
-        // a time may still take a fresh start where that is better, so its job does not tell
+        // a time step may prefer a fresh start, so its job does not show the warm start
         let warm_up = many.join("cache/warm-up/t0004/t0003").join(node).join("layers/stack.json");
         assert!(warm_up.is_file() && !many.join("cache/warm-up/t0005").exists());
-        // the same error as of the chain, nearly: the content moves little
+        // nearly the error of a sequence without chunks, since the content moves little
         let chain = folder.path().join(format!("chain{}", nodes.len()));
         let mut whole = job.clone();
         (whole.sequence.as_mut().unwrap().chunk_times, whole.sequence.as_mut().unwrap().warm_up_times) = (None, None);
@@ -191,7 +193,7 @@ fn workers_of_other_code_and_other_folders_are_refused() {
     assert!(error.contains("expected a run folder with a farm's plan, found none"), "{error}");
     let plan = with_task(|task| farm_plan(&job, &dir, &registry, CUT, task)).unwrap();
     assert!(unit(&dir, "t0009/source", &registry).unwrap_err().contains("the id of a unit"));
-    // as another build would have planned it
+    // a plan of another build
     let file = dir.join("cache/farm/plan.json");
     let text = std::fs::read_to_string(&file).unwrap();
     let (_, value) = text.split_once("\",\"value\":").unwrap();
@@ -199,8 +201,8 @@ fn workers_of_other_code_and_other_folders_are_refused() {
     let hash = blake3::hash(value.as_bytes()).to_hex();
     std::fs::write(&file, format!("{{\"blake3\":\"{hash}\",\"value\":{value}}}")).unwrap();
     let error = with_task(|task| farm_unit(&dir, "source", &[], Duration::ZERO, &registry, task)).unwrap_err();
-    assert!(error.is_of_machine() && error.to_string().contains("0123456789abcdef"), "{error}");
-    // the same job planned again is this build's
+    assert!(error.is_machine_specific() && error.to_string().contains("0123456789abcdef"), "{error}");
+    // the same job, planned again by this build
     with_task(|task| farm_plan(&job, &dir, &registry, CUT, task)).unwrap();
     assert_eq!(unit(&dir, "source", &registry), Ok(false));
 }

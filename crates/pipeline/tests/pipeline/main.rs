@@ -1,4 +1,6 @@
-//! Plans and scenes through the whole pipeline. One program for all files, which share the processors; `cargo test -p lumistack-pipeline --test pipeline compose::` runs the tests of one.
+//! Plans and scenes through the whole pipeline. One program has all files, so that they share the
+//! processor. `cargo test -p lumistack-pipeline --test pipeline compose::` runs the tests of one
+//! file.
 
 mod captures;
 mod compose;

@@ -1,4 +1,5 @@
-//! Solves in tiles: their seams are not to be seen, units of tiles give the bytes of a run, and work that was stopped goes on.
+//! Solves in tiles: seams are invisible, units of tiles give the bytes of a run, and a stopped
+//! solve continues.
 
 use std::path::Path;
 use std::time::Duration;
@@ -6,15 +7,15 @@ use std::time::Duration;
 use lumistack_core::{Cancel, Collector, Progress, Task};
 use lumistack_display::{Display, LightField, RayMap, Simulator, Tiling};
 use lumistack_field_io::{read_field_folder, read_stack};
-use lumistack_pipeline::{Cut, Job, Registry, farm_plan, farm_unit, run};
+use lumistack_pipeline::{BlockSize, Job, Registry, farm_plan, farm_unit, run};
 
 use crate::compose::{results, with_task};
 
-/// How much worse a band around seams may be than it is without tiles, dB.
+/// Maximum loss of a band around seams against a solve without tiles, dB.
 const SEAM_DB: f64 = 0.1;
-/// Field pixels on either side of a seam that are the band.
+/// Width of the band on either side of a seam, field pixels.
 const BAND: usize = 4;
-const CUT: Cut = Cut { block_seconds: 1.0, blocks: Some(1) };
+const CUT: BlockSize = BlockSize { block_seconds: 1.0, blocks: Some(1) };
 
 fn still_life(folder: &Path, name: &str, tiles: &str) -> Job {
     let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes/still-life/still-life.gltf");
@@ -28,7 +29,7 @@ fn still_life(folder: &Path, name: &str, tiles: &str) -> Job {
     Job::load(&path).unwrap()
 }
 
-/// PSNR in the band around seams, and elsewhere.
+/// Returns the PSNR in the band around seams, and elsewhere.
 fn figures(dir: &Path, target: &LightField, display: &Display, near: &dyn Fn(usize, usize) -> bool) -> [f64; 2] {
     let (stack, geometry) = (read_stack(&dir.join("layers")).unwrap(), target.geometry());
     let (simulator, map) = (Simulator::new(display, &stack), RayMap::new(display, geometry));
@@ -54,7 +55,7 @@ fn seams_are_not_to_be_seen_and_units_of_tiles_give_the_bytes_of_a_run() {
     let [of_whole, of_tiles, farm] = ["whole", "tiles", "farm"].map(|name| folder.path().join(name));
     with_task(|task| run(&whole, &of_whole, &registry, None, task)).unwrap();
 
-    // the same views, and a run that is stopped on its way goes on
+    // the same views; a stopped run continues
     std::fs::create_dir_all(&of_tiles).unwrap();
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let stops = StopsAt { stage: "factorize", after: 5, seen: Default::default(), cancel: &cancel };
@@ -77,7 +78,7 @@ fn seams_are_not_to_be_seen_and_units_of_tiles_give_the_bytes_of_a_run() {
     println!("around seams {seam:.2} dB, without tiles {without:.2}; elsewhere {rest:.2} and {elsewhere:.2}");
     assert!(seam > without - SEAM_DB && rest > elsewhere - SEAM_DB);
 
-    // every tile of every round by itself
+    // every tile of every round alone
     let plan = with_task(|task| farm_plan(&tiled, &farm, &registry, CUT, task)).unwrap();
     let of = |id: &str| plan.units.iter().find(|unit| unit.id == id).unwrap();
     assert!(of("factorize/round-1/1-of-4").inputs.iter().all(|input| input == "expose"));
@@ -94,7 +95,7 @@ fn seams_are_not_to_be_seen_and_units_of_tiles_give_the_bytes_of_a_run() {
     assert!(std::fs::read_to_string(of_tiles.join("report.json")).unwrap().contains("\"psnr_view\""));
 }
 
-/// Cancels after so many steps of a stage.
+/// Cancels after a number of steps of a stage.
 struct StopsAt<'a> {
     stage: &'static str,
     after: u64,

@@ -1,4 +1,5 @@
-//! The same scene as glTF and as USD gives the same picture. Needs `LUMISTACK_PYTHON` to name a Python with usd-core, and is skipped without.
+//! The same scene as glTF and as USD gives the same picture. Needs `LUMISTACK_PYTHON` to name a
+//! Python with usd-core; otherwise the tests are skipped.
 
 use std::path::Path;
 use std::process::Command;
@@ -10,19 +11,20 @@ use lumistack_pipeline::{ImporterJob, LightJob, PoseJob, Registry, load_scene};
 use lumistack_scene::Window;
 use lumistack_testkit::statistics::Mean;
 
-/// Pixels of the picture, and of the square blocks whose means are compared.
+/// Edge of the picture, and of the square blocks whose means are compared, pixels.
 const ROWS: usize = 40;
 const COLS: usize = 64;
 const BLOCK: usize = 8;
 /// Pictures per scene, each with its own seed.
 const PICTURES: u64 = 24;
-/// For each block and channel. The limit is 6.5 standard errors; a difference of two means of 24 (Student's t, 46 degrees of freedom) is beyond it in 5 of
-/// 10⁸ cases, and there are 240 of them: 1 false alarm in 80,000.
+/// False-alarm rate per block and channel for normal errors, which gives a limit of 6.5 standard
+/// errors. A difference of two means of 24 (Student's t, 46 degrees of freedom) exceeds it in 5 of
+/// 10⁸ cases. There are 240 of them: 1 false alarm in 80,000.
 const RATE: f64 = 8e-11;
-/// What rounding may do to the light of a block: texture coordinates are turned upside down twice.
+/// Tolerance for rounding, relative to the light of a block: texture coordinates are flipped twice.
 const ROUNDING: f64 = 1e-5;
 
-/// Means of blocks and channels over all pictures.
+/// Returns means of blocks and channels over all pictures.
 fn blocks(file: &str, first_seed: u64) -> Vec<Mean> {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
@@ -51,7 +53,7 @@ fn blocks(file: &str, first_seed: u64) -> Vec<Mean> {
     sums.into_iter().map(Mean::of).collect()
 }
 
-/// Whether `LUMISTACK_PYTHON` names a Python that reads USD; says so where it does not.
+/// True if `LUMISTACK_PYTHON` names a Python that reads USD; otherwise prints a note.
 pub(crate) fn has_usd() -> bool {
     let python = std::env::var_os("LUMISTACK_PYTHON").unwrap_or_default();
     let has = Command::new(python).args(["-c", "import pxr"]).output().is_ok_and(|output| output.status.success());
@@ -61,7 +63,7 @@ pub(crate) fn has_usd() -> bool {
     has
 }
 
-/// Sees the floor of the room from above.
+/// A window that shows the floor of the room from above.
 const CAMERA: &str = r#"
 def Camera "above"
 {
@@ -71,7 +73,8 @@ def Camera "above"
 }
 "#;
 
-/// A panel that shines above a dark floor, both in the syntax of one shader; `glow` are the inputs of the panel.
+/// A glowing panel above a dark floor, both in the syntax of one shader; `glow` are the panel's
+/// inputs.
 fn lit_room(id: &str, color: &str, rough: &str, glow: &str) -> String {
     let material = |name: &str, inputs: &str| {
         format!(
@@ -133,12 +136,13 @@ def Mesh "{name}" (
     .concat()
 }
 
-/// Scenes that differ in nothing but how their materials are written get the same light.
+/// Scenes that differ only in the syntax of their materials get the same light.
 #[test]
 fn the_syntax_of_materials_does_not_decide_about_light() {
     if !has_usd() {
         return;
     }
+    // Shaders with their inputs for colour and roughness, and the inputs of a glowing panel.
     let preview = ("diffuseColor", "roughness");
     let standard = ("base_color", "specular_roughness");
     let twins = [
@@ -168,6 +172,7 @@ fn the_syntax_of_materials_does_not_decide_about_light() {
     ];
     let folder = tempfile::tempdir().unwrap();
     image::GrayImage::from_pixel(2, 2, image::Luma([255])).save(folder.path().join("white.png")).unwrap();
+    // The light tree must find the panel, in every syntax of its emission.
     for (number, (id, (color, rough), glow)) in twins.into_iter().enumerate() {
         let path = folder.path().join(format!("twin{number}.usda"));
         std::fs::write(&path, lit_room(id, color, rough, glow)).unwrap();

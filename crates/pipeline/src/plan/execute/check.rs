@@ -1,10 +1,10 @@
-//! Checks of a plan before any work: an error is found before an hour of rendering, not after.
+//! Checks a plan before the work, so that no error is found after an hour of rendering.
 
 use lumistack_plugin_host::PluginKind;
 
 use super::context::Context;
 use crate::error::{PipelineError, display_error};
-use crate::plan::steps::Kind;
+use crate::plan::steps::PartKind;
 use crate::stage::{factorize, node, output};
 use crate::store::files::check_folder;
 
@@ -12,20 +12,24 @@ impl Context<'_> {
     /// Checks jobs, displays, settings and outputs of all parts.
     ///
     /// # Errors
-    /// The first of them that makes no sense.
+    /// The first invalid value.
     pub(super) fn check(&mut self) -> Result<(), PipelineError> {
         let plan = self.plan;
         for (number, part) in plan.parts.iter().enumerate() {
+            // Later time steps have the job of the first, and a sweep's designs are checked by
+            // `Designs`.
             let job = &part.job;
             match (&part.kind, part.parent) {
-                (Kind::Time(_), _) => continue,
-                (Kind::Node(_), Some(parent)) if matches!(plan.parts[parent].kind, Kind::Time(time) if time > 0) => {
+                (PartKind::Time(_), _) => continue,
+                (PartKind::Node(_), Some(parent)) if matches!(plan.parts[parent].kind, PartKind::Time(time) if time > 0) =>
+                {
                     continue;
                 }
-                (Kind::Sweep, _) => continue,
-                (Kind::Node(_), _) => {}
+                (PartKind::Sweep, _) => continue,
+                (PartKind::Node(_), _) => {}
                 _ => job.check()?,
             }
+            // Settings, plugins and folders.
             let display = job.resolve_display()?;
             factorize::check(&job.factorize)?;
             if let Some(source) = &job.source {
@@ -38,7 +42,8 @@ impl Context<'_> {
             for node in &job.nodes {
                 node::check(node, self.registry)?;
             }
-            if job.scene.is_some() && !matches!(part.kind, Kind::Node(_)) {
+            // Outputs refuse displays that they cannot show.
+            if job.scene.is_some() && !matches!(part.kind, PartKind::Node(_)) {
                 self.open_outputs(
                     job,
                     &display,

@@ -1,4 +1,4 @@
-//! The memory of an execution: what the steps of each part have left for those after them.
+//! Memory of an execution: results of the steps of each part.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -7,13 +7,13 @@ use lumistack_core::{Task, Warning};
 use lumistack_display::{Display, FieldGeometry, Weights};
 use lumistack_plugin_host::Registry;
 use lumistack_report::{DepthBudget, Output, Report, SequenceReport, SequenceTime, Stage, Thumbnail};
-use lumistack_shot::{Look, Placement};
+use lumistack_shot::{Placement, ToneMapping};
 
 use crate::error::{FailedOutput, PipelineError};
 use crate::job::Job;
 use crate::plan::graph::job_of;
-use crate::plan::steps::{Kind, Plan};
-use crate::plan::times::{Begun, name};
+use crate::plan::steps::{PartKind, Plan};
+use crate::plan::times::{FirstTimeStep, name};
 use crate::stage::factorize::Solved;
 use crate::stage::field::Field;
 use crate::stage::flicker::TimeError;
@@ -21,10 +21,10 @@ use crate::stage::ingest::Ingested;
 use crate::stage::paths::Samples;
 use crate::stage::score::References;
 use crate::stage::trace::Traced;
-use crate::store::lock::Owned;
+use crate::store::lock::FolderLock;
 use crate::store::stamps::Stamps;
 
-/// Patterns of a display, and what they were made for.
+/// Patterns of a display, with the display and the weights that they were solved for.
 pub(crate) struct Patterns {
     pub(super) display: Display,
     pub(super) weights: Weights,
@@ -32,7 +32,7 @@ pub(crate) struct Patterns {
     pub(super) cached: bool,
 }
 
-/// Figures of a display, and pictures for the report of all.
+/// The report of a display, and its pictures for the report of all displays.
 pub(crate) struct Reported {
     pub(crate) report: Report,
     pub(super) shown: Option<[Thumbnail; 2]>,
@@ -42,14 +42,14 @@ pub(crate) struct Reported {
 #[derive(Default)]
 pub(crate) struct State {
     pub(super) job: Option<Arc<Job>>,
-    pub(super) owned: Option<Owned>,
+    pub(super) owned: Option<FolderLock>,
     pub(super) ingested: Option<Arc<Ingested>>,
     pub(super) placement: Option<Placement>,
     pub(super) samples: Option<Samples>,
     pub(super) traced: Option<Arc<Traced>>,
     pub(crate) field: Option<Arc<Field>>,
-    /// Of the field, once it is dropped.
-    pub(super) look: Option<Look>,
+    /// Exposure and tone curve of the light field; kept after the field is dropped.
+    pub(super) tone_mapping: Option<ToneMapping>,
     pub(super) geometry: Option<FieldGeometry>,
     pub(crate) references: Option<Arc<References>>,
     pub(super) patterns: Option<Arc<Patterns>>,
@@ -59,11 +59,11 @@ pub(crate) struct State {
     pub(crate) reported: Option<Reported>,
     pub(super) entry: Option<SequenceTime>,
     pub(super) stages: Vec<Stage>,
-    /// Folders of cached views.
+    /// Folders of cached views that the part used.
     pub(super) views: Vec<PathBuf>,
 }
 
-/// An execution: its plan, and the results of every part in memory.
+/// State of an execution: its plan, and the results of every part in memory.
 pub(crate) struct Context<'a> {
     pub(crate) plan: &'a Plan,
     pub(super) registry: &'a Registry,
@@ -73,7 +73,7 @@ pub(crate) struct Context<'a> {
     pub(super) warned: Vec<(usize, Warning)>,
     pub(crate) failed: Vec<FailedOutput>,
     pub(crate) sequence: Option<SequenceReport>,
-    /// How the scene's depth fits the job's own display.
+    /// The scene's depth against the depth of field of the job's own display.
     pub(crate) depth: Option<DepthBudget>,
 }
 
@@ -92,7 +92,7 @@ impl<'a> Context<'a> {
         }
     }
 
-    /// Folder of a part.
+    /// Returns the folder of a part.
     pub(super) fn dir(&self, part: usize) -> PathBuf {
         self.plan.folder.join(&self.plan.parts[part].folder)
     }
@@ -101,34 +101,41 @@ impl<'a> Context<'a> {
         Stamps::new(&self.dir(part))
     }
 
-    /// Where a part keeps what it placed and handed over: a sequence in the folder of its first time.
+    /// Returns the cache folder of a part. A sequence uses that of its first time step.
     pub(super) fn cache(&self, part: usize) -> PathBuf {
         match self.plan.parts[part].kind {
-            Kind::Sequence(_) => self.dir(part).join(name(0)).join("cache"),
+            PartKind::Sequence(_) => self.dir(part).join(name(0)).join("cache"),
             _ => self.dir(part).join("cache"),
         }
     }
 
-    /// The job of a part, with what has become known of it.
+    /// Returns the job of a part, completed by results of earlier steps.
     pub(super) fn job(&mut self, part: usize) -> Arc<Job> {
         if let Some(job) = &self.states[part].job {
             return job.clone();
         }
         let plan = self.plan;
         let of_part = &plan.parts[part];
+        // A time step gets placement, exposure and warm start from the first one and the one
+        // before.
         let job = match (&of_part.kind, of_part.parent) {
-            (Kind::Time(time), Some(sequence)) => match &plan.parts[sequence].kind {
-                Kind::Sequence(times) => {
+            (PartKind::Time(time), Some(sequence)) => match &plan.parts[sequence].kind {
+                PartKind::Sequence(times) => {
                     let before = times.start(*time).map(|before| self.dir(sequence).join(before));
                     let state = &self.states[sequence];
-                    let look = plan.at_time(part, 0).and_then(|first| self.states[first].look);
-                    let begun = state.placement.zip(state.ingested.as_ref());
-                    let begun = begun.map(|(placement, ingested)| Begun { placement, studio: ingested.studio, look });
-                    times.job(&plan.parts[sequence].job, *time, before.as_deref(), begun)
+                    let tone_mapping = plan.at_time(part, 0).and_then(|first| self.states[first].tone_mapping);
+                    let first_step = state.placement.zip(state.ingested.as_ref());
+                    let first_step = first_step.map(|(placement, ingested)| FirstTimeStep {
+                        placement,
+                        studio: ingested.studio,
+                        tone_mapping,
+                    });
+                    times.job(&plan.parts[sequence].job, *time, before.as_deref(), first_step)
                 }
                 _ => of_part.job.clone(),
             },
-            (Kind::Node(_), Some(parent)) => {
+            // A node of a time step takes its warm start from the completed job of that time step.
+            (PartKind::Node(_), Some(parent)) => {
                 let around = self.job(parent);
                 plan.node(part)
                     .and_then(|node| around.nodes.iter().find(|other| other.id == node.id))
@@ -141,19 +148,19 @@ impl<'a> Context<'a> {
         job
     }
 
-    /// A result of a part, which a step before has left.
+    /// Returns a result that an earlier step of the part has made.
     pub(super) fn of<T>(
         &self,
         part: usize,
-        what: &str,
+        name_of_result: &str,
         take: impl Fn(&State) -> Option<T>,
     ) -> Result<T, PipelineError> {
         let place = &self.plan.parts[part].folder;
         take(&self.states[part])
-            .ok_or_else(|| PipelineError::value(place, "plan", format!("{what} from a step before"), "none"))
+            .ok_or_else(|| PipelineError::value(place, "plan", format!("{name_of_result} of an earlier step"), "none"))
     }
 
-    /// The scene of a part: its own, or that which all times share.
+    /// Returns the scene of a part: its own, or that of its sequence.
     pub(super) fn ingested(&self, part: usize) -> Result<Arc<Ingested>, PipelineError> {
         let shared = |state: &State| state.ingested.clone();
         let above = self.plan.time(part).map(|(_, sequence)| sequence);
@@ -168,12 +175,12 @@ impl<'a> Context<'a> {
     pub(super) fn source_of(&self, part: usize, time: usize) -> String {
         let Some((_, sequence)) = self.plan.time(part) else { return String::new() };
         match &self.plan.parts[sequence].kind {
-            Kind::Sequence(times) => times.source(&self.plan.parts[sequence].job, time),
+            PartKind::Sequence(times) => times.source(&self.plan.parts[sequence].job, time),
             _ => String::new(),
         }
     }
 
-    /// Warnings of a part and of those whose results it takes, in the order in which they came.
+    /// Returns warnings of the parts that `concerns` selects, in their order of time.
     pub(super) fn warnings(&self, concerns: impl Fn(usize) -> bool) -> Vec<Warning> {
         self.warned.iter().filter(|(part, _)| concerns(*part)).map(|(_, warning)| warning.clone()).collect()
     }

@@ -5,13 +5,13 @@ use std::sync::Arc;
 
 use lumistack_core::Task;
 use lumistack_display::{Display, FieldGeometry};
-use lumistack_shot::{Look, Placement};
+use lumistack_shot::{Placement, ToneMapping};
 use serde_json::json;
 
 use super::context::Context;
 use crate::error::{PipelineError, display_error};
 use crate::job::Job;
-use crate::plan::steps::Kind;
+use crate::plan::steps::PartKind;
 use crate::stage::field::{Field, check_geometry};
 use crate::stage::fields::{Block, Shot};
 use crate::stage::ingest::Ingested;
@@ -22,11 +22,11 @@ use crate::store::settings::{write_display, write_job};
 use crate::view_options::ViewOptions;
 
 impl Context<'_> {
-    /// Loads the scene.
+    /// Loads the scene. A scene's files are read by every run, so it is never cached.
     pub(super) fn ingest(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let job = self.job(part);
         let pose = match &self.plan.parts[part].kind {
-            Kind::Sequence(times) => times.first_pose(&job),
+            PartKind::Sequence(times) => times.first_pose(&job),
             _ => job.pose.clone(),
         };
         let scene = job.scene.as_ref().ok_or_else(|| PipelineError::job("scene", "a scene", "none"))?;
@@ -45,7 +45,7 @@ impl Context<'_> {
         let cache = self.cache(part);
         let placement = place::place(&ingested, &job.window, &display, &geometry, Some(&cache), task)?;
         let samples = match self.plan.time(part) {
-            // all times are rendered alike
+            // All time steps are rendered with the same number of samples.
             Some((_, sequence)) => self.states[sequence].samples,
             None => samples::measured(&job, &ingested, &placement, &display, &cache, task)?,
         };
@@ -54,7 +54,7 @@ impl Context<'_> {
         Ok(false)
     }
 
-    /// Renders the views.
+    /// Renders the views. Returns true if they were cached.
     pub(super) fn trace(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let of = self.shot(part)?;
         let views = self.dir(part).join("cache/views");
@@ -63,30 +63,30 @@ impl Context<'_> {
         Ok(cached)
     }
 
-    /// Renders a block of the views, while others may render other blocks.
+    /// Renders a block of the views, while other processes may render other blocks.
     pub(super) fn trace_block(&mut self, part: usize, block: Block, task: Task<'_>) -> Result<bool, PipelineError> {
         let of = self.shot(part)?;
         let views = self.dir(part).join("cache/views");
         trace::run_block(of.shot(), &views, block, task)
     }
 
-    /// Renders a block of the pictures for the zone score, which need no exposure yet.
+    /// Renders a block of the pictures for the zone score, before the exposure is known.
     pub(super) fn score_block(&mut self, part: usize, block: Block, task: Task<'_>) -> Result<bool, PipelineError> {
         let of = self.shot(part)?;
         let zone = score::zone_of(&of.job, &of.display, &of.geometry);
         let views = self.dir(part).join("cache/views");
         let engine = trace::engine(of.shot(), &ViewOptions::default(), task);
-        let made = References::render(of.shot(), &zone, (Look::NONE, engine), &views, block, task)?;
+        let made = References::render(of.shot(), &zone, (ToneMapping::NONE, engine), &views, block, task)?;
         Ok(made.is_none_or(|references| references.cached))
     }
 
-    /// Filters the views.
+    /// Denoises the views. Returns true if they were cached.
     pub(super) fn denoise(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let (of, traced) = (self.shot(part)?, self.of(part, "views", |state| state.traced.clone())?);
         denoise::run(of.shot(), &traced.fields, task)
     }
 
-    /// Exposes the views: the light field.
+    /// Exposes the views, which makes the light field.
     pub(super) fn expose(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let (of, traced) = (self.shot(part)?, self.of(part, "views", |state| state.traced.clone())?);
         let exposed = expose::run(of.shot(), &traced, false, task)?;
@@ -97,13 +97,13 @@ impl Context<'_> {
         Ok(true)
     }
 
-    /// Renders the scene's pictures for the zone score.
+    /// Renders the scene's pictures for the zone score. Returns true if they were cached.
     pub(super) fn score(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let (of, traced) = (self.shot(part)?, self.of(part, "views", |state| state.traced.clone())?);
-        let look = self.of(part, "an exposure", |state| state.look)?;
+        let tone_mapping = self.of(part, "an exposure", |state| state.tone_mapping)?;
         let zone = score::zone_of(&of.job, &of.display, &of.geometry);
         let views = self.dir(part).join("cache/views");
-        let made = References::render(of.shot(), &zone, (look, traced.engine), &views, Block::ALL, task)?;
+        let made = References::render(of.shot(), &zone, (tone_mapping, traced.engine), &views, Block::ALL, task)?;
         let cached = made.as_ref().is_none_or(|references| references.cached);
         let state = &mut self.states[part];
         state.views.extend(made.as_ref().and_then(|references| references.folder()).map(Path::to_owned));
@@ -111,7 +111,7 @@ impl Context<'_> {
         Ok(cached)
     }
 
-    /// Reads a light field from a file.
+    /// Reads a light field from a file, and opens outputs for its geometry.
     pub(super) fn read(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let job = self.job(part);
         let path = job.light_field.clone().unwrap_or_default();
@@ -126,7 +126,7 @@ impl Context<'_> {
         Ok(false)
     }
 
-    /// Takes a light field from a source plugin.
+    /// Requests a light field from a source plugin. Returns true if it was cached.
     pub(super) fn source(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let job = self.job(part);
         let source = job.source.clone();
@@ -142,26 +142,28 @@ impl Context<'_> {
         Ok(cached)
     }
 
-    fn shot(&mut self, part: usize) -> Result<OwnShot, PipelineError> {
+    fn shot(&mut self, part: usize) -> Result<OwnedShot, PipelineError> {
         let (job, ingested) = (self.job(part), self.ingested(part)?);
         let placement = self.of(part, "a window", |state| state.placement)?;
         let display = job.resolve_display()?;
         let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
         let samples = self.states[part].samples;
-        Ok(OwnShot { job, ingested, placement, display, geometry, samples })
+        Ok(OwnedShot { job, ingested, placement, display, geometry, samples })
     }
 
     fn check_geometry(&self, part: usize, path: &Path, found: &FieldGeometry) -> Result<(), PipelineError> {
         let Some((time, _)) = self.plan.time(part).filter(|(time, _)| *time > 0) else { return Ok(()) };
-        // all have the first one's, so the time before has it, too
+        // Every time step must have the first one's geometry, so the message may name the one
+        // before.
         let first = self.plan.at_time(part, 0).and_then(|first| self.states[first].geometry.as_ref());
         first.map_or(Ok(()), |expected| check_geometry(path, found, expected, &self.source_of(part, time - 1)))
     }
 
-    /// Keeps a light field; one that several nodes share writes its settings and takes the older report away.
+    /// Keeps a light field. For several nodes, it also writes the settings and removes an older
+    /// report.
     fn take_field(&mut self, part: usize, field: Field) -> Result<(), PipelineError> {
         let job = self.job(part);
-        if !job.nodes.is_empty() && !matches!(self.plan.parts[0].kind, Kind::Sweep) {
+        if !job.nodes.is_empty() && !matches!(self.plan.parts[0].kind, PartKind::Sweep) {
             let dir = self.dir(part);
             write_job(&job, &dir)?;
             write_display(&dir.join("display.toml"), &field.display)?;
@@ -170,15 +172,15 @@ impl Context<'_> {
             self.depth.clone_from(&field.depth);
         }
         let state = &mut self.states[part];
-        (state.look, state.geometry) = (field.look, Some(field.target.geometry().clone()));
+        (state.tone_mapping, state.geometry) = (field.tone_mapping, Some(field.target.geometry().clone()));
         state.views.clone_from(&field.views);
         state.field = Some(Arc::new(field));
         Ok(())
     }
 }
 
-/// A shot with all that it is made of.
-struct OwnShot {
+/// The owner of the data that a [`Shot`] borrows.
+struct OwnedShot {
     job: Arc<Job>,
     ingested: Arc<Ingested>,
     placement: Placement,
@@ -187,7 +189,7 @@ struct OwnShot {
     samples: Option<Samples>,
 }
 
-impl OwnShot {
+impl OwnedShot {
     fn shot(&self) -> Shot<'_> {
         let Self { job, ingested, placement, display, geometry, samples } = self;
         Shot { job, ingested, placement, geometry, footprint: display.angular_footprint(), samples: *samples }

@@ -1,8 +1,9 @@
-//! Listeners of a step: its warnings are kept for the report, and its progress tells the time of a sequence.
+//! Listeners of a step: they collect its warnings for the report, and add the time step to its
+//! progress.
 
 use lumistack_core::{Collector, Progress, Warning, Warnings};
 
-/// Keeps warnings for the report and passes them on.
+/// Collects warnings for the report and forwards them.
 pub(super) struct Tee<'a> {
     pub(super) list: Collector,
     next: &'a dyn Warnings,
@@ -21,13 +22,13 @@ impl Warnings for Tee<'_> {
     }
 }
 
-/// Says which time a stage belongs to.
-pub(super) struct PlaceProgress<'a> {
+/// Adds the number of the time step to the stage's name.
+pub(super) struct TimeStepProgress<'a> {
     pub(super) next: &'a dyn Progress,
     pub(super) place: Option<String>,
 }
 
-impl Progress for PlaceProgress<'_> {
+impl Progress for TimeStepProgress<'_> {
     fn begin(&self, stage: &str, total: u64, unit: &str) {
         match &self.place {
             Some(place) => self.next.begin(&format!("{stage} {place}"), total, unit),

@@ -1,4 +1,4 @@
-//! The step that measures error and flicker of a time of a sequence.
+//! The step that measures error and flicker of a time step.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use lumistack_report::SequenceTime;
 
 use super::context::Context;
 use crate::error::PipelineError;
-use crate::plan::steps::Kind;
+use crate::plan::steps::PartKind;
 use crate::plan::times::name;
 use crate::stage::flicker::Shown;
 use crate::stage::measure;
@@ -19,6 +19,7 @@ impl Context<'_> {
         let plan = self.plan;
         let (field, patterns) = (self.field(part)?, self.of(part, "patterns", |state| state.patterns.clone())?);
         let Some((time, sequence)) = plan.time(part) else { return Ok(true) };
+        // Flicker needs patterns and target of the time step before.
         let before = time.checked_sub(1).and_then(|time| plan.at_time(part, time));
         let before = match before {
             None => None,
@@ -31,7 +32,8 @@ impl Context<'_> {
         let then = before.as_ref().map(|(field, before)| Shown { stack: &before.solved.stack, target: &field.target });
         let stamps = self.stamps(part);
         let (found, key, cached) = measure::run(&patterns.display, &patterns.weights, now, then, &stamps, task)?;
-        let reports = matches!(&plan.parts[sequence].kind, Kind::Sequence(times) if times.sequence.reports);
+        // The entry in the sequence's report.
+        let reports = matches!(&plan.parts[sequence].kind, PartKind::Sequence(times) if times.sequence.reports);
         let compared = |error: SquaredError| (error.count > 0).then_some(error);
         let (steps, solution) = (&patterns.solved.steps, &patterns.solved.solution);
         let [wanted, shown] = thumbnails(&patterns.display, &field, &patterns.solved);

@@ -11,7 +11,7 @@ use crate::plan::graph::outputs_on;
 use crate::stage::output;
 
 impl Context<'_> {
-    /// Opens a job's outputs, those of its nodes among them, against their displays on a light field of this geometry.
+    /// Opens a job's outputs and those of its nodes, each for its display and this geometry.
     pub(super) fn open_outputs(
         &self,
         job: &Job,
@@ -22,7 +22,7 @@ impl Context<'_> {
         outputs.iter().try_for_each(|(output, display)| output::open(output, display, self.registry, self.task))
     }
 
-    /// Writes an output of the light field itself, by number in the job.
+    /// Writes an output of the light field, by number in the job.
     pub(super) fn field_output(&mut self, part: usize, number: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let field = self.field(part)?;
         let relative = format!("outputs/{}", OutputJob::LIGHT_FIELD);

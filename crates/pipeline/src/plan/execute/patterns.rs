@@ -1,4 +1,4 @@
-//! The step from a light field to the patterns of a display, by the factorizer or a node plugin.
+//! The step from a light field to the patterns of a display, by the solver or a node plugin.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -9,11 +9,11 @@ use lumistack_display::{Display, FieldGeometry, Region, Tile};
 use super::context::{Context, Patterns};
 use crate::error::{PipelineError, display_error, field_error};
 use crate::job::{FactorizeJob, Job};
-use crate::plan::steps::Kind;
+use crate::plan::steps::PartKind;
 use crate::plan::times::{WARM_UP, name};
 use crate::stage::factorize::Solve;
 use crate::stage::fields::Block;
-use crate::stage::node::Given;
+use crate::stage::node::NodeInput;
 use crate::stage::tiles::CutSolve;
 use crate::stage::{field, node, tiles};
 use crate::store::files::remove_reports;
@@ -25,32 +25,36 @@ impl Context<'_> {
         let (plan, mut job, field, stamps) = (self.plan, self.job(part), self.field(part)?, self.stamps(part));
         let of_node = plan.node(part);
         let display = self.display(part, &field.display, field.target.geometry(), task)?;
-        // a preset is a design, of which report and `info` tell the rate; who has a display of his own has panels
+        // A preset is a design, whose refresh rate stands in the report. A display file stands for
+        // real panels, which might flicker.
         if let Some(message) = display.flicker_warning().filter(|_| job.display.file.is_some()) {
             task.warn("display", message);
         }
         let weights = field::weights(&job.factorize, field.target.geometry())?;
         let target = &field.target;
+        // Solve, or take the cached patterns. A time step may not start from patterns of too
+        // different content.
         let (solved, cached) = match of_node.filter(|of_node| !node::is_factorized(Some(of_node))) {
             Some(node) => {
-                let given = Given { node, seed: job.seed, display: &display, target, weights: &weights };
+                let given = NodeInput { node, seed: job.seed, display: &display, target, weights: &weights };
                 node::run(given, &stamps, self.registry, task)?
             }
             None => {
                 self.warm_up(part, &display, task)?;
                 let solve = Solve { job: &job.factorize, seed: job.seed, display: &display, target, weights: &weights };
-                let afresh = match self.fresh(part) {
-                    Some(fresh) if tiles::begins_afresh(solve, &fresh, &stamps, task)? => Some(fresh),
+                let fresh_start = match self.fresh(part) {
+                    Some(fresh) if tiles::prefers_fresh_start(solve, &fresh, &stamps, task)? => Some(fresh),
                     _ => None,
                 };
-                if let Some(fresh) = afresh {
-                    job = self.begins_afresh(part, fresh)?;
+                if let Some(fresh) = fresh_start {
+                    job = self.drop_warm_start(part, fresh)?;
                 }
                 let solve = Solve { job: &job.factorize, seed: job.seed, display: &display, target, weights: &weights };
                 tiles::run(solve, &stamps, task)?
             }
         };
-        // only now: a run that was stopped before has left the older settings, patterns and report together
+        // Write the settings only now: a run that stopped earlier leaves older settings, patterns
+        // and report together.
         let dir = self.dir(part);
         if of_node.is_none() {
             write_job(&job, &dir)?;
@@ -58,7 +62,7 @@ impl Context<'_> {
         write_display(&dir.join("display.toml"), &display)?;
         let mut above = (!cached).then_some(part);
         while let Some(part) = above {
-            // of older patterns
+            // These reports belong to older patterns.
             remove_reports(&self.dir(part))?;
             above = plan.parts[part].parent;
         }
@@ -67,7 +71,8 @@ impl Context<'_> {
         Ok(cached)
     }
 
-    /// Solves a tile of a still's patterns in one of the rounds in which tiles exchange their borders.
+    /// Solves a tile of a still's patterns in one round. Tiles exchange their borders between
+    /// rounds.
     pub(super) fn patterns_tile(
         &mut self,
         part: usize,
@@ -80,7 +85,7 @@ impl Context<'_> {
         let geometry = shared.geometry().map_err(|source| display_error(source, "field"))?;
         let display = self.display(part, &shared, &geometry, task)?;
         let weights = field::weights(&job.factorize, &geometry)?;
-        // the light field as its unit has left it, of which the tile's part alone is kept
+        // A unit before this one wrote the light field; read only the tile's part.
         let target = self.dir(of_field).join("target");
         let crop = |tile: &Tile| {
             let Region { rows, cols } = tile.field.clone();
@@ -91,7 +96,7 @@ impl Context<'_> {
         tiles::run_tile(cut, [round, block.number(), block.count()], &stamps, task)
     }
 
-    /// The display of a part as it shows a light field that was made for the one of all.
+    /// Returns the display of a part, adapted to the light field of the run's display.
     fn display(
         &mut self,
         part: usize,
@@ -108,15 +113,17 @@ impl Context<'_> {
         Ok(display)
     }
 
-    /// Solves the times before a chunk once more, the first of them from nothing. They are kept as patterns of times are.
+    /// Solves the time steps before a chunk again, the first one without warm start. The results
+    /// are kept like other patterns.
     fn warm_up(&mut self, part: usize, display: &Display, task: Task<'_>) -> Result<(), PipelineError> {
         let plan = self.plan;
         let Some((time, sequence)) = plan.time(part) else { return Ok(()) };
-        let Kind::Sequence(times) = &plan.parts[sequence].kind else { return Ok(()) };
+        let PartKind::Sequence(times) = &plan.parts[sequence].kind else { return Ok(()) };
         let (of_field, node) = (plan.field_part(part), plan.node(part));
         let all = &plan.parts[sequence].job;
         let of_node = node.and_then(|node| all.nodes.iter().find(|other| other.id == node.id)?.factorize.as_ref());
         let first = FactorizeJob { warm_start: None, ..of_node.unwrap_or(&all.factorize).clone() };
+        // Each time step starts from the patterns of the one before.
         let mut before: Option<PathBuf> = None;
         for earlier in times.warm_up(time) {
             let of_earlier = plan.at_time(of_field, earlier).unwrap_or(of_field);
@@ -136,11 +143,11 @@ impl Context<'_> {
         Ok(())
     }
 
-    /// How a time is factorized for which the patterns of the time before are no start.
+    /// Returns the settings of a time step that starts without patterns; `None` for the first.
     fn fresh(&self, part: usize) -> Option<FactorizeJob> {
         let (time, sequence) = self.plan.time(part)?;
         match &self.plan.parts[sequence].kind {
-            Kind::Sequence(times) if time > 0 => {
+            PartKind::Sequence(times) if time > 0 => {
                 let job = &self.plan.parts[sequence].job;
                 let node = self.plan.node(part).and_then(|node| job.nodes.iter().find(|other| other.id == node.id));
                 Some(times.fresh(job, node))
@@ -149,8 +156,8 @@ impl Context<'_> {
         }
     }
 
-    /// Notes in the jobs of a part, and of the graph around it, that it takes no warm start.
-    fn begins_afresh(&mut self, part: usize, fresh: FactorizeJob) -> Result<Arc<Job>, PipelineError> {
+    /// Writes into the jobs of a part and of its graph that the part takes no warm start.
+    fn drop_warm_start(&mut self, part: usize, fresh: FactorizeJob) -> Result<Arc<Job>, PipelineError> {
         let of_field = self.plan.field_part(part);
         if let Some(id) = self.plan.node(part).map(|node| node.id.clone()) {
             let mut around = Job::clone(&*self.job(of_field));

@@ -1,4 +1,4 @@
-//! Steps that write reports: of a display, of a graph, of a sequence.
+//! Steps that write reports of a display, of a graph or of a sequence.
 
 use std::path::Path;
 
@@ -7,9 +7,9 @@ use lumistack_report::{GraphInput, GraphNode, Output, SequenceInput, SequenceSer
 
 use super::context::{Context, Reported, State};
 use crate::error::PipelineError;
-use crate::plan::steps::Kind;
+use crate::plan::steps::PartKind;
 use crate::stage::output;
-use crate::stage::report::{self, About, thumbnails};
+use crate::stage::report::{self, ReportContent, thumbnails};
 use crate::store::code;
 use crate::store::key::KeyBuilder;
 use crate::store::settings::write_job;
@@ -19,7 +19,8 @@ impl Context<'_> {
         let (plan, job, stamps) = (self.plan, self.job(part), self.stamps(part));
         let (field, of_field) = (self.field(part)?, plan.field_part(part));
         let patterns = self.of(part, "patterns", |state| state.patterns.clone())?;
-        let is_time = matches!(plan.parts[part].kind, Kind::Time(_));
+        let is_time = matches!(plan.parts[part].kind, PartKind::Time(_));
+        // Reports of time steps have keys. Other reports are always written, since they hold times.
         let mut key = None;
         if let Some((_, measured)) = self.states[part].measured.as_ref().filter(|_| is_time) {
             let mut of_report = KeyBuilder::new("report", code::REPORTS);
@@ -30,13 +31,14 @@ impl Context<'_> {
         if key.as_ref().is_some_and(|key| stamps.is_current("report", key)) {
             return Ok(true);
         }
+        // A node's report includes the stages of the light field.
         let warnings = self.warnings(|other| other == part || other == of_field);
         let mut stages = self.states[of_field].stages.clone();
         if of_field != part {
             stages.extend_from_slice(&self.states[part].stages);
         }
         let references = self.states[of_field].references.clone();
-        let about = About {
+        let about = ReportContent {
             job: &job,
             display: &patterns.display,
             field: &field,
@@ -52,6 +54,7 @@ impl Context<'_> {
             stamps.clear("report")?;
         }
         let report = report::run(&about, &stamps, task)?;
+        // The stamp is written last, so that a killed run writes the report again.
         if let Some(key) = key {
             stamps.write("report", &key, &["report.html".into(), "report.json".into()])?;
         }
@@ -62,6 +65,7 @@ impl Context<'_> {
 
     pub(super) fn report_graph(&mut self, part: usize) -> Result<bool, PipelineError> {
         let (plan, job) = (self.plan, self.job(part));
+        // One row per node, with paths relative to the run folder.
         let (mut nodes, mut wanted) = (Vec::new(), None);
         for inner in plan.within(part) {
             let (Some(node), Some(patterns)) = (plan.node(inner), &self.states[inner].patterns) else { continue };
@@ -90,6 +94,7 @@ impl Context<'_> {
         let Some(wanted) = wanted else {
             return Err(PipelineError::job("nodes", "at least one node", "none"));
         };
+        // The page compares all nodes with one target.
         let (settings, warnings) = (job.to_json(), self.warnings(|other| plan.is_below(other, part)));
         let input = GraphInput {
             title: &job.name,
@@ -108,7 +113,7 @@ impl Context<'_> {
     pub(super) fn report_sequence(&mut self, part: usize) -> Result<bool, PipelineError> {
         let (plan, job) = (self.plan, self.job(part));
         write_job(&job, &self.dir(part))?;
-        // every display over all times: the still's, or each node's
+        // One series per display: the still's, or one of each node.
         let ids = job.nodes.iter().map(|node| Some(node.id.clone()));
         let ids: Vec<Option<String>> = if job.nodes.is_empty() { vec![None] } else { ids.collect() };
         let all: Vec<(Option<String>, Vec<SequenceTime>, f64)> = ids
@@ -128,6 +133,7 @@ impl Context<'_> {
             .iter()
             .map(|(id, times, brightness)| SequenceSeries { id: id.as_deref(), times, brightness: *brightness })
             .collect();
+        // The page shows all series over the time steps.
         let (settings, warnings) = (job.to_json(), self.warnings(|other| plan.is_below(other, part)));
         let input = SequenceInput {
             title: &job.name,

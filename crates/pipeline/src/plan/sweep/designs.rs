@@ -9,10 +9,10 @@ use crate::error::{PipelineError, display_error};
 use crate::job::{DisplayJob, FitDepth, Job, SweepJob};
 use crate::stage::design::Candidate;
 
-/// Every design once, and a job per light field.
+/// Returns all distinct designs, and a job for each of their light fields.
 ///
 /// # Errors
-/// When a display does not load, or a combination makes no sense.
+/// If a display cannot be loaded, or a combination is invalid.
 pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Job>), PipelineError> {
     let bases: Vec<(String, DisplayJob)> = if sweep.displays.is_empty() {
         let own = &job.display;
@@ -25,6 +25,8 @@ pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Jo
     if !sweep.fov_deg.is_empty() && job.scene.is_none() {
         return Err(PipelineError::job("sweep.fov_deg", "a scene to render from other angles", "none"));
     }
+    // Combinations that change nothing, such as lenslets of a uniform backlight, give equal
+    // displays.
     let mut candidates: Vec<Candidate> = Vec::new();
     let mut fields: Vec<(Display, Job)> = Vec::new();
     for (name, display_job) in &bases {
@@ -36,6 +38,7 @@ pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Jo
             if candidates.iter().any(known) {
                 continue;
             }
+            // Displays with equal `[field]` share a light field.
             let field = match fields.iter().position(|(other, _)| other.field == display.field) {
                 Some(field) => field,
                 None => {
@@ -43,7 +46,7 @@ pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Jo
                         DisplayJob { fov_deg: variation.fov_deg.or(display_job.fov_deg), ..display_job.clone() };
                     let mut of = Job { display: shown, sweep: None, outputs: Vec::new(), ..job.clone() };
                     of.render.outside = 0;
-                    // designs are compared by what the scene asks of them, not by what one of them could show of it
+                    // All designs are compared on the same scene, whose depth no design compresses.
                     if of.window.fit_depth == FitDepth::Auto {
                         of.window.fit_depth = FitDepth::Off;
                     }
@@ -54,6 +57,7 @@ pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Jo
             candidates.push(Candidate { design: Design::of(name, &display), display, field });
         }
     }
+    // All displays on one light field need the same views.
     let mut jobs: Vec<Job> = fields.into_iter().map(|(_, job)| job).collect();
     for (number, job) in jobs.iter_mut().enumerate() {
         choose_views(job, candidates.iter_mut().filter(|candidate| candidate.field == number));
@@ -61,8 +65,8 @@ pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Jo
     Ok((candidates, jobs))
 }
 
-/// Displays that choose their views share those of the one that wants most: views between a display's native slopes cost it nothing but time, too few cost it its
-/// zone.
+/// Chooses common views for displays that choose their views: those of the most demanding display.
+/// More views than a display needs cost only time; fewer reduce its zone score.
 fn choose_views<'a>(job: &mut Job, candidates: impl Iterator<Item = &'a mut Candidate>) {
     let mut choosing: Vec<&mut Candidate> =
         candidates.filter(|candidate| candidate.display.field.views == Views::Auto).collect();
@@ -78,7 +82,7 @@ fn choose_views<'a>(job: &mut Job, candidates: impl Iterator<Item = &'a mut Cand
     }
 }
 
-/// A preset or a file, with what the job changes about its display.
+/// Returns the name and the job table of a preset or display file, with the job's changes.
 fn base(job: &Job, text: &str) -> (String, DisplayJob) {
     let named = DisplayJob::by_name_or_path(text);
     let name = Path::new(text).file_stem().map_or(text.into(), |stem| stem.to_string_lossy().into_owned());
@@ -86,7 +90,7 @@ fn base(job: &Job, text: &str) -> (String, DisplayJob) {
     (name, DisplayJob { preset: named.preset, file, ..job.display.clone() })
 }
 
-/// Every combination, the last axis fastest.
+/// Returns all combinations; the last axis varies fastest.
 fn variations(sweep: &SweepJob) -> Vec<Variation> {
     let mut all = vec![Variation::default()];
     expand(&mut all, &sweep.layers, |variation, layers| variation.layers = Some(layers));

@@ -1,7 +1,8 @@
-//! A design under constraints, without solving all of them to the end.
+//! Search for a design under constraints, without solving every design to the end.
 //!
-//! Successive halving: what the constraints allow is solved with few iterations, the better part with more, and so on; only the last few get all. The order of
-//! designs after few iterations is nearly that after many, and every row is kept, so that a search takes up what a sweep left.
+//! Successive halving (Jamieson and Talwalkar 2016) solves all allowed designs with few iterations.
+//! The better part gets more, and only the last few get all. The order after few iterations is
+//! nearly that after many. All rows are kept, so a search reuses rows of a sweep.
 
 use lumistack_design::table::{Design, Row};
 
@@ -9,22 +10,22 @@ use crate::error::PipelineError;
 use crate::job::SearchJob;
 use crate::stage::design::Candidate;
 
-/// Shares of the iterations, and of the candidates that go on from there.
+/// Per rung: share of the iterations, and share of the candidates that go on.
 const RUNGS: [(f64, f64); 2] = [(0.08, 0.5), (0.3, 0.4)];
-/// No fewer go on.
+/// Minimum number of candidates that go on.
 const LEAST: usize = 6;
-/// Designs this much apart are equally good, dB: the one that takes less is preferred.
-const AS_GOOD_DB: f64 = 0.3;
-/// A design that falls short by more than this early on will not get there, dB.
-const HOPE_DB: f64 = 8.0;
+/// Designs whose scores differ by less are equally good, dB: the cheaper one is preferred.
+const EQUAL_DB: f64 = 0.3;
+/// A design that misses the wanted PSNR by more after few iterations is dropped, dB.
+const DROP_DB: f64 = 8.0;
 
-/// Those that the constraints allow.
+/// Returns the candidates that keep the constraints.
 ///
 /// # Errors
-/// If there are none; the error says what came nearest.
+/// If there are none. The message has the best value of each constraint.
 pub(crate) fn allowed(candidates: Vec<Candidate>, search: &SearchJob) -> Result<Vec<Candidate>, PipelineError> {
     let fits = |d: &Design| {
-        // a period of one frame never flickers, whatever the panels
+        // A refresh rate of one frame has no flicker, so `refresh_hz` is 0 there.
         let checks = [
             search.max_thickness_mm.is_none_or(|most| d.thickness_mm <= most * (1.0 + 1e-9)),
             search.max_refresh_hz.is_none_or(|most| d.refresh_hz <= most * (1.0 + 1e-9)),
@@ -43,24 +44,26 @@ pub(crate) fn allowed(candidates: Vec<Candidate>, search: &SearchJob) -> Result<
     );
     let kept: Vec<Candidate> = candidates.into_iter().filter(|candidate| fits(&candidate.design)).collect();
     if kept.is_empty() {
-        return Err(PipelineError::job("sweep.search", "constraints that some design keeps", found));
+        return Err(PipelineError::job("sweep.search", "constraints that at least one design keeps", found));
     }
     Ok(kept)
 }
 
-/// Gives rows after so many iterations, and how many were there already.
+/// Solves candidates with a number of iterations. Returns rows and the number of cached rows.
 pub(super) type SolveAll<'a> = &'a mut dyn FnMut(&[Candidate], u32) -> Result<(Vec<Row>, usize), PipelineError>;
 
-/// Rows of the last rung in the candidates' order, how many were kept from before, and the proposals, best first.
+/// Returns rows of the last rung in the candidates' order, the number of cached rows, and the
+/// proposals, best first.
 ///
 /// # Errors
-/// When a design cannot be solved, or when cancelled.
+/// If the solver fails on a design, or the task is cancelled.
 pub(super) fn run(
     solve_all: SolveAll<'_>,
     iterations: u32,
     mut candidates: Vec<Candidate>,
     search: &SearchJob,
 ) -> Result<(Vec<Row>, usize, Vec<(Candidate, Row)>), PipelineError> {
+    // Each rung keeps the better part of the candidates.
     for (share, on) in RUNGS {
         if candidates.len() <= LEAST {
             break;
@@ -71,20 +74,21 @@ pub(super) fn run(
         let mut order: Vec<usize> = (0..candidates.len()).collect();
         match search.enough_db {
             None => order.sort_by(|&a, &b| rows[b].quality_db().total_cmp(&rows[a].quality_db())),
-            // the cheapest of those that may get there; where none may, the best
+            // Prefer the cheapest designs that may reach the wanted PSNR; if none may, the best.
             Some(enough) => {
-                let hopeless = |i: usize| rows[i].quality_db() < enough - HOPE_DB;
+                let too_low = |i: usize| rows[i].quality_db() < enough - DROP_DB;
                 order.sort_by(|&a, &b| {
                     let by_cost = || {
                         cost(&rows[a].design).partial_cmp(&cost(&rows[b].design)).unwrap_or(std::cmp::Ordering::Equal)
                     };
                     let by_psnr = || rows[b].quality_db().total_cmp(&rows[a].quality_db());
-                    hopeless(a)
-                        .cmp(&hopeless(b))
-                        .then_with(|| if hopeless(a) { by_psnr() } else { by_cost().then_with(by_psnr) })
+                    too_low(a)
+                        .cmp(&too_low(b))
+                        .then_with(|| if too_low(a) { by_psnr() } else { by_cost().then_with(by_psnr) })
                 });
             }
         }
+        // Rows keep the order of the designs.
         let mut chosen: Vec<usize> = order.into_iter().take(goes_on).collect();
         chosen.sort_unstable();
         candidates = chosen.into_iter().map(|i| candidates[i].clone()).collect();
@@ -95,12 +99,13 @@ pub(super) fn run(
     Ok((rows, kept, proposed))
 }
 
-/// What a design takes: panels first, then frames, then depth, then darkness.
+/// Returns the cost of a design for lexicographic comparison: panels, frames, thickness, darkness.
 fn cost(design: &Design) -> [f64; 4] {
     [design.panels as f64, design.frames as f64, design.thickness_mm, -design.brightness]
 }
 
-/// Rows by rank, best first: with a PSNR that is enough the cheapest that reach it come first; otherwise the best, and of equally good ones the cheapest.
+/// Returns row numbers by rank. Rows that reach `enough_db` come first, the cheapest first. The
+/// others follow by PSNR; among equally good ones the cheapest is first.
 fn ranked(rows: &[Row], enough_db: Option<f64>) -> Vec<usize> {
     let by_cost = |a: usize, b: usize| {
         cost(&rows[a].design).partial_cmp(&cost(&rows[b].design)).unwrap_or(std::cmp::Ordering::Equal)
@@ -115,7 +120,7 @@ fn ranked(rows: &[Row], enough_db: Option<f64>) -> Vec<usize> {
     }
     while !left.is_empty() {
         let best = left.iter().map(|&i| rows[i].quality_db()).fold(f64::MIN, f64::max);
-        let near = left.iter().copied().filter(|&i| rows[i].quality_db() >= best - AS_GOOD_DB);
+        let near = left.iter().copied().filter(|&i| rows[i].quality_db() >= best - EQUAL_DB);
         let Some(next) = near.min_by(|&a, &b| by_cost(a, b)) else { break };
         left.retain(|&i| i != next);
         order.push(next);

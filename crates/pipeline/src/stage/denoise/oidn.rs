@@ -1,7 +1,8 @@
-//! Intel's Open Image Denoise, where the user has it: its own program `oidnDenoise`, run once per view.
+//! Intel's Open Image Denoise, if installed: its program `oidnDenoise` runs once per view.
 //!
-//! It is looked for in `LUMISTACK_OIDN` (the program), on PATH, and in the Python package `pyoidn`, which brings it along. Pictures go over as PFM
-//! files: three little-endian floats per pixel, the lowest row first.
+//! It is searched in `LUMISTACK_OIDN` (path of the program), on PATH, and in the Python package
+//! `pyoidn`, which includes it. Pictures are exchanged as PFM files: three little-endian floats per
+//! pixel, the lowest row first.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -11,26 +12,26 @@ use lumistack_pathtracer::Features;
 use crate::error::{PipelineError, read};
 use crate::store::files::write;
 
-/// Asks Python where the package keeps the program.
+/// Python code that prints the program's path in the package.
 const ASK_PYTHON: &str = "import importlib.util as u, os; print(os.path.join(os.path.dirname(u.find_spec('pyoidn').origin), 'oidn', 'bin', 'oidnDenoise'))";
 
-/// The program.
+/// The program, after a successful call.
 pub(crate) struct Oidn {
     program: PathBuf,
-    /// What it says of its version.
+    /// Version, from the first line of its help.
     pub(crate) version: String,
 }
 
 impl Oidn {
-    /// Looks for the program.
+    /// Searches the program.
     ///
     /// # Errors
-    /// When there is none.
+    /// If there is none.
     pub(crate) fn find() -> Result<Self, PipelineError> {
         if let Some(given) = std::env::var_os("LUMISTACK_OIDN") {
             let program = PathBuf::from(given);
             return Self::try_program(&program).ok_or_else(|| {
-                let found = format!("{}, which does not answer", program.display());
+                let found = format!("{}, which cannot be executed", program.display());
                 PipelineError::option("LUMISTACK_OIDN", "program", "Open Image Denoise's program `oidnDenoise`", found)
             });
         }
@@ -42,7 +43,7 @@ impl Oidn {
         Self::try_program(Path::new("oidnDenoise")).or_else(in_package).ok_or_else(|| {
             let expected = "Open Image Denoise's program `oidnDenoise` on PATH, in LUMISTACK_OIDN or in Python's package pyoidn \
                             (`pip install pyoidn`); `guided` needs nothing";
-            PipelineError::job("render.denoise", expected, "`oidn` and no such program")
+            PipelineError::job("render.denoise", expected, "`oidn`, but no such program")
         })
     }
 
@@ -53,16 +54,17 @@ impl Oidn {
         said.contains("Open Image Denoise").then(|| Self { program: program.to_owned(), version })
     }
 
-    /// Filters a picture `[row][col][rgb]`; `folder` takes the files that go back and forth.
+    /// Denoises a picture `[row][col][rgb]`, scene-linear. The exchanged files go to `folder`.
     ///
     /// # Errors
-    /// When the program fails.
+    /// If the program fails or writes another file.
     pub(crate) fn denoise(
         &self,
         radiance: &[f32],
         features: &Features,
         folder: &Path,
     ) -> Result<Vec<f32>, PipelineError> {
+        // Albedo of pixels without surface is 1, as the program's documentation recommends.
         let [rows, cols] = features.size();
         let path = |name: &str| folder.join(name).with_extension("pfm");
         let guide = |of: &dyn Fn(lumistack_pathtracer::Feature) -> glam::Vec3| -> Vec<f32> {
@@ -70,6 +72,7 @@ impl Oidn {
         };
         let albedo = guide(&|feature| feature.covered * feature.albedo + glam::Vec3::splat(1.0 - feature.covered));
         let normal = guide(&|feature| feature.covered * feature.normal);
+        // The program reads and writes files only.
         write(&path("colour"), &pfm(radiance, rows, cols))?;
         write(&path("albedo"), &pfm(&albedo, rows, cols))?;
         write(&path("normal"), &pfm(&normal, rows, cols))?;
@@ -86,11 +89,11 @@ impl Oidn {
             return Err(failed(format!("{}: {said}", output.status)));
         }
         let filtered = parse_pfm(&read(&path("filtered"))?).filter(|(size, _)| *size == [rows, cols]);
-        filtered.map(|(_, values)| values).ok_or_else(|| failed("a file that is no such picture".into()))
+        filtered.map(|(_, values)| values).ok_or_else(|| failed("a file that is not a PFM picture of this size".into()))
     }
 }
 
-/// A picture `[row][col][rgb]` as a PFM file.
+/// Encodes a picture `[row][col][rgb]` as a PFM file.
 fn pfm(values: &[f32], rows: usize, cols: usize) -> Vec<u8> {
     let mut bytes = format!("PF\n{cols} {rows}\n-1.0\n").into_bytes();
     for row in values.chunks_exact(3 * cols).rev() {
@@ -99,7 +102,7 @@ fn pfm(values: &[f32], rows: usize, cols: usize) -> Vec<u8> {
     bytes
 }
 
-/// [rows, columns] and values of a little-endian colour PFM file.
+/// Decodes a little-endian colour PFM file: [rows, columns] and values `[row][col][rgb]`.
 fn parse_pfm(bytes: &[u8]) -> Option<([usize; 2], Vec<f32>)> {
     let mut lines = bytes.splitn(4, |&byte| byte == b'\n');
     let mut line = || std::str::from_utf8(lines.next()?).ok();
@@ -124,7 +127,7 @@ mod tests {
         let values: Vec<f32> = (0..18).map(|i| i as f32 - 3.5).collect();
         let bytes = pfm(&values, 3, 2);
         assert!(bytes.starts_with(b"PF\n2 3\n-1.0\n"));
-        // the lowest row comes first
+        // the lowest row is the first
         assert_eq!(bytes[12..16], values[12].to_le_bytes());
         assert_eq!(parse_pfm(&bytes), Some(([3, 2], values)));
         for cut in 0..bytes.len() {

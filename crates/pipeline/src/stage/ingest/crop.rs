@@ -1,4 +1,4 @@
-//! Parts of captures.
+//! Crops captures to a box or a sphere.
 
 use glam::Vec3;
 use lumistack_core::Task;
@@ -8,10 +8,10 @@ use lumistack_shot::edited;
 use crate::error::PipelineError;
 use crate::job::PoseJob;
 
-/// Leaves out the splats whose centres lie outside `pose.crop_box` or `pose.crop_sphere`.
+/// Removes the splats whose centres are outside `pose.crop_box` or `pose.crop_sphere`.
 ///
 /// # Errors
-/// When a crop is given and no splat is left, or when cancelled.
+/// If no splat is left, or the task is cancelled.
 pub(crate) fn cropped(scene: Scene, pose: &PoseJob, task: Task<'_>) -> Result<Scene, PipelineError> {
     let corners = pose.crop_box.map(|corners| corners.map(vector)).map(|[a, b]| [a.min(b), a.max(b)]);
     let sphere = pose.crop_sphere.map(|[x, y, z, radius]| (vector([x, y, z]), radius as f32));
@@ -28,13 +28,13 @@ pub(crate) fn cropped(scene: Scene, pose: &PoseJob, task: Task<'_>) -> Result<Sc
         if parts.placed_clouds.is_empty() {
             let key = if corners.is_some() { "pose.crop_box" } else { "pose.crop_sphere" };
             let found = format!("none of {count}");
-            return Err(PipelineError::job(key, "a crop that holds splats of the scene", found));
+            return Err(PipelineError::job(key, "a crop with splats of the scene inside", found));
         }
         Ok(())
     })
 }
 
-/// A cloud may be placed more than once, and each placement is cropped where it stands.
+/// Crops every placement of a cloud by itself.
 fn crop(parts: &mut SceneParts, inside: impl Fn(Vec3) -> bool) {
     let clouds = std::mem::take(&mut parts.clouds);
     for mut placed in std::mem::take(&mut parts.placed_clouds) {
@@ -77,7 +77,7 @@ mod tests {
         parts.validate(Task::quiet(&warnings, &cancel)).unwrap()
     }
 
-    /// Places of the splats that are left, sorted; or the error.
+    /// Returns positions of the remaining splats, sorted; or the error.
     fn left(pose: &PoseJob) -> Result<Vec<[f32; 2]>, String> {
         let (warnings, cancel) = (Collector::default(), Cancel::default());
         let scene = cropped(scene(), pose, Task::quiet(&warnings, &cancel)).map_err(|error| error.to_string())?;
@@ -103,7 +103,7 @@ mod tests {
     fn a_crop_without_splats_is_an_error() {
         let crop_sphere = Some([0.0, 5.0, 0.0, 1.0]);
         let error = left(&PoseJob { crop_sphere, ..PoseJob::default() }).unwrap_err();
-        let expected = "pose.crop_sphere: expected a crop that holds splats of the scene, found none of 8";
+        let expected = "pose.crop_sphere: expected a crop with splats of the scene inside, found none of 8";
         assert!(error.contains(expected), "{error}");
     }
 }

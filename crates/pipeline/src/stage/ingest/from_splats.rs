@@ -1,10 +1,11 @@
-//! Splats as the light of the meshes among them: what is seen of the splats around the meshes, as an environment map.
+//! Splats as light of the meshes among them: an environment map of the splats around the meshes.
 //!
 //! ```text
-//! L(ω) = linear light of the splats in direction ω from the centre of the meshes         six faces of a cube, each a view from there
+//! L(ω) = linear light of the splats in direction ω from the centre of the meshes
 //! ```
 //!
-//! Light comes from infinity, so it falls alike on all meshes, and they cast no shadow on splats.
+//! Six faces of a cube are rendered as views from the centre. The light comes from infinity, so it
+//! is equal for all meshes. Meshes cast no shadow on splats.
 
 use std::sync::Arc;
 
@@ -16,12 +17,14 @@ use lumistack_splats::{Renderer, Space, Wanted};
 
 use crate::error::PipelineError;
 
-/// Pixels along an edge of a face; width and height of the map.
+/// Pixels along an edge of a face.
 const FACE: usize = 96;
+/// Width and height of the map, pixels.
 const SIZE: [usize; 2] = [256, 128];
-/// Distance of a face from the eye, as a share of the scene's diagonal: all around the eye counts as distant.
+/// Distance of a face from the eye, as a share of the scene's diagonal. It is small, so that splats
+/// near the eye are seen.
 const NEAR: f64 = 1e-3;
-/// Directions that faces look in, with those that are up.
+/// View directions of the faces, each with its up direction.
 const FACES: [[DVec3; 2]; 6] = [
     [DVec3::X, DVec3::Y],
     [DVec3::NEG_X, DVec3::Y],
@@ -31,10 +34,10 @@ const FACES: [[DVec3; 2]; 6] = [
     [DVec3::NEG_Y, DVec3::Z],
 ];
 
-/// The map of a scene with splats and meshes, in the scene's axes; `None` where one of both is missing.
+/// Returns the environment map in the scene's axes; `None` if splats or meshes are missing.
 ///
 /// # Errors
-/// When cancelled.
+/// If cancelled.
 pub(crate) fn panorama(scene: &Arc<Scene>, task: Task<'_>) -> Result<Option<Image>, PipelineError> {
     let (Some(renderer), Some(space)) = (Renderer::new(scene.clone()), Space::of(scene)) else { return Ok(None) };
     let mut meshes = Bounds::EMPTY;
@@ -45,6 +48,7 @@ pub(crate) fn panorama(scene: &Arc<Scene>, task: Task<'_>) -> Result<Option<Imag
     if meshes.is_empty() {
         return Ok(None);
     }
+    // Render six views of 90° around the centre of the meshes.
     let centre = meshes.centre().as_dvec3();
     let scale = NEAR * f64::from(scene.bounds().size().length());
     // a face of 2 × 2 mm, 1 mm before the eye
@@ -62,10 +66,11 @@ pub(crate) fn panorama(scene: &Arc<Scene>, task: Task<'_>) -> Result<Option<Imag
             Ok(())
         })?;
     }
+    // Look up each texel's direction in the face that it points to.
     let [width, height] = SIZE;
     let texel = |i: usize| {
         let elevation = std::f64::consts::PI * (0.5 - ((i / width) as f64 + 0.5) / height as f64);
-        // the centre column is −z, columns to the right turn towards +x
+        // The central column shows −z; columns to the right turn towards +x.
         let azimuth = std::f64::consts::TAU * (((i % width) as f64 + 0.5) / width as f64 - 0.5);
         let to = DVec3::new(elevation.cos() * azimuth.sin(), elevation.sin(), -elevation.cos() * azimuth.cos());
         let along = |face: &usize| FACES[*face][0].dot(to);

@@ -13,10 +13,10 @@ use lumistack_shot::light::set_environment;
 use crate::error::{PipelineError, field_error, read};
 use crate::stage::ingest::from_splats;
 
-/// Replaces the scene's environment by a Radiance HDR or EXR file.
+/// Replaces the scene's environment by a Radiance HDR or EXR file, times `strength`.
 ///
 /// # Errors
-/// When the file cannot be read or decoded.
+/// If the file cannot be read or decoded.
 pub fn load_environment(parts: &mut SceneParts, path: &Path, strength: f32) -> Result<(), PipelineError> {
     let bytes = read(path)?;
     let is_exr = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("exr"));
@@ -38,16 +38,16 @@ pub fn load_environment(parts: &mut SceneParts, path: &Path, strength: f32) -> R
     Ok(())
 }
 
-/// Turns an environment, whose middle column is −z in its own space, to where Blender and three.js put it: the middle column towards +x, and the column a
-/// quarter from the left towards −z.
+/// Rotates an environment, whose central column is −z in its own space, as Blender and three.js do.
+/// The central column goes to +x, the column at a quarter of the width to −z.
 fn as_in_blender() -> Quat {
     Quat::from_rotation_y(-std::f32::consts::FRAC_PI_2)
 }
 
-/// Lets the scene's splats light its meshes; a scene without both stays as it is.
+/// Makes the scene's splats light its meshes. A scene without both is unchanged.
 ///
 /// # Errors
-/// When cancelled, or when the scene becomes invalid.
+/// If cancelled, or the scene becomes invalid.
 pub(crate) fn from_splats(scene: Scene, strength: f32, task: Task<'_>) -> Result<Scene, PipelineError> {
     let scene = Arc::new(scene);
     let panorama = from_splats::panorama(&scene, task)?;
@@ -55,7 +55,7 @@ pub(crate) fn from_splats(scene: Scene, strength: f32, task: Task<'_>) -> Result
     let Some(image) = panorama else { return Ok(scene) };
     edited(scene, task, |parts| {
         set_environment(parts, image, Vec3::splat(strength), Quat::IDENTITY);
-        // the splats themselves are seen already
+        // The background shows the splats themselves, not their map.
         parts.backdrop = Some(Vec3::ZERO);
         Ok(())
     })
@@ -65,10 +65,11 @@ pub(crate) fn from_splats(scene: Scene, strength: f32, task: Task<'_>) -> Result
 mod tests {
     use super::*;
 
-    /// Blender 4.5 shows a camera of an imported glTF file that looks along −z the column at 0.25 of the width, to its right larger ones.
+    /// Expected values are from Blender 4.5. There a camera of an imported glTF file that looks
+    /// along −z shows the column at 0.25 of the width. Columns to its right are larger.
     #[test]
     fn environment_files_lie_as_in_blender() {
-        // columns of the map in its own space: the middle is −z, to the right comes +x
+        // columns of the map in its own space: the central one is −z, +x is to the right
         let column = |u: f32| {
             let azimuth = (u - 0.5) * std::f32::consts::TAU;
             as_in_blender() * Vec3::new(azimuth.sin(), 0.0, -azimuth.cos())

@@ -1,4 +1,4 @@
-//! Views that the engine of a `.blend` file renders instead of our path tracer.
+//! Views rendered by the engine of a `.blend` file instead of our path tracer.
 
 use std::path::Path;
 
@@ -15,9 +15,12 @@ use crate::reader::is_blend;
 use crate::stage::ingest::Ingested;
 use crate::store::views::write_picture;
 
-/// Who renders the views of a job: who is asked for, else our path tracer, or the file's own engine where a `.blend` file has what the hand-over loses and
-/// that engine can render here. Says what is lost, or why which engine is taken.
-/// `variance` of the views is known of our path tracer alone.
+/// Chooses the renderer of a job's views, with warnings about lost features or the reason for the
+/// choice.
+///
+/// The job's engine comes first. With `auto`, it is our path tracer. A `.blend` file with features
+/// that the conversion loses is rendered by its own engine, if that works here. Only our path
+/// tracer computes the `variance` of views.
 pub(crate) fn engine(job: &Job, ingested: &Ingested, variance: bool, task: Task<'_>) -> Engine {
     let is_file = job.scene.as_deref().is_some_and(is_blend);
     chosen(
@@ -30,7 +33,8 @@ pub(crate) fn engine(job: &Job, ingested: &Ingested, variance: bool, task: Task<
     )
 }
 
-/// `plain`: whether nothing is wanted that only our path tracer gives.
+/// Chooses without looking at files. `plain` is true if the job needs nothing that only our path
+/// tracer has.
 fn chosen(
     render: &RenderJob,
     plain: bool,
@@ -39,14 +43,16 @@ fn chosen(
     name: &str,
     task: Task<'_>,
 ) -> Engine {
+    // Without losses, our path tracer renders unless the job wants Blender.
     let Some(contents) = losing else {
         return if render.engine == Engine::Blender { Engine::Blender } else { Engine::Lumistack };
     };
+    // The reasons against the file's own engine.
     let why_not = match render.engine {
         Engine::Blender => return Engine::Blender,
-        Engine::Lumistack => Some("`render.engine = \"lumistack\"` asks for our path tracer all the same".to_owned()),
+        Engine::Lumistack => Some("`render.engine = \"lumistack\"` requests our path tracer".to_owned()),
         Engine::Auto if !plain => Some(
-            "`angular_filter`, `lens_deg`, `denoise`, `clamp`, `background` and variance need our path tracer all the same"
+            "`angular_filter`, `lens_deg`, `denoise`, `clamp`, `background` and variance need our path tracer"
                 .to_owned(),
         ),
         Engine::Auto if !is_file => {
@@ -56,12 +62,13 @@ fn chosen(
             contents.unfit.as_ref().map(|reason| format!("the file's own engine cannot render it here ({reason})"))
         }
     };
+    // Report the losses only if our path tracer renders the converted scene.
     let Some(reason) = why_not else {
         let engine = &contents.engine;
         let lost = contents.lost.join("; ");
         task.warn(
             name,
-            format!("the file's own engine, {engine}, renders the views, since the scene has {lost}. `render.engine = \"lumistack\"` does without"),
+            format!("the file's own engine, {engine}, renders the views, since the scene has {lost}. `render.engine = \"lumistack\"` selects our path tracer, without them"),
         );
         return Engine::Blender;
     };
@@ -72,10 +79,11 @@ fn chosen(
     Engine::Lumistack
 }
 
-/// Renders views of the job's scene, each to its file as soon as it is finished.
+/// Renders views of the job's scene. Each file is written as soon as the view is finished.
 ///
 /// # Errors
-/// When the scene is no `.blend` file, Blender fails, a picture cannot be kept, or when cancelled.
+/// If the scene is not a `.blend` file, Blender fails, a picture cannot be written, or the task is
+/// cancelled.
 pub(crate) fn render(
     job: &Job,
     window: &Window,
@@ -87,6 +95,7 @@ pub(crate) fn render(
         let found = job.scene.as_ref().map_or_else(|| "no scene".into(), |scene| scene.display().to_string());
         return Err(PipelineError::job("render.engine", "a .blend file as the scene for `blender`", found));
     };
+    // Blender needs the window as a camera frame, and the slopes of the views.
     let map = window.scene_from_display;
     let views = BlendViews {
         window: BlendWindow {
@@ -103,6 +112,7 @@ pub(crate) fn render(
         },
         slopes: wanted.iter().map(|(view, _)| geometry.grid.slope_at(*view, [0.0, 0.0])).collect(),
     };
+    // Keep each picture at once, so that a stopped run continues.
     let mut failed = None;
     let mut finished = |number: usize, picture: &Path| {
         if let Err(error) = keep(picture, geometry, wanted[number].1) {
@@ -152,7 +162,7 @@ mod tests {
             (asked(Engine::Auto), Some(&fur), false, Engine::Lumistack, &["Dog", "only a job"]),
             (asked(Engine::Auto), Some(&no_screen), true, Engine::Lumistack, &["Dog", "EEVEE needs OpenGL"]),
             (denoised, Some(&fur), true, Engine::Lumistack, &["Dog", "`denoise`"]),
-            (asked(Engine::Lumistack), Some(&fur), true, Engine::Lumistack, &["Dog", "all the same"]),
+            (asked(Engine::Lumistack), Some(&fur), true, Engine::Lumistack, &["Dog", "requests our path tracer"]),
             (asked(Engine::Lumistack), None, true, Engine::Lumistack, &[]),
             (asked(Engine::Blender), Some(&fur), true, Engine::Blender, &[]),
             (asked(Engine::Blender), None, true, Engine::Blender, &[]),

@@ -17,7 +17,7 @@ use lumistack_display::{Display, FieldGeometry, LightField};
 use lumistack_factorizer::Settings;
 use lumistack_live::Target;
 use lumistack_plugin_host::Registry;
-use lumistack_shot::{Look, Placement, expose_over};
+use lumistack_shot::{Placement, ToneMapping, expose_over};
 use lumistack_splats::Space;
 use serde_json::{Value, json};
 
@@ -31,11 +31,11 @@ use crate::stage::ingest::{self, Ingested};
 use crate::stage::place;
 use crate::stage::{EXPOSE, INGEST, PLACE, TRACE, field, read};
 
-/// Most views of a display with automatic views.
+/// Maximum number of automatic views of a display.
 const MOST_VIEWS: usize = 49;
 
 /// Makes light fields of a job.
-pub struct Studio {
+pub struct LiveFields {
     job: Job,
     display: Arc<Display>,
     cache: PathBuf,
@@ -43,7 +43,7 @@ pub struct Studio {
     scene: Option<(Value, Arc<Ingested>)>,
     placement: Option<(Value, Placement)>,
     views: Option<(Value, Progressive)>,
-    look: Option<(Value, Look)>,
+    tone_mapping: Option<(Value, ToneMapping)>,
     /// Key of the last returned light field.
     shown: Option<Value>,
     /// Counts reloads: part of every key of a result from files.
@@ -51,16 +51,16 @@ pub struct Studio {
     content: u64,
 }
 
-impl Studio {
+impl LiveFields {
     /// Prepares a job; `cache` is a folder for scenes that other programs convert.
     ///
     /// # Errors
     /// If the job is wrong, or has more than one display.
     pub fn new(job: Job, cache: &Path) -> Result<Self, PipelineError> {
         let display = Arc::new(display_of(&job)?);
-        let (scene, placement, views, look, shown) = (None, None, None, None, None);
+        let (scene, placement, views, tone_mapping, shown) = (None, None, None, None, None);
         let cache = cache.to_owned();
-        Ok(Self { job, display, cache, scene, placement, views, look, shown, edition: 0, content: 0 })
+        Ok(Self { job, display, cache, scene, placement, views, tone_mapping, shown, edition: 0, content: 0 })
     }
 
     /// Changes the job from the next pass on. After an error the old job stays.
@@ -189,17 +189,17 @@ impl Studio {
         }
         // Expose. Exposure and tone curve stay until the scene's file or their settings change.
         let radiance = views.radiance(shot, task)?;
-        let key_of_look = json!([name, of_light]);
-        let look = match &self.look {
-            Some((key, look)) if *key == key_of_look => *look,
+        let key_of_tone_mapping = json!([name, of_light]);
+        let tone_mapping = match &self.tone_mapping {
+            Some((key, tone_mapping)) if *key == key_of_tone_mapping => *tone_mapping,
             _ => {
-                let look = Look::choose(&job.light, &ingested.scene, &radiance.brightest);
-                self.look = Some((key_of_look, look));
-                look
+                let tone_mapping = ToneMapping::choose(&job.light, &ingested.scene, &radiance.brightest);
+                self.tone_mapping = Some((key_of_tone_mapping, tone_mapping));
+                tone_mapping
             }
         };
         let mut field = radiance.field;
-        expose(look, &job, shot, views, &mut field);
+        expose(tone_mapping, &job, shot, views, &mut field);
         let passes = views.passes;
         if is_new {
             self.content += 1;
@@ -234,14 +234,14 @@ impl Studio {
     }
 }
 
-fn expose(look: Look, job: &Job, shot: Shot<'_>, views: &Progressive, field: &mut LightField) {
+fn expose(tone_mapping: ToneMapping, job: &Job, shot: Shot<'_>, views: &Progressive, field: &mut LightField) {
     let places: Vec<[usize; 2]> = field.geometry().grid.iter().collect();
     for (number, place) in places.into_iter().enumerate() {
         let rgb = field.view_mut(place);
         if let Background::Colour(background) = job.light.background {
-            expose_over(look, background, Space::of(&shot.ingested.scene), views.missed(number), rgb);
+            expose_over(tone_mapping, background, Space::of(&shot.ingested.scene), views.missed(number), rgb);
         } else {
-            look.apply_to(rgb);
+            tone_mapping.apply_to(rgb);
         }
         lumistack_field_io::round_to_half(rgb);
     }

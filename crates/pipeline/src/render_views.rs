@@ -11,7 +11,7 @@ use crate::error::{PipelineError, display_error, field_error};
 use crate::job::{Denoise, Job};
 use crate::stage::field::{field_info, warn_of_depth};
 use crate::stage::fields::Shot;
-use crate::stage::{denoise, depth, expose, ingest, layers, place, samples, trace};
+use crate::stage::{channels, denoise, depth, expose, ingest, place, samples, trace};
 use crate::store::folder;
 use crate::store::names::Work;
 use crate::store::{plugin_files, used};
@@ -22,7 +22,7 @@ use crate::view_options::ViewOptions;
 ///
 /// # Errors
 /// If the job or the options are wrong, or ingest or rendering fails or is cancelled.
-pub fn render_only(
+pub fn render_views(
     job: &Job,
     target_dir: &Path,
     options: &ViewOptions,
@@ -39,7 +39,7 @@ pub fn render_only(
     }
     let job = &plugin_files::resolved(&job, registry)?;
     job.check()?;
-    let _owned = folder::take(target_dir, Work::Views, job, registry, task)?;
+    let _owned = folder::lock(target_dir, Work::Views, job, registry, task)?;
     let display = job.resolve_display()?;
     let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
     // Refuse wrong options before the scene is loaded, which may take minutes.
@@ -69,13 +69,13 @@ pub fn render_only(
         task.warn("exposure", message);
     }
     // Write the folder, and remove cached views of earlier settings.
-    let mut info = field_info(exposed.look, &placement);
+    let mut info = field_info(exposed.tone_mapping, &placement);
     if options.linear {
         info.insert("tone".into(), "none".into());
         info.insert("radiance".into(), "scene-linear, neither exposed nor clipped".into());
     }
-    let layers = layers::write_layers(target_dir, shot, options, &traced, task)?;
-    info.extend(layers.map(|layers| ("layers".to_owned(), layers)));
+    let channels = channels::write_channels(target_dir, shot, options, &traced, task)?;
+    info.extend(channels.map(|channels| ("layers".to_owned(), channels)));
     let precision = if options.linear { Precision::Float } else { Precision::Half };
     lumistack_field_io::write_views(target_dir, &exposed.target, &traced.views, precision, &info)
         .map_err(field_error)?;

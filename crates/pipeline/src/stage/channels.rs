@@ -1,7 +1,8 @@
-//! What views see besides their light, as layers of pictures beside them.
+//! Extra channels of the views, in pictures beside them.
 //!
 //! ```text
-//! layers_YY_XX.exr   depth.Z  normal.X normal.Y normal.Z  albedo.R albedo.G albedo.B  variance.R variance.G variance.B  coverage.A
+//! layers_YY_XX.exr   depth.Z  normal.X normal.Y normal.Z  albedo.R albedo.G albedo.B
+//!                    variance.R variance.G variance.B  coverage.A
 //! ```
 
 use std::path::Path;
@@ -14,23 +15,23 @@ use crate::error::{PipelineError, field_error, render_error};
 use crate::stage::denoise::FEATURE_SAMPLES;
 use crate::stage::fields::Shot;
 use crate::stage::trace::Traced;
-use crate::view_options::{ViewLayer, ViewOptions};
+use crate::view_options::{ExtraChannel, ViewOptions};
 
-/// Writes the layers of every view that was rendered beside it; returns the folder index's account of them.
+/// Writes the extra channels of every rendered view. Returns their description for the index.
 ///
 /// # Errors
-/// When the scene cannot be rendered, a file cannot be written, or when cancelled.
-pub(crate) fn write_layers(
+/// If the scene cannot be rendered, a file cannot be written, or the task is cancelled.
+pub(crate) fn write_channels(
     folder: &Path,
     shot: Shot<'_>,
     options: &ViewOptions,
     rendered: &Traced,
     task: Task<'_>,
 ) -> Result<Option<Value>, PipelineError> {
-    if options.layers.is_empty() {
+    if options.channels.is_empty() {
         return Ok(None);
     }
-    let has = |layer| options.layers.contains(&layer);
+    let has = |layer| options.channels.contains(&layer);
     let Shot { ingested, placement, .. } = shot;
     let target = &rendered.fields[0];
     let (window, traced, kind) = (shot.window(), &target.traced, shot.denoise());
@@ -38,40 +39,43 @@ pub(crate) fn write_layers(
     lumistack_field_io::atomic::create_folder(folder).map_err(field_error)?;
     let renderer = ingested.renderer(task)?;
     task.progress.begin("layers", rendered.views.len() as u64, "views");
+    // Collect the requested channels of one view, each `[row][col]`.
     let of_view = |view: [usize; 2]| -> Result<(), PipelineError> {
         let mut channels: Vec<(&str, Vec<f32>)> = Vec::new();
-        if has(ViewLayer::Depth) {
+        if has(ExtraChannel::Depth) {
             let depth = renderer.depth(window, traced, view, task)?;
             let shown = |z: &f32| projection.scaled_depth(f64::from(*z), placement.depth_scale) as f32;
-            channels.push((ViewLayer::Depth.channels()[0], depth.data().iter().map(shown).collect()));
+            channels.push((ExtraChannel::Depth.channels()[0], depth.data().iter().map(shown).collect()));
         }
-        if has(ViewLayer::Normal) || has(ViewLayer::Albedo) {
+        if has(ExtraChannel::Normal) || has(ExtraChannel::Albedo) {
             let filter = settings.angular_filter;
             let features = renderer.tracer.render_features(window, traced, view, FEATURE_SAMPLES, filter, task);
             let features = features.map_err(render_error)?;
             let [rows, cols] = [traced.rows, traced.cols];
             let pixels = || (0..rows).flat_map(move |row| (0..cols).map(move |col| (row, col)));
             for axis in 0..3 {
-                if has(ViewLayer::Normal) {
+                if has(ExtraChannel::Normal) {
                     let values = pixels().map(|(row, col)| features.at(row, col).normal[axis]).collect();
-                    channels.push((ViewLayer::Normal.channels()[axis], values));
+                    channels.push((ExtraChannel::Normal.channels()[axis], values));
                 }
-                if has(ViewLayer::Albedo) {
+                if has(ExtraChannel::Albedo) {
                     let values = pixels().map(|(row, col)| features.at(row, col).albedo[axis]).collect();
-                    channels.push((ViewLayer::Albedo.channels()[axis], values));
+                    channels.push((ExtraChannel::Albedo.channels()[axis], values));
                 }
             }
         }
-        if has(ViewLayer::Variance) {
+        // Variance and coverage come from the cache of the views.
+        if has(ExtraChannel::Variance) {
             let variance = target.variance(view, kind)?;
-            for (axis, name) in ViewLayer::Variance.channels().iter().enumerate() {
+            for (axis, name) in ExtraChannel::Variance.channels().iter().enumerate() {
                 channels.push((name, variance.iter().skip(axis).step_by(3).copied().collect()));
             }
         }
-        if has(ViewLayer::Coverage) {
+        if has(ExtraChannel::Coverage) {
             let missed = target.missed(view, shot, task)?;
-            channels.push((ViewLayer::Coverage.channels()[0], missed.iter().map(|missed| 1.0 - missed).collect()));
+            channels.push((ExtraChannel::Coverage.channels()[0], missed.iter().map(|missed| 1.0 - missed).collect()));
         }
+        // The file has the name of the view's picture, with another prefix.
         let views = target.geometry.grid.views();
         let name = lumistack_field_io::view_file_name(views, view).replacen("view_", "layers_", 1);
         let channels: Vec<(&str, &[f32])> = channels.iter().map(|(name, values)| (*name, values.as_slice())).collect();
@@ -82,10 +86,11 @@ pub(crate) fn write_layers(
     let result = rendered.views.iter().try_for_each(|&view| of_view(view));
     task.progress.end();
     result?;
+    // Describe channels, units and meaning, so that a reader needs no other document.
     let mut about = Map::new();
     about.insert("files".into(), "layers_YY_XX.exr, beside view_YY_XX.exr".into());
     about.insert("scene_units_per_mm".into(), placement.window.scene_from_display.scale.into());
-    for (name, layer) in ViewLayer::ALL.iter().filter(|(_, layer)| has(*layer)) {
+    for (name, layer) in ExtraChannel::ALL.iter().filter(|(_, layer)| has(*layer)) {
         let [unit, meaning] = layer.about();
         about.insert((*name).into(), json!({ "channels": layer.channels(), "unit": unit, "meaning": meaning }));
     }

@@ -13,7 +13,7 @@ use crate::stage::ingest::load_scene;
 use crate::stage::{depth, place};
 
 /// Depth, coverage and memory of a scene on a display.
-pub struct Outlook {
+pub struct Prediction {
     /// The scene's depth against the display's depth of field.
     pub depth: DepthBudget,
     /// Share of the window where the middle view has a hit, 0..1.
@@ -26,15 +26,20 @@ pub struct Outlook {
 ///
 /// # Errors
 /// If the job has no scene, or its scene, display or window is wrong.
-pub fn outlook(job: &Job, registry: &Registry, task: Task<'_>) -> Result<Outlook, PipelineError> {
-    outlook_on(job, &job.resolve_display()?, registry, task)
+pub fn predict(job: &Job, registry: &Registry, task: Task<'_>) -> Result<Prediction, PipelineError> {
+    predict_on(job, &job.resolve_display()?, registry, task)
 }
 
-/// [`outlook`] with another display than the job's.
+/// [`predict`] with another display than the job's.
 ///
 /// # Errors
-/// As [`outlook`].
-pub fn outlook_on(job: &Job, display: &Display, registry: &Registry, task: Task<'_>) -> Result<Outlook, PipelineError> {
+/// As [`predict`].
+pub fn predict_on(
+    job: &Job,
+    display: &Display,
+    registry: &Registry,
+    task: Task<'_>,
+) -> Result<Prediction, PipelineError> {
     let Some(scene) = &job.scene else {
         return Err(PipelineError::job("scene", "a scene", "none"));
     };
@@ -45,7 +50,7 @@ pub fn outlook_on(job: &Job, display: &Display, registry: &Registry, task: Task<
     let traced = geometry.with_grid(geometry.grid.scaled(placement.depth_scale));
     let depths = Depths::trace(renderer, &placement.window, &traced, task)?;
     let coverage = depths.coverage(geometry.grid.views().map(|count| count / 2));
-    Ok(Outlook {
+    Ok(Prediction {
         depth: depth::budget(&depths, display, &geometry, &placement),
         coverage,
         memory: renderer.tracer.memory(),

@@ -28,14 +28,14 @@ const LEAST_SURFACE: f64 = 0.05;
 
 /// An exposure and a tone curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Look {
+pub struct ToneMapping {
     /// Factor on scene-linear radiance.
     pub exposure: f64,
     /// Curve from exposed radiance to shown values, 0..1.
     pub curve: ToneCurve,
 }
 
-impl Look {
+impl ToneMapping {
     /// Leaves radiance unchanged.
     pub const NONE: Self = Self { exposure: 1.0, curve: ToneCurve::Linear };
 
@@ -107,9 +107,9 @@ impl Look {
 }
 
 /// Chooses exposure and tone curve with the default settings of a job. `brightest` is as in
-/// [`Look::choose`].
-pub fn automatic_look(scene: &Scene, brightest: &[(f32, bool)]) -> (f64, ToneCurve) {
-    let Look { exposure, curve } = Look::choose(&LightJob::default(), scene, brightest);
+/// [`ToneMapping::choose`].
+pub fn automatic_tone_mapping(scene: &Scene, brightest: &[(f32, bool)]) -> (f64, ToneCurve) {
+    let ToneMapping { exposure, curve } = ToneMapping::choose(&LightJob::default(), scene, brightest);
     (exposure, curve)
 }
 
@@ -214,22 +214,22 @@ mod tests {
     fn highlights_are_compressed_and_everything_else_is_left_alone() {
         let job = LightJob::default();
         let mut values = vec![0.3f32; 10_000];
-        let plain = Look::choose(&job, &scene(false), &surfaces(&values));
+        let plain = ToneMapping::choose(&job, &scene(false), &surfaces(&values));
         assert_eq!(plain.curve, ToneCurve::Linear);
         values[..60].fill(40.0);
-        let highlights = Look::choose(&job, &scene(false), &surfaces(&values));
+        let highlights = ToneMapping::choose(&job, &scene(false), &surfaces(&values));
         assert_eq!(highlights.curve, ToneCurve::KhronosNeutral);
         let fixed = LightJob { automatic_exposure: false, exposure_ev: -1.0, tone: Tone::Agx, ..LightJob::default() };
-        let look = Look::choose(&fixed, &scene(false), &surfaces(&values));
-        assert_eq!(look, Look { exposure: 0.5, curve: ToneCurve::Agx });
+        let tone_mapping = ToneMapping::choose(&fixed, &scene(false), &surfaces(&values));
+        assert_eq!(tone_mapping, ToneMapping { exposure: 0.5, curve: ToneCurve::Agx });
     }
 
     #[test]
     fn unlit_surfaces_keep_their_colours() {
         let dark = surfaces(&[0.1; 1000]);
-        let look = Look::choose(&LightJob::default(), &scene(true), &dark);
-        assert_eq!(look, Look { exposure: 1.0, curve: ToneCurve::Linear });
-        assert!(Look::choose(&LightJob::default(), &scene(false), &dark).exposure > 2.0);
+        let tone_mapping = ToneMapping::choose(&LightJob::default(), &scene(true), &dark);
+        assert_eq!(tone_mapping, ToneMapping { exposure: 1.0, curve: ToneCurve::Linear });
+        assert!(ToneMapping::choose(&LightJob::default(), &scene(false), &dark).exposure > 2.0);
     }
 
     /// A diffuse point must look alike in every view, and independent of the rest of the view.
@@ -244,7 +244,7 @@ mod tests {
                 field.view_mut(view).fill(4f32.powi(number as i32));
                 field.view_mut(view)[3 * 10..][..3].copy_from_slice(&[0.7, 0.3, 0.1]);
             }
-            Look { exposure: 1.7, curve }.apply(&mut field);
+            ToneMapping { exposure: 1.7, curve }.apply(&mut field);
             let point = |view: [usize; 2]| field.view(view)[3 * 10..][..3].to_vec();
             assert!(geometry.grid.iter().all(|view| point(view) == point([0, 0])), "{curve:?}");
             assert_eq!(point([0, 0]), curve.apply([0.7, 0.3, 0.1].map(|v: f32| v * 1.7)).to_vec());
