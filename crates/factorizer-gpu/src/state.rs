@@ -172,7 +172,7 @@ impl State {
         if let Some(index) = self.submitted.take() {
             let waiting = wgpu::PollType::Wait { submission_index: Some(index), timeout: None };
             if let Err(error) = self.gpu.device.poll(waiting) {
-                self.gpu.note(error.to_string());
+                self.gpu.record(error.to_string());
             }
         }
         // submit all bands at once
