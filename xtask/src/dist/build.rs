@@ -1,5 +1,5 @@
 //! Builds programs and wheels. On Linux zig links them against an old glibc, for other processors
-//! too.
+//! too, and mingw links those for Windows.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -13,6 +13,20 @@ const GLIBC: &str = "2.17";
 /// Linker and builders, as packages for pip.
 const TOOLS: [&str; 4] = ["--only-binary=:all:", "ziglang==0.17.*", "cargo-zigbuild==0.24.*", "maturin==1.16.*"];
 
+/// The linker for Windows: its program, and Debian's package of it.
+const MINGW: [&str; 2] = ["x86_64-w64-mingw32-gcc", "gcc-mingw-w64-x86-64-posix"];
+
+/// Packages of the program and of the Python module. Both are selected for either, so that cargo
+/// resolves the same features of their dependencies and compiles those once.
+const PACKAGES: [&str; 6] = [
+    "--package",
+    "lumistack-cli",
+    "--package",
+    "lumistack-python",
+    "--features",
+    "lumistack-cli/panels,lumistack-python/panels",
+];
+
 /// A kind of machine that releases support.
 #[derive(Clone, Copy)]
 pub struct Target {
@@ -20,21 +34,20 @@ pub struct Target {
     pub triple: &'static str,
     /// Debian's name of the processor, on Linux.
     pub debian: Option<&'static str>,
-    /// Ending of the program's name.
-    pub ending: &'static str,
 }
 
-const fn target(triple: &'static str, debian: Option<&'static str>, ending: &'static str) -> Target {
-    Target { triple, debian, ending }
+const fn target(triple: &'static str, debian: Option<&'static str>) -> Target {
+    Target { triple, debian }
 }
 
-/// All targets. Linux builds those with a Debian name.
-const TARGETS: [Target; 5] = [
-    target("x86_64-unknown-linux-gnu", Some("amd64"), ""),
-    target("aarch64-unknown-linux-gnu", Some("arm64"), ""),
-    target("x86_64-apple-darwin", None, ""),
-    target("aarch64-apple-darwin", None, ""),
-    target("x86_64-pc-windows-msvc", None, ".exe"),
+/// All targets.
+const TARGETS: [Target; 6] = [
+    target("x86_64-unknown-linux-gnu", Some("amd64")),
+    target("aarch64-unknown-linux-gnu", Some("arm64")),
+    target("x86_64-pc-windows-gnu", None),
+    target("x86_64-pc-windows-msvc", None),
+    target("x86_64-apple-darwin", None),
+    target("aarch64-apple-darwin", None),
 ];
 
 impl Target {
@@ -47,13 +60,37 @@ impl Target {
     pub fn of_this_machine() -> Outcome<Vec<Self>> {
         let host = host()?;
         if host.is_linux() {
-            return Ok(TARGETS.into_iter().filter(Self::is_linux).collect());
+            return Ok(TARGETS.into_iter().filter(|target| target.is_linux() || target.is_mingw()).collect());
         }
         Ok(vec![host])
     }
 
+    /// Returns whether releases for this target are zip archives and their programs end in `.exe`.
+    pub fn is_windows(&self) -> bool {
+        self.triple.contains("windows")
+    }
+
     fn is_linux(&self) -> bool {
         self.debian.is_some()
+    }
+
+    fn is_mingw(&self) -> bool {
+        self.triple.ends_with("windows-gnu")
+    }
+
+    /// Name of the program's file.
+    pub fn program(&self) -> &'static str {
+        if self.is_windows() { "lumistack.exe" } else { "lumistack" }
+    }
+
+    /// Fetches Rust's standard library for the target, and its linker.
+    fn fetch(&self) -> Outcome {
+        tools::rust_target(self.triple)?;
+        let [linker, package] = MINGW;
+        if self.is_mingw() && !cfg!(windows) && output_of(command(linker).arg("--version")).is_none() {
+            tools::apt(&[package], "link programs for Windows")?;
+        }
+        Ok(())
     }
 }
 
@@ -89,8 +126,8 @@ fn builder(python: &Path, name: &str) -> Outcome<Command> {
 
 /// Builds the program with the windows of panels, and returns its path.
 pub fn program(target: &Target) -> Outcome<PathBuf> {
-    tools::rust_target(target.triple)?;
-    let words = ["--release", "--locked", "--package", "lumistack-cli", "--features", "panels", "--target"];
+    target.fetch()?;
+    let words = [&["--release", "--locked", "--bin", "lumistack"][..], &PACKAGES, &["--target"]].concat();
     if target.is_linux() {
         let python = builders()?;
         let triple = format!("{}.{GLIBC}", target.triple);
@@ -98,8 +135,7 @@ pub fn program(target: &Target) -> Outcome<PathBuf> {
     } else {
         run(command("cargo").arg("build").args(words).arg(target.triple))?;
     }
-    let name = format!("lumistack{}", target.ending);
-    Ok(tools::root().join("target").join(target.triple).join("release").join(name))
+    Ok(tools::root().join("target").join(target.triple).join("release").join(target.program()))
 }
 
 /// Builds the program for this machine, which writes manual pages and completions for all targets.
@@ -109,7 +145,7 @@ pub fn own_program() -> Outcome<PathBuf> {
 
 /// Builds the wheel with the licences in it, and returns its path.
 pub fn wheel(target: &Target, folder: &Path, licences: &str) -> Outcome<PathBuf> {
-    tools::rust_target(target.triple)?;
+    target.fetch()?;
     let python = builders()?;
     let out = tools::root().join("target/wheels").join(target.triple);
     let _ = std::fs::remove_dir_all(&out);

@@ -76,8 +76,19 @@ pub fn shared(program: &Path, licences: &str) -> Outcome<Vec<File>> {
 
 /// All files with the program of a target.
 pub fn with_program(shared: &[File], program: &Path, target: &Target) -> Outcome<Vec<File>> {
-    let program = File { path: format!("bin/lumistack{}", target.ending), runs: true, bytes: read(program)? };
+    let program = File { path: format!("bin/{}", target.program()), runs: true, bytes: read(program)? };
     Ok(std::iter::once(program).chain(shared.iter().cloned()).collect())
+}
+
+/// Copies the viewer's npm package with its licences into a folder, which it returns.
+pub fn viewer(licences: &str) -> Outcome<PathBuf> {
+    let folder = tools::root().join("target/npm");
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+    run(command("cp").args(["-r", "web/dist", "web/package.json", "web/README.md", "LICENSE-MIT", "LICENSE-APACHE"]).arg(&folder))?;
+    let text = folder.join("THIRD-PARTY.txt");
+    std::fs::write(&text, licences).map_err(|error| format!("{}: {error}", text.display()))?;
+    Ok(folder)
 }
 
 fn file(path: &str, bytes: Vec<u8>) -> File {

@@ -1,0 +1,20 @@
+#!/bin/sh
+# The program for Windows, in Wine. Its first job must reach the quality of this machine's program.
+. "$(dirname "$0")/common.sh"
+no_rust
+packages wine wine64 unzip
+tarball
+scenes="$HOME/.local/share/lumistack/scenes"
+installs unzip -q "$(one "lumistack-*-x86_64-pc-windows-*.zip")" -d windows
+cat > lumistack <<WINE
+#!/bin/sh
+WINEDEBUG=-all exec wine "$(echo "$WORK"/windows/*/bin/lumistack.exe)" "\$@"
+WINE
+chmod +x lumistack
+first_job ./lumistack "$scenes"
+# the results are there: these only print
+small ./lumistack "$scenes" >wine.log
+small "$HOME/.local/bin/lumistack" "$scenes" "$WORK/linux" >linux.log
+psnr() { sed -n 's/.*PSNR \([0-9.]*\).*/\1/p' "$1" | tail -n 1; }
+echo "$(psnr wine.log) $(psnr linux.log)" | awk '
+    { difference = $1 - $2; printf "PSNR %s dB in Wine, %s dB on Linux\n", $1, $2; exit !(NF == 2 && difference < 0.01 && difference > -0.01) }'
