@@ -74,7 +74,8 @@ fn debian() -> Outcome<PathBuf> {
 }
 
 /// Enters a Debian with the file systems that programs expect: `sh -c ENTER sh FOLDER PROGRAM...`
-const ENTER: &str = "mount -t proc proc \"$1/proc\"; mkdir -p \"$1/dev/shm\"; mount -t tmpfs tmpfs \"$1/dev/shm\"; exec chroot \"$@\"";
+const ENTER: &str = "mount -t proc proc \"$1/proc\"; mkdir -p \"$1/dev/shm\" \"$1/dev/pts\"; \
+     mount -t tmpfs tmpfs \"$1/dev/shm\"; mount -t devpts devpts \"$1/dev/pts\"; exec chroot \"$@\"";
 
 /// Runs a script in a copy of the Debian.
 fn in_debian(base: &Path, way: &str, dist: &Path) -> Outcome {

@@ -10,8 +10,10 @@ use super::build::Target;
 use crate::tools::{Outcome, command, output_of, root};
 
 /// The released packages, for each target; dependencies of builds and tests alone do not count.
-const RELEASED: [&[&str]; 2] =
-    [&["--package", "lumistack-cli", "--features", "panels"], &["--package", "lumistack-python", "--features", "panels"]];
+const RELEASED: [&[&str]; 2] = [
+    &["--package", "lumistack-cli", "--features", "panels"],
+    &["--package", "lumistack-python", "--features", "panels"],
+];
 
 /// The modules of pages, which the command contains as well.
 const VIEWER: &[&str] = &["--package", "lumistack-web"];
