@@ -1,7 +1,6 @@
 //! Builds programs and wheels. On Linux zig links them against an old glibc, for other processors
 //! too, and mingw links those for Windows.
 
-use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -113,28 +112,36 @@ fn builders() -> Outcome<PathBuf> {
     if has() { Ok(python) } else { Err(format!("{}: zig and maturin do not import", folder.display())) }
 }
 
-/// A program among the builders, which find each other on `PATH`.
-fn builder(python: &Path, name: &str) -> Outcome<Command> {
-    let bin = python.parent().ok_or("a Python without a folder")?;
-    let path = std::env::var_os("PATH").unwrap_or_default();
-    let folders = std::iter::once(bin.to_owned()).chain(std::env::split_paths(&path));
-    let path: OsString = std::env::join_paths(folders).map_err(|error| error.to_string())?;
-    let mut builder = command(bin.join(name));
-    builder.env("PATH", path);
-    Ok(builder)
+/// Lets cargo, or a program that starts cargo, link by zig with an old glibc.
+///
+/// The program and the Python module share one linker file. Cargo compiles every dependency again
+/// when the linker's path changes, and the wrappers of cargo-zigbuild and maturin have two paths.
+fn link_by_zig(builder: &mut Command, python: &Path, target: &Target) -> Outcome {
+    let zigbuild = python.with_file_name("cargo-zigbuild");
+    let (zigbuild, python_path) = (zigbuild.display(), python.display());
+    let machine = target.triple.split('-').next().unwrap_or_default();
+    let text = format!(
+        "#!/bin/sh\nexport CARGO_ZIGBUILD_ZIG_COMMAND='{python_path}' CARGO_ZIGBUILD_ZIG_COMMAND_ARGS='-m ziglang'\n\
+         exec '{zigbuild}' zig cc -- -g -fno-sanitize=all -target {machine}-linux-gnu.{GLIBC} \"$@\"\n"
+    );
+    let linker = python.with_file_name(format!("zigcc-{}", target.triple));
+    let failed = |error: std::io::Error| format!("{}: {error}", linker.display());
+    std::fs::write(&linker, text).map_err(failed)?;
+    run(command("chmod").arg("+x").arg(&linker))?;
+    let triple = target.triple.replace('-', "_");
+    builder.env(format!("CARGO_TARGET_{}_LINKER", triple.to_uppercase()), &linker).env(format!("CC_{triple}"), &linker);
+    Ok(())
 }
 
 /// Builds the program with the windows of panels, and returns its path.
 pub fn program(target: &Target) -> Outcome<PathBuf> {
     target.fetch()?;
     let words = [&["--release", "--locked", "--bin", "lumistack"][..], &PACKAGES, &["--target"]].concat();
+    let mut cargo = command("cargo");
     if target.is_linux() {
-        let python = builders()?;
-        let triple = format!("{}.{GLIBC}", target.triple);
-        run(builder(&python, "cargo-zigbuild")?.arg("zigbuild").args(words).arg(triple))?;
-    } else {
-        run(command("cargo").arg("build").args(words).arg(target.triple))?;
+        link_by_zig(&mut cargo, &builders()?, target)?;
     }
+    run(cargo.arg("build").args(words).arg(target.triple))?;
     Ok(tools::root().join("target").join(target.triple).join("release").join(target.program()))
 }
 
@@ -149,11 +156,12 @@ pub fn wheel(target: &Target, folder: &Path, licences: &str) -> Outcome<PathBuf>
     let python = builders()?;
     let out = tools::root().join("target/wheels").join(target.triple);
     let _ = std::fs::remove_dir_all(&out);
-    let mut maturin = builder(&python, "maturin")?;
-    maturin.args(["build", "--release", "--locked", "--features", "panels", "--interpreter", "python3.11", "--target"]);
-    maturin.arg(target.triple).arg("--out").arg(&out);
+    let mut maturin = command(python.with_file_name("maturin"));
+    maturin.args(["build", "--release", "--locked", "--features", "panels", "--target"]);
+    maturin.arg(target.triple).arg("--out").arg(&out).arg("--interpreter").arg(&python);
     if target.is_linux() {
-        maturin.args(["--zig", "--compatibility", &format!("manylinux_{}", GLIBC.replace('.', "_"))]);
+        link_by_zig(&mut maturin, &python, target)?;
+        maturin.args(["--compatibility", &format!("manylinux_{}", GLIBC.replace('.', "_"))]);
     }
     run(&mut maturin)?;
     let text = out.join("THIRD-PARTY.txt");
