@@ -58,13 +58,3 @@ first_job() {
 small() {
     "$1" run "$2/still-life/job.toml" --resolution 96x60 --views 3x3 --iterations 4 -o "${3:-$WORK/run}"
 }
-
-# checks that a program of another machine, after its first job, reaches the quality of this machine's: same_quality NAME SCENES
-same_quality() {
-    small "$HOME/.local/bin/lumistack" "$2" "$WORK/here"
-    echo "$1 $(psnr "$WORK/run") $(psnr "$WORK/here")" | awk '
-        { difference = $2 - $3; printf "PSNR %s dB in %s, %s dB on this machine\n", $2, $1, $3; exit !(NF == 3 && difference < 0.01 && difference > -0.01) }'
-}
-
-# the score of a run in decibels, of which the report has more digits than the command prints
-psnr() { sed -n 's/^ *"psnr_zone": \([0-9.]*\),$/\1/p' "$1/report.json"; }

@@ -27,11 +27,10 @@ cargo xtask dist sums
   blender   the extension of Blender, a zip for every wheel
   sbom      all parts with their licences, as CycloneDX
   test      installs the parts in a clean Debian, or into an empty prefix where there is none, and runs the first job;
-            WAY is tarball, deb, wheel, npm, blender, arm (in qemu), windows (in Wine), or pages: all commands of the first pages
+            WAY is tarball, deb, wheel, npm, blender, or pages: every command of the first pages
   sums      computes the checksums again
 
-Without a PART all parts. On Linux for x86-64 and ARM with a glibc from 2.17 on (zig links), and for Windows (mingw links);
-elsewhere for this machine.
+Without a PART all parts. On Linux for x86-64 and ARM with a glibc from 2.17 on (zig links); elsewhere for this machine.
 Every part holds the licences of all dependencies. SHA256SUMS holds the checksums of target/dist.
 ";
 

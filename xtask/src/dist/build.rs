@@ -1,5 +1,5 @@
 //! Builds programs and wheels. On Linux zig links them against an old glibc, for other processors
-//! too, and mingw links those for Windows.
+//! too.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -11,9 +11,6 @@ const GLIBC: &str = "2.17";
 
 /// Linker and builders, as packages for pip.
 const TOOLS: [&str; 4] = ["--only-binary=:all:", "ziglang==0.17.*", "cargo-zigbuild==0.24.*", "maturin==1.16.*"];
-
-/// The linker for Windows: its program, and Debian's package of it.
-const MINGW: [&str; 2] = ["x86_64-w64-mingw32-gcc", "gcc-mingw-w64-x86-64-posix"];
 
 /// Packages of the program and of the Python module. Both are selected for either, so that cargo
 /// resolves the same features of their dependencies and compiles those once.
@@ -40,10 +37,9 @@ const fn target(triple: &'static str, debian: Option<&'static str>) -> Target {
 }
 
 /// All targets.
-const TARGETS: [Target; 6] = [
+const TARGETS: [Target; 5] = [
     target("x86_64-unknown-linux-gnu", Some("amd64")),
     target("aarch64-unknown-linux-gnu", Some("arm64")),
-    target("x86_64-pc-windows-gnu", None),
     target("x86_64-pc-windows-msvc", None),
     target("x86_64-apple-darwin", None),
     target("aarch64-apple-darwin", None),
@@ -59,7 +55,7 @@ impl Target {
     pub fn of_this_machine() -> Outcome<Vec<Self>> {
         let host = host()?;
         if host.is_linux() {
-            return Ok(TARGETS.into_iter().filter(|target| target.is_linux() || target.is_mingw()).collect());
+            return Ok(TARGETS.into_iter().filter(Self::is_linux).collect());
         }
         Ok(vec![host])
     }
@@ -73,23 +69,9 @@ impl Target {
         self.debian.is_some()
     }
 
-    fn is_mingw(&self) -> bool {
-        self.triple.ends_with("windows-gnu")
-    }
-
     /// Name of the program's file.
     pub fn program(&self) -> &'static str {
         if self.is_windows() { "lumistack.exe" } else { "lumistack" }
-    }
-
-    /// Fetches Rust's standard library for the target, and its linker.
-    fn fetch(&self) -> Outcome {
-        tools::rust_target(self.triple)?;
-        let [linker, package] = MINGW;
-        if self.is_mingw() && !cfg!(windows) && output_of(command(linker).arg("--version")).is_none() {
-            tools::apt(&[package], "link programs for Windows")?;
-        }
-        Ok(())
     }
 }
 
@@ -135,7 +117,7 @@ fn link_by_zig(builder: &mut Command, python: &Path, target: &Target) -> Outcome
 
 /// Builds the program with the windows of panels, and returns its path.
 pub fn program(target: &Target) -> Outcome<PathBuf> {
-    target.fetch()?;
+    tools::rust_target(target.triple)?;
     let words = [&["--release", "--locked", "--bin", "lumistack"][..], &PACKAGES, &["--target"]].concat();
     let mut cargo = command("cargo");
     if target.is_linux() {
@@ -152,7 +134,7 @@ pub fn own_program() -> Outcome<PathBuf> {
 
 /// Builds the wheel with the licences in it, and returns its path.
 pub fn wheel(target: &Target, folder: &Path, licences: &str) -> Outcome<PathBuf> {
-    target.fetch()?;
+    tools::rust_target(target.triple)?;
     let python = builders()?;
     let out = tools::root().join("target/wheels").join(target.triple);
     let _ = std::fs::remove_dir_all(&out);

@@ -8,7 +8,7 @@ use std::time::Instant;
 use crate::tools::{self, Outcome, command, output_of, run};
 
 /// Names of the scripts in `tests/install`.
-pub const WAYS: [&str; 8] = ["tarball", "deb", "wheel", "npm", "blender", "arm", "windows", "pages"];
+pub const WAYS: [&str; 6] = ["tarball", "deb", "wheel", "npm", "blender", "pages"];
 
 /// Parts of the repository that scripts read, beside `tests/install`.
 const READ: [&str; 3] = ["docs", "scenes", "plugins/blender/tests"];
