@@ -1,6 +1,18 @@
 #!/bin/sh
-# The extension with its wheel, in the module bpy that $BLENDER_PYTHON has: `cargo xtask blender` fetches it.
+# The extension with its wheel: installed by Blender's own command in Debian's Blender, and its button pressed. Where there is no
+# Debian, in the module bpy that $BLENDER_PYTHON has: `cargo xtask blender` fetches it.
 . "$(dirname "$0")/common.sh"
-: "${BLENDER_PYTHON:?names a Python with bpy}"
 case $(uname -m) in x86_64) platform=linux_x64 ;; *) platform=linux_arm64 ;; esac
-"$BLENDER_PYTHON" "$HERE/../../plugins/blender/tests/cases.py" lifecycle,make "$(one "lumistack-blender-*-$platform.zip")" "$WORK/cases"
+zip=$(one "lumistack-blender-*-$platform.zip")
+if [ -n "${CLEAN:-}" ]; then
+    no_rust
+    packages blender python3-numpy
+    blender --version | head -n 1
+    installs blender --command extension install-file --repo user_default --enable "$zip"
+    blender --background --python-exit-code 1 --python "$HERE/press.py" -- "$WORK"
+    blender --background "$WORK/shot.blend" --command lumistack make --display "$WORK/display.toml" --iterations 1 --samples 1 --renderer lumistack -o "$WORK/command"
+    [ -s "$WORK/command/layers/stack.json" ]
+else
+    : "${BLENDER_PYTHON:?names a Python with bpy}"
+    "$BLENDER_PYTHON" "$HERE/../../plugins/blender/tests/cases.py" lifecycle,make "$zip" "$WORK/cases"
+fi

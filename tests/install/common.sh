@@ -15,26 +15,46 @@ one() {
     echo "$1"
 }
 
+# programs of the system that the user has already
 packages() {
     if [ -n "${CLEAN:-}" ]; then
-        apt-get update -q
-        DEBIAN_FRONTEND=noninteractive apt-get install -q -y --no-install-recommends "$@"
+        apt-get update -qq
+        DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends "$@" >packages.log || { cat packages.log; exit 1; }
     fi
+}
+
+# the one command that installs: run, and timed
+installs() {
+    start=$(date +%s.%N)
+    "$@"
+    echo "installed in $(echo "$start $(date +%s.%N)" | awk '{ printf "%.1f", $2 - $1 }') s: $*"
 }
 
 no_rust() {
     if command -v cargo >/dev/null; then echo "cargo is on PATH: this is no clean machine" >&2; exit 1; fi
 }
 
+# the tarball, which other ways use for its scenes
+tarball() {
+    mkdir -p "$HOME/.local"
+    installs tar xzf "$(one "lumistack-*-$(uname -m)-unknown-linux-gnu.tar.gz")" -C "$HOME/.local" --strip-components=1
+}
+
 # README's first job, small: first_job PROGRAM SCENES
 first_job() {
     "$1" --version
     "$1" doctor
-    "$1" run "$2/still-life/job.toml" --resolution 96x60 --views 3x3 --iterations 4 -o "$WORK/run"
+    small "$@"
     for file in report.html layers/stack.json outputs/tensor-display/preview/preview.html; do
         [ -s "$WORK/run/$file" ] || { echo "the run left no $file" >&2; exit 1; }
     done
     "$1" simulate "$WORK/run" --view 4,-2 -o "$WORK/view.png"
     [ -s "$WORK/view.png" ]
-    "$1" run "$2/still-life/job.toml" --resolution 96x60 --views 3x3 --iterations 4 -o "$WORK/run" | grep PSNR
+    # all results are current
+    small "$@" | grep PSNR
+}
+
+# small PROGRAM SCENES [FOLDER]
+small() {
+    "$1" run "$2/still-life/job.toml" --resolution 96x60 --views 3x3 --iterations 4 -o "${3:-$WORK/run}"
 }

@@ -4,11 +4,13 @@
 no_rust
 deb=$(one "lumistack_*_$(dpkg --print-architecture).deb")
 if [ -n "${CLEAN:-}" ]; then
-    packages "$deb"
+    apt-get update -qq
+    export DEBIAN_FRONTEND=noninteractive
+    installs apt-get install -q -y "$deb"
     first_job lumistack /usr/share/lumistack/scenes
     apt-get remove -q -y lumistack
     [ ! -e /usr/bin/lumistack ]
 else
-    dpkg-deb -x "$deb" "$HOME/root"
+    installs dpkg-deb -x "$deb" "$HOME/root"
     first_job "$HOME/root/usr/bin/lumistack" "$HOME/root/usr/share/lumistack/scenes"
 fi

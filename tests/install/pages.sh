@@ -1,10 +1,10 @@
 #!/bin/sh
 # Every command of the documentation's first pages, with the program of the tarball and the Python of the wheel.
 . "$(dirname "$0")/common.sh"
-mkdir -p "$HOME/.local"
-tar xzf "$(one "lumistack-*-$(uname -m)-unknown-linux-gnu.tar.gz")" -C "$HOME/.local" --strip-components=1
+packages python3 python3-venv python3-numpy
+tarball
 if [ -x "$HERE/../../target/python/bin/python" ]; then python="$HERE/../../target/python/bin/python"; else python=python3; fi
 "$python" -m venv --system-site-packages "$HOME/venv"
-"$HOME/venv/bin/pip" install --quiet --no-index --no-deps "$(one "lumistack-*-manylinux*_$(uname -m).whl")"
-"$HOME/venv/bin/pip" install --quiet numpy
+installs "$HOME/venv/bin/pip" install --quiet --no-index --no-deps "$(one "lumistack-*-manylinux*_$(uname -m).whl")"
+[ -n "${CLEAN:-}" ] || "$HOME/venv/bin/pip" install --quiet numpy
 PATH="$HOME/.local/bin:$PATH" "$HOME/venv/bin/python" "$HERE/pages.py" "$WORK"

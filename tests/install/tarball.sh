@@ -2,8 +2,7 @@
 # The tarball, into ~/.local.
 . "$(dirname "$0")/common.sh"
 no_rust
-mkdir -p "$HOME/.local"
-tar xzf "$(one "lumistack-*-$(uname -m)-unknown-linux-gnu.tar.gz")" -C "$HOME/.local" --strip-components=1
+tarball
 PATH="$HOME/.local/bin:$PATH"
 first_job lumistack "$HOME/.local/share/lumistack/scenes"
 lumistack new made.toml --scene "$HOME/.local/share/lumistack/scenes/still-life/still-life.gltf" --no-questions

@@ -4,9 +4,9 @@
 no_rust
 packages python3 python3-venv python3-numpy
 python3 -m venv --system-site-packages "$HOME/venv"
-"$HOME/venv/bin/pip" install --no-index --no-deps "$(one "lumistack-*-manylinux*_$(uname -m).whl")"
-tar xzf "$(one "lumistack-*-$(uname -m)-unknown-linux-gnu.tar.gz")" --strip-components=3 --wildcards '*/share/lumistack/scenes'
-first_job "$HOME/venv/bin/lumistack" "$WORK/scenes"
+installs "$HOME/venv/bin/pip" install --no-index --no-deps "$(one "lumistack-*-manylinux*_$(uname -m).whl")"
+tarball
+first_job "$HOME/venv/bin/lumistack" "$HOME/.local/share/lumistack/scenes"
 "$HOME/venv/bin/python" - "$WORK/run" <<'PYTHON'
 import sys
 
@@ -17,5 +17,5 @@ print(lumistack.__version__, lumistack.defaults()["render"]["zone_samples"])
 stack = lumistack.LayerStack.open(sys.argv[1])
 picture = numpy.asarray(stack.simulate((0.05, 0.0)))
 assert picture.shape[2] == 3 and picture.std() > 0.01, picture
-print(stack, picture.shape)
+print(stack, picture.shape, "numpy", numpy.__version__)
 PYTHON

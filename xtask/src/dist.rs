@@ -20,14 +20,14 @@ cargo xtask dist [PART...] [--target TRIPLE]...
 cargo xtask dist test [WAY...]
 cargo xtask dist sums
 
-  tarball   the program with manual pages, completions, documents and the first scene
+  tarball   the program with manual pages, completions, documents and the first scene; a zip for Windows
   deb       the same as a package of Debian's
   wheel     the Python package, for any Python from 3.11 on
   npm       the viewer for web pages
   blender   the extension of Blender, a zip for every wheel
   sbom      all parts with their licences, as CycloneDX
   test      installs the parts in a clean Debian, or into an empty prefix where there is none, and runs the first job;
-            WAY is tarball, deb, wheel, npm, blender, or pages: every command of the documentation's first pages
+            WAY is tarball, deb, wheel, npm, blender, or pages: every command of the first pages
   sums      computes the checksums again
 
 Without a PART all parts. On Linux for x86-64 and ARM with a glibc from 2.17 on (zig links); elsewhere for this machine.
@@ -76,7 +76,11 @@ fn make(parts: &[&str], mut targets: Vec<Target>) -> Outcome {
             let files = tree::with_program(&shared, &build::program(target)?, target)?;
             if wanted("tarball") {
                 let name = format!("lumistack-{VERSION}-{}", target.triple);
-                write(&dist, &format!("{name}.tar.gz"), &archive::tarball(&name, &files)?)?;
+                if target.is_windows() {
+                    write(&dist, &format!("{name}.zip"), &archive::zip(&name, &files)?)?;
+                } else {
+                    write(&dist, &format!("{name}.tar.gz"), &archive::tarball(&name, &files)?)?;
+                }
             }
             if let (true, Some(architecture)) = (wanted("deb"), target.debian) {
                 let name = format!("lumistack_{VERSION}_{architecture}.deb");
@@ -98,7 +102,8 @@ fn make(parts: &[&str], mut targets: Vec<Target>) -> Outcome {
         }
     }
     if wanted("npm") {
-        run(command("npm").args(["pack", "./web", "--pack-destination"]).arg(&dist))?;
+        let package = tree::viewer(&licences::of_viewer()?.text())?;
+        run(command("npm").args(["pack", "--pack-destination"]).arg(&dist).arg(&package))?;
     }
     if wanted("sbom") {
         let text = serde_json::to_string_pretty(&licences.sbom()).expect("JSON");

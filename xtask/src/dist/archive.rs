@@ -1,5 +1,5 @@
-//! Archives whose bytes depend on their content alone: tarballs, and Debian packages, which are an
-//! `ar` of two tarballs.
+//! Archives whose bytes depend on their content alone: tarballs, zips, and Debian packages, which
+//! are an `ar` of two tarballs.
 
 use std::collections::BTreeSet;
 use std::io::Write as _;
@@ -13,6 +13,20 @@ use crate::tools::{Outcome, command, output_of};
 pub fn tarball(folder: &str, files: &[File]) -> Outcome<Vec<u8>> {
     let entries: Vec<_> = files.iter().map(|file| (format!("{folder}/{}", file.path), file.clone())).collect();
     packed(&entries)
+}
+
+/// Makes a zip of files below one folder. Its files have no time.
+pub fn zip(folder: &str, files: &[File]) -> Outcome<Vec<u8>> {
+    let mut archive = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    for file in files {
+        let mode = if file.runs { 0o755 } else { 0o644 };
+        let options = zip::write::SimpleFileOptions::default()
+            .compression_method(zip::CompressionMethod::Deflated)
+            .unix_permissions(mode);
+        archive.start_file(format!("{folder}/{}", file.path), options).map_err(|error| format!("a zip: {error}"))?;
+        archive.write_all(&file.bytes).map_err(|error| format!("a zip: {error}"))?;
+    }
+    Ok(archive.finish().map_err(|error| format!("a zip: {error}"))?.into_inner())
 }
 
 /// Makes a Debian package for a processor, by Debian's name for it.
@@ -135,6 +149,17 @@ mod tests {
         let at = |name: &str| names.iter().position(|(known, _)| known == name).unwrap_or_else(|| panic!("{names:?}"));
         assert!(at("lumistack-1/bin/") < at("lumistack-1/bin/lumistack"));
         assert_eq!(names[at("lumistack-1/bin/lumistack")].1, 0o755);
+    }
+
+    #[test]
+    fn a_zip_has_every_file_and_the_same_bytes_again() {
+        let bytes = zip("lumistack-1", &files()).unwrap();
+        assert_eq!(bytes, zip("lumistack-1", &files()).unwrap());
+        let mut archive = zip::ZipArchive::new(std::io::Cursor::new(bytes)).unwrap();
+        assert_eq!(archive.len(), files().len());
+        let mut content = String::new();
+        archive.by_name("lumistack-1/bin/lumistack").unwrap().read_to_string(&mut content).unwrap();
+        assert_eq!(content, "program");
     }
 
     #[test]

@@ -1,7 +1,6 @@
 //! Builds programs and wheels. On Linux zig links them against an old glibc, for other processors
 //! too.
 
-use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -13,6 +12,17 @@ const GLIBC: &str = "2.17";
 /// Linker and builders, as packages for pip.
 const TOOLS: [&str; 4] = ["--only-binary=:all:", "ziglang==0.17.*", "cargo-zigbuild==0.24.*", "maturin==1.16.*"];
 
+/// Packages of the program and of the Python module. Both are selected for either, so that cargo
+/// resolves the same features of their dependencies and compiles those once.
+const PACKAGES: [&str; 6] = [
+    "--package",
+    "lumistack-cli",
+    "--package",
+    "lumistack-python",
+    "--features",
+    "lumistack-cli/panels,lumistack-python/panels",
+];
+
 /// A kind of machine that releases support.
 #[derive(Clone, Copy)]
 pub struct Target {
@@ -20,21 +30,19 @@ pub struct Target {
     pub triple: &'static str,
     /// Debian's name of the processor, on Linux.
     pub debian: Option<&'static str>,
-    /// Ending of the program's name.
-    pub ending: &'static str,
 }
 
-const fn target(triple: &'static str, debian: Option<&'static str>, ending: &'static str) -> Target {
-    Target { triple, debian, ending }
+const fn target(triple: &'static str, debian: Option<&'static str>) -> Target {
+    Target { triple, debian }
 }
 
-/// All targets. Linux builds those with a Debian name.
+/// All targets.
 const TARGETS: [Target; 5] = [
-    target("x86_64-unknown-linux-gnu", Some("amd64"), ""),
-    target("aarch64-unknown-linux-gnu", Some("arm64"), ""),
-    target("x86_64-apple-darwin", None, ""),
-    target("aarch64-apple-darwin", None, ""),
-    target("x86_64-pc-windows-msvc", None, ".exe"),
+    target("x86_64-unknown-linux-gnu", Some("amd64")),
+    target("aarch64-unknown-linux-gnu", Some("arm64")),
+    target("x86_64-pc-windows-msvc", None),
+    target("x86_64-apple-darwin", None),
+    target("aarch64-apple-darwin", None),
 ];
 
 impl Target {
@@ -52,8 +60,18 @@ impl Target {
         Ok(vec![host])
     }
 
+    /// Returns whether releases for this target are zip archives and their programs end in `.exe`.
+    pub fn is_windows(&self) -> bool {
+        self.triple.contains("windows")
+    }
+
     fn is_linux(&self) -> bool {
         self.debian.is_some()
+    }
+
+    /// Name of the program's file.
+    pub fn program(&self) -> &'static str {
+        if self.is_windows() { "lumistack.exe" } else { "lumistack" }
     }
 }
 
@@ -76,30 +94,37 @@ fn builders() -> Outcome<PathBuf> {
     if has() { Ok(python) } else { Err(format!("{}: zig and maturin do not import", folder.display())) }
 }
 
-/// A program among the builders, which find each other on `PATH`.
-fn builder(python: &Path, name: &str) -> Outcome<Command> {
-    let bin = python.parent().ok_or("a Python without a folder")?;
-    let path = std::env::var_os("PATH").unwrap_or_default();
-    let folders = std::iter::once(bin.to_owned()).chain(std::env::split_paths(&path));
-    let path: OsString = std::env::join_paths(folders).map_err(|error| error.to_string())?;
-    let mut builder = command(bin.join(name));
-    builder.env("PATH", path);
-    Ok(builder)
+/// Lets cargo, or a program that starts cargo, link by zig with an old glibc.
+///
+/// The program and the Python module share one linker file. Cargo compiles every dependency again
+/// when the linker's path changes, and the wrappers of cargo-zigbuild and maturin have two paths.
+fn link_by_zig(builder: &mut Command, python: &Path, target: &Target) -> Outcome {
+    let zigbuild = python.with_file_name("cargo-zigbuild");
+    let (zigbuild, python_path) = (zigbuild.display(), python.display());
+    let machine = target.triple.split('-').next().unwrap_or_default();
+    let text = format!(
+        "#!/bin/sh\nexport CARGO_ZIGBUILD_ZIG_COMMAND='{python_path}' CARGO_ZIGBUILD_ZIG_COMMAND_ARGS='-m ziglang'\n\
+         exec '{zigbuild}' zig cc -- -g -fno-sanitize=all -target {machine}-linux-gnu.{GLIBC} \"$@\"\n"
+    );
+    let linker = python.with_file_name(format!("zigcc-{}", target.triple));
+    let failed = |error: std::io::Error| format!("{}: {error}", linker.display());
+    std::fs::write(&linker, text).map_err(failed)?;
+    run(command("chmod").arg("+x").arg(&linker))?;
+    let triple = target.triple.replace('-', "_");
+    builder.env(format!("CARGO_TARGET_{}_LINKER", triple.to_uppercase()), &linker).env(format!("CC_{triple}"), &linker);
+    Ok(())
 }
 
 /// Builds the program with the windows of panels, and returns its path.
 pub fn program(target: &Target) -> Outcome<PathBuf> {
     tools::rust_target(target.triple)?;
-    let words = ["--release", "--locked", "--package", "lumistack-cli", "--features", "panels", "--target"];
+    let words = [&["--release", "--locked", "--bin", "lumistack"][..], &PACKAGES, &["--target"]].concat();
+    let mut cargo = command("cargo");
     if target.is_linux() {
-        let python = builders()?;
-        let triple = format!("{}.{GLIBC}", target.triple);
-        run(builder(&python, "cargo-zigbuild")?.arg("zigbuild").args(words).arg(triple))?;
-    } else {
-        run(command("cargo").arg("build").args(words).arg(target.triple))?;
+        link_by_zig(&mut cargo, &builders()?, target)?;
     }
-    let name = format!("lumistack{}", target.ending);
-    Ok(tools::root().join("target").join(target.triple).join("release").join(name))
+    run(cargo.arg("build").args(words).arg(target.triple))?;
+    Ok(tools::root().join("target").join(target.triple).join("release").join(target.program()))
 }
 
 /// Builds the program for this machine, which writes manual pages and completions for all targets.
@@ -113,11 +138,12 @@ pub fn wheel(target: &Target, folder: &Path, licences: &str) -> Outcome<PathBuf>
     let python = builders()?;
     let out = tools::root().join("target/wheels").join(target.triple);
     let _ = std::fs::remove_dir_all(&out);
-    let mut maturin = builder(&python, "maturin")?;
-    maturin.args(["build", "--release", "--locked", "--features", "panels", "--interpreter", "python3.11", "--target"]);
-    maturin.arg(target.triple).arg("--out").arg(&out);
+    let mut maturin = command(python.with_file_name("maturin"));
+    maturin.args(["build", "--release", "--locked", "--features", "panels", "--target"]);
+    maturin.arg(target.triple).arg("--out").arg(&out).arg("--interpreter").arg(&python);
     if target.is_linux() {
-        maturin.args(["--zig", "--compatibility", &format!("manylinux_{}", GLIBC.replace('.', "_"))]);
+        link_by_zig(&mut maturin, &python, target)?;
+        maturin.args(["--compatibility", &format!("manylinux_{}", GLIBC.replace('.', "_"))]);
     }
     run(&mut maturin)?;
     let text = out.join("THIRD-PARTY.txt");

@@ -10,6 +10,9 @@ use crate::tools::{self, Outcome, command, output_of, run};
 /// Names of the scripts in `tests/install`.
 pub const WAYS: [&str; 6] = ["tarball", "deb", "wheel", "npm", "blender", "pages"];
 
+/// Parts of the repository that scripts read, beside `tests/install`.
+const READ: [&str; 3] = ["docs", "scenes", "plugins/blender/tests"];
+
 /// Runs the scripts of some ways on the files in `dist`; without ways all of them.
 pub fn test(ways: &[&str], dist: &Path) -> Outcome {
     let clean = debian().map_err(|why| println!("no clean Debian ({why}): into an empty prefix instead")).ok();
@@ -18,11 +21,9 @@ pub fn test(ways: &[&str], dist: &Path) -> Outcome {
     for way in WAYS.into_iter().filter(|way| ways.is_empty() || ways.contains(way)) {
         println!("\n=== {way}");
         let start = Instant::now();
-        // the extension needs a Blender newer than Debian's, which the module bpy is; pages need
-        // the repository
         let result = match &clean {
-            Some(base) if way != "blender" && way != "pages" => in_debian(base, way, dist),
-            _ => in_prefix(way, dist),
+            Some(base) => in_debian(base, way, dist),
+            None => in_prefix(way, dist),
         };
         times.push((way, start.elapsed().as_secs_f64()));
         if let Err(error) = result {
@@ -39,14 +40,24 @@ fn folder() -> PathBuf {
     tools::root().join("target/install")
 }
 
+/// A program that runs in its own mounts and processes. Those that it leaves end with it.
+fn apart() -> Command {
+    let mut unshare = command("unshare");
+    unshare.args(["--mount", "--pid", "--fork", "--kill-child"]);
+    unshare
+}
+
 /// A fresh Debian stable, made once.
 fn debian() -> Outcome<PathBuf> {
+    if output_of(command("id").arg("-u")).is_none_or(|id| id.trim() != "0") {
+        return Err("only root can make one".into());
+    }
+    if output_of(apart().arg("true")).is_none() {
+        return Err("this machine allows no mounts".into());
+    }
     let base = folder().join("debian-stable");
     if base.join("usr/bin/apt-get").is_file() {
         return Ok(base);
-    }
-    if output_of(command("id").arg("-u")).is_none_or(|id| id.trim() != "0") {
-        return Err("only root can make one".into());
     }
     if output_of(command("debootstrap").arg("--version")).is_none() {
         tools::apt(&["debootstrap"], "make a clean Debian")?;
@@ -62,18 +73,25 @@ fn debian() -> Outcome<PathBuf> {
     Ok(base)
 }
 
+/// Enters a Debian with the file systems that programs expect: `sh -c ENTER sh FOLDER PROGRAM...`
+const ENTER: &str = "mount -t proc proc \"$1/proc\"; mkdir -p \"$1/dev/shm\" \"$1/dev/pts\"; \
+     mount -t tmpfs tmpfs \"$1/dev/shm\"; mount -t devpts devpts \"$1/dev/pts\"; exec chroot \"$@\"";
+
 /// Runs a script in a copy of the Debian.
 fn in_debian(base: &Path, way: &str, dist: &Path) -> Outcome {
     let place = folder().join(way);
     let _ = std::fs::remove_dir_all(&place);
     run(command("cp").args(["-a", "--reflink=auto"]).arg(base).arg(&place))?;
     run(command("cp").arg("-r").arg(dist).arg(place.join("dist")))?;
-    run(command("cp").arg("-r").arg("tests/install").arg(place.join("install")))?;
+    let repository = place.join("repository");
+    std::fs::create_dir(&repository).map_err(|error| format!("{}: {error}", repository.display()))?;
+    run(command("cp").args(["-r", "--parents", "tests/install"]).args(READ).arg(&repository))?;
     run(command("cp").arg("-L").arg("/etc/resolv.conf").arg(place.join("etc/resolv.conf")))?;
-    let mut script = command("chroot");
-    script.arg(&place).args(["/usr/bin/env", "-i", "HOME=/root", "LANG=C.UTF-8", "CLEAN=1", "DIST=/dist"]);
+    let mut script = apart();
+    script.args(["sh", "-euc", ENTER, "sh"]).arg(&place);
+    script.args(["/usr/bin/env", "-i", "HOME=/root", "LANG=C.UTF-8", "CLEAN=1", "DIST=/dist"]);
     script.arg("PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin");
-    let result = run(script.args(["sh", &format!("/install/{way}.sh")]));
+    let result = run(script.args(["sh", &format!("/repository/tests/install/{way}.sh")]));
     if result.is_ok() {
         let _ = std::fs::remove_dir_all(&place);
     }

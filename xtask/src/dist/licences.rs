@@ -9,9 +9,16 @@ use serde_json::{Value, json};
 use super::build::Target;
 use crate::tools::{Outcome, command, output_of, root};
 
-/// The released packages; dependencies of builds and tests alone do not count.
-const RELEASED: [[&str; 4]; 2] =
-    [["--package", "lumistack-cli", "--features", "panels"], ["--package", "lumistack-python", "--features", "panels"]];
+/// The released packages, for each target; dependencies of builds and tests alone do not count.
+const RELEASED: [&[&str]; 2] = [
+    &["--package", "lumistack-cli", "--features", "panels"],
+    &["--package", "lumistack-python", "--features", "panels"],
+];
+
+/// The modules of pages, which the command contains as well.
+const VIEWER: &[&str] = &["--package", "lumistack-web"];
+const PAGES: [&[&str]; 2] = [VIEWER, &["--package", "lumistack-web-solver"]];
+const WASM: &str = "wasm32-unknown-unknown";
 
 /// A Rust package in the program.
 struct Part {
@@ -27,12 +34,22 @@ struct Part {
     uses: BTreeSet<String>,
 }
 
-/// All parts, by name and version.
+/// Parts, by name and version.
 pub struct Licences(BTreeMap<String, Part>);
 
-/// Collects the parts of programs and modules for some targets, by cargo.
+/// Collects all parts of programs and modules for some targets, by cargo.
 pub fn collect(targets: &[Target]) -> Outcome<Licences> {
-    let ids = targets.iter().map(in_target).collect::<Outcome<Vec<_>>>()?.concat();
+    let of_targets = targets.iter().flat_map(|target| RELEASED.map(|words| (words, target.triple)));
+    described(of_targets.chain(PAGES.map(|words| (words, WASM))).map(in_target).collect::<Outcome<Vec<_>>>()?.concat())
+}
+
+/// Collects the parts of the viewer's module.
+pub fn of_viewer() -> Outcome<Licences> {
+    described(in_target((VIEWER, WASM))?)
+}
+
+/// Adds what cargo knows of the parts.
+fn described(ids: Vec<String>) -> Outcome<Licences> {
     // cargo names the packages; their checksums are in the lock file.
     let said = output_of(command("cargo").args(["metadata", "--format-version", "1", "--locked"]));
     let metadata: Value =
@@ -71,27 +88,16 @@ pub fn collect(targets: &[Target]) -> Outcome<Licences> {
     licences.check().map(|()| licences)
 }
 
-/// `name version` of all parts of programs and modules for a target.
-fn in_target(target: &Target) -> Outcome<Vec<String>> {
-    let mut ids = Vec::new();
-    for words in RELEASED {
-        let mut tree = command("cargo");
-        tree.arg("tree").args(words).args([
-            "--locked",
-            "--edges",
-            "normal",
-            "--prefix",
-            "none",
-            "--target",
-            target.triple,
-        ]);
-        let said = output_of(&mut tree).ok_or("cargo tree failed")?;
-        ids.extend(said.lines().filter_map(|line| {
-            let (name, rest) = line.split_once(" v")?;
-            Some(format!("{name} {}", rest.split(' ').next()?))
-        }));
-    }
-    Ok(ids)
+/// `name version` of all parts of a selection of packages for a target.
+fn in_target((words, triple): (&[&str], &str)) -> Outcome<Vec<String>> {
+    let mut tree = command("cargo");
+    tree.arg("tree").args(words).args(["--locked", "--edges", "normal", "--prefix", "none", "--target", triple]);
+    let said = output_of(&mut tree).ok_or("cargo tree failed")?;
+    let ids = said.lines().filter_map(|line| {
+        let (name, rest) = line.split_once(" v")?;
+        Some(format!("{name} {}", rest.split(' ').next()?))
+    });
+    Ok(ids.collect())
 }
 
 /// Checksums of a lock file, by `name version`.

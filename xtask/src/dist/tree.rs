@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use super::build::Target;
-use crate::tools::{self, Outcome, command, run};
+use crate::tools::{self, Outcome, command, output_of, run};
 
 /// A file of an installation; its path begins below the prefix, such as `bin/lumistack`.
 #[derive(Clone)]
@@ -28,12 +28,14 @@ const COMPLETIONS: [(&str, &str); 3] = [
 const DOCUMENTS: &str = "share/doc/lumistack";
 
 /// Files of the repository, and their folder in an installation.
-const COPIED: [(&str, &str); 9] = [
+const COPIED: [(&str, &str); 11] = [
     ("README.md", DOCUMENTS),
     ("CHANGELOG.md", DOCUMENTS),
     ("LICENSE-MIT", DOCUMENTS),
     ("LICENSE-APACHE", DOCUMENTS),
     ("docs", DOCUMENTS),
+    ("docs/start", DOCUMENTS),
+    ("docs/design", DOCUMENTS),
     ("docs/plugins", DOCUMENTS),
     ("docs/schema", DOCUMENTS),
     ("scenes/still-life", "share/lumistack"),
@@ -42,7 +44,7 @@ const COPIED: [(&str, &str); 9] = [
 ];
 
 /// Endings of the files that are copied from folders.
-const ENDINGS: [&str; 7] = [".md", ".jpg", ".json", ".toml", ".gltf", ".bin", ".hdr"];
+const ENDINGS: [&str; 9] = [".md", ".jpg", ".png", ".svg", ".json", ".toml", ".gltf", ".bin", ".hdr"];
 
 /// All files but the program, which writes some of them.
 pub fn shared(program: &Path, licences: &str) -> Outcome<Vec<File>> {
@@ -54,9 +56,9 @@ pub fn shared(program: &Path, licences: &str) -> Outcome<Vec<File>> {
         files.push(file(&format!("share/man/man1/{}", name_of(&page)), read(&page)?));
     }
     for (shell, place) in COMPLETIONS {
-        let said = command(program).args(["completions", shell]).output();
-        let said = said.map_err(|error| format!("{}: {error}", program.display()))?;
-        files.push(file(place, said.stdout));
+        let said = output_of(command(program).args(["completions", shell]));
+        let said = said.ok_or_else(|| format!("`{} completions {shell}` failed", program.display()))?;
+        files.push(file(place, said.into_bytes()));
     }
     for (from, to) in COPIED {
         let path = tools::root().join(from);
@@ -76,8 +78,21 @@ pub fn shared(program: &Path, licences: &str) -> Outcome<Vec<File>> {
 
 /// All files with the program of a target.
 pub fn with_program(shared: &[File], program: &Path, target: &Target) -> Outcome<Vec<File>> {
-    let program = File { path: format!("bin/lumistack{}", target.ending), runs: true, bytes: read(program)? };
+    let program = File { path: format!("bin/{}", target.program()), runs: true, bytes: read(program)? };
     Ok(std::iter::once(program).chain(shared.iter().cloned()).collect())
+}
+
+/// Copies the viewer's npm package with its licences into a folder, which it returns.
+pub fn viewer(licences: &str) -> Outcome<PathBuf> {
+    let folder = tools::root().join("target/npm");
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+    run(command("cp")
+        .args(["-r", "web/dist", "web/package.json", "web/README.md", "LICENSE-MIT", "LICENSE-APACHE"])
+        .arg(&folder))?;
+    let text = folder.join("THIRD-PARTY.txt");
+    std::fs::write(&text, licences).map_err(|error| format!("{}: {error}", text.display()))?;
+    Ok(folder)
 }
 
 fn file(path: &str, bytes: Vec<u8>) -> File {
