@@ -15,9 +15,8 @@ use std::path::{Path, PathBuf};
 use lumistack_core::{Task, Tensor};
 use lumistack_display::FieldGeometry;
 use lumistack_pathtracer::denoise::{self, Estimate, NoisyView, SharedLight, ViewFigures, Window as Around};
-use lumistack_pathtracer::{Checks, Renderer, Settings, SplitView};
+use lumistack_pathtracer::{Checks, Settings, SplitView};
 use lumistack_report::{DenoisedView, Denoising};
-use lumistack_scene::Window;
 use lumistack_shot::Look;
 
 use self::oidn::Oidn;
@@ -35,8 +34,6 @@ pub fn oidn_version() -> Result<String, PipelineError> {
     Oidn::find().map(|oidn| oidn.version)
 }
 
-/// Rays per pixel that the guides are averaged over.
-pub(crate) const FEATURE_SAMPLES: u32 = 16;
 /// Paths of each render of a checked pixel, over those of a pixel of the views.
 const CHECK_FACTOR: u32 = 2;
 /// Views whose pixels are checked, at most: all over the zone, and enough to judge a filter by.
@@ -70,7 +67,7 @@ pub(crate) fn run(shot: Shot<'_>, fields: &[FieldJob], task: Task<'_>) -> Result
     for field in fields {
         if !is_finished(field, kind) {
             cached = false;
-            filter(field, kind, &shot.ingested.renderer(task)?.tracer, shot.window(), task)?;
+            filter(field, shot, task)?;
         }
     }
     Ok(cached)
@@ -88,19 +85,14 @@ pub(crate) fn is_finished(field: &FieldJob, kind: Denoise) -> bool {
 ///
 /// # Errors
 /// When cancelled, when a file cannot be written, or when Open Image Denoise is asked for and fails.
-fn filter(
-    field: &FieldJob,
-    kind: Denoise,
-    renderer: &Renderer,
-    window: &Window,
-    task: Task<'_>,
-) -> Result<(), PipelineError> {
+fn filter(field: &FieldJob, shot: Shot<'_>, task: Task<'_>) -> Result<(), PipelineError> {
+    let (kind, window, renderer) = (shot.denoise(), shot.window(), &shot.ingested.renderer(task)?.tracer);
     let geometry = &field.traced;
     let folder = field.finished(kind);
     std::fs::create_dir_all(&folder).map_err(PipelineError::write(&folder))?;
     let filtered = match kind {
         Denoise::Shared => shared(field, task)?,
-        _ => by_guides(field, kind, renderer, window, &folder, task)?,
+        _ => by_guides(field, shot, &folder, task)?,
     };
     let settings = field.seeded(&[]);
     let of_checks = Settings { samples: (CHECK_FACTOR * settings.samples).min(MOST_SAMPLES), ..settings };
@@ -173,17 +165,14 @@ fn split(field: &FieldJob, view: [usize; 2]) -> Result<SplitView, PipelineError>
 /// Filters two halves of every view, guided by what they show.
 fn by_guides<'a>(
     field: &FieldJob,
-    kind: Denoise,
-    renderer: &Renderer,
-    window: &Window,
+    shot: Shot<'_>,
     folder: &Path,
     task: Task<'_>,
 ) -> Result<Filtered<'a>, PipelineError> {
-    let (geometry, settings) = (&field.traced, field.seeded(&[]));
+    let geometry = &field.traced;
     let noisy = |view| -> Result<NoisyView, PipelineError> {
-        let features = renderer.render_features(window, geometry, view, FEATURE_SAMPLES, settings.angular_filter, task);
         let halves = [half(field, view, 0)?, half(field, view, 1)?];
-        let noisy = NoisyView { halves, features: features.map_err(render_error)? };
+        let noisy = NoisyView { halves, features: field.guides(view, shot, task)? };
         task.progress.advance(1, "");
         Ok(noisy)
     };
@@ -192,7 +181,7 @@ fn by_guides<'a>(
     let views: Result<Vec<NoisyView>, _> = geometry.grid.iter().map(noisy).collect();
     task.progress.end();
     let views = views?;
-    let filtered = run_filter(kind, geometry, &views, folder, task)?;
+    let filtered = run_filter(shot.denoise(), geometry, &views, folder, task)?;
     Ok(Box::new(move |number, _| Ok([views[number].mean(), filtered[number].clone()])))
 }
 
