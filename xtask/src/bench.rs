@@ -40,7 +40,8 @@ cargo xtask bench [what]
       --no-peers     our own figures alone
   big [scene.gltf]      a scene of 1,100 copies, 100 million triangles with FlightHelmet, in the memory of one
   field [scene.gltf]    light fields with the light that views share averaged, beside the same views one by one: processor time at equal
-                squared error, bias included; 5×5 and 13×13 views over 20°, a quilt's 45, many copies. Scenes as for `render` (some minutes)
+                squared error, bias included; 5×5 and 13×13 views over 20°, a quilt's 45, many copies. Then both filters beside
+                views alone in equal time, with 4, 16 and 64 samples. Scenes as for `render` (some ten minutes)
   splats        13×13 views of a million Gaussian splats: all together, one by one, and by a naive renderer (some minutes); then
                 views beside Mitsuba's, which traces rays through the same Gaussians
       --agreement    those views alone

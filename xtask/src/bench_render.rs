@@ -95,7 +95,7 @@ pub fn big(options: &[&str]) -> Option<Outcome> {
 const FIELDS: [[&str; 3]; 3] = [["5x5", "20", "16"], ["13x13", "20", "2"], ["1x45", "35", "4"]];
 
 /// Renders light fields view by view and with shared light: diffuse surfaces, the files' own
-/// materials, and many copies.
+/// materials, and many copies. Then views with filters beside views alone, in equal time.
 pub fn field(options: &[&str]) -> Option<Outcome> {
     let mut scenes: Vec<String> = options.iter().map(|scene| absolute(scene)).collect();
     if options.iter().any(|word| word.starts_with("--")) {
@@ -104,11 +104,8 @@ pub fn field(options: &[&str]) -> Option<Outcome> {
     if scenes.is_empty() {
         scenes = default_scenes();
     }
-    println!(
-        "\n| scene | views, zone | samples | light | CPU s | squared error | worst view | bias in it | times less time |"
-    );
-    println!("|---|---|---|---|---|---|---|---|---|");
     let run = || -> Outcome {
+        head("times less time");
         for scene in &scenes {
             for (number, [views, fov, samples]) in FIELDS.into_iter().enumerate() {
                 let words = ["field", scene, "--views", views, "--fov", fov, "--samples", samples, "--size", "210x131"];
@@ -122,9 +119,24 @@ pub fn field(options: &[&str]) -> Option<Outcome> {
                 }
             }
         }
+        head("times less error in equal time");
+        for scene in &scenes {
+            for materials in [&[][..], &["--own-materials".to_owned()]] {
+                let words = ["filters", scene, "--views", "5x5", "--fov", "20", "--size", "140x88"].map(str::to_owned);
+                example("lumistack-pathtracer", "bench_render", &[&words, materials].concat())?;
+            }
+        }
         Ok(())
     };
     Some(run())
+}
+
+/// Prints the head of a table of light fields, whose last column has this name.
+fn head(last: &str) {
+    println!(
+        "\n| scene | views, zone | samples | light | CPU s | squared error | worst view | bias in it | mean | {last} |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|---|");
 }
 
 fn default_scenes() -> Vec<String> {

@@ -3,7 +3,6 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::Vec3;
-use lumistack_core::Tensor;
 use lumistack_core::colour::luminance;
 
 use crate::settings::Settings;
@@ -33,14 +32,17 @@ impl Clamped {
         kept
     }
 
-    /// The warning about a view; `None` when nothing was removed.
-    pub(crate) fn message(&self, settings: &Settings, radiance: &Tensor<3>) -> Option<String> {
+    /// The warning about a view, given the radiance of its pixels; `None` when nothing was removed.
+    pub(crate) fn message(
+        &self,
+        settings: &Settings,
+        pixels: impl ExactSizeIterator<Item = [f32; 3]>,
+    ) -> Option<String> {
         let samples = self.samples.load(Ordering::Relaxed);
         let limit = settings.clamp.filter(|_| samples > 0)?;
         let removed = self.removed.load(Ordering::Relaxed) as f64 / PARTS * f64::from(limit);
-        let pixels = radiance.data().chunks_exact(3);
         let all = pixels.len() as f64 * f64::from(settings.samples);
-        let kept: f64 = pixels.map(|rgb| f64::from(luminance([rgb[0], rgb[1], rgb[2]]))).sum();
+        let kept: f64 = pixels.map(|rgb| f64::from(luminance(rgb))).sum();
         let kept = kept * f64::from(settings.samples);
         Some(format!(
             "{samples} of {all} samples are dimmed to the limit {limit}, which removes {:.3} % of the light",

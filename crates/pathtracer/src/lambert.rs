@@ -36,6 +36,12 @@ impl Lambert {
         self.albedo
     }
 
+    /// Its shading normal on the viewer's side.
+    #[inline]
+    pub(crate) fn normal(&self) -> Vec3 {
+        self.normals.mapped
+    }
+
     /// The same point with another horizon than that of the geometric normal.
     #[inline]
     pub(crate) fn above(&self, horizon: Vec3) -> Self {

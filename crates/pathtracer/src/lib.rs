@@ -40,7 +40,7 @@ mod shading;
 mod texture;
 mod tracer;
 
-pub use renderer::{Checks, Feature, Features, Memory, RenderError, Renderer, SplitView};
+pub use renderer::{Checks, Feature, Features, GuidedSplit, GuidedView, Memory, RenderError, Renderer, SplitView};
 pub use settings::{AngularFilter, Settings, SettingsError};
 
 /// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that

@@ -11,30 +11,32 @@ use lumistack_scene::{Image, Mesh, Pixels, Scene, Window};
 use rayon::prelude::*;
 use thiserror::Error;
 
-use crate::bvh::{self, Bvh, Stack};
+use crate::bvh::{self, BEAM, Bvh, Stack};
 use crate::clamp::Clamped;
 use crate::geometry::{self, Geometry, Sharing};
 use crate::light::Lights;
 use crate::primary::PrimaryRays;
 use crate::settings::{AngularFilter, Settings, SettingsError};
 use crate::shading::Materials;
-use crate::tracer::{Tracer, traits};
+use crate::tracer::{First, Tracer, traits};
 
 mod beams;
 mod checks;
 mod depth;
 mod features;
+mod first;
 mod misses;
 mod split;
 
-use beams::ViewSamples;
+use beams::{ViewSamples, place_in_pixel};
 #[cfg(test)]
 pub(crate) use checks::Check;
 pub use checks::Checks;
 #[cfg(test)]
 pub(crate) use features::FEATURES;
-pub use features::{Feature, Features};
-pub use split::SplitView;
+pub use features::{Feature, Features, GuidedView};
+use first::{DisplayAxes, FirstSums};
+pub use split::{GuidedSplit, SplitView};
 
 /// Edge of a tile in pixels: the unit of work and of progress.
 const TILE: usize = 16;
@@ -240,7 +242,8 @@ impl Renderer {
         settings: &Settings,
         task: Task<'_>,
     ) -> Result<Tensor<3>, RenderError> {
-        self.view_of(window, geometry, view, settings, task, |pixel| pixel.mean.to_array())
+        let mean = |pixel: &PixelMean, _: &FirstSums| pixel.mean.to_array();
+        self.view_of::<false, 3>(window, geometry, view, settings, task, mean, rgb)
     }
 
     /// [`render_view`](Self::render_view), and the variance of every mean, `[row][col][rgb]`: the
@@ -257,38 +260,36 @@ impl Renderer {
         settings: &Settings,
         task: Task<'_>,
     ) -> Result<(Tensor<3>, Tensor<3>), RenderError> {
-        let both = self.view_of(window, geometry, view, settings, task, |pixel| {
+        let both = |pixel: &PixelMean, _: &FirstSums| {
             let ([r, g, b], [x, y, z]) = (pixel.mean.to_array(), pixel.variance.to_array());
             [r, g, b, x, y, z]
-        })?;
-        let part = |first: usize| {
-            let mut part = Tensor::zeros(["row", "col", "rgb"], [geometry.rows, geometry.cols, 3]);
-            for (to, from) in part.data_mut().chunks_exact_mut(3).zip(both.data().chunks_exact(6)) {
-                to.copy_from_slice(&from[first..first + 3]);
-            }
-            part
         };
-        Ok((part(0), part(3)))
+        let both = self.view_of::<false, 6>(window, geometry, view, settings, task, both, rgb)?;
+        let [radiance, variance] = ranges(&both, [("rgb", 3); 2]);
+        Ok((radiance, variance))
     }
 
-    /// `K` values of every pixel of a view, `[row][col][k]`; the first three are the radiance.
-    fn view_of<const K: usize>(
+    /// `K` values of every pixel of a view, `[row][col][k]`, from which `radiance` takes their
+    /// radiance; with `FIRST` also from the first surfaces of its paths.
+    fn view_of<const FIRST: bool, const K: usize>(
         &self,
         window: &Window,
         geometry: &FieldGeometry,
         view: [usize; 2],
         settings: &Settings,
         task: Task<'_>,
-        values: impl Fn(&PixelMean) -> [f32; K] + Sync,
+        values: impl Fn(&PixelMean, &FirstSums) -> [f32; K] + Sync,
+        radiance: fn(&[f32]) -> [f32; 3],
     ) -> Result<Tensor<3>, RenderError> {
         let samples = self.samples_of(window, geometry, view, settings)?;
         let (lost, clamped) = (AtomicU64::new(0), Clamped::default());
-        let radiance = self.by_tiles(geometry, task, ["row", "col", "rgb"], |row, col, stack| {
-            let pixel = self.pixel(&samples, [row, col], samples.pixel_seed(row, col), settings, &clamped, stack);
+        let filled = self.by_tiles(geometry, task, ["row", "col", "rgb"], |row, col, stack| {
+            let seed = samples.pixel_seed(row, col);
+            let (pixel, first) = self.pixel::<FIRST>(&samples, [row, col], seed, settings, &clamped, stack);
             if pixel.not_finite > 0 {
                 lost.fetch_add(u64::from(pixel.not_finite), Ordering::Relaxed);
             }
-            values(&pixel)
+            values(&pixel, &first)
         })?;
         let lost = lost.into_inner();
         if lost > 0 {
@@ -298,10 +299,10 @@ impl Renderer {
                 format!("{lost} of {all} samples are not finite numbers and are left out"),
             );
         }
-        if let Some(message) = clamped.message(settings, &radiance) {
+        if let Some(message) = clamped.message(settings, filled.data().chunks_exact(K).map(radiance)) {
             task.warn(format!("view {},{}", view[0], view[1]), message);
         }
-        Ok(radiance)
+        Ok(filled)
     }
 
     /// 1 for every pixel whose central ray hits a surface, else 0: `[row][col]`. Does not advance
@@ -376,7 +377,7 @@ impl Renderer {
     ) -> Result<ViewSamples<'a>, RenderError> {
         settings.check()?;
         let rays = self.primary_rays(window, geometry, view, settings.angular_filter)?;
-        Ok(ViewSamples::new(rays, view, settings))
+        Ok(ViewSamples::new(rays, DisplayAxes::new(window, self.geometry.space), view, settings))
     }
 
     fn tracer(&self) -> Tracer<'_> {
@@ -390,8 +391,8 @@ impl Renderer {
         }
     }
 
-    /// Renders a pixel.
-    fn pixel(
+    /// Renders a pixel; with `FIRST` also adds up the first surfaces of its paths.
+    fn pixel<const FIRST: bool>(
         &self,
         samples: &ViewSamples<'_>,
         at: [usize; 2],
@@ -399,16 +400,34 @@ impl Renderer {
         settings: &Settings,
         clamped: &Clamped,
         stack: &mut Stack,
-    ) -> PixelMean {
+    ) -> (PixelMean, FirstSums) {
         let tracer = self.tracer();
         // sums in double precision, since their difference gives the variance
         let (mut sum, mut squares) = ([0.0f64; 3], [0.0f64; 3]);
         let mut not_finite = 0;
+        let mut sums = FirstSums::default();
         samples.for_each_beam(at, pixel_seed, |beam, rays, draws| {
-            let radiance = tracer.radiance(beam, rays.cone, rays.in_bounds, settings, draws, stack);
-            for &sample in &radiance[..beam.len()] {
-                let sample = settings.clamp.map_or(sample, |limit| clamped.dim(sample, limit));
+            let mut first = [First::default(); BEAM];
+            let radiance = tracer.radiance::<FIRST>(
+                beam,
+                rays.cone,
+                rays.in_bounds,
+                settings,
+                draws,
+                stack,
+                if FIRST { &mut first } else { &mut [] },
+            );
+            for (index, &traced) in radiance[..beam.len()].iter().enumerate() {
+                let sample = settings.clamp.map_or(traced, |limit| clamped.dim(traced, limit));
+                if FIRST {
+                    sums.add(&first[index], place_in_pixel(draws, index), &samples.axes);
+                }
                 if sample.is_finite() {
+                    if FIRST {
+                        // a limit dims both parts alike
+                        let kept = if sample == traced { 1.0 } else { sample.max_element() / traced.max_element() };
+                        sums.add_diffuse(kept * first[index].diffuse);
+                    }
                     for (c, value) in sample.to_array().map(f64::from).into_iter().enumerate() {
                         sum[c] += value;
                         squares[c] += value * value;
@@ -425,11 +444,12 @@ impl Renderer {
             // rounding may leave a little less than nothing of equal samples
             _ => ((squares[c] - sum[c] * sum[c] / count).max(0.0) / (count * (count - 1.0))) as f32,
         };
-        PixelMean {
+        let pixel = PixelMean {
             mean: Vec3::from_array(sum.map(|s| (s / count) as f32)),
             variance: Vec3::from_array([0, 1, 2].map(variance)),
             not_finite,
-        }
+        };
+        (pixel, if FIRST { sums.turned(&samples.axes) } else { sums })
     }
 
     /// Fills `[row][col][k]` tile by tile. Values depend only on the pixel, so threads do not
@@ -465,6 +485,25 @@ impl Renderer {
         }
         Ok(image)
     }
+}
+
+/// Radiance of values that begin with it.
+fn rgb(values: &[f32]) -> [f32; 3] {
+    [values[0], values[1], values[2]]
+}
+
+/// Values of pixels, `[row][col][k]`, in ranges that follow one another: name and length of each.
+fn ranges<const N: usize>(values: &Tensor<3>, lengths: [(&'static str, usize); N]) -> [Tensor<3>; N] {
+    let [rows, cols, all] = values.shape();
+    let mut first = 0;
+    lengths.map(|(name, length)| {
+        let mut range = Tensor::zeros(["row", "col", name], [rows, cols, length]);
+        for (to, from) in range.data_mut().chunks_exact_mut(length).zip(values.data().chunks_exact(all)) {
+            to.copy_from_slice(&from[first..first + length]);
+        }
+        first += length;
+        range
+    })
 }
 
 fn scene_bytes(scene: &Scene) -> usize {

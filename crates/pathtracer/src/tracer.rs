@@ -58,6 +58,8 @@ const WAVE_PAIR: u64 = ALPHA_PAIRS - 1;
 const MOST_SURVIVAL: f32 = 0.95;
 /// Footprints widen by this share of the distance after a scattering lobe of α = 1.
 const SCATTER_SPREAD: f32 = 0.1;
+/// Reflectance of a dielectric at normal incidence, about.
+const DIELECTRIC_SHARE: f32 = 0.04;
 
 /// Footprint of a ray: `width + spread · t`, in render space (Akenine-Möller et al. 2019, "Texture
 /// level of detail strategies").
@@ -121,7 +123,7 @@ struct Path {
     inside: Option<usize>,
     /// Wavelength of a path that has entered dispersing glass.
     wave_nm: Option<f32>,
-    /// With `SPLIT`, the share of the incident light that the first surface scatters by Lambert's
+    /// With `FIRST`, the share of the incident light that the first surface scatters by Lambert's
     /// law.
     diffuse: Vec3,
 }
@@ -138,6 +140,20 @@ pub(crate) struct First {
     /// Where it is, in render space, and its geometric normal on the viewer's side.
     pub(crate) position: Vec3,
     pub(crate) normal: Vec3,
+    pub(crate) guide: Guide,
+}
+
+/// Properties of a surface that tell a filter where light may differ.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Guide {
+    /// Reflectance, 0..1: base colour plus a dielectric's few percent.
+    pub(crate) albedo: Vec3,
+    /// Shading normal on the viewer's side, in render space.
+    pub(crate) normal: Vec3,
+    /// Share of the reflectance that goes with the viewer's direction, 0..1.
+    pub(crate) gloss: f32,
+    /// Squared roughness of that.
+    pub(crate) alpha: f32,
 }
 
 /// Unshadowed contributions of sampled lights, for as many paths as `count`.
@@ -146,7 +162,7 @@ struct Shadows {
     rays: [Ray; BEAM],
     /// Path, direction towards the light, contribution.
     lights: [(usize, Vec3, Vec3); BEAM],
-    /// With `SPLIT`, the share of the contribution that a first surface scatters by Lambert's law.
+    /// With `FIRST`, the share of the contribution that a first surface scatters by Lambert's law.
     diffuse: [Vec3; BEAM],
 }
 
@@ -163,22 +179,9 @@ struct Vertex<'a> {
 impl Tracer<'_> {
     /// Radiance that arrives along at most [`BEAM`] rays of a pixel, which draw their numbers from
     /// `draws` one after another. Rays that are not `in_bounds` hit nothing. The contents of `rays`
-    /// afterwards are of no use.
-    pub(crate) fn radiance(
-        &self,
-        rays: &mut [Ray],
-        cone: Cone,
-        in_bounds: bool,
-        settings: &Settings,
-        draws: &Draws<'_>,
-        stack: &mut Stack,
-    ) -> [Vec3; BEAM] {
-        self.radiance_split::<false>(rays, cone, in_bounds, settings, draws, stack, &mut [])
-    }
-
-    /// [`radiance`](Self::radiance). With `SPLIT` it also writes every path's first surface to
-    /// `first`, which has a place per ray.
-    pub(crate) fn radiance_split<const SPLIT: bool>(
+    /// afterwards are of no use. With `FIRST` every path's first surface is written to `first`,
+    /// which then has a place per ray; the radiance is the same to the bit.
+    pub(crate) fn radiance<const FIRST: bool>(
         &self,
         rays: &mut [Ray],
         cone: Cone,
@@ -224,7 +227,7 @@ impl Tracer<'_> {
                 let next = match &hits[index] {
                     Some(hit) => {
                         let around_normal = Vec3::from_array(around_normal.map(|row| row[place]));
-                        self.scatter::<SPLIT>(
+                        self.scatter::<FIRST>(
                             path,
                             index,
                             &rays[index],
@@ -249,7 +252,7 @@ impl Tracer<'_> {
                         None
                     }
                 };
-                if SPLIT && bounce > 0 {
+                if FIRST && bounce > 0 {
                     // scattering has changed no share but that of first surfaces
                     first[index].diffuse += (path.radiance - before) * path.diffuse;
                 }
@@ -264,7 +267,7 @@ impl Tracer<'_> {
             {
                 let passed = self.bvh.transmittance(ray, stack, |hit| self.passed(hit, *direction));
                 paths[*index].radiance += *light * passed;
-                if SPLIT {
+                if FIRST {
                     first[*index].diffuse += *light * passed * shadows.diffuse[place];
                 }
             }
@@ -281,6 +284,28 @@ impl Tracer<'_> {
             }
         }
         paths.map(|path| path.radiance)
+    }
+
+    /// The surfaces that the rays of [`radiance`](Self::radiance) hit first, without their light
+    /// and without the reflectance of their diffuse lobe.
+    pub(crate) fn first(
+        &self,
+        rays: &mut [Ray],
+        cone: Cone,
+        in_bounds: bool,
+        draws: &Draws<'_>,
+        stack: &mut Stack,
+    ) -> [First; BEAM] {
+        let mut hits = [None; BEAM];
+        self.first_hits(rays, in_bounds, draws, stack, &mut hits);
+        let mut first = [First::default(); BEAM];
+        for ((first, hit), ray) in first.iter_mut().zip(&hits).zip(rays) {
+            if let Some(hit) = hit {
+                let vertex = self.vertex(ray, cone, hit);
+                *first = vertex.first(Vec3::ZERO, self.guide(&vertex, -ray.direction));
+            }
+        }
+        first
     }
 
     /// Number of rays among those of [`radiance`](Self::radiance) that miss all surfaces.
@@ -318,7 +343,7 @@ impl Tracer<'_> {
 
     /// A vertex of a path: adds its emission and one sampled light, and returns the next ray.
     #[inline]
-    fn scatter<const SPLIT: bool>(
+    fn scatter<const FIRST: bool>(
         &self,
         path: &mut Path,
         index: usize,
@@ -351,24 +376,30 @@ impl Tracer<'_> {
             };
             path.radiance += path.throughput * emission * heuristic(ratio(light_pdf, path.scattered_pdf));
         }
+        let is_first = FIRST && bounce == 0;
         if bounce == settings.max_bounces || traits & UNLIT != 0 {
+            if is_first {
+                first[index] = vertex.first(Vec3::ZERO, self.guide(&vertex, -ray.direction));
+            }
             return None;
         }
         // look up textures, and prepare the scattering function
         let mut vertex_nm = None;
         let surface = if traits & LAMBERTIAN != 0 {
-            Surface::Lambert(self.lambert(&vertex))
+            let lambert = self.lambert(&vertex);
+            if is_first {
+                first[index] = vertex.first(lambert.albedo(), Guide::of_lambert(&lambert));
+            }
+            Surface::Lambert(lambert)
         } else {
             let mut appearance = self.materials.appearance(vertex.material, &vertex.point, vertex.width);
             vertex_nm = appearance.disperse(path.wave_nm, || draws.pair(WAVE_PAIR).of(index)[0]);
-            Surface::General(self.bsdf(&vertex, &appearance, -ray.direction))
+            let bsdf = self.bsdf(&vertex, &appearance, -ray.direction);
+            if is_first {
+                first[index] = vertex.first(bsdf.diffuse_reflectance(), Guide::new(&appearance, bsdf.normal()));
+            }
+            Surface::General(bsdf)
         };
-        let is_first = SPLIT && bounce == 0;
-        if is_first {
-            let (position, normal) = (vertex.point.position, vertex.normal);
-            let reflectance = surface.diffuse_reflectance();
-            first[index] = First { is_there: true, diffuse: Vec3::ZERO, reflectance, position, normal };
-        }
         // next-event estimation: one sampled light, whose shadow ray is traced later
         let [u_roulette, u_fresnel] = pairs[2].of(index);
         if surface.is_smooth() && self.lights.can_be_sampled() {
@@ -382,7 +413,7 @@ impl Tracer<'_> {
                 index,
                 path.throughput,
                 shadows,
-                |value, direction| match (SPLIT, is_first) {
+                |value, direction| match (FIRST, is_first) {
                     (false, _) => Vec3::ZERO,
                     (_, true) => surface.diffuse_share(value, direction),
                     (_, false) => path.diffuse,
@@ -431,19 +462,14 @@ impl Tracer<'_> {
         hit.map(|hit| hit.t)
     }
 
-    /// Place in render space, shading normal on the viewer's side and appearance of the first
-    /// surface of a path.
-    pub(crate) fn first_seen(
-        &self,
-        ray: &Ray,
-        cone: Cone,
-        draws: &Draws<'_>,
-        stack: &mut Stack,
-    ) -> Option<(Vec3, Vec3, Appearance)> {
-        let hit = self.bvh.nearest(ray, stack, |hit| self.is_there(hit, 0, draws, 0))?;
-        let Vertex { material, point, front, normal, width } = self.vertex(ray, cone, &hit);
-        let frame = self.materials.frame(material, &point, width, normal, front, -ray.direction);
-        Some((point.position, frame.shading, self.materials.appearance(material, &point, width)))
+    /// The guide of a first hit that scatters no light further.
+    fn guide(&self, vertex: &Vertex<'_>, to_viewer: Vec3) -> Guide {
+        if self.traits[vertex.material] & LAMBERTIAN != 0 {
+            return Guide::of_lambert(&self.lambert(vertex));
+        }
+        let Vertex { material, point, front, normal, width } = vertex;
+        let frame = self.materials.frame(*material, point, *width, *normal, *front, to_viewer);
+        Guide::new(&self.materials.appearance(*material, point, *width), frame.shading)
     }
 
     fn vertex(&self, ray: &Ray, cone: Cone, hit: &Hit) -> Vertex<'_> {
@@ -598,15 +624,8 @@ impl Surface {
         }
     }
 
-    /// Reflectance of the light that is scattered alike to all viewers.
-    fn diffuse_reflectance(&self) -> Vec3 {
-        match self {
-            Self::Lambert(lambert) => lambert.albedo(),
-            Self::General(bsdf) => bsdf.diffuse_reflectance(),
-        }
-    }
-
-    /// The share of that in `value` = f |cos| of a direction, 0..1 by channel.
+    /// The share of the light that is scattered alike to all viewers in `value` = f |cos| of a
+    /// direction, 0..1 by channel.
     fn diffuse_share(&self, value: Vec3, direction: Vec3) -> Vec3 {
         match self {
             Self::Lambert(_) => Vec3::ONE,
@@ -626,7 +645,31 @@ impl Surface {
     }
 }
 
+impl Guide {
+    fn new(appearance: &Appearance, normal: Vec3) -> Self {
+        let Appearance { base, metallic, roughness, transmission, .. } = *appearance;
+        let dielectric = 1.0 - metallic;
+        Self {
+            albedo: base.lerp(Vec3::ONE, DIELECTRIC_SHARE * dielectric),
+            normal,
+            gloss: metallic + dielectric * DIELECTRIC_SHARE.max(transmission),
+            alpha: roughness * roughness,
+        }
+    }
+
+    fn of_lambert(lambert: &Lambert) -> Self {
+        Self { albedo: lambert.albedo(), normal: lambert.normal(), gloss: 0.0, alpha: 1.0 }
+    }
+}
+
 impl Vertex<'_> {
+    /// The vertex as the first surface of a path.
+    #[inline]
+    fn first(&self, reflectance: Vec3, guide: Guide) -> First {
+        let (position, normal) = (self.point.position, self.normal);
+        First { is_there: true, diffuse: Vec3::ZERO, reflectance, position, normal, guide }
+    }
+
     /// The receiver for choosing a light. With `horizon` it accounts for a surface that is smoother
     /// than its triangles.
     #[inline(always)]

@@ -64,7 +64,7 @@ impl ExtraChannel {
         match self {
             Self::Depth => [
                 "mm",
-                "z of the first surface on the pixel's central ray in display space: 0 on the display plane, above 0 in front of it; NaN where there is none",
+                "z of the first surface on the path nearest to the pixel's centre, in display space: 0 on the display plane, above 0 in front of it; NaN where there is none",
             ],
             Self::Normal => [
                 "1",
@@ -113,6 +113,11 @@ impl ViewOptions {
     /// True if variances are requested.
     pub(crate) fn variance(&self) -> bool {
         self.channels.contains(&ExtraChannel::Variance)
+    }
+
+    /// True if channels of the first hits are requested.
+    pub(crate) fn surfaces(&self) -> bool {
+        self.channels.iter().any(|channel| *channel != ExtraChannel::Variance)
     }
 
     /// Checks that a job of this many views can write the selected views and channels.

@@ -1,12 +1,12 @@
-//! Views whose light is averaged over all that see it, beside the same views one by one, at equal
-//! squared error.
+//! Light fields in three ways: view by view, with light shared by all views that see a point, and
+//! filtered by their guides. Each way renders twice, by independent seeds.
 
 use std::time::Duration;
 
 use lumistack_core::{Cancel, Collector, Task, Tensor};
 use lumistack_display::{FieldGeometry, Projection, ViewGrid};
-use lumistack_pathtracer::denoise::SharedLight;
-use lumistack_pathtracer::{Renderer, Settings};
+use lumistack_pathtracer::denoise::{NoisyView, SharedLight, Window, denoise};
+use lumistack_pathtracer::{RenderError, Renderer, Settings};
 
 use crate::case::{Case, Outcome};
 use crate::{BOUNCES, Options};
@@ -16,44 +16,157 @@ use crate::{BOUNCES, Options};
 const BELOW_WHITE: f64 = 0.99;
 /// Tick of `/proc/self/stat` in milliseconds.
 const TICK_MS: u64 = 10;
+/// Samples of the views that are filtered, and of views alone beside them. The last are the
+/// reference, and long enough for the time of any filter.
+const FILTERED: [u32; 3] = [4, 16, 64];
+const ALONE: [u32; 4] = [4, 16, 64, 256];
+
+/// A light field's views, as they are rendered.
+#[derive(Clone, Copy, PartialEq)]
+enum Kind {
+    Alone,
+    Shared,
+    Guided,
+}
 
 /// One way to render a light field.
 struct Way {
-    name: &'static str,
+    kind: Kind,
+    samples: u32,
     /// Processor seconds, the mean of both renders.
     seconds: f64,
     /// Views, twice, by independent seeds.
     pictures: [Vec<Tensor<3>>; 2],
 }
 
-/// Renders the views of a case in both ways, twice each, and prints a table row per way.
+/// Errors of a way, over all views.
+struct Errors {
+    /// Mean squared error, bias included, and that of the worst view.
+    all: f64,
+    worst: f64,
+    /// The part of it that is no noise.
+    bias: f64,
+    /// Mean of the pictures over that of the truth, minus 1.
+    change: f64,
+}
+
+/// The scene and the views of a bench.
+struct Bench {
+    case: Case,
+    geometry: FieldGeometry,
+    renderer: Renderer,
+}
+
+/// Renders the views of a case alone and with shared light, and prints a table row per way.
 pub fn measure(options: &Options) -> Outcome {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
-    let case = Case::load(&options.scene, options.copies, options.size, options.own_materials, task)?;
-    let geometry = field_of(&case, options.views, options.fov_deg)?;
-    let renderer = Renderer::new(case.scene.clone(), task)?;
+    let bench = Bench::new(options, task)?;
     for &samples in &options.samples {
-        let settings = |seed| Settings { samples, max_bounces: BOUNCES, seed, ..Settings::default() };
-        let mut ways = ["one by one", "shared"].map(|name| Way { name, seconds: 0.0, pictures: Default::default() });
-        for round in 0..2 {
-            for (number, way) in ways.iter_mut().enumerate() {
-                let start = spent()?;
-                let settings = settings(2 * round as u64 + number as u64);
-                way.pictures[round] = if number == 0 {
-                    let view = |view| renderer.render_view(&case.window, &geometry, view, &settings, task);
-                    geometry.grid.iter().map(view).collect::<Result<_, _>>()?
-                } else {
-                    let split = |view| renderer.render_split(&case.window, &geometry, view, &settings, task);
-                    let splits: Vec<_> = geometry.grid.iter().map(split).collect::<Result<_, _>>()?;
-                    let mut light = SharedLight::new(&geometry);
-                    splits.iter().for_each(|split| light.add(split));
-                    light.averaged(task)?.iter().zip(&splits).map(|(light, split)| light.on(split)).collect()
+        let mut ways = [Kind::Alone, Kind::Shared].map(|kind| Way::new(kind, samples));
+        render(&bench, &mut ways, task)?;
+        let [alone, shared] = &ways;
+        let white = white(&alone.pictures[0]);
+        let errors = [Errors::of_noise(alone, white), Errors::new(shared, alone, white)];
+        for (way, error) in ways.iter().zip(&errors) {
+            let ratio = alone.seconds * errors[0].all / (way.seconds * error.all);
+            row(&bench.case, options, way, error, ratio);
+        }
+    }
+    Ok(())
+}
+
+/// Renders the views of a case alone and filtered, at several numbers of samples, and prints a row
+/// per way. Its last column is the error of views alone in the same time over that of the way.
+pub fn filters(options: &Options) -> Outcome {
+    let (warnings, cancel) = (Collector::default(), Cancel::default());
+    let task = Task::quiet(&warnings, &cancel);
+    let bench = Bench::new(options, task)?;
+    let filtered = FILTERED.into_iter().flat_map(|samples| [Kind::Shared, Kind::Guided].map(|kind| (kind, samples)));
+    let alone = ALONE.into_iter().map(|samples| (Kind::Alone, samples));
+    let mut ways: Vec<Way> = alone.chain(filtered).map(|(kind, samples)| Way::new(kind, samples)).collect();
+    render(&bench, &mut ways, task)?;
+    let truth = &ways[ALONE.len() - 1];
+    let white = white(&truth.pictures[0]);
+    let of =
+        |way: &Way| if way.kind == Kind::Alone { Errors::of_noise(way, white) } else { Errors::new(way, truth, white) };
+    let errors: Vec<Errors> = ways.iter().map(of).collect();
+    let points: Vec<[f64; 2]> =
+        ways.iter().zip(&errors).take(ALONE.len()).map(|(way, error)| [way.seconds.ln(), error.all.ln()]).collect();
+    for (way, error) in ways.iter().zip(&errors) {
+        row(&bench.case, options, way, error, on_line(&points, way.seconds.ln()).exp() / error.all);
+    }
+    Ok(())
+}
+
+impl Bench {
+    fn new(options: &Options, task: Task<'_>) -> Outcome<Self> {
+        let case = Case::load(&options.scene, options.copies, options.size, options.own_materials, task)?;
+        let geometry = field_of(&case, options.views, options.fov_deg)?;
+        let renderer = Renderer::new(case.scene.clone(), task)?;
+        Ok(Self { case, geometry, renderer })
+    }
+}
+
+impl Kind {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Alone => "one by one",
+            Self::Shared => "shared",
+            Self::Guided => "guided",
+        }
+    }
+
+    /// All views of a bench.
+    fn render(self, bench: &Bench, settings: Settings, task: Task<'_>) -> Result<Vec<Tensor<3>>, RenderError> {
+        let Bench { case, geometry, renderer } = bench;
+        match self {
+            Self::Alone => {
+                let view = |view| renderer.render_view(&case.window, geometry, view, &settings, task);
+                geometry.grid.iter().map(view).collect()
+            }
+            Self::Shared => {
+                let split = |view| renderer.render_split(&case.window, geometry, view, &settings, task);
+                let splits: Vec<_> = geometry.grid.iter().map(split).collect::<Result<_, _>>()?;
+                let mut light = SharedLight::new(geometry);
+                splits.iter().for_each(|split| light.add(split));
+                Ok(light.averaged(task)?.iter().zip(&splits).map(|(light, split)| light.on(split)).collect())
+            }
+            Self::Guided => {
+                let half = |view, half: u64| {
+                    let seed = settings.seed.wrapping_add((1 + half) << 32);
+                    let settings = Settings { samples: settings.samples.div_ceil(2), seed, ..settings };
+                    renderer.render_view_and_features(&case.window, geometry, view, &settings, task)
                 };
-                way.seconds += 0.5 * (spent()? - start).as_secs_f64();
+                let noisy = |view| {
+                    let [a, b] = [half(view, 0)?, half(view, 1)?];
+                    let features = a.features.joined(&b.features);
+                    Ok(NoisyView { halves: [a.radiance, b.radiance], features })
+                };
+                let views: Vec<NoisyView> = geometry.grid.iter().map(noisy).collect::<Result<_, RenderError>>()?;
+                Ok(denoise(geometry, &views, Window::default(), task)?)
             }
         }
-        report(&case, options, &ways, samples);
+    }
+}
+
+impl Way {
+    fn new(kind: Kind, samples: u32) -> Self {
+        Self { kind, samples, seconds: 0.0, pictures: Default::default() }
+    }
+}
+
+/// Renders everything twice, in turns.
+fn render(bench: &Bench, ways: &mut [Way], task: Task<'_>) -> Outcome {
+    let count = ways.len() as u64;
+    for round in 0..2 {
+        for (number, way) in ways.iter_mut().enumerate() {
+            let seed = count * round as u64 + number as u64;
+            let settings = Settings { samples: way.samples, max_bounces: BOUNCES, seed, ..Settings::default() };
+            let start = spent()?;
+            way.pictures[round] = way.kind.render(bench, settings, task)?;
+            way.seconds += 0.5 * (spent()? - start).as_secs_f64();
+        }
     }
     Ok(())
 }
@@ -74,52 +187,84 @@ fn spent() -> Outcome<Duration> {
     Ok(Duration::from_millis(TICK_MS * ticks.iter().sum::<u64>()))
 }
 
-fn report(case: &Case, options: &Options, ways: &[Way; 2], samples: u32) {
-    let truth = &ways[0].pictures;
-    let mut values: Vec<f32> = truth[0].iter().flat_map(|picture| picture.data().iter().copied()).collect();
+/// The brightest value that counts.
+fn white(pictures: &[Tensor<3>]) -> f32 {
+    let mut values: Vec<f32> = pictures.iter().flat_map(|picture| picture.data().iter().copied()).collect();
     let place = ((values.len() - 1) as f64 * BELOW_WHITE) as usize;
-    let white = *values.select_nth_unstable_by(place, f32::total_cmp).1;
-    let shown = |value: f32| f64::from((value / white).min(1.0));
-    // the mean over pixels of a product of two differences
-    let mean = |view: usize, product: &dyn Fn(usize) -> f64| {
-        let count = truth[0][view].data().len();
-        (0..count).map(product).sum::<f64>() / count as f64
-    };
-    let at = |pictures: &[Vec<Tensor<3>>; 2], half: usize, view: usize, i: usize| shown(pictures[half][view].data()[i]);
-    // half the squared difference of independent pictures is their variance
-    let variance = |way: &Way, view: usize| {
-        mean(view, &|i| 0.5 * (at(&way.pictures, 0, view, i) - at(&way.pictures, 1, view, i)).powi(2))
-    };
-    // differences to two independent pictures without bias: their product is the squared error,
-    // bias included, without the noise of those
-    let error = |way: &Way, view: usize| {
-        let of = |half: usize| {
-            mean(view, &|i| {
-                let own = at(&way.pictures, half, view, i);
-                (own - at(truth, 0, view, i)) * (own - at(truth, 1, view, i))
-            })
+    *values.select_nth_unstable_by(place, f32::total_cmp).1
+}
+
+impl Errors {
+    /// Errors of a way without bias: half the squared difference of independent pictures is their
+    /// variance.
+    fn of_noise(way: &Way, white: f32) -> Self {
+        let variances = variances(way, white);
+        let worst = variances.iter().copied().fold(0.0, f64::max);
+        Self { all: mean(&variances), worst, bias: 0.0, change: 0.0 }
+    }
+
+    /// Errors against a way without bias. The product of the differences to two independent
+    /// pictures is the squared error, bias included, without the noise of those.
+    fn new(way: &Way, truth: &Way, white: f32) -> Self {
+        let shown = |value: f32| f64::from((value / white).min(1.0));
+        let of_view = |view: usize| {
+            let [a, b] = [0, 1].map(|half: usize| truth.pictures[half][view].data());
+            let of_half = |half: usize| {
+                let own = way.pictures[half][view].data();
+                let product = |i: usize| (shown(own[i]) - shown(a[i])) * (shown(own[i]) - shown(b[i]));
+                (0..own.len()).map(product).sum::<f64>() / own.len() as f64
+            };
+            0.5 * (of_half(0) + of_half(1))
         };
-        0.5 * (of(0) + of(1))
+        let errors: Vec<f64> = (0..truth.pictures[0].len()).map(of_view).collect();
+        let sum = |way: &Way| -> f64 {
+            way.pictures.iter().flatten().flat_map(|picture| picture.data()).map(|value| shown(*value)).sum()
+        };
+        let all = mean(&errors);
+        Self {
+            all,
+            worst: errors.iter().copied().fold(0.0, f64::max),
+            bias: (all - mean(&variances(way, white))).max(0.0),
+            change: sum(way) / sum(truth) - 1.0,
+        }
+    }
+}
+
+/// Variance of every view.
+fn variances(way: &Way, white: f32) -> Vec<f64> {
+    let shown = |value: f32| f64::from((value / white).min(1.0));
+    let [first, second] = &way.pictures;
+    let of_view = |(a, b): (&Tensor<3>, &Tensor<3>)| {
+        let pairs = a.data().iter().zip(b.data());
+        pairs.map(|(a, b)| 0.5 * (shown(*a) - shown(*b)).powi(2)).sum::<f64>() / a.data().len() as f64
     };
+    first.iter().zip(second).map(of_view).collect()
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+/// Value at x of the broken line through points in order of x; past its ends the last pieces go on.
+fn on_line(points: &[[f64; 2]], x: f64) -> f64 {
+    let next = points.iter().position(|[at, _]| *at > x).unwrap_or(points.len() - 1).max(1);
+    let ([x0, y0], [x1, y1]) = (points[next - 1], points[next]);
+    y0 + (y1 - y0) * (x - x0) / (x1 - x0)
+}
+
+fn row(case: &Case, options: &Options, way: &Way, error: &Errors, ratio: f64) {
     let [rows, cols] = options.views;
     let materials = if options.own_materials { "own materials" } else { "diffuse" };
-    let mut first = None;
-    for (number, way) in ways.iter().enumerate() {
-        let views = 0..truth[0].len();
-        let errors: Vec<f64> =
-            views.clone().map(|view| if number == 0 { variance(way, view) } else { error(way, view) }).collect();
-        let noise: f64 = views.map(|view| variance(way, view)).sum::<f64>() / errors.len() as f64;
-        let all = errors.iter().sum::<f64>() / errors.len() as f64;
-        let worst = errors.iter().copied().fold(0.0, f64::max);
-        let cost = way.seconds * all;
-        let ratio = *first.get_or_insert(cost) / cost;
-        println!(
-            "| {}, {materials} | {rows} × {cols}, {}° | {samples} | {} | {:.2} | {all:.2e} | {worst:.2e} | {:.2e} | {ratio:.2} |",
-            case.name,
-            options.fov_deg,
-            way.name,
-            way.seconds,
-            (all - noise).max(0.0),
-        );
-    }
+    println!(
+        "| {}, {materials} | {rows} × {cols}, {}° | {} | {} | {:.2} | {:.2e} | {:.2e} | {:.2e} | {:+.2} % | {ratio:.2} |",
+        case.name,
+        options.fov_deg,
+        way.samples,
+        way.kind.name(),
+        way.seconds,
+        error.all,
+        error.worst,
+        error.bias,
+        100.0 * error.change,
+    );
 }

@@ -106,6 +106,11 @@ impl Bsdf {
         (chance > 0.0 && chance < 1.0 && self.is_smooth()).then_some(self)
     }
 
+    /// The shading normal, on the viewer's side.
+    pub(crate) fn normal(&self) -> Vec3 {
+        self.facet.scene_from_local.z_axis
+    }
+
     /// True if any lobe can be evaluated, so that light sampling makes sense.
     pub(crate) fn is_smooth(&self) -> bool {
         let [rough, _] = self.lobes.rough(&self.facet);

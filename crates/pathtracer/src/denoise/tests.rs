@@ -46,7 +46,7 @@ fn wall(
                 let point = [geometry.x_mm(col), geometry.y_mm(row)];
                 let slope = geometry.grid.slope_at(view, point);
                 let radiance = shade(point[0] + slope[0] * Z_MM, point[1] + slope[1] * Z_MM);
-                let values = [1.0, 0.5, 0.5, 0.5, 0.0, 0.0, 1.0, Z_MM as f32, 0.04, 1.0];
+                let values = [1.0, 0.5, 0.5, 0.5, 0.0, 0.0, 1.0, Z_MM as f32, 0.04, 1.0, Z_MM as f32];
                 features.block_mut([row, col]).copy_from_slice(&values);
                 for c in 0..3 {
                     *truth.at_mut([row, col, c]) = radiance as f32;
@@ -58,7 +58,7 @@ fn wall(
                 }
             }
         }
-        views.push(NoisyView { halves, features: Features::from_values(features) });
+        views.push(NoisyView { halves, features: Features::from_values(features).unwrap() });
         truths.push(truth);
     }
     (views, truths)
@@ -174,7 +174,8 @@ fn pixels_without_a_surface_are_left_alone() {
     let geometry = geometry([3, 1], Projection::Oblique);
     let (mut views, _) = wall(&geometry, smooth, 0.2, 5);
     for view in &mut views {
-        view.features = Features::from_values(Tensor::zeros(["row", "col", "feature"], [ROWS, COLS, FEATURES]));
+        view.features =
+            Features::from_values(Tensor::zeros(["row", "col", "feature"], [ROWS, COLS, FEATURES])).unwrap();
     }
     for (picture, view) in filtered(&geometry, &views, Window::default()).iter().zip(&views) {
         assert!(squared_error(picture, &view.mean()) < 1e-12);
@@ -232,9 +233,9 @@ fn box_means_are_means_over_boxes() {
 #[test]
 fn a_single_pixel_is_its_own_answer() {
     let geometry = FieldGeometry { rows: 1, cols: 1, ..geometry([1, 1], Projection::Oblique) };
-    let values = vec![1.0, 0.5, 0.5, 0.5, 0.0, 0.0, 1.0, 0.0, 0.04, 1.0];
+    let values = vec![1.0, 0.5, 0.5, 0.5, 0.0, 0.0, 1.0, 0.0, 0.04, 1.0, 0.0];
     let features =
-        Features::from_values(Tensor::from_vec(["row", "col", "feature"], [1, 1, FEATURES], values).unwrap());
+        Features::from_values(Tensor::from_vec(["row", "col", "feature"], [1, 1, FEATURES], values).unwrap()).unwrap();
     let half = |value: f32| Tensor::filled(["row", "col", "rgb"], [1, 1, 3], value);
     let view = NoisyView { halves: [half(1.0), half(3.0)], features };
     let picture = &filtered(&geometry, &[view], Window::default())[0];

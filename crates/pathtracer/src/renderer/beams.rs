@@ -3,14 +3,21 @@
 
 use lumistack_core::seed;
 
+use super::first::DisplayAxes;
 use crate::bvh::{BEAM, Ray};
 use crate::primary::{PixelRays, PrimaryRays};
 use crate::sampler::{Draws, SampleBank};
 use crate::settings::Settings;
 
+/// The pairs of random numbers of primary rays.
+const PLACE_PAIR: u64 = 0;
+const SLOPE_PAIR: u64 = 1;
+
 /// Samples of a view.
 pub(super) struct ViewSamples<'a> {
     rays: PrimaryRays<'a>,
+    /// Display space, in which surfaces are given.
+    pub(super) axes: DisplayAxes,
     bank: SampleBank,
     count: u32,
     seed: u64,
@@ -18,9 +25,9 @@ pub(super) struct ViewSamples<'a> {
 
 impl<'a> ViewSamples<'a> {
     /// As many samples per pixel as the settings have; `view` = [view_y, view_x].
-    pub(super) fn new(rays: PrimaryRays<'a>, view: [usize; 2], settings: &Settings) -> Self {
+    pub(super) fn new(rays: PrimaryRays<'a>, axes: DisplayAxes, view: [usize; 2], settings: &Settings) -> Self {
         let seed = seed::derive(settings.seed, &[view[0] as u64, view[1] as u64]);
-        Self { rays, bank: SampleBank::new(settings.samples), count: settings.samples, seed }
+        Self { rays, axes, bank: SampleBank::new(settings.samples), count: settings.samples, seed }
     }
 
     /// Seed of a pixel's random numbers.
@@ -42,14 +49,19 @@ impl<'a> ViewSamples<'a> {
         for first in (0..self.count).step_by(BEAM) {
             let beam = &mut beam[..(self.count - first).min(BEAM as u32) as usize];
             let draws = self.bank.draws(pixel_seed, first);
-            let (in_pixel, in_bin) = (draws.pair(0), draws.pair(1));
+            let (in_pixel, in_bin) = (draws.pair(PLACE_PAIR), draws.pair(SLOPE_PAIR));
             pixel.fill(beam, |index| [centred(in_pixel.of(index)), centred(in_bin.of(index))]);
             take(beam, &pixel, &draws);
         }
     }
 }
 
+/// Place of a ray of a beam, in pixels from the pixel's centre.
+pub(super) fn place_in_pixel(draws: &Draws<'_>, index: usize) -> [f32; 2] {
+    centred(draws.pair(PLACE_PAIR).of(index))
+}
+
 /// Numbers in 0..1 as offsets from a centre.
-pub(super) fn centred(pair: [f32; 2]) -> [f32; 2] {
+fn centred(pair: [f32; 2]) -> [f32; 2] {
     pair.map(|u| u - 0.5)
 }

@@ -1,29 +1,38 @@
-//! First surfaces of a view, without their light: the guides of the denoiser.
+//! First surfaces of a view: the guides of a denoiser, and layers of pictures.
 //!
-//! Every number is the mean over the primary rays of a pixel that hit a surface. They have next to
-//! no noise at a few rays per pixel, because paths end at the first hit.
+//! Every number is the mean over the paths of a pixel that hit a surface, and these are the paths
+//! of the light. [`Renderer::render_view_and_features`] keeps the surfaces that its paths hit.
+//! [`Renderer::render_features`] traces the same rays, to the first hit alone.
 
-use glam::{DVec3, Vec3};
-use lumistack_core::{NoProgress, Task, Tensor, seed};
+use glam::Vec3;
+use lumistack_core::{NoProgress, Task, Tensor};
 use lumistack_display::FieldGeometry;
 use lumistack_scene::Window;
 
-use super::beams::centred;
-use super::{RenderError, Renderer};
-use crate::sampler::SampleBank;
-use crate::settings::AngularFilter;
+use super::beams::place_in_pixel;
+use super::first::FirstSums;
+use super::{PixelMean, RenderError, Renderer, ranges, rgb};
+use crate::settings::Settings;
 
 /// Values of a pixel in [`Features`].
-pub(crate) const FEATURES: usize = 10;
-/// Reflectance of a dielectric at normal incidence, about.
-const DIELECTRIC_SHARE: f32 = 0.04;
-/// Stream of random numbers that no view's radiance uses.
-const STREAM: u64 = 0xfea7;
+pub(crate) const FEATURES: usize = Features::VALUES;
 
-/// Guides of one view, `[row][col][k]`.
+/// Guides of one view.
 #[derive(Clone, Debug)]
 pub struct Features {
-    values: Tensor<3>,
+    /// `[row][col][covered, albedo rgb, normal xyz, z_mm, gloss, alpha, central z_mm]`.
+    pub(super) values: Tensor<3>,
+}
+
+/// A view, and what its paths hit first.
+#[derive(Clone, Debug)]
+pub struct GuidedView {
+    /// Scene-linear radiance, `[row][col][rgb]`.
+    pub radiance: Tensor<3>,
+    /// Variance of every mean, likewise; NaN where fewer than two samples are finite numbers.
+    pub variance: Tensor<3>,
+    /// Guides.
+    pub features: Features,
 }
 
 /// The guides of a pixel.
@@ -44,14 +53,33 @@ pub struct Feature {
     pub gloss: f32,
     /// Width of that lobe: squared roughness, 0..1.
     pub alpha: f32,
+    /// Depth of the surface on the path nearest to the pixel's centre; `None` where that hits
+    /// nothing.
+    pub central_z_mm: Option<f32>,
 }
 
 impl Features {
+    /// Values of a pixel.
+    pub const VALUES: usize = 11;
+
+    /// From values as [`values`](Self::values) gives them; `None` where they have another shape.
+    pub fn from_values(values: Tensor<3>) -> Option<Self> {
+        (values.shape()[2] == FEATURES).then_some(Self { values })
+    }
+
+    /// `[row][col][covered, albedo rgb, normal xyz, z_mm, gloss, alpha, central z_mm]`, as
+    /// [`Feature`] has them; the last is NaN where it is `None`.
+    pub fn values(&self) -> &Tensor<3> {
+        &self.values
+    }
+
     /// The guides of a pixel.
     pub fn at(&self, row: usize, col: usize) -> Feature {
-        let [covered, r, g, b, x, y, z, z_mm, gloss, alpha]: [f32; FEATURES] =
+        let [covered, r, g, b, x, y, z, z_mm, gloss, alpha, central]: [f32; FEATURES] =
             self.values.block([row, col]).try_into().expect("a pixel has so many");
-        Feature { covered, albedo: Vec3::new(r, g, b), normal: Vec3::new(x, y, z), z_mm, gloss, alpha }
+        let (albedo, normal) = (Vec3::new(r, g, b), Vec3::new(x, y, z));
+        let central_z_mm = (!central.is_nan()).then_some(central);
+        Feature { covered, albedo, normal, z_mm, gloss, alpha, central_z_mm }
     }
 
     /// [rows, columns].
@@ -60,17 +88,56 @@ impl Features {
         [rows, cols]
     }
 
-    /// Guides from values `[row][col][covered, albedo rgb, normal xyz, z_mm, gloss, alpha]`, for
-    /// tests.
-    #[cfg(test)]
-    pub(crate) fn from_values(values: Tensor<3>) -> Self {
-        Self { values }
+    /// Guides of all samples of two renders of equally many. The central depth is that of the
+    /// first.
+    ///
+    /// # Panics
+    /// If their sizes differ.
+    #[must_use]
+    pub fn joined(mut self, other: &Self) -> Self {
+        assert_eq!(self.size(), other.size(), "guides of one view");
+        let pixels = self.values.data_mut().chunks_exact_mut(FEATURES).zip(other.values.data().chunks_exact(FEATURES));
+        for (own, other) in pixels {
+            let all = own[0] + other[0];
+            let share = if all > 0.0 { other[0] / all } else { 0.0 };
+            own[0] = 0.5 * all;
+            for (own, other) in own[1..FEATURES - 1].iter_mut().zip(&other[1..]) {
+                *own += share * (other - *own);
+            }
+        }
+        self
     }
 }
 
 impl Renderer {
-    /// Guides of one view from `samples` rays per pixel, over the same pixel and slopes as
-    /// [`render_view`](Self::render_view). Does not advance the progress.
+    /// [`render_view`](Self::render_view), the variance of every mean as in
+    /// [`render_view_and_variance`](Self::render_view_and_variance), and the first surfaces of all
+    /// paths.
+    ///
+    /// # Errors
+    /// As [`render_view`](Self::render_view).
+    pub fn render_view_and_features(
+        &self,
+        window: &Window,
+        geometry: &FieldGeometry,
+        view: [usize; 2],
+        settings: &Settings,
+        task: Task<'_>,
+    ) -> Result<GuidedView, RenderError> {
+        let all = |pixel: &PixelMean, first: &FirstSums| {
+            let mut values = [0.0; 6 + FEATURES];
+            values[..3].copy_from_slice(&pixel.mean.to_array());
+            values[3..6].copy_from_slice(&pixel.variance.to_array());
+            values[6..].copy_from_slice(&first.features(settings.samples));
+            values
+        };
+        let all = self.view_of::<true, { 6 + FEATURES }>(window, geometry, view, settings, task, all, rgb)?;
+        let [radiance, variance, values] = ranges(&all, [("rgb", 3), ("rgb", 3), ("feature", FEATURES)]);
+        Ok(GuidedView { radiance, variance, features: Features { values } })
+    }
+
+    /// Guides of one view from the rays that [`render_view`](Self::render_view) traces with the
+    /// same settings, without their light. Does not advance the progress.
     ///
     /// # Errors
     /// As [`render_view`](Self::render_view).
@@ -79,44 +146,20 @@ impl Renderer {
         window: &Window,
         geometry: &FieldGeometry,
         view: [usize; 2],
-        samples: u32,
-        angular_filter: AngularFilter,
+        settings: &Settings,
         task: Task<'_>,
     ) -> Result<Features, RenderError> {
-        let rays = self.primary_rays(window, geometry, view, angular_filter)?;
-        let (bank, space) = (SampleBank::new(samples), self.geometry.space);
-        let view_seed = seed::derive(STREAM, &[view[0] as u64, view[1] as u64]);
-        let display_from_scene = window.scene_from_display.rotation.inverse().as_quat();
-        let quiet = Task { progress: &NoProgress, ..task };
+        let samples = self.samples_of(window, geometry, view, settings)?;
+        let (quiet, tracer) = (Task { progress: &NoProgress, ..task }, self.tracer());
         let values = self.by_tiles(geometry, quiet, ["row", "col", "feature"], |row, col, stack| {
-            let pixel_seed = seed::derive(view_seed, &[row as u64, col as u64]);
-            let mut sum = [0.0f32; FEATURES];
-            let rays = rays.pixel(row, col);
-            let samples_in_bounds = if rays.in_bounds { samples } else { 0 };
-            for index in 0..samples_in_bounds {
-                let draws = bank.draws(pixel_seed, index);
-                let ray = rays.ray(centred(draws.pair(0).of(0)), centred(draws.pair(1).of(0)));
-                let Some((point, normal, appearance)) = self.tracer().first_seen(&ray, rays.cone, &draws, stack) else {
-                    continue;
-                };
-                // reflectance, and the share of it that depends on the viewer
-                let reflectance = appearance.base.lerp(Vec3::ONE, DIELECTRIC_SHARE * (1.0 - appearance.metallic));
-                let dielectric = DIELECTRIC_SHARE.max(appearance.transmission);
-                let gloss = appearance.metallic + (1.0 - appearance.metallic) * dielectric;
-                // position and normal in display axes
-                let position = point.as_dvec3() / space.scale + space.centre;
-                let at: DVec3 = window.scene_from_display.inverse_point(position);
-                let n = display_from_scene * normal;
-                let alpha = appearance.roughness * appearance.roughness;
-                let [r, g, b] = reflectance.to_array();
-                let values = [1.0, r, g, b, n.x, n.y, n.z, at.z as f32, gloss, alpha];
-                (0..FEATURES).for_each(|k| sum[k] += values[k]);
-            }
-            // means over the hits; the share of hits is a mean over all samples
-            let hits = sum[0].max(1.0);
-            let mut mean = sum.map(|s| s / hits);
-            mean[0] = sum[0] / samples as f32;
-            mean
+            let mut sums = FirstSums::default();
+            samples.for_each_beam([row, col], samples.pixel_seed(row, col), |beam, rays, draws| {
+                let surfaces = tracer.first(beam, rays.cone, rays.in_bounds, draws, stack);
+                for (index, first) in surfaces[..beam.len()].iter().enumerate() {
+                    sums.add(first, place_in_pixel(draws, index), &samples.axes);
+                }
+            });
+            sums.turned(&samples.axes).features(settings.samples)
         })?;
         Ok(Features { values })
     }

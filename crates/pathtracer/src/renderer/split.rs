@@ -14,11 +14,10 @@ use lumistack_core::{Task, Tensor};
 use lumistack_display::FieldGeometry;
 use lumistack_scene::Window;
 
-use super::{RenderError, Renderer};
-use crate::bvh::BEAM;
-use crate::clamp::Clamped;
+use super::features::{FEATURES, Features};
+use super::first::FirstSums;
+use super::{PixelMean, RenderError, Renderer, ranges};
 use crate::settings::Settings;
-use crate::tracer::First;
 
 const VALUES: usize = SplitView::VALUES;
 
@@ -30,6 +29,18 @@ pub struct SplitView {
     /// display axes, z_mm is depth in display space towards the viewer; both are 0 where no surface
     /// is seen.
     values: Tensor<3>,
+}
+
+/// A view in parts, and what its paths hit first.
+#[derive(Clone, Debug)]
+pub struct GuidedSplit {
+    /// The parts.
+    pub split: SplitView,
+    /// Variance of every mean of their sum, `[row][col][rgb]`; NaN where fewer than two samples are
+    /// finite numbers.
+    pub variance: Tensor<3>,
+    /// Guides.
+    pub features: Features,
 }
 
 /// A pixel of a [`SplitView`].
@@ -68,7 +79,7 @@ impl SplitView {
         let [rows, cols] = self.size();
         let mut radiance = Tensor::zeros(["row", "col", "rgb"], [rows, cols, 3]);
         for (sum, values) in radiance.data_mut().chunks_exact_mut(3).zip(self.values.data().chunks_exact(VALUES)) {
-            (0..3).for_each(|c| sum[c] = values[c] + values[3 + c]);
+            sum.copy_from_slice(&both_parts(values));
         }
         radiance
     }
@@ -99,50 +110,43 @@ impl Renderer {
         settings: &Settings,
         task: Task<'_>,
     ) -> Result<SplitView, RenderError> {
-        let samples = self.samples_of(window, geometry, view, settings)?;
-        let (space, clamped, tracer) = (self.geometry.space, Clamped::default(), self.tracer());
-        let display_from_scene = window.scene_from_display.rotation.inverse().as_quat();
-        let values = self.by_tiles(geometry, task, ["row", "col", "part"], |row, col, stack| {
-            let [mut diffuse, mut all, mut reflectance, mut normal] = [Vec3::ZERO; 4];
-            let (mut z_mm, mut seen, mut finite) = (0.0, 0, 0);
-            samples.for_each_beam([row, col], samples.pixel_seed(row, col), |beam, rays, draws| {
-                let mut first = [First::default(); BEAM];
-                let split = &mut first[..beam.len()];
-                let radiance =
-                    tracer.radiance_split::<true>(beam, rays.cone, rays.in_bounds, settings, draws, stack, split);
-                for (&sample, first) in radiance.iter().zip(split) {
-                    if !(sample.is_finite() && first.diffuse.is_finite()) {
-                        continue;
-                    }
-                    // a limit dims both parts alike
-                    let dimmed = settings.clamp.map_or(sample, |limit| clamped.dim(sample, limit));
-                    let kept = if dimmed == sample { 1.0 } else { dimmed.max_element() / sample.max_element() };
-                    finite += 1;
-                    all += dimmed;
-                    diffuse += kept * first.diffuse;
-                    // the first surface, in display axes
-                    if first.is_there {
-                        seen += 1;
-                        reflectance += first.reflectance;
-                        normal += display_from_scene * first.normal;
-                        let position = first.position.as_dvec3() / space.scale + space.centre;
-                        z_mm += window.scene_from_display.inverse_point(position).z as f32;
-                    }
-                }
-            });
-            // light is a mean over all samples, normal and depth over those with a surface
-            let (share, count) = (1.0 / finite.max(1) as f32, 1.0 / seen.max(1) as f32);
-            let (diffuse, all) = (share * diffuse, share * all);
-            let [other, reflectance, normal] =
-                [all - diffuse, share * reflectance, count * normal].map(|v| v.to_array());
-            let mut values = [0.0; VALUES];
-            values[..3].copy_from_slice(&diffuse.to_array());
-            values[3..6].copy_from_slice(&other);
-            values[6..9].copy_from_slice(&reflectance);
-            values[9..12].copy_from_slice(&normal);
-            values[12] = count * z_mm;
-            values
-        })?;
+        let split = |pixel: &PixelMean, first: &FirstSums| {
+            first.split(pixel.mean, settings.samples - pixel.not_finite, settings.samples)
+        };
+        let values = self.view_of::<true, VALUES>(window, geometry, view, settings, task, split, both_parts)?;
         Ok(SplitView { values })
     }
+
+    /// [`render_split`](Self::render_split), the variance of every mean as in
+    /// [`render_view_and_variance`](Self::render_view_and_variance), and the first surfaces of all
+    /// paths.
+    ///
+    /// # Errors
+    /// As [`render_view`](Self::render_view).
+    pub fn render_split_and_features(
+        &self,
+        window: &Window,
+        geometry: &FieldGeometry,
+        view: [usize; 2],
+        settings: &Settings,
+        task: Task<'_>,
+    ) -> Result<GuidedSplit, RenderError> {
+        let all = |pixel: &PixelMean, first: &FirstSums| {
+            let finite = settings.samples - pixel.not_finite;
+            let mut values = [0.0; VALUES + 3 + FEATURES];
+            values[..VALUES].copy_from_slice(&first.split(pixel.mean, finite, settings.samples));
+            values[VALUES..VALUES + 3].copy_from_slice(&pixel.variance.to_array());
+            values[VALUES + 3..].copy_from_slice(&first.features(settings.samples));
+            values
+        };
+        let all =
+            self.view_of::<true, { VALUES + 3 + FEATURES }>(window, geometry, view, settings, task, all, both_parts)?;
+        let [values, variance, features] = ranges(&all, [("part", VALUES), ("rgb", 3), ("feature", FEATURES)]);
+        Ok(GuidedSplit { split: SplitView { values }, variance, features: Features { values: features } })
+    }
+}
+
+/// Radiance of values that begin with two parts of it.
+fn both_parts(values: &[f32]) -> [f32; 3] {
+    [0, 1, 2].map(|c| values[c] + values[3 + c])
 }

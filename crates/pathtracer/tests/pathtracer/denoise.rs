@@ -6,7 +6,7 @@ use glam::{Quat, Vec3, Vec4};
 use lumistack_core::{Cancel, Collector, Task, Tensor};
 use lumistack_display::{FieldGeometry, Projection, ViewGrid};
 use lumistack_pathtracer::denoise::{Estimate, NoisyView, SharedLight, Window, denoise, figures};
-use lumistack_pathtracer::{AngularFilter, Renderer, Settings, SplitView};
+use lumistack_pathtracer::{Renderer, Settings, SplitView};
 use lumistack_scene::Material;
 
 const SIZE: usize = 64;
@@ -66,9 +66,12 @@ fn the_report_is_true_and_means_and_edges_stay() {
     let places: Vec<[usize; 2]> = geometry.grid.iter().collect();
     let views: Vec<NoisyView> = places
         .iter()
-        .map(|&view| NoisyView {
-            halves: [1, 2].map(|seed| render(&renderer, view, samples / 2, seed)),
-            features: renderer.render_features(&window(), &geometry, view, 16, AngularFilter::Point, task).unwrap(),
+        .map(|&view| {
+            let [a, b] = [1, 2].map(|seed| {
+                let settings = Settings { samples: samples / 2, seed, ..Settings::default() };
+                renderer.render_view_and_features(&window(), &geometry, view, &settings, task).unwrap()
+            });
+            NoisyView { halves: [a.radiance, b.radiance], features: a.features.joined(&b.features) }
         })
         .collect();
     let filtered = denoise(&geometry, &views, Window::default(), task).unwrap();
@@ -89,10 +92,11 @@ fn the_report_is_true_and_means_and_edges_stay() {
         let truth = 0.5 * (mean(&a) + mean(&b));
         assert!((mean(picture) / truth - 1.0).abs() < 0.01, "{} instead of {truth}", mean(picture));
         // either side of both edges of the middle view, where they stand between two columns, and
-        // the columns beside
+        // the columns beside. In other views they run through pixels, whose four samples tell their
+        // place with noise of their own.
         for col in [POLE - 2, POLE - 1, POLE, POLE + 1, COLOUR - 2, COLOUR - 1, COLOUR, COLOUR + 1] {
             let (found, truth) = (column(picture, col), 0.5 * (column(&a, col) + column(&b, col)));
-            assert!((found / truth - 1.0).abs() < 0.08, "view {view:?}, column {col}: {found} instead of {truth}");
+            assert!((found / truth - 1.0).abs() < 0.15, "view {view:?}, column {col}: {found} instead of {truth}");
         }
     }
     let [told_before, told_after] =

@@ -11,8 +11,7 @@ use lumistack_core::Task;
 use lumistack_field_io::picture::write_exr_channels;
 use serde_json::{Map, Value, json};
 
-use crate::error::{PipelineError, field_error, render_error};
-use crate::stage::denoise::FEATURE_SAMPLES;
+use crate::error::{PipelineError, field_error};
 use crate::stage::fields::Shot;
 use crate::stage::trace::Traced;
 use crate::view_options::{ExtraChannel, ViewOptions};
@@ -35,33 +34,37 @@ pub(crate) fn write_channels(
     let Shot { ingested, placement, .. } = shot;
     let target = &rendered.fields[0];
     let (window, traced, kind) = (shot.window(), &target.traced, shot.denoise());
-    let (settings, projection) = (target.settings, target.geometry.grid.projection);
+    let projection = target.geometry.grid.projection;
     lumistack_field_io::atomic::create_folder(folder).map_err(field_error)?;
     let renderer = ingested.renderer(task)?;
     task.progress.begin("layers", rendered.views.len() as u64, "views");
     // Collect the requested channels of one view, each `[row][col]`.
     let of_view = |view: [usize; 2]| -> Result<(), PipelineError> {
         let mut channels: Vec<(&str, Vec<f32>)> = Vec::new();
+        let [rows, cols] = [traced.rows, traced.cols];
+        let pixels = || (0..rows).flat_map(move |row| (0..cols).map(move |col| (row, col)));
+        let guides = [ExtraChannel::Depth, ExtraChannel::Normal, ExtraChannel::Albedo].into_iter().any(has);
+        let guides = guides.then(|| target.guides(view, shot, task)).transpose()?;
         if has(ExtraChannel::Depth) {
-            let depth = renderer.depth(window, traced, view, task)?;
-            let shown = |z: &f32| projection.scaled_depth(f64::from(*z), placement.depth_scale) as f32;
-            channels.push((ExtraChannel::Depth.channels()[0], depth.data().iter().map(shown).collect()));
+            let shown = |z: f32| projection.scaled_depth(f64::from(z), placement.depth_scale) as f32;
+            let depth: Vec<f32> = match &guides {
+                Some(guides) if ingested.scene.placed_clouds.is_empty() => {
+                    pixels().map(|(row, col)| guides.at(row, col).central_z_mm.map_or(f32::NAN, shown)).collect()
+                }
+                // Splats have a depth of their own.
+                _ => renderer.depth(window, traced, view, task)?.data().iter().map(|z| shown(*z)).collect(),
+            };
+            channels.push((ExtraChannel::Depth.channels()[0], depth));
         }
-        if has(ExtraChannel::Normal) || has(ExtraChannel::Albedo) {
-            let filter = settings.angular_filter;
-            let features = renderer.tracer.render_features(window, traced, view, FEATURE_SAMPLES, filter, task);
-            let features = features.map_err(render_error)?;
-            let [rows, cols] = [traced.rows, traced.cols];
-            let pixels = || (0..rows).flat_map(move |row| (0..cols).map(move |col| (row, col)));
-            for axis in 0..3 {
-                if has(ExtraChannel::Normal) {
-                    let values = pixels().map(|(row, col)| features.at(row, col).normal[axis]).collect();
-                    channels.push((ExtraChannel::Normal.channels()[axis], values));
-                }
-                if has(ExtraChannel::Albedo) {
-                    let values = pixels().map(|(row, col)| features.at(row, col).albedo[axis]).collect();
-                    channels.push((ExtraChannel::Albedo.channels()[axis], values));
-                }
+        for axis in 0..3 {
+            let Some(guides) = &guides else { break };
+            if has(ExtraChannel::Normal) {
+                let values = pixels().map(|(row, col)| guides.at(row, col).normal[axis]).collect();
+                channels.push((ExtraChannel::Normal.channels()[axis], values));
+            }
+            if has(ExtraChannel::Albedo) {
+                let values = pixels().map(|(row, col)| guides.at(row, col).albedo[axis]).collect();
+                channels.push((ExtraChannel::Albedo.channels()[axis], values));
             }
         }
         // Variance and coverage come from the cache of the views.

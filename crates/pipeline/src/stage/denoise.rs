@@ -16,9 +16,8 @@ use std::path::{Path, PathBuf};
 use lumistack_core::{Task, Tensor};
 use lumistack_display::FieldGeometry;
 use lumistack_pathtracer::denoise::{self, Estimate, NoisyView, SharedLight, ViewFigures, Window as Around};
-use lumistack_pathtracer::{Checks, Renderer, Settings, SplitView};
+use lumistack_pathtracer::{Checks, Settings, SplitView};
 use lumistack_report::{DenoisedView, Denoising};
-use lumistack_scene::Window;
 use lumistack_shot::ToneMapping;
 
 use self::oidn::Oidn;
@@ -36,8 +35,6 @@ pub fn oidn_version() -> Result<String, PipelineError> {
     Oidn::find().map(|oidn| oidn.version)
 }
 
-/// Rays per pixel of the guide features.
-pub(crate) const FEATURE_SAMPLES: u32 = 16;
 /// Paths of each render of a checked pixel, over those of a pixel of the views.
 const CHECK_FACTOR: u32 = 2;
 /// Maximum number of views whose pixels are checked. They spread over the viewing zone and suffice
@@ -72,7 +69,7 @@ pub(crate) fn run(shot: Shot<'_>, fields: &[FieldJob], task: Task<'_>) -> Result
     for field in fields {
         if !is_finished(field, kind) {
             cached = false;
-            filter(field, kind, &shot.ingested.renderer(task)?.tracer, shot.window(), task)?;
+            filter(field, shot, task)?;
         }
     }
     Ok(cached)
@@ -90,19 +87,14 @@ pub(crate) fn is_finished(field: &FieldJob, kind: Denoise) -> bool {
 ///
 /// # Errors
 /// If cancelled, if a file cannot be written, or if Open Image Denoise fails.
-fn filter(
-    field: &FieldJob,
-    kind: Denoise,
-    renderer: &Renderer,
-    window: &Window,
-    task: Task<'_>,
-) -> Result<(), PipelineError> {
+fn filter(field: &FieldJob, shot: Shot<'_>, task: Task<'_>) -> Result<(), PipelineError> {
+    let (kind, window, renderer) = (shot.denoise(), shot.window(), &shot.ingested.renderer(task)?.tracer);
     let geometry = &field.traced;
     let folder = field.finished(kind);
     std::fs::create_dir_all(&folder).map_err(PipelineError::write(&folder))?;
     let filtered = match kind {
         Denoise::Shared => shared(field, task)?,
-        _ => by_guides(field, kind, renderer, window, &folder, task)?,
+        _ => by_guides(field, shot, &folder, task)?,
     };
     // Pixels of some views are rendered again, to measure noise and bias of the filter.
     let settings = field.seeded(&[]);
@@ -178,17 +170,14 @@ fn split(field: &FieldJob, view: [usize; 2]) -> Result<SplitView, PipelineError>
 /// Filters two halves of every view, guided by features of the first hits.
 fn by_guides<'a>(
     field: &FieldJob,
-    kind: Denoise,
-    renderer: &Renderer,
-    window: &Window,
+    shot: Shot<'_>,
     folder: &Path,
     task: Task<'_>,
 ) -> Result<Filtered<'a>, PipelineError> {
-    let (geometry, settings) = (&field.traced, field.seeded(&[]));
+    let geometry = &field.traced;
     let noisy = |view| -> Result<NoisyView, PipelineError> {
-        let features = renderer.render_features(window, geometry, view, FEATURE_SAMPLES, settings.angular_filter, task);
         let halves = [half(field, view, 0)?, half(field, view, 1)?];
-        let noisy = NoisyView { halves, features: features.map_err(render_error)? };
+        let noisy = NoisyView { halves, features: field.guides(view, shot, task)? };
         task.progress.advance(1, "");
         Ok(noisy)
     };
@@ -197,7 +186,7 @@ fn by_guides<'a>(
     let views: Result<Vec<NoisyView>, _> = geometry.grid.iter().map(noisy).collect();
     task.progress.end();
     let views = views?;
-    let filtered = run_filter(kind, geometry, &views, folder, task)?;
+    let filtered = run_filter(shot.denoise(), geometry, &views, folder, task)?;
     Ok(Box::new(move |number, _| Ok([views[number].mean(), filtered[number].clone()])))
 }
 

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use lumistack_core::Task;
 use lumistack_display::{FieldGeometry, ViewGrid};
-use lumistack_pathtracer::Settings;
+use lumistack_pathtracer::{Features, Settings};
 use lumistack_shot::{Placement, put_before, seeded};
 use lumistack_splats::Space;
 
@@ -15,7 +15,7 @@ use crate::error::{PipelineError, field_error, render_error};
 use crate::job::{Background, Denoise, Job};
 use crate::store::code;
 use crate::store::key::KeyBuilder;
-use crate::store::views::{read_splats, read_view, splats_path, variance_path, view_path};
+use crate::store::views::{guides_path, read_guides, read_splats, read_view, splats_path, variance_path, view_path};
 
 /// A scene in front of a display, with the job's settings.
 #[derive(Clone, Copy)]
@@ -171,6 +171,11 @@ pub(crate) fn held_out_grid(grid: &ViewGrid, per_axis: usize) -> Option<ViewGrid
     Some(ViewGrid { projection: grid.projection, slope_x: pick(&midpoints.slope_x), slope_y: pick(&midpoints.slope_y) })
 }
 
+/// Joins the first hits of all parts of a view.
+fn joined(parts: Vec<Features>) -> Option<Features> {
+    parts.into_iter().reduce(|all, part| all.joined(&part))
+}
+
 /// Returns the parts in which views are traced: filters need two halves.
 pub(crate) fn parts(kind: Denoise) -> &'static [Option<usize>] {
     if kind.takes_halves() { &[Some(0), Some(1)] } else { &[None] }
@@ -269,6 +274,9 @@ impl FieldJob {
         {
             return Ok(missed);
         }
+        if let Some(kept) = self.kept_guides(view, kind) {
+            return Ok(kept.values().data().chunks_exact(Features::VALUES).map(|pixel| 1.0 - pixel[0]).collect());
+        }
         let parts = parts(kind);
         let mut missed = vec![0.0; shape[0] * shape[1]];
         for &half in parts {
@@ -279,6 +287,30 @@ impl FieldJob {
         }
         lumistack_field_io::npy::write(&path, &shape, &missed).map_err(field_error)?;
         Ok(missed)
+    }
+
+    /// Returns the guides of all samples of a view: those that were kept with its radiance, else the
+    /// same again, from the same rays.
+    ///
+    /// # Errors
+    /// If the scene cannot be rendered, or the task is cancelled.
+    pub(crate) fn guides(&self, view: [usize; 2], shot: Shot<'_>, task: Task<'_>) -> Result<Features, PipelineError> {
+        if let Some(kept) = self.kept_guides(view, shot.denoise()) {
+            return Ok(kept);
+        }
+        let tracer = &shot.ingested.renderer(task)?.tracer;
+        let of_part = |&half: &Option<usize>| {
+            tracer.render_features(shot.window(), &self.traced, view, &self.settings_of(half), task)
+        };
+        let parts: Result<Vec<Features>, _> = parts(shot.denoise()).iter().map(of_part).collect();
+        let joined = joined(parts.map_err(render_error)?);
+        joined.ok_or_else(|| PipelineError::job("samples", "at least one part", "none"))
+    }
+
+    /// Returns the guides that were kept with the radiance of all samples of a view.
+    fn kept_guides(&self, view: [usize; 2], kind: Denoise) -> Option<Features> {
+        let of_part = |&half: &Option<usize>| read_guides(&guides_path(&self.folder, view, half), &self.traced);
+        joined(parts(kind).iter().map(of_part).collect::<Option<Vec<Features>>>()?)
     }
 
     /// Returns the variance of every value of a view before denoising, `[row][col][rgb]`. If there

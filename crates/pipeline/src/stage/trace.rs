@@ -6,7 +6,7 @@ mod blender;
 use std::path::{Path, PathBuf};
 
 use lumistack_core::Task;
-use lumistack_pathtracer::Renderer;
+use lumistack_pathtracer::{GuidedSplit, GuidedView, Renderer};
 use lumistack_scene::Window;
 use lumistack_shot::{Depths, SceneRenderer, slopes};
 
@@ -16,8 +16,8 @@ use super::{denoise, depth};
 use crate::error::{PipelineError, render_error};
 use crate::job::{Denoise, Engine};
 use crate::store::views::{
-    missing, read_splats, read_split, read_view, splats_path, split_path, variance_path, view_path, write_splats,
-    write_split, write_view,
+    guides_path, missing, read_splats, read_split, read_view, splats_path, split_path, variance_path, view_path,
+    write_guides, write_splats, write_split, write_view,
 };
 use crate::view_options::ViewOptions;
 
@@ -47,6 +47,8 @@ struct Todo {
     path: PathBuf,
     /// File of the variance, if it is requested.
     variance: Option<PathBuf>,
+    /// File of the guides, if they are requested.
+    guides: Option<PathBuf>,
 }
 
 /// Traces all views that are not cached. Returns true if all were.
@@ -102,13 +104,15 @@ fn trace_views(
     for (number, field) in fields.iter().enumerate() {
         std::fs::create_dir_all(&field.folder).map_err(PipelineError::write(&field.folder))?;
         let variance = options.variance() && field.is_target();
+        let guides = kind.takes_halves() || options.surfaces() && field.is_target();
         let traced = if ingested.is_traced() { field.wanted(&views) } else { Vec::new() };
         for view in traced {
             for &half in parts(kind) {
                 let shared = kind == Denoise::Shared;
                 let path = if shared { split_path(&field.folder, view) } else { view_path(&field.folder, view, half) };
                 let variance = variance.then(|| variance_path(&field.folder, view, half));
-                all.push(Todo { field: number, view, half, path, variance });
+                let guides = guides.then(|| guides_path(&field.folder, view, half));
+                all.push(Todo { field: number, view, half, path, variance, guides });
             }
         }
     }
@@ -208,26 +212,35 @@ fn trace(
 ) -> Result<(), PipelineError> {
     let steps: u64 = todo.iter().map(|todo| Renderer::steps_per_view(&fields[todo.field].geometry)).sum();
     task.progress.begin("render", steps, "tiles");
-    let result = todo.iter().enumerate().try_for_each(|(number, Todo { field, view, half, path, variance })| {
+    let result = todo.iter().enumerate().try_for_each(|(number, one)| {
+        let Todo { field, view, half, path, variance, guides } = one;
         let field = &fields[*field];
         // Each half of a view has its own seed.
-        let settings = field.settings_of(*half);
-        let picture = match variance {
-            None if kind == Denoise::Shared => None,
-            None => Some(renderer.render_view(window, &field.traced, *view, &settings, task).map_err(render_error)?),
-            Some(path) => {
-                let both = renderer.render_view_and_variance(window, &field.traced, *view, &settings, task);
-                let (picture, variance) = both.map_err(render_error)?;
-                write_view(path, &variance)?;
-                Some(picture)
-            }
-        };
-        // Shared light needs the view in parts, from which its radiance follows.
-        if kind == Denoise::Shared {
-            let split = renderer.render_split(window, &field.traced, *view, &settings, task).map_err(render_error)?;
+        let (traced, settings) = (&field.traced, field.settings_of(*half));
+        let (alone, shared) = (variance.is_none() && guides.is_none(), kind == Denoise::Shared);
+        // All results come from the same paths: radiance alone, or first hits too.
+        let more = if shared && alone {
+            let split = renderer.render_split(window, traced, *view, &settings, task).map_err(render_error)?;
             write_split(path, &split)?;
-        } else if let Some(picture) = picture {
+            None
+        } else if shared {
+            let both = renderer.render_split_and_features(window, traced, *view, &settings, task);
+            let GuidedSplit { split, variance, features } = both.map_err(render_error)?;
+            write_split(path, &split)?;
+            Some((variance, features))
+        } else if alone {
+            let picture = renderer.render_view(window, traced, *view, &settings, task).map_err(render_error)?;
             write_view(path, &picture)?;
+            None
+        } else {
+            let both = renderer.render_view_and_features(window, traced, *view, &settings, task);
+            let GuidedView { radiance, variance, features } = both.map_err(render_error)?;
+            write_view(path, &radiance)?;
+            Some((variance, features))
+        };
+        if let Some((values, features)) = more {
+            variance.as_ref().map_or(Ok(()), |path| write_view(path, &values))?;
+            guides.as_ref().map_or(Ok(()), |path| write_guides(path, &features))?;
         }
         let of = if half.is_some() { "half view" } else { "view" };
         task.progress.advance(0, &format!("{of} {} of {}", number + 1, todo.len()));

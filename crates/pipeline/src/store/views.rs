@@ -10,7 +10,7 @@ use lumistack_display::FieldGeometry;
 use lumistack_field_io::picture::{self, Picture, Precision};
 use rayon::prelude::*;
 
-use lumistack_pathtracer::SplitView;
+use lumistack_pathtracer::{Features, SplitView};
 
 use super::key::KeyBuilder;
 use crate::error::{PipelineError, field_error};
@@ -30,6 +30,12 @@ pub(crate) fn variance_path(folder: &Path, view: [usize; 2], half: Option<usize>
 /// Returns the file of a view with separated light.
 pub(crate) fn split_path(folder: &Path, view: [usize; 2]) -> PathBuf {
     folder.join(format!("split_{:02}_{:02}.exr", view[0], view[1]))
+}
+
+/// Returns the file of the guides of a view, or of a half of its samples.
+pub(crate) fn guides_path(folder: &Path, view: [usize; 2], half: Option<usize>) -> PathBuf {
+    let half = half.map_or("", |half| ["-a", "-b"][half]);
+    folder.join(format!("guides_{:02}_{:02}{half}.exr", view[0], view[1]))
 }
 
 /// Returns the file of a view's splats.
@@ -63,17 +69,7 @@ fn splat_rows(rows: usize) -> usize {
 
 /// Reads a view with separated light; `None` if the file is missing or damaged.
 pub(crate) fn read_split(path: &Path, geometry: &FieldGeometry) -> Option<SplitView> {
-    let [rows, cols] = [geometry.rows, geometry.cols];
-    let pictures = read_picture(path, [cols, SPLIT_PICTURES * rows])?;
-    let values = SplitView::VALUES;
-    let mut parts = Tensor::zeros(["row", "col", "part"], [rows, cols, values]);
-    for (number, picture) in pictures.chunks_exact(3 * rows * cols).enumerate() {
-        let taken = 3.min(values - 3 * number);
-        for (to, from) in parts.data_mut().chunks_exact_mut(values).zip(picture.chunks_exact(3)) {
-            to[3 * number..][..taken].copy_from_slice(&from[..taken]);
-        }
-    }
-    SplitView::from_values(parts)
+    SplitView::from_values(read_values(path, geometry, SplitView::VALUES)?)
 }
 
 /// Writes a view with separated light: three values per pixel in each of several pictures, one
@@ -82,19 +78,49 @@ pub(crate) fn read_split(path: &Path, geometry: &FieldGeometry) -> Option<SplitV
 /// # Errors
 /// If the file cannot be written.
 pub(crate) fn write_split(path: &Path, split: &SplitView) -> Result<(), PipelineError> {
-    let ([rows, cols], values) = (split.size(), SplitView::VALUES);
-    let mut pictures = vec![0.0; 3 * rows * cols * SPLIT_PICTURES];
+    write_values(path, split.values())
+}
+
+/// Reads the guides of a view; `None` if the file is missing or damaged.
+pub(crate) fn read_guides(path: &Path, geometry: &FieldGeometry) -> Option<Features> {
+    Features::from_values(read_values(path, geometry, Features::VALUES)?)
+}
+
+/// Writes the guides of a view.
+///
+/// # Errors
+/// If the file cannot be written.
+pub(crate) fn write_guides(path: &Path, guides: &Features) -> Result<(), PipelineError> {
+    write_values(path, guides.values())
+}
+
+/// Reads `[row][col][k]` with `count` values k per pixel.
+fn read_values(path: &Path, geometry: &FieldGeometry, count: usize) -> Option<Tensor<3>> {
+    let [rows, cols] = [geometry.rows, geometry.cols];
+    let pictures = read_picture(path, [cols, count.div_ceil(3) * rows])?;
+    let mut values = Tensor::zeros(["row", "col", "k"], [rows, cols, count]);
+    for (number, picture) in pictures.chunks_exact(3 * rows * cols).enumerate() {
+        let taken = 3.min(count - 3 * number);
+        for (to, from) in values.data_mut().chunks_exact_mut(count).zip(picture.chunks_exact(3)) {
+            to[3 * number..][..taken].copy_from_slice(&from[..taken]);
+        }
+    }
+    Some(values)
+}
+
+/// Writes `[row][col][k]`: values three by three as pictures, one below the other.
+fn write_values(path: &Path, values: &Tensor<3>) -> Result<(), PipelineError> {
+    let [rows, cols, count] = values.shape();
+    let height = count.div_ceil(3) * rows;
+    let mut pictures = vec![0.0; 3 * cols * height];
     for (number, picture) in pictures.chunks_exact_mut(3 * rows * cols).enumerate() {
-        let taken = 3.min(values - 3 * number);
-        for (to, from) in picture.chunks_exact_mut(3).zip(split.values().data().chunks_exact(values)) {
+        let taken = 3.min(count - 3 * number);
+        for (to, from) in picture.chunks_exact_mut(3).zip(values.data().chunks_exact(count)) {
             to[..taken].copy_from_slice(&from[3 * number..][..taken]);
         }
     }
-    write_picture(path, [cols, SPLIT_PICTURES * rows], &pictures)
+    write_picture(path, [cols, height], &pictures)
 }
-
-/// Number of pictures of three channels for a view with separated light.
-const SPLIT_PICTURES: usize = SplitView::VALUES.div_ceil(3);
 
 /// Reads a view of the geometry's size; `None` if the file is missing or damaged.
 pub(crate) fn read_view(path: &Path, geometry: &FieldGeometry) -> Option<Vec<f32>> {

@@ -1,0 +1,113 @@
+//! Means over the first surfaces of a pixel's paths.
+
+use glam::{DVec3, Quat, Vec3};
+use lumistack_scene::Window;
+
+use super::features::FEATURES;
+use super::split::SplitView;
+use crate::geometry::RenderSpace;
+use crate::tracer::First;
+
+/// Display space, as render space sees it.
+pub(super) struct DisplayAxes {
+    display_from_scene: Quat,
+    /// z in millimetres of a point of render space: a product and a sum.
+    along: DVec3,
+    offset: f64,
+}
+
+impl DisplayAxes {
+    pub(super) fn new(window: &Window, space: RenderSpace) -> Self {
+        let map = &window.scene_from_display;
+        let along = map.rotation * DVec3::Z / map.scale;
+        Self {
+            display_from_scene: map.rotation.inverse().as_quat(),
+            along: along / space.scale,
+            offset: (space.centre - map.translation).dot(along),
+        }
+    }
+
+    /// Depth in display space of a point in render space, millimetres towards the viewer.
+    fn z_mm(&self, point: Vec3) -> f32 {
+        (point.as_dvec3().dot(self.along) + self.offset) as f32
+    }
+}
+
+/// Sums over the first surfaces of a pixel's paths. Normals are in render space until
+/// [`turned`](Self::turned).
+#[derive(Default)]
+pub(super) struct FirstSums {
+    hits: u32,
+    z_mm: f32,
+    /// Geometric normal, and reflectance of the diffuse lobe.
+    normal: Vec3,
+    reflectance: Vec3,
+    /// Guides.
+    albedo: Vec3,
+    shading: Vec3,
+    gloss: f32,
+    alpha: f32,
+    /// Squared distance from the pixel's centre of the path nearest to it, and the depth it hits.
+    nearest: Option<(f32, Option<f32>)>,
+    /// Light that is scattered alike to all viewers, of the samples that count.
+    diffuse: Vec3,
+}
+
+impl FirstSums {
+    /// Adds the surface of a path through `place`, in pixels from the pixel's centre.
+    #[inline]
+    pub(super) fn add(&mut self, first: &First, place: [f32; 2], axes: &DisplayAxes) {
+        let z_mm = first.is_there.then(|| axes.z_mm(first.position));
+        let distance = place[0] * place[0] + place[1] * place[1];
+        if self.nearest.is_none_or(|(nearest, _)| distance < nearest) {
+            self.nearest = Some((distance, z_mm));
+        }
+        let Some(z_mm) = z_mm else { return };
+        self.hits += 1;
+        self.z_mm += z_mm;
+        self.normal += first.normal;
+        self.reflectance += first.reflectance;
+        self.albedo += first.guide.albedo;
+        self.shading += first.guide.normal;
+        self.gloss += first.guide.gloss;
+        self.alpha += first.guide.alpha;
+    }
+
+    /// Adds light that is scattered alike to all viewers.
+    #[inline]
+    pub(super) fn add_diffuse(&mut self, diffuse: Vec3) {
+        self.diffuse += diffuse;
+    }
+
+    /// The sums with normals in display space.
+    pub(super) fn turned(mut self, axes: &DisplayAxes) -> Self {
+        self.normal = axes.display_from_scene * self.normal;
+        self.shading = axes.display_from_scene * self.shading;
+        self
+    }
+
+    /// The guides of a pixel of so many samples.
+    pub(super) fn features(&self, samples: u32) -> [f32; FEATURES] {
+        let share = 1.0 / self.hits.max(1) as f32;
+        let [r, g, b] = (share * self.albedo).to_array();
+        let [x, y, z] = (share * self.shading).to_array();
+        let central = self.nearest.and_then(|(_, z_mm)| z_mm).unwrap_or(f32::NAN);
+        let covered = self.hits as f32 / samples as f32;
+        [covered, r, g, b, x, y, z, share * self.z_mm, share * self.gloss, share * self.alpha, central]
+    }
+
+    /// A pixel in two parts: `mean` is the light of all samples, `finite` of which count.
+    pub(super) fn split(&self, mean: Vec3, finite: u32, samples: u32) -> [f32; SplitView::VALUES] {
+        // light is a mean over the samples that count, reflectance over all, normal and depth over
+        // those with a surface
+        let diffuse = self.diffuse / finite.max(1) as f32;
+        let share = 1.0 / self.hits.max(1) as f32;
+        let mut values = [0.0; SplitView::VALUES];
+        values[..3].copy_from_slice(&diffuse.to_array());
+        values[3..6].copy_from_slice(&(mean - diffuse).to_array());
+        values[6..9].copy_from_slice(&(self.reflectance / samples as f32).to_array());
+        values[9..12].copy_from_slice(&(share * self.normal).to_array());
+        values[12] = share * self.z_mm;
+        values
+    }
+}
