@@ -115,7 +115,8 @@ fn layers_agree_with_views() {
     assert!(text.contains("--layers: expected at least 2 samples"), "{text}");
 }
 
-/// What paths hit first is kept with their light. Without it, the same rays find the same surfaces again.
+/// First hits are kept with the radiance of their paths. Without them, the same rays find the same
+/// surfaces again.
 #[test]
 fn surfaces_are_those_of_the_paths_of_the_light() {
     let folder = tempfile::tempdir().unwrap();
@@ -139,7 +140,7 @@ fn surfaces_are_those_of_the_paths_of_the_light() {
             if is_guide || name.starts_with("missed_") {
                 std::fs::remove_file(&path).unwrap();
             } else if denoise == "guided" && path.is_dir() {
-                // what the filter made of the guides
+                // The result of the filter that used the guides.
                 std::fs::remove_dir_all(&path).unwrap();
             }
             dropped += usize::from(is_guide);

@@ -143,7 +143,7 @@ pub(crate) struct First {
     pub(crate) guide: Guide,
 }
 
-/// Properties of a surface that tell a filter where light may differ.
+/// Properties of a surface that show a filter where light may differ.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct Guide {
     /// Reflectance, 0..1: base colour plus a dielectric's few percent.

@@ -289,8 +289,8 @@ impl FieldJob {
         Ok(missed)
     }
 
-    /// Returns the guides of all samples of a view: those that were kept with its radiance, else the
-    /// same again, from the same rays.
+    /// Returns the guides of all samples of a view: those that were kept with its radiance, or else
+    /// the same again, from the same rays.
     ///
     /// # Errors
     /// If the scene cannot be rendered, or the task is cancelled.
