@@ -8,6 +8,7 @@ mod calibrate;
 mod compare;
 mod denoise;
 mod design;
+mod devices;
 mod directional;
 mod end_to_end;
 mod errors;

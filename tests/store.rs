@@ -9,7 +9,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use serde_json::Value;
 
-use crate::common::{fail, files, lumistack, report, root, succeed, write_test_field};
+use crate::common::{cached, fail, files, lumistack, report, root, succeed, write_test_field};
 
 const FIELD: [&str; 4] = ["--fov", "20x20", "--pitch-mm", "3"];
 const SMALL: [&str; 8] = ["--resolution", "24x16", "--samples", "1", "--iterations", "2", "--frames", "2"];
@@ -44,12 +44,6 @@ fn job(folder: &Path, frames: usize, outputs: &str) -> PathBuf {
     );
     fs::write(&path, text).unwrap();
     path
-}
-
-fn cached(run: &Path, stage: &str) -> bool {
-    let report = report(run);
-    let stage = report["stages"].as_array().unwrap().iter().find(|found| found["name"] == stage);
-    stage.expect("the stage is told")["cached"].as_bool().unwrap()
 }
 
 /// Changes the last byte of a file, which keeps its size and its time.

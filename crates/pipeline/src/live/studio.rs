@@ -250,6 +250,7 @@ fn expose(look: Look, job: &Job, shot: Shot<'_>, views: &Progressive, field: &mu
 /// The display of a job, with at most [`MOST_VIEWS`] automatic views.
 fn display_of(job: &Job) -> Result<Display, PipelineError> {
     job.check()?;
+    job.factorize.check_needs_no_device("live displays are solved")?;
     let refused = [
         ("nodes", "one display, without nodes", !job.nodes.is_empty()),
         ("sweep", "one display, without a sweep", job.sweep.is_some()),

@@ -113,6 +113,7 @@ pub(crate) struct Designs {
 /// When a design makes no sense, or the constraints of a search leave none.
 pub(crate) fn add(plan: &mut Plan, job: &Job, sweep: &SweepJob) -> Result<Designs, PipelineError> {
     sweep.check()?;
+    job.factorize.check_needs_no_device("designs of a sweep are solved")?;
     let root = plan.add_part(PathBuf::new(), Kind::Sweep, job.clone(), None);
     let (candidates, jobs) = designs::all(job, sweep)?;
     let candidates = match &sweep.search {

@@ -26,22 +26,14 @@ impl Site {
     pub(crate) fn of(device: &str) -> Result<Self, PipelineError> {
         check(device)?;
         #[cfg(feature = "gpu")]
-        {
-            use lumistack_factorizer_gpu::Device;
-            let name = device.strip_prefix("gpu:");
-            match device {
-                "cpu" => {}
+        if device != "cpu" {
+            let optional = device == "auto";
+            return match opened(device.strip_prefix("gpu:")) {
+                Ok(device) => Ok(Self::Device { device, optional }),
                 // most machines have none that is worth it
-                "auto" => {
-                    if let Ok(device) = Device::open(None) {
-                        return Ok(Self::Device { device, optional: true });
-                    }
-                }
-                _ => {
-                    let device = Device::open(name).map_err(PipelineError::Factorize)?;
-                    return Ok(Self::Device { device, optional: false });
-                }
-            }
+                Err(_) if optional => Ok(Self::Processor),
+                Err(error) => Err(PipelineError::Factorize(error)),
+            };
         }
         Ok(Self::Processor)
     }
@@ -78,6 +70,24 @@ impl Site {
     }
 }
 
+/// Opens a device, or returns the one that is open and without failure: a device that opens again
+/// compiles all programs again.
+#[cfg(feature = "gpu")]
+fn opened(name: Option<&str>) -> Result<lumistack_factorizer_gpu::Device, FactorizeError> {
+    use std::collections::BTreeMap;
+    use std::sync::{Mutex, PoisonError};
+
+    static OPEN: Mutex<BTreeMap<Option<String>, lumistack_factorizer_gpu::Device>> = Mutex::new(BTreeMap::new());
+    let mut open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
+    let key = name.map(str::to_owned);
+    if let Some(device) = open.get(&key).filter(|device| device.check().is_ok()) {
+        return Ok(device.clone());
+    }
+    let device = lumistack_factorizer_gpu::Device::open(name)?;
+    open.insert(key, device.clone());
+    Ok(device)
+}
+
 /// Works at the site of a job; where that is a device that nobody asked for, and it cannot do this or is lost, on the processor, with a note.
 ///
 /// # Errors
@@ -87,8 +97,15 @@ pub(crate) fn at_site<T>(
     task: Task<'_>,
     mut work: impl FnMut(&Site) -> Result<T, PipelineError>,
 ) -> Result<T, PipelineError> {
-    let site = Site::of(device)?;
-    match work(&site) {
+    at(&Site::of(device)?, task, &mut work)
+}
+
+fn at<T>(
+    site: &Site,
+    task: Task<'_>,
+    work: &mut dyn FnMut(&Site) -> Result<T, PipelineError>,
+) -> Result<T, PipelineError> {
+    match work(site) {
         Err(PipelineError::Factorize(error @ FactorizeError::Device { .. })) if site.is_optional() => {
             task.warn("device", format!("{error}; solving on the processor instead"));
             work(&Site::Processor)
@@ -127,5 +144,38 @@ mod tests {
             assert!(check(bad).unwrap_err().to_string().contains("factorize.device"), "{bad}");
         }
         assert_eq!(check("gpu:llvmpipe").is_ok(), cfg!(feature = "gpu"));
+    }
+
+    /// A device that is lost during the work is an error if the job names it, else a note.
+    #[cfg(feature = "gpu")]
+    #[test]
+    fn the_processor_replaces_a_lost_device_that_the_job_does_not_name() {
+        use lumistack_core::{Cancel, Collector};
+        use lumistack_display::{Display, LightField, Weights};
+        use lumistack_factorizer_gpu::Device;
+
+        use crate::job::FactorizeJob;
+        use crate::stage::factorize::Solve;
+
+        let display = Display::uniform([20, 12], 1.0, [3, 3], [20.0; 2], &[-2.0, 2.0], 2);
+        let target = LightField::black(display.geometry().unwrap()).unwrap();
+        let job = FactorizeJob { iterations: Some(2), ..Default::default() };
+        let solve = Solve { job: &job, seed: 1, display: &display, target: &target, weights: &Weights::Uniform };
+        for optional in [true, false] {
+            let device = match Device::open(Some("")) {
+                Ok(device) => device,
+                Err(error) => return lumistack_testkit::skip::skipped(&error.to_string()),
+            };
+            device.lose();
+            let (warnings, cancel) = (Collector::default(), Cancel::default());
+            let task = Task::quiet(&warnings, &cancel);
+            let mut work = |site: &Site| solve.factorize(site, None, task, &mut |_| ());
+            let result = at(&Site::Device { device, optional }, task, &mut work);
+            let notes: Vec<String> = warnings.take().into_iter().map(|warning| warning.message).collect();
+            match result {
+                Ok(_) => assert!(optional && notes.iter().any(|note| note.contains("lost")), "{notes:?}"),
+                Err(error) => assert!(!optional && error.to_string().contains("lost"), "{error}"),
+            }
+        }
     }
 }
