@@ -13,6 +13,7 @@ mod directional;
 mod end_to_end;
 mod errors;
 mod golden;
+mod live;
 mod looks;
 mod outputs;
 mod plugins;

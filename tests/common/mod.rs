@@ -50,7 +50,8 @@ pub fn report(run_dir: &Path) -> serde_json::Value {
 /// Returns whether a stage of a run used its earlier results.
 pub fn cached(run_dir: &Path, stage: &str) -> bool {
     let report = report(run_dir);
-    let stage = report["stages"].as_array().expect("the report lists stages").iter().find(|found| found["name"] == stage);
+    let stage =
+        report["stages"].as_array().expect("the report lists stages").iter().find(|found| found["name"] == stage);
     stage.expect("the report lists the stage")["cached"].as_bool().expect("cached is true or false")
 }
 

@@ -42,7 +42,7 @@ pub use job::{
     Near, NodeJob, OutputJob, PoseJob, RenderJob, ReportJob, SearchJob, SequenceJob, SourceJob, SweepJob, Tone,
     WindowFrom, WindowJob, ZoneSamples,
 };
-pub use live::{LiveFolder, Studio};
+pub use live::{LiveFolder, LiveSolver, Studio};
 #[cfg(feature = "gpu")]
 pub use lumistack_factorizer_gpu::{Adapter as GpuAdapter, adapters as gpu_adapters};
 pub use lumistack_plugin_host::{Asked, OutputData, PresentContext, Registry, Told, present};

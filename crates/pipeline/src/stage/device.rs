@@ -55,6 +55,26 @@ impl Site {
         }
     }
 
+    /// Executes work here. If an optional device fails, this becomes the processor, which executes
+    /// the work, with a note.
+    ///
+    /// # Errors
+    /// Those of the work.
+    pub(crate) fn run<T>(
+        &mut self,
+        task: Task<'_>,
+        mut work: impl FnMut(&Self) -> Result<T, PipelineError>,
+    ) -> Result<T, PipelineError> {
+        match work(self) {
+            Err(PipelineError::Factorize(error @ FactorizeError::Device { .. })) if self.is_optional() => {
+                task.warn("device", format!("{error}; solving on the processor instead"));
+                *self = Self::Processor;
+                work(self)
+            }
+            result => result,
+        }
+    }
+
     /// Adds what the results depend on beside the processor's code: a device rounds in its own way.
     pub(crate) fn add_to(&self, key: &mut KeyBuilder) {
         match self {
@@ -95,23 +115,9 @@ fn opened(name: Option<&str>) -> Result<lumistack_factorizer_gpu::Device, Factor
 pub(crate) fn at_site<T>(
     device: &str,
     task: Task<'_>,
-    mut work: impl FnMut(&Site) -> Result<T, PipelineError>,
+    work: impl FnMut(&Site) -> Result<T, PipelineError>,
 ) -> Result<T, PipelineError> {
-    at(&Site::of(device)?, task, &mut work)
-}
-
-fn at<T>(
-    site: &Site,
-    task: Task<'_>,
-    work: &mut dyn FnMut(&Site) -> Result<T, PipelineError>,
-) -> Result<T, PipelineError> {
-    match work(site) {
-        Err(PipelineError::Factorize(error @ FactorizeError::Device { .. })) if site.is_optional() => {
-            task.warn("device", format!("{error}; solving on the processor instead"));
-            work(&Site::Processor)
-        }
-        result => result,
-    }
+    Site::of(device)?.run(task, work)
 }
 
 /// Checks the words of a job, without looking for the device.
@@ -169,8 +175,9 @@ mod tests {
             device.lose();
             let (warnings, cancel) = (Collector::default(), Cancel::default());
             let task = Task::quiet(&warnings, &cancel);
-            let mut work = |site: &Site| solve.factorize(site, None, task, &mut |_| ());
-            let result = at(&Site::Device { device, optional }, task, &mut work);
+            let mut site = Site::Device { device, optional };
+            let result = site.run(task, |site| solve.factorize(site, None, task, &mut |_| ()));
+            assert_eq!(matches!(site, Site::Processor), optional);
             let notes: Vec<String> = warnings.take().into_iter().map(|warning| warning.message).collect();
             match result {
                 Ok(_) => assert!(optional && notes.iter().any(|note| note.contains("lost")), "{notes:?}"),
