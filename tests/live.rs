@@ -3,7 +3,7 @@
 use std::io::{BufRead, BufReader, Write};
 use std::net::UdpSocket;
 use std::path::Path;
-use std::process::{Child, ChildStdin, Stdio};
+use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
@@ -24,7 +24,11 @@ pub(crate) struct Live {
 impl Live {
     /// Starts a job without a browser.
     pub(crate) fn start(job: &Path, run: &Path, options: &[&str]) -> Self {
-        let mut command = lumistack();
+        Self::start_by(lumistack(), job, run, options)
+    }
+
+    /// The same by a command that sets the session.
+    fn start_by(mut command: Command, job: &Path, run: &Path, options: &[&str]) -> Self {
         command.args(["--json", "live", "--no-open"]).arg(job).arg("-o").arg(run).args(options);
         let mut process = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
         let (input, output) = (process.stdin.take().unwrap(), process.stdout.take().unwrap());
@@ -164,4 +168,34 @@ fn errors_of_the_start_end_it_with_one_message() {
         let text = live(options);
         assert!(text.contains(message), "{options:?}: {text}");
     }
+}
+
+/// In the window of a bare X server the pointer moves a head, who stays there while it rests.
+#[cfg(feature = "panels")]
+#[test]
+fn the_mouse_in_the_window_acts_as_a_tracked_head() {
+    use crate::common::session::{Session, XORG};
+
+    let Some(session) = Session::xorg(&XORG) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let (job, run) = (write_job(folder.path()), folder.path().join("run"));
+    let mut poke = crate::common::poke::Poke::new(session.x_display());
+    poke.point([1300, 300]);
+    let program = session.command(env!("CARGO_BIN_EXE_lumistack"));
+    let live = Live::start_by(program, &job, &run, &["--show", "window", "--mouse"]);
+    live.state(|state| state["zone"] == 1.0);
+    // the window opens some time after the first state
+    let zone_within = |time: Duration| -> Option<f64> {
+        let events = std::iter::from_fn(|| live.events.recv_timeout(time).ok());
+        events.filter_map(|event| event["zone"].as_f64()).last()
+    };
+    let followed = (0..300).any(|turn| {
+        poke.point([100 + 10 * (turn % 2), 100]);
+        zone_within(Duration::from_millis(100)) == Some(0.0)
+    });
+    assert!(followed, "no state follows the pointer");
+    // longer than the silence after which the zone comes back
+    let rest = zone_within(Duration::from_secs(4));
+    assert!(rest.is_none_or(|zone| zone == 0.0), "{rest:?}");
+    live.stop();
 }

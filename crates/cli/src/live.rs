@@ -87,7 +87,8 @@ pub(crate) struct Live {
     /// Position of the head where OpenTrack is centred, millimetres before the display
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, default_value = "0,0,600", help_heading = "Viewers")]
     pub(crate) head_mm: Numbers<3>,
-    /// The mouse in the window of `--show window` acts as a tracked head, at the distance of --head-mm
+    /// The mouse in the window of `--show window` acts as a tracked head, at the distance of
+    /// --head-mm
     #[arg(long, requires = "show", conflicts_with = "opentrack", help_heading = "Viewers")]
     pub(crate) mouse: bool,
     /// Standard deviation of the region around a head that counts, millimetres
