@@ -11,7 +11,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use serde_json::Value;
 
-use crate::common::{fail, files, lumistack, report, root, succeed, write_test_field};
+use crate::common::{cached, fail, files, lumistack, report, root, succeed, write_test_field};
 
 const FIELD: [&str; 4] = ["--fov", "20x20", "--pitch-mm", "3"];
 const SMALL: [&str; 8] = ["--resolution", "24x16", "--samples", "1", "--iterations", "2", "--frames", "2"];
@@ -48,13 +48,7 @@ fn job(folder: &Path, frames: usize, outputs: &str) -> PathBuf {
     path
 }
 
-fn cached(run: &Path, stage: &str) -> bool {
-    let report = report(run);
-    let stage = report["stages"].as_array().unwrap().iter().find(|found| found["name"] == stage);
-    stage.expect("the stage is reported")["cached"].as_bool().unwrap()
-}
-
-/// Changes the last byte of a file, with its size and time unchanged.
+/// Changes the last byte of a file, which keeps its size and its time.
 fn damage(path: &Path) {
     let time = fs::metadata(path).unwrap().modified().unwrap();
     let mut bytes = fs::read(path).unwrap();

@@ -47,6 +47,14 @@ pub fn report(run_dir: &Path) -> serde_json::Value {
     serde_json::from_slice(&text).expect("report.json is JSON")
 }
 
+/// Returns whether a stage of a run used its earlier results.
+pub fn cached(run_dir: &Path, stage: &str) -> bool {
+    let report = report(run_dir);
+    let stage =
+        report["stages"].as_array().expect("the report lists stages").iter().find(|found| found["name"] == stage);
+    stage.expect("the report lists the stage")["cached"].as_bool().expect("cached is true or false")
+}
+
 /// A number in `report.json`.
 pub fn number(value: &serde_json::Value, key: &str) -> f64 {
     value[key].as_f64().or_else(|| value[key].as_str()?.parse().ok()).unwrap_or_else(|| panic!("{key} of {value}"))

@@ -18,19 +18,22 @@ mod work;
 
 use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
+use std::sync::Mutex;
 use std::sync::mpsc::sync_channel;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use clap::Args as ClapArgs;
 use lumistack_core::{Cancel, NoProgress, Task};
 use lumistack_pipeline::{
-    Job, LiveFields, LiveFolder, PipelineError, PresentContext, PresenterInput, PresenterOutput, Registry, present,
+    Job, LiveFields, LiveFolder, LiveSolver, PipelineError, PresentContext, PresenterInput, PresenterOutput, Registry,
+    present,
 };
+use lumistack_plugin_panels::presentation::{Command, Event};
 use serde_json::json;
 
 use self::control::{read_commands, read_packets};
 use self::feed::PageFeed;
-use self::requests::{Once, Requests};
+use self::requests::{Once, Requests, lock};
 use self::watch::Watched;
 use self::work::{Rates, Shared, render, solve};
 use crate::console::{say, tell};
@@ -85,6 +88,10 @@ pub(crate) struct Live {
     /// Position of the head where OpenTrack is centred, millimetres before the display
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, default_value = "0,0,600", help_heading = "Viewers")]
     pub(crate) head_mm: Numbers<3>,
+    /// The mouse in the window of `--show window` acts as a tracked head, at the distance of
+    /// --head-mm
+    #[arg(long, requires = "show", conflicts_with = "opentrack", help_heading = "Viewers")]
+    pub(crate) mouse: bool,
     /// Standard deviation of the region around a head that counts, millimetres
     #[arg(long, value_name = "MM", default_value_t = lumistack_live::SIGMA_MM, help_heading = "Viewers")]
     pub(crate) sigma_mm: f64,
@@ -118,7 +125,15 @@ impl Live {
             true => Ok(()),
             false => Err(PipelineError::option(name, "value", "a number above 0", value.to_string())),
         };
-        positive("--rate", self.rate).and_then(|()| positive("--sigma-mm", self.sigma_mm))
+        positive("--rate", self.rate)?;
+        positive("--sigma-mm", self.sigma_mm)?;
+        positive("--head-mm", self.head_mm.0[2])?;
+        match &self.show {
+            Some(mode) if self.mouse && mode != "window" => {
+                Err(PipelineError::option("--mouse", "--show", "`window`, which has a pointer", format!("`{mode}`")))
+            }
+            _ => Ok(()),
+        }
     }
 }
 
@@ -130,6 +145,7 @@ fn is_light_field(path: &Path) -> bool {
 
 pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
     args.check()?;
+    let begun = SystemTime::now();
     // Job, run folder, page and tracker: all errors of the start.
     let in_input = |error| in_place(error, &args.input);
     let mut job = args.job().map_err(in_input)?;
@@ -141,6 +157,7 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
     let folder = LiveFolder::lock(&dir, &job, registry, task)?;
     let site = folder.cache().join("live");
     let live_fields = LiveFields::new(job.clone(), &folder.cache()).map_err(in_input)?;
+    let solver = LiveSolver::new(&job).map_err(in_input)?;
     let server = listen(args.port).map_err(|error| {
         PipelineError::option("--port", "N", "a free port of this machine", format!("{} ({error})", args.port))
     })?;
@@ -158,14 +175,14 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
     // Threads run until the user, a command or the end of the video stops them.
     let ended = std::thread::scope(|scope| {
         let renderer = scope.spawn(|| render(live_fields, &shared, rates, registry, work));
-        scope.spawn(|| solve(&shared, json, work));
+        let solver = scope.spawn(|| solve(solver, &shared, json, work));
         if let Some(socket) = &socket {
             scope.spawn(|| read_packets(socket, args.head_mm.0, &shared.requests, work));
         }
-        scope.spawn(|| watch_files(args, &shared, work));
+        scope.spawn(|| watch_files(args, begun, &shared, work));
         let page = scope.spawn(|| serve_page(args, &server, &feed, &shared, json, work));
         let shown = match &args.show {
-            Some(mode) => show(mode, &shared, registry, work),
+            Some(mode) => show(mode, args.mouse.then_some(args.head_mm.0[2]), &shared, registry, work),
             None => Ok(()),
         };
         if args.show.is_none() {
@@ -177,8 +194,9 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
         shared.stop();
         feed.stop();
         let _ = page.join();
+        let solved = solver.join().unwrap_or(Ok(()));
         let dropped = renderer.join().unwrap_or(Ok(0));
-        shown.and(dropped)
+        shown.and(solved).and(dropped)
     });
     let _ = std::fs::remove_dir_all(&site);
     let dropped = ended.map_err(in_input)?;
@@ -243,16 +261,17 @@ fn serve_page(
     serve(server, Site { root: feed.root(), live: Some(feed) }, || (!shared.is_stopped()).then(String::new));
 }
 
-/// Requests to read files again after they were written.
-fn watch_files(args: &Live, shared: &Shared, task: Task<'_>) {
+/// Requests to read files again after they were written. The job file was read after `begun`.
+fn watch_files(args: &Live, begun: SystemTime, shared: &Shared, task: Task<'_>) {
     let mut watched = Watched::default();
     let mut of_job = Watched::default();
     while !shared.is_stopped() {
         std::thread::sleep(LOOK);
-        if !args.times && watched.have_changed(&shared.files()) {
+        let (files, read) = shared.files();
+        if !args.times && watched.have_changed(&files, read) {
             shared.requests.reload();
         }
-        if is_job(&args.input) && of_job.have_changed(std::slice::from_ref(&args.input)) {
+        if is_job(&args.input) && of_job.have_changed(std::slice::from_ref(&args.input), begun) {
             let changed = args.job().and_then(|job| shared.requests.replace(job));
             if let Err(error) = changed {
                 // the file is incomplete or wrong: the previous job stays
@@ -262,8 +281,15 @@ fn watch_files(args: &Live, shared: &Shared, task: Task<'_>) {
     }
 }
 
-/// Runs the presenter until it is closed.
-fn show(mode: &str, shared: &Shared, registry: &Registry, task: Task<'_>) -> Result<(), PipelineError> {
+/// Runs the presenter until it is closed. With `mouse_mm` the viewing angles of its preview are
+/// those of a head at this distance.
+fn show(
+    mode: &str,
+    mouse_mm: Option<f64>,
+    shared: &Shared,
+    registry: &Registry,
+    task: Task<'_>,
+) -> Result<(), PipelineError> {
     let first = loop {
         if let Some(first) = shared.states.wait_after(0, TICK) {
             break first;
@@ -276,10 +302,21 @@ fn show(mode: &str, shared: &Shared, registry: &Registry, task: Task<'_>) -> Res
     // a channel of one state: newer states replace each other in the mailbox
     let (send, input) = sync_channel(1);
     let stop = Cancel::default();
+    let see = |head_mm| {
+        if let Err(error) = shared.requests.see(&[head_mm]) {
+            task.warn("--mouse", error.to_string());
+        }
+    };
     let (display, stop_of_thread) = (&*state.target.display, &stop);
+    let head = Mutex::new(None);
+    let head_of_thread = &head;
     std::thread::scope(|scope| {
         scope.spawn(move || {
             while !(stop_of_thread.is_cancelled() || shared.is_stopped() || shared.requests.is_stopped()) {
+                // a mouse at rest is a viewer who stands still
+                if let Some(head_mm) = *lock(head_of_thread) {
+                    see(head_mm);
+                }
                 let Some((number, state)) = shared.states.wait_after(seen, TICK) else { continue };
                 seen = number;
                 if state.stack.check(display).is_err() {
@@ -292,11 +329,16 @@ fn show(mode: &str, shared: &Shared, registry: &Registry, task: Task<'_>) -> Res
                 }
             }
             // a stop by command also closes the panels
-            let _ = send.send(PresenterInput::Command(json!(lumistack_plugin_panels::presentation::Command::Quit)));
+            let _ = send.send(PresenterInput::Command(json!(Command::Quit)));
         });
-        let on_output = |output: PresenterOutput<'_>| {
-            if let PresenterOutput::Warning(text) = output {
-                tell!("warning: {text}");
+        let on_output = |output: PresenterOutput<'_>| match output {
+            PresenterOutput::Warning(text) => tell!("warning: {text}"),
+            PresenterOutput::Event(event) => {
+                if let (Some(distance_mm), Ok(Event::Looked { from_deg })) =
+                    (mouse_mm, serde_json::from_value(event.clone()))
+                {
+                    *lock(&head) = Some(head_at(from_deg, distance_mm));
+                }
             }
         };
         let params = json!({"mode": mode});
@@ -305,4 +347,10 @@ fn show(mode: &str, shared: &Shared, registry: &Registry, task: Task<'_>) -> Res
         stop.cancel();
         shown
     })
+}
+
+/// Position of a head that looks at the display's centre from these angles, right and up.
+fn head_at(from_deg: [f64; 2], distance_mm: f64) -> [f64; 3] {
+    let [x, y] = from_deg.map(|angle| distance_mm * angle.to_radians().tan());
+    [x, y, distance_mm]
 }

@@ -331,7 +331,7 @@ fn happened(event: &Value, json: bool, file: Option<&Path>, log: Option<&Path>) 
             say!("{panel} on {}", describe(&Output { name, position, size, refresh_hz }, false));
         }
         Ok(Event::Nudged { panel, nudge_px: [right, down] }) => say!("{panel}: {right} px right, {down} px down"),
-        Ok(Event::Started | Event::Swapped { .. } | Event::Warning(_)) => {}
+        Ok(Event::Started | Event::Swapped { .. } | Event::Looked { .. } | Event::Warning(_)) => {}
         Err(error) => warn("show", &format!("{event}: {error}"), json),
     }
     Ok(())

@@ -9,7 +9,8 @@ use std::sync::Arc;
 
 use lumistack_core::Task;
 use lumistack_display::{LayerStack, Weights};
-use lumistack_factorizer::{AUTO, FactorizeError, Problem, Settings, factorize, warm_start_pays};
+use lumistack_factorizer::device::Executor;
+use lumistack_factorizer::{AUTO, FactorizeError, Problem, Settings, factorize_on, warm_start_pays};
 
 use crate::Target;
 use crate::motion::{Planes, moved};
@@ -69,13 +70,15 @@ impl Solver {
         self.settings = settings;
     }
 
-    /// Makes `updates` towards a target. The patterns become the start of the next step.
+    /// Makes `updates` towards a target on an executor. The patterns become the start of the next
+    /// step.
     ///
     /// # Errors
-    /// If target, weights and settings do not fit each other, or when cancelled. The next start
-    /// then stays the same.
+    /// If target, weights and settings do not fit each other, if the executor fails, or when
+    /// cancelled. The next start then stays the same.
     pub fn step(
         &mut self,
+        executor: &dyn Executor,
         target: &Arc<Target>,
         weights: &Weights,
         updates: u32,
@@ -97,18 +100,20 @@ impl Solver {
         let (start, from) = match &self.last {
             None => (None, Start::Fresh),
             Some(last) if same_content => (Some(last.stack.clone()), Start::Kept),
-            Some(last) => nearest_start(&problem, [&fresh, &warm], last, &planes, task)?,
+            Some(last) => nearest_start(executor, &problem, [&fresh, &warm], last, &planes, task)?,
         };
         let settings = if start.is_some() { &warm } else { &fresh };
-        let done = factorize(&problem, settings, start.as_ref(), task, &mut |_| {})?;
+        let done = factorize_on(executor, &problem, settings, start.as_ref(), task, &mut |_| {})?;
         let psnr_view = done.history.last().map_or(f64::NAN, |end| end.psnr_view);
         self.last = Some(Last { target: target.clone(), planes, stack: done.stack.clone() });
         Ok(Solved { stack: done.stack, psnr_view, start: from })
     }
 }
 
-/// Chooses the start for new content; `None` for fresh patterns.
+/// Chooses the start for new content; `None` for fresh patterns. The comparison with fresh patterns
+/// uses the processor.
 fn nearest_start(
+    executor: &dyn Executor,
     problem: &Problem<'_>,
     [fresh, warm]: [&Settings; 2],
     last: &Last,
@@ -116,11 +121,11 @@ fn nearest_start(
     task: Task<'_>,
 ) -> Result<(Option<LayerStack>, Start), FactorizeError> {
     let (mut best, mut from) = (last.stack.clone(), Start::Kept);
-    let mut psnr_view = at_start(problem, warm, Some(&best), task)?.1;
+    let mut psnr_view = at_start(executor, problem, warm, Some(&best), task)?.1;
     if let Some(flows) = last.planes.flows_to(planes) {
-        let (start, _) = at_start(problem, fresh, None, task)?;
+        let (start, _) = at_start(executor, problem, fresh, None, task)?;
         let other = moved(&best, &flows, &start);
-        let ahead = at_start(problem, warm, Some(&other), task)?.1;
+        let ahead = at_start(executor, problem, warm, Some(&other), task)?.1;
         if ahead > psnr_view {
             (best, from, psnr_view) = (other, Start::Moved, ahead);
         }
@@ -135,12 +140,13 @@ fn nearest_start(
 /// Returns patterns before any update, and their PSNR. Without `stack` they are those of a fresh
 /// start.
 fn at_start(
+    executor: &dyn Executor,
     problem: &Problem<'_>,
     settings: &Settings,
     stack: Option<&LayerStack>,
     task: Task<'_>,
 ) -> Result<(LayerStack, f64), FactorizeError> {
     let settings = Settings { iterations: 0, levels: false, ..settings.clone() };
-    let done = factorize(problem, &settings, stack, task, &mut |_| {})?;
+    let done = factorize_on(executor, problem, &settings, stack, task, &mut |_| {})?;
     Ok((done.stack, done.history.last().map_or(f64::NEG_INFINITY, |start| start.psnr_view)))
 }

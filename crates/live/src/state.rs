@@ -27,8 +27,6 @@ pub struct State {
     pub stack: LayerStack,
     /// The light field that they were solved for.
     pub target: Arc<Target>,
-    /// Number of that light field in its mailbox.
-    pub target_number: u64,
     /// Weights that they were solved with.
     pub weights: Arc<Weights>,
     /// PSNR in dB of L̃/β against L over all rays with a weight.

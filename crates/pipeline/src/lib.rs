@@ -46,7 +46,7 @@ pub use job::{
     Near, NodeJob, OutputJob, PoseJob, RenderJob, ReportJob, SearchJob, SequenceJob, SourceJob, SweepJob, Tone,
     WindowFrom, WindowJob, ZoneSamples,
 };
-pub use live::{LiveFields, LiveFolder};
+pub use live::{LiveFields, LiveFolder, LiveSolver};
 #[cfg(feature = "gpu")]
 pub use lumistack_factorizer_gpu::{Adapter as GpuAdapter, adapters as gpu_adapters};
 #[cfg(feature = "dynamic")]

@@ -1,12 +1,14 @@
 //! A job whose settings and files change while its display is shown (`lumistack live`).
 //!
-//! [`LiveFields`] makes its light fields and repeats only stages whose input changed.
-//! [`LiveFolder`] writes the last state as a run folder.
+//! [`LiveFields`] makes its light fields and repeats only stages whose input changed. [`LiveSolver`]
+//! solves them on the job's device. [`LiveFolder`] writes the last state as a run folder.
 
 mod change;
 mod fields;
 mod folder;
 mod progressive;
+mod solver;
 
 pub use fields::LiveFields;
 pub use folder::LiveFolder;
+pub use solver::LiveSolver;

@@ -135,6 +135,11 @@ pub enum Event {
         /// Its shift to the right and down, panel pixels.
         nudge_px: [f64; 2],
     },
+    /// The preview is seen from other angles.
+    Looked {
+        /// Viewing angles to the right and up, degrees.
+        from_deg: [f64; 2],
+    },
     /// A request to save the nudges.
     Save {
         /// The display, with the nudges.

@@ -5,8 +5,10 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-/// Length and time of a file, or of every file of a folder; `None` for a missing file.
-type FileStates = Vec<(PathBuf, Option<(u64, Option<SystemTime>)>)>;
+/// Length and time of a file; `None` for a missing file.
+type FileState = Option<(u64, Option<SystemTime>)>;
+/// State of a file, or of every file of a folder.
+type FileStates = Vec<(PathBuf, FileState)>;
 
 /// Watched files, as they were at their last change.
 #[derive(Default)]
@@ -18,12 +20,13 @@ pub(super) struct Watched {
 
 impl Watched {
     /// Returns whether files have changed and are complete: two calls in a row must find the same
-    /// state. A file that is new in `files` is no change.
-    pub(super) fn have_changed(&mut self, files: &[PathBuf]) -> bool {
+    /// state. A file that is new in `files` has changed if it was written after `read`, the time at
+    /// which a program began to read it.
+    pub(super) fn have_changed(&mut self, files: &[PathBuf], read: SystemTime) -> bool {
         let now: BTreeMap<PathBuf, FileStates> = files.iter().map(|path| (path.clone(), states(path))).collect();
         self.seen.retain(|path, _| now.contains_key(path));
         for (path, states) in &now {
-            self.seen.entry(path.clone()).or_insert_with(|| states.clone());
+            self.seen.entry(path.clone()).or_insert_with(|| states_at(states, read));
         }
         if self.seen == now {
             self.moving = None;
@@ -38,6 +41,13 @@ impl Watched {
         self.moving = Some(now);
         false
     }
+}
+
+/// States at an earlier time, as far as they are known; `None` for a file that was written since.
+fn states_at(states: &FileStates, time: SystemTime) -> FileStates {
+    let is_old = |modified: &Option<SystemTime>| modified.is_none_or(|modified| modified <= time);
+    let at = |state: &FileState| state.filter(|(_, modified)| is_old(modified));
+    states.iter().map(|(path, state)| (path.clone(), at(state))).collect()
 }
 
 fn states(path: &Path) -> FileStates {
@@ -63,7 +73,8 @@ mod tests {
         std::fs::write(file, "1").unwrap();
         std::fs::create_dir(views).unwrap();
         let mut watched = Watched::default();
-        let mut look = || [0; 3].map(|_| watched.have_changed(&paths));
+        let read = SystemTime::now();
+        let mut look = || [0; 3].map(|_| watched.have_changed(&paths, read));
         assert_eq!(look(), [false; 3]);
         std::fs::write(file, "22").unwrap();
         assert_eq!(look(), [false, true, false]);
@@ -75,6 +86,10 @@ mod tests {
         std::fs::write(views.join("view_00_00.exr"), "v").unwrap();
         assert_eq!(look(), [false, true, false]);
         // other files to watch are no change
-        assert!(!watched.have_changed(&paths[..1]) && !watched.have_changed(&paths[..1]));
+        assert!(!watched.have_changed(&paths[..1], read) && !watched.have_changed(&paths[..1], read));
+        // a file that was written after a program read it has changed
+        let mut late = Watched::default();
+        let before = read.checked_sub(std::time::Duration::from_secs(60)).unwrap();
+        assert_eq!([0; 3].map(|_| late.have_changed(&paths, before)), [false, true, false]);
     }
 }

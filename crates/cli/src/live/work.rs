@@ -3,14 +3,13 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, SystemTime};
 
 use lumistack_core::Task;
 use lumistack_display::Weights;
-use lumistack_factorizer::{FactorizeError, Settings};
-use lumistack_live::{Boxes, Due, Mailbox, Player, Solver, Start, State, Target};
-use lumistack_pipeline::{LiveFields, PipelineError, Registry};
+use lumistack_live::{Boxes, Due, Mailbox, Player, Start, State, Target};
+use lumistack_pipeline::{Job, LiveFields, LiveSolver, PipelineError, Registry};
 use serde_json::json;
 
 use super::clock::now;
@@ -29,11 +28,11 @@ const STEP_S: f64 = 0.3;
 /// Motion of a viewer after which weights follow, mm.
 const TOLERANCE_MM: f64 = 2.0;
 
-/// A light field to solve, and the settings of the solver.
+/// A light field to solve, and the job with the settings of the solver.
 #[derive(Debug)]
 pub(super) struct SolveRequest {
     pub(super) target: Arc<Target>,
-    settings: Settings,
+    job: Job,
 }
 
 /// Values that the threads share.
@@ -42,7 +41,9 @@ pub(super) struct Shared {
     to_solve: Mailbox<SolveRequest>,
     /// States to show.
     pub(super) states: Mailbox<State>,
-    files: Mutex<Vec<PathBuf>>,
+    /// Number of the newest light field that has a state, or cannot be solved.
+    handled: AtomicU64,
+    files: Mutex<(Vec<PathBuf>, SystemTime)>,
     updates: u32,
     sigma_mm: f64,
     stopped: AtomicBool,
@@ -62,7 +63,8 @@ impl Shared {
             requests: Arc::new(requests),
             to_solve: Mailbox::default(),
             states: Mailbox::default(),
-            files: Mutex::default(),
+            handled: AtomicU64::new(0),
+            files: Mutex::new((Vec::new(), SystemTime::now())),
             updates,
             sigma_mm,
             stopped: AtomicBool::new(false),
@@ -80,9 +82,17 @@ impl Shared {
         self.stopped.load(Ordering::SeqCst)
     }
 
-    /// Files of the current light field.
-    pub(super) fn files(&self) -> Vec<PathBuf> {
+    /// Files of the current light field, and the time at which they were first read.
+    pub(super) fn files(&self) -> (Vec<PathBuf>, SystemTime) {
         lock(&self.files).clone()
+    }
+
+    /// Notes the files of a pass that began at a time.
+    fn note_files(&self, files: Vec<PathBuf>, begun: SystemTime) {
+        let mut noted = lock(&self.files);
+        if noted.0 != files {
+            *noted = (files, begun);
+        }
     }
 }
 
@@ -117,7 +127,7 @@ pub(super) fn render(
             }
         }
         // Wait until the solver has used the last light field.
-        let is_solved = sent == 0 || shared.states.after(0).is_some_and(|(_, state)| state.target_number >= sent);
+        let is_solved = shared.handled.load(Ordering::SeqCst) >= sent;
         if !(is_video || is_new || is_solved) {
             // another pass would take processors from the solver
             drop(requests.newest.wait_after(seen, SHORT));
@@ -127,10 +137,7 @@ pub(super) fn render(
             // in order: the next time step starts when the previous one has patterns
             match is_solved.then(|| player.next(now())) {
                 Some(Due::Time(time)) => {
-                    let job = lumistack_pipeline::Job {
-                        light_field: Some(rates.times[time].clone()),
-                        ..live_fields.job().clone()
-                    };
+                    let job = Job { light_field: Some(rates.times[time].clone()), ..live_fields.job().clone() };
                     is_new = live_fields.change(job).is_ok();
                 }
                 Some(Due::End) => {
@@ -147,13 +154,12 @@ pub(super) fn render(
         // A new request must not cancel the first pass of the previous one: otherwise a series of
         // requests would show nothing.
         let cancel = if is_new { task.cancel.clone() } else { requests.pass() };
-        let pass = live_fields.pass(registry, Task { cancel: &cancel, ..task }).and_then(|made| {
-            *lock(&shared.files) = live_fields.files();
-            Ok(match made {
-                Some(target) => Some(SolveRequest { target: Arc::new(target), settings: live_fields.settings()? }),
-                None => None,
-            })
-        });
+        let begun = SystemTime::now();
+        let pass = live_fields.pass(registry, Task { cancel: &cancel, ..task });
+        // also after an error, since files may be incomplete
+        shared.note_files(live_fields.files(), begun);
+        let pass = pass
+            .map(|made| made.map(|target| SolveRequest { target: Arc::new(target), job: live_fields.job().clone() }));
         // Send the light field to the solver.
         match pass {
             Ok(Some(request)) => {
@@ -167,8 +173,7 @@ pub(super) fn render(
                 return Err(error);
             }
             Err(error) => {
-                // the current state stays; files may be incomplete
-                *lock(&shared.files) = live_fields.files();
+                // the current state stays
                 task.warn("live", error.to_string());
                 is_new = false;
                 while !(is_video || shared.is_stopped() || requests.newest.wait_after(seen, IDLE).is_some()) {}
@@ -179,19 +184,22 @@ pub(super) fn render(
 }
 
 /// Solves the newest light field step by step until the end.
-pub(super) fn solve(shared: &Shared, json: bool, task: Task<'_>) {
-    let mut solver: Option<Solver> = None;
+///
+/// # Errors
+/// When the first state fails; later errors are reported, and the current state stays.
+pub(super) fn solve(mut solver: LiveSolver, shared: &Shared, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
     let mut current: Option<Current> = None;
     let (mut seen, mut latency, mut update_s) = (0, Duration::ZERO, 0.0);
     while !(shared.is_stopped() || task.cancel.is_cancelled()) {
         // Take the newest light field, and follow the viewers.
         if let Some((number, request)) = shared.to_solve.after(seen) {
             seen = number;
-            let solver = solver.get_or_insert_with(|| Solver::new(request.settings.clone()));
-            solver.set(request.settings.clone());
+            if let Err(error) = solver.follow(&request.job) {
+                task.warn("live", error.to_string());
+            }
             current = Some(Current::new(number, request, current.take()));
         }
-        let (Some(solver), Some(on)) = (&mut solver, &mut current) else {
+        let Some(on) = &mut current else {
             drop(shared.to_solve.wait_after(seen, IDLE));
             continue;
         };
@@ -216,7 +224,6 @@ pub(super) fn solve(shared: &Shared, json: bool, task: Task<'_>) {
                 let state = State {
                     stack: solved.stack,
                     target,
-                    target_number: on.number,
                     weights: on.weights.clone(),
                     psnr_view: solved.psnr_view,
                     updates: on.updates,
@@ -224,6 +231,7 @@ pub(super) fn solve(shared: &Shared, json: bool, task: Task<'_>) {
                 let (content, passes) = (state.target.content, state.target.passes);
                 let (psnr, updates) = (state.psnr_view, state.updates);
                 let number = shared.states.post(state);
+                shared.handled.store(on.number, Ordering::SeqCst);
                 if json {
                     let psnr = psnr.is_finite().then_some(psnr);
                     let start = format!("{:?}", solved.start).to_lowercase();
@@ -234,13 +242,19 @@ pub(super) fn solve(shared: &Shared, json: bool, task: Task<'_>) {
                     );
                 }
             }
-            Err(FactorizeError::Cancelled(_)) => {}
+            Err(PipelineError::Cancelled) => {}
+            Err(error) if shared.states.after(0).is_none() => {
+                shared.requests.stop();
+                return Err(error);
+            }
             Err(error) => {
                 task.warn("live", error.to_string());
                 on.left = 0;
+                shared.handled.store(on.number, Ordering::SeqCst);
             }
         }
     }
+    Ok(())
 }
 
 /// The light field that is being solved.

@@ -2,7 +2,7 @@ use std::time::Duration;
 
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{Display, LayerStack, RayMap, Simulator, ViewGrid, Weights};
-use lumistack_factorizer::Settings;
+use lumistack_factorizer::{Processor, Settings};
 
 use super::fields::{Content, display, target};
 use crate::{Boxes, SIGMA_MM, Solver, Target, Tracker, head_of_packet};
@@ -111,8 +111,9 @@ fn two_viewers_get_what_the_whole_zone_cannot_have() {
     tracker.see(&[-1.0, 1.0].map(|side| [side * slope * DISTANCE_MM, 0.0, DISTANCE_MM]), ms(0)).unwrap();
     let boxes = tracker.boxes(ms(0), ms(0));
     let weights = boxes.weights(target.field.geometry(), &Weights::Uniform, NARROW_MM).unwrap();
-    let [zone, tracked] = [Weights::Uniform, weights]
-        .map(|weights| Solver::new(Settings::default()).step(&target, &weights, UPDATES, task).unwrap().stack);
+    let [zone, tracked] = [Weights::Uniform, weights].map(|weights| {
+        Solver::new(Settings::default()).step(&Processor, &target, &weights, UPDATES, task).unwrap().stack
+    });
     let [zone, tracked] = [&zone, &tracked].map(|stack| {
         let errors = [-1.0, 1.0].map(|side| seen_from(stack, &target, [side * slope, 0.0]));
         -10.0 * (0.5 * (errors[0] + errors[1])).log10()

@@ -92,8 +92,8 @@ fn the_report_is_true_and_means_and_edges_stay() {
         let truth = 0.5 * (mean(&a) + mean(&b));
         assert!((mean(picture) / truth - 1.0).abs() < 0.01, "{} instead of {truth}", mean(picture));
         // either side of both edges of the middle view, where they stand between two columns, and
-        // the columns beside. In other views they run through pixels, whose four samples locate them
-        // with noise of their own.
+        // the columns beside. In other views they run through pixels, whose four samples locate
+        // them with noise of their own.
         for col in [POLE - 2, POLE - 1, POLE, POLE + 1, COLOUR - 2, COLOUR - 1, COLOUR, COLOUR + 1] {
             let (found, truth) = (column(picture, col), 0.5 * (column(&a, col) + column(&b, col)));
             assert!((found / truth - 1.0).abs() < 0.15, "view {view:?}, column {col}: {found} instead of {truth}");

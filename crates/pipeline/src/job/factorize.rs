@@ -100,16 +100,27 @@ impl FactorizeJob {
         self.iterations.unwrap_or(lumistack_factorizer::Settings::default().iterations)
     }
 
+    /// Refuses an explicit graphics processor for a task of the processor alone. `task` is its name
+    /// in the error, as in "tiles are solved".
+    ///
+    /// # Errors
+    /// If the job names a graphics processor.
+    pub(crate) fn check_needs_no_device(&self, task: &str) -> Result<(), PipelineError> {
+        if self.device.starts_with("gpu") {
+            let expected = format!("`auto` or `cpu`: {task} on the processor");
+            return Err(PipelineError::job("factorize.device", expected, format!("`{}`", self.device)));
+        }
+        Ok(())
+    }
+
     /// Checks `tiles` and `tile_mib`.
     ///
     /// # Errors
     /// If a number is out of range, both are given, or the device is a graphics processor.
     pub(crate) fn check_tiles(&self) -> Result<(), PipelineError> {
         let fail = |key: &str, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
-        let is_cut = self.tiles.is_some() || self.tile_mib.is_some();
-        if is_cut && self.device.starts_with("gpu") {
-            let expected = "`auto` or `cpu`: tiles are solved on the processor";
-            return fail("factorize.device", expected, format!("`{}`", self.device));
+        if self.tiles.is_some() || self.tile_mib.is_some() {
+            self.check_needs_no_device("tiles are solved")?;
         }
         match (self.tiles, self.tile_mib) {
             (Some(_), Some(_)) => fail("factorize.tile_mib", "either `tiles` or `tile_mib`", "both".into()),

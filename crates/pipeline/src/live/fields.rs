@@ -5,8 +5,8 @@
 //! read ───────────────────────────────────────────────▶ Target
 //! ```
 //!
-//! The window, exposure and tone curve of the first time step stay while the scene moves, until a
-//! setting of theirs changes. Displays get at most 49 automatic views, since all views must be
+//! The window, exposure and tone curve of the first time step stay while the scene moves. A changed
+//! setting of theirs ends that, and for exposure and tone curve a changed file too. Displays get at most 49 automatic views, since all views must be
 //! traced before the first picture.
 
 use std::path::{Path, PathBuf};
@@ -14,7 +14,6 @@ use std::sync::Arc;
 
 use lumistack_core::Task;
 use lumistack_display::{Display, FieldGeometry, LightField};
-use lumistack_factorizer::Settings;
 use lumistack_live::Target;
 use lumistack_plugin_host::Registry;
 use lumistack_shot::{Placement, ToneMapping, expose_over};
@@ -25,7 +24,6 @@ use super::progressive::Progressive;
 use crate::error::{PipelineError, display_error};
 use crate::job::{Background, Job, ReportJob, SequenceJob};
 use crate::plan::times::Times;
-use crate::stage::factorize::solver_settings;
 use crate::stage::fields::Shot;
 use crate::stage::ingest::{self, Ingested};
 use crate::stage::place;
@@ -81,14 +79,6 @@ impl LiveFields {
     /// The job.
     pub fn job(&self) -> &Job {
         &self.job
-    }
-
-    /// Solver settings of the job, without a warm start.
-    ///
-    /// # Errors
-    /// If the solver or the start does not exist.
-    pub fn settings(&self) -> Result<Settings, PipelineError> {
-        solver_settings(&self.job.factorize, self.job.seed)
     }
 
     /// Files that the light field depends on.
@@ -187,9 +177,10 @@ impl LiveFields {
         if !(traced || is_new) {
             return Ok(None);
         }
-        // Expose. Exposure and tone curve stay until the scene's file or their settings change.
+        // Expose. Exposure and tone curve stay until files or settings of the light change; so they
+        // stay while the scene moves.
         let radiance = views.radiance(shot, task)?;
-        let key_of_tone_mapping = json!([name, of_light]);
+        let key_of_tone_mapping = json!([name, self.edition, of_light]);
         let tone_mapping = match &self.tone_mapping {
             Some((key, tone_mapping)) if *key == key_of_tone_mapping => *tone_mapping,
             _ => {

@@ -119,6 +119,7 @@ pub(crate) struct Designs {
 /// If a design is invalid, or no design keeps the constraints of a search.
 pub(crate) fn add(plan: &mut Plan, job: &Job, sweep: &SweepJob) -> Result<Designs, PipelineError> {
     sweep.check()?;
+    job.factorize.check_needs_no_device("designs of a sweep are solved")?;
     let root = plan.add_part(PathBuf::new(), PartKind::Sweep, job.clone(), None);
     let (candidates, jobs) = designs::all(job, sweep)?;
     let candidates = match &sweep.search {

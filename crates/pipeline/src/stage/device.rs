@@ -27,22 +27,14 @@ impl SolverDevice {
     pub(crate) fn of(device: &str) -> Result<Self, PipelineError> {
         check(device)?;
         #[cfg(feature = "gpu")]
-        {
-            use lumistack_factorizer_gpu::Device;
-            let name = device.strip_prefix("gpu:");
-            match device {
-                "cpu" => {}
+        if device != "cpu" {
+            let optional = device == "auto";
+            return match opened(device.strip_prefix("gpu:")) {
+                Ok(device) => Ok(Self::Device { device, optional }),
                 // Without a usable graphics processor, `auto` is the processor.
-                "auto" => {
-                    if let Ok(device) = Device::open(None) {
-                        return Ok(Self::Device { device, optional: true });
-                    }
-                }
-                _ => {
-                    let device = Device::open(name).map_err(PipelineError::Factorize)?;
-                    return Ok(Self::Device { device, optional: false });
-                }
-            }
+                Err(_) if optional => Ok(Self::Processor),
+                Err(error) => Err(PipelineError::Factorize(error)),
+            };
         }
         Ok(Self::Processor)
     }
@@ -64,6 +56,26 @@ impl SolverDevice {
         }
     }
 
+    /// Executes work on the device. If an optional device fails, this becomes the processor, which
+    /// repeats the work, with a warning.
+    ///
+    /// # Errors
+    /// Those of the work.
+    pub(crate) fn run<T>(
+        &mut self,
+        task: Task<'_>,
+        mut work: impl FnMut(&Self) -> Result<T, PipelineError>,
+    ) -> Result<T, PipelineError> {
+        match work(self) {
+            Err(PipelineError::Factorize(error @ FactorizeError::Device { .. })) if self.is_optional() => {
+                task.warn("device", format!("{error}; solving on the processor instead"));
+                *self = Self::Processor;
+                work(self)
+            }
+            result => result,
+        }
+    }
+
     /// Adds the device to a key: its rounding differs from the processor's.
     pub(crate) fn add_to(&self, key: &mut KeyBuilder) {
         match self {
@@ -79,6 +91,24 @@ impl SolverDevice {
     }
 }
 
+/// Opens a device, or returns the one that is open and without failure: a device that opens again
+/// compiles all programs again.
+#[cfg(feature = "gpu")]
+fn opened(name: Option<&str>) -> Result<lumistack_factorizer_gpu::Device, FactorizeError> {
+    use std::collections::BTreeMap;
+    use std::sync::{Mutex, PoisonError};
+
+    static OPEN: Mutex<BTreeMap<Option<String>, lumistack_factorizer_gpu::Device>> = Mutex::new(BTreeMap::new());
+    let mut open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
+    let key = name.map(str::to_owned);
+    if let Some(device) = open.get(&key).filter(|device| device.check().is_ok()) {
+        return Ok(device.clone());
+    }
+    let device = lumistack_factorizer_gpu::Device::open(name)?;
+    open.insert(key, device.clone());
+    Ok(device)
+}
+
 /// Executes work on a job's device. If `auto` selected a graphics processor that fails, the
 /// processor repeats the work, with a warning.
 ///
@@ -87,16 +117,9 @@ impl SolverDevice {
 pub(crate) fn on_device<T>(
     device: &str,
     task: Task<'_>,
-    mut work: impl FnMut(&SolverDevice) -> Result<T, PipelineError>,
+    work: impl FnMut(&SolverDevice) -> Result<T, PipelineError>,
 ) -> Result<T, PipelineError> {
-    let site = SolverDevice::of(device)?;
-    match work(&site) {
-        Err(PipelineError::Factorize(error @ FactorizeError::Device { .. })) if site.is_optional() => {
-            task.warn("device", format!("{error}; solving on the processor instead"));
-            work(&SolverDevice::Processor)
-        }
-        result => result,
-    }
+    SolverDevice::of(device)?.run(task, work)
 }
 
 /// Checks the device name of a job, without opening the device.
@@ -129,5 +152,39 @@ mod tests {
             assert!(check(bad).unwrap_err().to_string().contains("factorize.device"), "{bad}");
         }
         assert_eq!(check("gpu:llvmpipe").is_ok(), cfg!(feature = "gpu"));
+    }
+
+    /// A device that is lost during the work is an error if the job names it, else a note.
+    #[cfg(feature = "gpu")]
+    #[test]
+    fn the_processor_replaces_a_lost_device_that_the_job_does_not_name() {
+        use lumistack_core::{Cancel, Collector};
+        use lumistack_display::{Display, LightField, Weights};
+        use lumistack_factorizer_gpu::Device;
+
+        use crate::job::FactorizeJob;
+        use crate::stage::factorize::Solve;
+
+        let display = Display::uniform([20, 12], 1.0, [3, 3], [20.0; 2], &[-2.0, 2.0], 2);
+        let target = LightField::black(display.geometry().unwrap()).unwrap();
+        let job = FactorizeJob { iterations: Some(2), ..Default::default() };
+        let solve = Solve { job: &job, seed: 1, display: &display, target: &target, weights: &Weights::Uniform };
+        for optional in [true, false] {
+            let device = match Device::open(Some("")) {
+                Ok(device) => device,
+                Err(error) => return lumistack_testkit::skip::skipped(&error.to_string()),
+            };
+            device.lose();
+            let (warnings, cancel) = (Collector::default(), Cancel::default());
+            let task = Task::quiet(&warnings, &cancel);
+            let mut site = SolverDevice::Device { device, optional };
+            let result = site.run(task, |site| solve.factorize(site, None, task, &mut |_| ()));
+            assert_eq!(matches!(site, SolverDevice::Processor), optional);
+            let notes: Vec<String> = warnings.take().into_iter().map(|warning| warning.message).collect();
+            match result {
+                Ok(_) => assert!(optional && notes.iter().any(|note| note.contains("lost")), "{notes:?}"),
+                Err(error) => assert!(!optional && error.to_string().contains("lost"), "{error}"),
+            }
+        }
     }
 }

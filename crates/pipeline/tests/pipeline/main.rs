@@ -5,6 +5,7 @@
 mod captures;
 mod compose;
 mod farm;
+mod live;
 mod splats;
 mod tiles;
 mod usd;

@@ -92,6 +92,7 @@ impl Producer {
             Work::ViewAngle(from) => {
                 let Content::Preview { from_deg, .. } = &mut self.content else { return Ok(false) };
                 *from_deg = from;
+                emit(Event::Looked { from_deg: from });
                 Ok(true)
             }
             Work::Resized(size) => {

@@ -1,0 +1,110 @@
+//! `lumistack devices`, and `--device` of the commands that solve.
+
+use std::path::Path;
+use std::process::Command;
+
+use crate::common::{cached, fail, lumistack, number, report, succeed, write_test_field};
+use crate::live::{Live, write_job};
+
+/// Largest difference of a device's score from the processor's, dB.
+const SAME_DB: f64 = 0.01;
+/// The same in a live display, whose steps have as many updates as fit into their time.
+const LIVE_DB: f64 = 0.3;
+
+/// Solves a light field on a device.
+fn solve(folder: &Path, run: &str, device: &str) -> Command {
+    let mut command = lumistack();
+    command.arg("factorize").arg(folder.join("views.npy")).arg("-o").arg(folder.join(run));
+    command.args(["--fov", "20x20", "--pitch-mm", "3", "--frames", "2", "--iterations", "4", "--device", device]);
+    command
+}
+
+/// A folder with a light field.
+fn folder() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    write_test_field(&folder.path().join("views.npy"), [3, 3, 16, 24], 20.0, 3.0);
+    folder
+}
+
+#[test]
+fn a_missing_device_is_one_error() {
+    let folder = folder();
+    // Mesa's drivers report a missing folder as an error of their own
+    let text = fail(solve(folder.path(), "run", "gpu:no such adapter").env("XDG_RUNTIME_DIR", folder.path()));
+    if cfg!(feature = "gpu") {
+        assert!(text.contains("expected an adapter named like `no such adapter`, found "), "{text}");
+    } else {
+        assert!(text.contains("factorize.device") && text.contains("without the feature `gpu`"), "{text}");
+    }
+    assert!(!folder.path().join("run/layers").exists());
+    let text = fail(&mut solve(folder.path(), "run", "cuda"));
+    assert!(text.contains("expected `auto`, `cpu`, `gpu` or `gpu:NAME`, found `cuda`"), "{text}");
+}
+
+#[test]
+fn an_adapter_solves_as_the_processor_does() {
+    let json: serde_json::Value = serde_json::from_str(&succeed(lumistack().args(["devices", "--json"]))).unwrap();
+    let text = succeed(lumistack().arg("devices"));
+    if !cfg!(feature = "gpu") {
+        assert!(json["note"].is_string() && text.contains("without the feature `gpu`"), "{json} {text}");
+        return;
+    }
+    let Some(adapter) = json["devices"][0]["name"].as_str() else {
+        lumistack_testkit::skip::skipped("no adapter with Vulkan, Metal or Direct3D 12");
+        return;
+    };
+    assert!(text.contains(adapter), "{text}");
+    let folder = folder();
+    succeed(&mut solve(folder.path(), "cpu", "cpu"));
+    let on_device = format!("gpu:{adapter}");
+    succeed(&mut solve(folder.path(), "device", &on_device));
+    let [here, there] = ["cpu", "device"].map(|run| number(&report(&folder.path().join(run)), "psnr_view"));
+    assert!((here - there).abs() < SAME_DB, "{here} dB and {there} dB");
+    // cached results of one do not serve the other
+    let run = folder.path().join("device");
+    succeed(&mut solve(folder.path(), "device", &on_device));
+    assert!(cached(&run, "factorize"));
+    succeed(&mut solve(folder.path(), "device", "cpu"));
+    assert!(!cached(&run, "factorize"));
+}
+
+/// Live displays solve on the device too.
+#[test]
+fn a_live_display_solves_on_an_adapter() {
+    if !cfg!(feature = "gpu") {
+        return;
+    }
+    let json: serde_json::Value = serde_json::from_str(&succeed(lumistack().args(["devices", "--json"]))).unwrap();
+    let Some(adapter) = json["devices"][0]["name"].as_str() else {
+        lumistack_testkit::skip::skipped("no adapter with Vulkan, Metal or Direct3D 12");
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let job = write_job(folder.path());
+    let scores = ["cpu".to_owned(), format!("gpu:{adapter}")].map(|device| {
+        let mut live = Live::start(&job, &folder.path().join("run"), &["--device", &device]);
+        live.state(|_| true);
+        live.command(&serde_json::json!({"set": {"display.brightness": 0.4}}));
+        // 60 updates of a light field end the solve
+        let last = live.state(|state| state["content"] == 2 && state["updates"] == 60);
+        live.stop();
+        last["psnr_view"].as_f64().unwrap()
+    });
+    assert!((scores[0] - scores[1]).abs() < LIVE_DB, "{scores:?}");
+}
+
+#[test]
+fn tasks_of_the_processor_alone_refuse_a_device() {
+    let folder = folder();
+    let job = folder.path().join("job.toml");
+    let solved = "light_field = \"views.npy\"\n[geometry]\nfov_deg = [20, 20]\npitch_mm = 3.0\n\
+        [display]\npreset = \"fig7-uniform\"\nframes = 2\n[factorize]\ndevice = \"gpu\"\n";
+    for (command, rest, what) in [
+        ("sweep", "[sweep]\nlayers = [1, 2]\n", "designs of a sweep are solved on the processor"),
+        ("run", "tiles = [2, 1]\n", "tiles are solved on the processor"),
+    ] {
+        std::fs::write(&job, format!("{solved}{rest}")).unwrap();
+        let text = fail(lumistack().arg(command).arg(&job).arg("-o").arg(folder.path().join(command)));
+        assert!(text.contains("factorize.device") && text.contains(what), "{text}");
+    }
+}

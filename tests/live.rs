@@ -1,0 +1,201 @@
+//! `lumistack live` as a program: commands and head positions in, states and a run folder out.
+
+use std::io::{BufRead, BufReader, Write};
+use std::net::UdpSocket;
+use std::path::Path;
+use std::process::{Child, ChildStdin, Command, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::time::Duration;
+
+use serde_json::{Value, json};
+
+use crate::common::{fail, lumistack, number, report, succeed, write_test_field};
+
+/// Longest time until an awaited event.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// A running display.
+pub(crate) struct Live {
+    process: Child,
+    input: ChildStdin,
+    events: Receiver<Value>,
+}
+
+impl Live {
+    /// Starts a job without a browser.
+    pub(crate) fn start(job: &Path, run: &Path, options: &[&str]) -> Self {
+        Self::start_by(lumistack(), job, run, options)
+    }
+
+    /// The same by a command that sets the session.
+    fn start_by(mut command: Command, job: &Path, run: &Path, options: &[&str]) -> Self {
+        command.args(["--json", "live", "--no-open"]).arg(job).arg("-o").arg(run).args(options);
+        let mut process = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+        let (input, output) = (process.stdin.take().unwrap(), process.stdout.take().unwrap());
+        let (send, events) = channel();
+        std::thread::spawn(move || {
+            for line in BufReader::new(output).lines() {
+                let _ = send.send(serde_json::from_str(&line.unwrap()).unwrap());
+            }
+        });
+        Self { process, input, events }
+    }
+
+    pub(crate) fn command(&mut self, command: &Value) {
+        writeln!(self.input, "{command}").unwrap();
+    }
+
+    /// Waits for an event that fits.
+    pub(crate) fn event(&self, fits: impl Fn(&Value) -> bool) -> Value {
+        let mut all = Vec::new();
+        loop {
+            match self.events.recv_timeout(PATIENCE) {
+                Ok(event) if fits(&event) => return event,
+                Ok(event) => all.push(event),
+                Err(error) => panic!("{error} after {all:?}"),
+            }
+        }
+    }
+
+    /// Waits for a state that fits.
+    pub(crate) fn state(&self, fits: impl Fn(&Value) -> bool) -> Value {
+        self.event(|event| event["event"] == "state" && fits(event))
+    }
+
+    /// Ends it by a command. Returns the last event.
+    pub(crate) fn stop(mut self) -> Value {
+        self.command(&json!({"stop": true}));
+        let done = self.event(|event| event["event"] == "done");
+        assert!(self.process.wait().unwrap().success());
+        done
+    }
+}
+
+impl Drop for Live {
+    fn drop(&mut self) {
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+/// Writes a job of a small light field into a folder.
+pub(crate) fn write_job(folder: &Path) -> std::path::PathBuf {
+    write_test_field(&folder.join("views.npy"), [3, 3, 16, 24], 20.0, 3.0);
+    let job = folder.join("job.toml");
+    let text = "light_field = \"views.npy\"\n[geometry]\nfov_deg = [20, 20]\npitch_mm = 3.0\n\
+        [display]\npreset = \"fig7-uniform\"\nframes = 2\n";
+    std::fs::write(&job, text).unwrap();
+    job
+}
+
+#[test]
+fn states_follow_commands_files_and_heads_and_the_last_is_a_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let (job, run) = (write_job(folder.path()), folder.path().join("run"));
+    let port = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let mut live = Live::start(&job, &run, &["--opentrack", &port.to_string(), "--head-mm", "0,0,500"]);
+    let first = live.state(|_| true);
+    assert_eq!((&first["number"], &first["content"], &first["zone"]), (&json!(1), &json!(1), &json!(1.0)));
+
+    // a key of the job, and a wrong one
+    live.command(&json!({"set": {"display.brightness": 0.4}}));
+    let changed = live.state(|state| state["content"] == 2);
+    assert!(changed["number"].as_u64() > first["number"].as_u64(), "{first} {changed}");
+    live.command(&json!({"set": {"display.bright": 0.4}}));
+    let refused = live.event(|event| event["event"] == "refused");
+    assert!(refused["message"].as_str().unwrap().contains("did you mean `brightness`?"), "{refused}");
+
+    // the light field's file; its length differs, since some file systems store coarse times
+    write_test_field(&folder.path().join("views.npy"), [3, 3, 20, 24], 20.0, 3.0);
+    live.state(|state| state["content"] == 3);
+
+    // a head of a tracker: six little-endian doubles, centimetres and degrees
+    let tracker = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let packet: Vec<u8> = [5.0f64, 0.0, 10.0, 30.0, 0.0, 0.0].iter().flat_map(|value| value.to_le_bytes()).collect();
+    tracker.send_to(&packet, ("127.0.0.1", port)).unwrap();
+    live.state(|state| state["zone"] == 0.0);
+    // without news of it the zone comes back
+    live.state(|state| state["zone"] == 1.0);
+    // the same on standard input
+    live.command(&json!({"viewers": [[50, 0, 600]]}));
+    live.state(|state| state["zone"] == 0.0);
+
+    let done = live.stop();
+    assert!(done["states"].as_u64().unwrap() >= 4, "{done}");
+    assert!(number(&report(&run), "psnr_view") > 10.0);
+    let display = std::fs::read_to_string(run.join("display.toml")).unwrap();
+    assert!(display.contains("brightness = 0.4"), "{display}");
+    succeed(lumistack().arg("simulate").arg(&run).args(["--view", "2,0", "-o"]).arg(folder.path().join("view.png")));
+}
+
+#[test]
+fn a_video_shows_its_time_steps_in_order_and_ends() {
+    let folder = tempfile::tempdir().unwrap();
+    write_job(folder.path());
+    let times = folder.path().join("times");
+    std::fs::create_dir(&times).unwrap();
+    for time in 0..3 {
+        write_test_field(&times.join(format!("{time}.npy")), [3, 3, 16, 24], 20.0, 3.0);
+    }
+    let job = folder.path().join("video.toml");
+    let text = std::fs::read_to_string(folder.path().join("job.toml")).unwrap().replace("views.npy", "times");
+    std::fs::write(&job, text).unwrap();
+    let mut live = Live::start(&job, &folder.path().join("run"), &["--times", "--rate", "50", "--most-late", "1000"]);
+    for content in 1..=3 {
+        live.state(|state| state["content"] == content);
+    }
+    let done = live.event(|event| event["event"] == "done");
+    assert_eq!(done["dropped"], 0, "{done}");
+    assert!(live.process.wait().unwrap().success());
+}
+
+#[test]
+fn errors_of_the_start_end_it_with_one_message() {
+    let folder = tempfile::tempdir().unwrap();
+    let job = write_job(folder.path());
+    let live = |options: &[&str]| {
+        // Mesa's drivers report a missing folder as an error of their own
+        let mut command = lumistack();
+        command.env("XDG_RUNTIME_DIR", folder.path());
+        fail(command.args(["live", "--no-open"]).arg(&job).arg("-o").arg(folder.path().join("run")).args(options))
+    };
+    for (options, message) in [
+        (&["--show", "span", "--mouse"][..], "`window`, which has a pointer"),
+        (&["--head-mm", "0,0,-5"], "--head-mm"),
+        (&["--device", "gpu:no such adapter"], if cfg!(feature = "gpu") { "no such adapter" } else { "feature `gpu`" }),
+        (&["--solver", "none"], "none"),
+    ] {
+        let text = live(options);
+        assert!(text.contains(message), "{options:?}: {text}");
+    }
+}
+
+/// In the window of a bare X server the pointer moves a head, who stays there while it rests.
+#[cfg(feature = "panels")]
+#[test]
+fn the_mouse_in_the_window_acts_as_a_tracked_head() {
+    use crate::common::session::{Session, XORG};
+
+    let Some(session) = Session::xorg(&XORG) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let (job, run) = (write_job(folder.path()), folder.path().join("run"));
+    let mut poke = crate::common::poke::Poke::new(session.x_display());
+    poke.point([1300, 300]);
+    let program = session.command(env!("CARGO_BIN_EXE_lumistack"));
+    let live = Live::start_by(program, &job, &run, &["--show", "window", "--mouse"]);
+    live.state(|state| state["zone"] == 1.0);
+    // the window opens some time after the first state
+    let zone_within = |time: Duration| -> Option<f64> {
+        let events = std::iter::from_fn(|| live.events.recv_timeout(time).ok());
+        events.filter_map(|event| event["zone"].as_f64()).last()
+    };
+    let followed = (0..300).any(|turn| {
+        poke.point([100 + 10 * (turn % 2), 100]);
+        zone_within(Duration::from_millis(100)) == Some(0.0)
+    });
+    assert!(followed, "no state follows the pointer");
+    // longer than the silence after which the zone comes back
+    let rest = zone_within(Duration::from_secs(4));
+    assert!(rest.is_none_or(|zone| zone == 0.0), "{rest:?}");
+    live.stop();
+}
