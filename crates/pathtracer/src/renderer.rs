@@ -32,9 +32,9 @@ use beams::{ViewSamples, place_in_pixel};
 #[cfg(test)]
 pub(crate) use checks::Check;
 pub use checks::Checks;
-#[cfg(test)]
-pub(crate) use features::FEATURES;
 pub use features::{Feature, Features, GuidedView};
+#[cfg(test)]
+pub(crate) use first::FEATURES;
 use first::{DisplayAxes, FirstSums};
 pub use split::{GuidedSplit, SplitView};
 

@@ -1,7 +1,8 @@
 //! A job whose settings and files change while its display is shown (`lumistack live`).
 //!
-//! [`LiveFields`] makes its light fields and repeats only stages whose input changed. [`LiveSolver`]
-//! solves them on the job's device. [`LiveFolder`] writes the last state as a run folder.
+//! [`LiveFields`] makes its light fields and repeats only stages whose input changed.
+//! [`LiveSolver`] solves them on the job's device. [`LiveFolder`] writes the last state as a run
+//! folder.
 
 mod change;
 mod fields;

@@ -10,12 +10,9 @@ use lumistack_display::FieldGeometry;
 use lumistack_scene::Window;
 
 use super::beams::place_in_pixel;
-use super::first::FirstSums;
+use super::first::{FEATURES, FirstSums};
 use super::{PixelMean, RenderError, Renderer, ranges, rgb};
 use crate::settings::Settings;
-
-/// Values of a pixel in [`Features`].
-pub(crate) const FEATURES: usize = Features::VALUES;
 
 /// Guides of one view.
 #[derive(Clone, Debug)]
@@ -60,7 +57,7 @@ pub struct Feature {
 
 impl Features {
     /// Values of a pixel.
-    pub const VALUES: usize = 11;
+    pub const VALUES: usize = FEATURES;
 
     /// From values as [`values`](Self::values) gives them; `None` where they have another shape.
     pub fn from_values(values: Tensor<3>) -> Option<Self> {

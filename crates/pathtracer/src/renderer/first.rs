@@ -3,10 +3,13 @@
 use glam::{DVec3, Quat, Vec3};
 use lumistack_scene::Window;
 
-use super::features::FEATURES;
-use super::split::SplitView;
 use crate::geometry::RenderSpace;
 use crate::tracer::First;
+
+/// Values of a pixel of the guides.
+pub(crate) const FEATURES: usize = 11;
+/// Values of a pixel of a view in parts.
+pub(super) const PARTS: usize = 13;
 
 /// Display space, as render space sees it.
 pub(super) struct DisplayAxes {
@@ -97,12 +100,12 @@ impl FirstSums {
     }
 
     /// A pixel in two parts: `mean` is the light of all samples, `finite` of which count.
-    pub(super) fn split(&self, mean: Vec3, finite: u32, samples: u32) -> [f32; SplitView::VALUES] {
+    pub(super) fn split(&self, mean: Vec3, finite: u32, samples: u32) -> [f32; PARTS] {
         // light is a mean over the samples that count, reflectance over all, normal and depth over
         // those with a surface
         let diffuse = self.diffuse / finite.max(1) as f32;
         let share = 1.0 / self.hits.max(1) as f32;
-        let mut values = [0.0; SplitView::VALUES];
+        let mut values = [0.0; PARTS];
         values[..3].copy_from_slice(&diffuse.to_array());
         values[3..6].copy_from_slice(&(mean - diffuse).to_array());
         values[6..9].copy_from_slice(&(self.reflectance / samples as f32).to_array());

@@ -14,12 +14,10 @@ use lumistack_core::{Task, Tensor};
 use lumistack_display::FieldGeometry;
 use lumistack_scene::Window;
 
-use super::features::{FEATURES, Features};
-use super::first::FirstSums;
+use super::features::Features;
+use super::first::{FEATURES, FirstSums, PARTS};
 use super::{PixelMean, RenderError, Renderer, ranges};
 use crate::settings::Settings;
-
-const VALUES: usize = SplitView::VALUES;
 
 /// A view's light in two parts, with data of the surfaces that it comes from: means over the
 /// samples of every pixel.
@@ -55,11 +53,11 @@ pub(crate) struct SplitPixel {
 
 impl SplitView {
     /// Values of a pixel.
-    pub const VALUES: usize = 13;
+    pub const VALUES: usize = PARTS;
 
     /// From values as [`values`](Self::values) gives them; `None` where they have another shape.
     pub fn from_values(values: Tensor<3>) -> Option<Self> {
-        (values.shape()[2] == VALUES).then_some(Self { values })
+        (values.shape()[2] == PARTS).then_some(Self { values })
     }
 
     /// `[row][col][diffuse rgb, other rgb, reflectance rgb, normal xyz, z_mm]`: radiance, display
@@ -78,7 +76,7 @@ impl SplitView {
     pub fn radiance(&self) -> Tensor<3> {
         let [rows, cols] = self.size();
         let mut radiance = Tensor::zeros(["row", "col", "rgb"], [rows, cols, 3]);
-        for (sum, values) in radiance.data_mut().chunks_exact_mut(3).zip(self.values.data().chunks_exact(VALUES)) {
+        for (sum, values) in radiance.data_mut().chunks_exact_mut(3).zip(self.values.data().chunks_exact(PARTS)) {
             sum.copy_from_slice(&both_parts(values));
         }
         radiance
@@ -86,7 +84,7 @@ impl SplitView {
 
     /// Returns for each pixel, row by row, if a sample of it hits a surface.
     pub fn surfaces(&self) -> impl Iterator<Item = bool> {
-        self.values.data().chunks_exact(VALUES).map(|values| values[9..12].iter().any(|normal| *normal != 0.0))
+        self.values.data().chunks_exact(PARTS).map(|values| values[9..12].iter().any(|normal| *normal != 0.0))
     }
 
     pub(crate) fn at(&self, row: usize, col: usize) -> SplitPixel {
@@ -113,7 +111,7 @@ impl Renderer {
         let split = |pixel: &PixelMean, first: &FirstSums| {
             first.split(pixel.mean, settings.samples - pixel.not_finite, settings.samples)
         };
-        let values = self.view_of::<true, VALUES>(window, geometry, view, settings, task, split, both_parts)?;
+        let values = self.view_of::<true, PARTS>(window, geometry, view, settings, task, split, both_parts)?;
         Ok(SplitView { values })
     }
 
@@ -133,15 +131,15 @@ impl Renderer {
     ) -> Result<GuidedSplit, RenderError> {
         let all = |pixel: &PixelMean, first: &FirstSums| {
             let finite = settings.samples - pixel.not_finite;
-            let mut values = [0.0; VALUES + 3 + FEATURES];
-            values[..VALUES].copy_from_slice(&first.split(pixel.mean, finite, settings.samples));
-            values[VALUES..VALUES + 3].copy_from_slice(&pixel.variance.to_array());
-            values[VALUES + 3..].copy_from_slice(&first.features(settings.samples));
+            let mut values = [0.0; PARTS + 3 + FEATURES];
+            values[..PARTS].copy_from_slice(&first.split(pixel.mean, finite, settings.samples));
+            values[PARTS..PARTS + 3].copy_from_slice(&pixel.variance.to_array());
+            values[PARTS + 3..].copy_from_slice(&first.features(settings.samples));
             values
         };
         let all =
-            self.view_of::<true, { VALUES + 3 + FEATURES }>(window, geometry, view, settings, task, all, both_parts)?;
-        let [values, variance, features] = ranges(&all, [("part", VALUES), ("rgb", 3), ("feature", FEATURES)]);
+            self.view_of::<true, { PARTS + 3 + FEATURES }>(window, geometry, view, settings, task, all, both_parts)?;
+        let [values, variance, features] = ranges(&all, [("part", PARTS), ("rgb", 3), ("feature", FEATURES)]);
         Ok(GuidedSplit { split: SplitView { values }, variance, features: Features { values: features } })
     }
 }

@@ -6,8 +6,8 @@
 //! ```
 //!
 //! The window, exposure and tone curve of the first time step stay while the scene moves. A changed
-//! setting of theirs ends that, and for exposure and tone curve a changed file too. Displays get at most 49 automatic views, since all views must be
-//! traced before the first picture.
+//! setting of theirs ends that, and for exposure and tone curve a changed file too. Displays get at
+//! most 49 automatic views, since all views must be traced before the first picture.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
