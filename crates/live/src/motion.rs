@@ -14,7 +14,7 @@
 //! that turns or moves in depth moves differently on every layer, and differently from place to
 //! place.
 
-use lumistack_display::{BacklightTap, Display, FieldGeometry, LayerStack, LightField, RayMap, spread};
+use lumistack_display::{BacklightTap, Display, FieldGeometry, LayerStack, LightField, RayMap, Region, spread};
 
 /// Most views per axis whose rays are averaged.
 const VIEWS: usize = 5;
@@ -244,6 +244,13 @@ pub fn moved(stack: &LayerStack, flows: &[Flow], fresh: &LayerStack) -> LayerSta
 }
 
 impl Flow {
+    /// Share of a region's pixels whose values come from outside the border, 0..1.
+    pub(crate) fn new_share(&self, region: &Region) -> f64 {
+        let pixels = region.rows.clone().flat_map(|row| region.cols.clone().map(move |col| [row, col]));
+        let new = pixels.filter(|[row, col]| self.source(*row, *col).is_none()).count();
+        new as f64 / (region.rows.len() * region.cols.len()).max(1) as f64
+    }
+
     /// Number of the pixel from which a pixel takes its value; `None` outside the border.
     fn source(&self, row: usize, col: usize) -> Option<usize> {
         let [right, down] = self.at(row, col);

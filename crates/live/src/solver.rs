@@ -2,18 +2,19 @@
 //!
 //! ```text
 //! new content:   start = the best of: previous patterns, previous patterns moved along, fresh ones
+//! moved along:   strips that content has entered ──a few updates of their own──▶ start
 //! every step:    start ──a few updates──▶ patterns, the next start
 //! ```
 
 use std::sync::Arc;
 
 use lumistack_core::Task;
-use lumistack_display::{LayerStack, Weights};
+use lumistack_display::{LayerStack, Region, Tile, TilePart, Tiling, Weights};
 use lumistack_factorizer::device::Executor;
-use lumistack_factorizer::{AUTO, FactorizeError, Problem, Settings, factorize_on, warm_start_pays};
+use lumistack_factorizer::{AUTO, FactorizeError, Problem, Settings, factorize_on, factorize_tile, warm_start_pays};
 
 use crate::Target;
-use crate::motion::{Planes, moved};
+use crate::motion::{Flow, Planes, moved};
 
 /// Solver of a warm start where the settings leave it open. Extrapolation would overshoot in a few
 /// updates from patterns of another target.
@@ -22,6 +23,16 @@ const WARM_SOLVER: &str = "block-exact";
 /// A warm start of at least this PSNR, dB, is used without a comparison with a fresh start, which
 /// takes longer than a step.
 const GOOD_DB: f64 = 20.0;
+
+/// Width of the strips of new content that are solved ahead, field pixels.
+const STRIP: usize = 16;
+
+/// Share of new pixels above which a strip is solved ahead.
+const NEW: f64 = 0.25;
+
+/// Iterations of a strip ahead of the whole display. Measured at 10 pixels per time step on 160
+/// columns, where four cost less than an update: they gain 1 dB, eight another 0.4 dB.
+const AHEAD: u32 = 4;
 
 /// The start of a step's patterns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -127,6 +138,7 @@ fn nearest_start(
         let other = moved(&best, &flows, &start);
         let ahead = at_start(executor, problem, warm, Some(&other), task)?.1;
         if ahead > psnr_view {
+            let other = with_border(problem, warm, other, &flows, task)?;
             (best, from, psnr_view) = (other, Start::Moved, ahead);
         }
     }
@@ -149,4 +161,53 @@ fn at_start(
     let settings = Settings { iterations: 0, levels: false, ..settings.clone() };
     let done = factorize_on(executor, problem, &settings, stack, task, &mut |_| {})?;
     Ok((done.stack, done.history.last().map_or(f64::NEG_INFINITY, |start| start.psnr_view)))
+}
+
+/// Solves the strips of the display that new content has entered, on the processor. Their patterns
+/// are fresh and do not fit those beside them, which the updates of the whole display repair
+/// slowly. Patterns outside of a strip stay as they are.
+///
+/// # Errors
+/// If a strip cannot be solved, or when cancelled.
+fn with_border(
+    problem: &Problem<'_>,
+    warm: &Settings,
+    mut stack: LayerStack,
+    flows: &[Flow],
+    task: Task<'_>,
+) -> Result<LayerStack, FactorizeError> {
+    let settings = Settings { iterations: AHEAD, levels: false, ..warm.clone() };
+    let geometry = problem.target.geometry();
+    let strips = [[geometry.cols.div_ceil(STRIP), 1], [1, geometry.rows.div_ceil(STRIP)]];
+    for tiling in strips.map(|tiles| Tiling::new(problem.display, geometry, tiles)) {
+        let tiles: Vec<Tile> = (0..tiling.count()).map(|number| tiling.tile(number)).collect();
+        let is_new = |tile: &&Tile| tile.parts.iter().zip(flows).any(|(part, flow)| flow.new_share(&part.own) > NEW);
+        let new: Vec<&Tile> = tiles.iter().filter(is_new).collect();
+        // where most of the display is new, strips cost as much as the whole
+        if 2 * new.len() > tiles.len() {
+            continue;
+        }
+        for tile in new {
+            let Some(weights) = tile.weights(problem.weights) else { continue };
+            let (display, target) = (tile.display(problem.display, geometry), tile.light_field(problem.target));
+            let of = |region: fn(&TilePart) -> &Region| -> Vec<Region> {
+                tile.parts.iter().map(|part| region(part).clone()).collect()
+            };
+            let (held, free) = (of(|part| &part.held), of(|part| &part.free));
+            let within: Vec<Region> = free.iter().zip(&held).map(|(free, held)| free.within(held)).collect();
+            let part = Problem { display: &display, target: &target, weights: &weights };
+            let before = stack.cut(&held);
+            match factorize_tile(&part, (tile, tiling.map()), &settings, (Some(&before), true), task, &mut |_| {}) {
+                Ok(solved) => stack.paste(&whole(tile), &solved.stack.cut(&within), &free),
+                Err(FactorizeError::NoRays) => {}
+                Err(error) => return Err(error),
+            }
+        }
+    }
+    Ok(stack)
+}
+
+/// All pixels of a tile's display.
+fn whole(tile: &Tile) -> Vec<Region> {
+    tile.whole.iter().map(|&[rows, cols]| Region { rows: 0..rows, cols: 0..cols }).collect()
 }
