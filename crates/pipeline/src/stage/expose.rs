@@ -75,7 +75,7 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
     } else {
         let picture = |view| match &radiance[0] {
             Some(held) => Ok(Cow::Borrowed(held.view(view))),
-            None => read(&fields[0], view).map(Cow::FolderLock),
+            None => read(&fields[0], view).map(Cow::Owned),
         };
         ToneMapping::choose(&job.light, &ingested.scene, &brightest(&fields[0].geometry, views, depths, picture)?)
     };
