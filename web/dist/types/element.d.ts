@@ -1,9 +1,9 @@
 import { type Comparison, type Mode, type Path, type Slope } from "./state.js";
 export interface LumistackErrorDetail {
     message: string;
-    /** What one can do about it. */
+    /** A possible remedy. */
     advice: string;
-    /** Nothing can be shown. */
+    /** True if nothing can be shown. */
     fatal: boolean;
 }
 export declare class LumistackViewer extends HTMLElement {
@@ -23,7 +23,7 @@ export declare class LumistackViewer extends HTMLElement {
     private readonly loader;
     private state;
     private content;
-    /** What one may look around in before the patterns are there. */
+    /** Views to look around in before the patterns have arrived. */
     private around;
     private resting;
     private frameClockS;
@@ -32,7 +32,7 @@ export declare class LumistackViewer extends HTMLElement {
     private psnrKey;
     private life;
     constructor();
-    /** Resolves with the first picture, rejects when there will be none. */
+    /** Resolves with the first picture; rejects if there will be none. */
     get ready(): Promise<void>;
     /** Resolves when every file has arrived or failed and there is a picture. */
     get complete(): Promise<void>;
@@ -40,26 +40,33 @@ export declare class LumistackViewer extends HTMLElement {
     set src(value: string);
     get mode(): Mode;
     set mode(mode: Mode);
-    /** How the mode "compare" compares. */
+    /** The kind of comparison in the mode "compare". */
     get comparison(): Comparison;
     set comparison(comparison: Comparison);
-    /** Where one looks from. Setting it ends swing and inertia. */
+    /** The slope of the view. Setting it ends swing and inertia. */
     get slope(): Slope;
     set slope(slope: Slope);
-    /** Who draws: "webgl2" or "cpu". */
+    /** The renderer: "webgl2" or "cpu". */
     get path(): Path;
-    /** RGBA bytes of the picture on show, at the light field's own size; of a comparison side by side those of the display. */
+    /**
+     * RGBA bytes of the current picture, in the light field's size; of a side-by-side comparison
+     * those of the display.
+     */
     pixels(): Promise<ImageData>;
-    /** The picture on show as PNG. */
+    /** The current picture as PNG. */
     screenshot(): Promise<Blob>;
-    /** Shows what is among the files (path → file): a preview, a quilt, the views of a light field. */
+    /** Shows the files (path → file): a preview, a quilt, or the views of a light field. */
     open(files: ReadonlyMap<string, File>): Promise<void>;
     /**
-     * Shows patterns that are being computed: `json` is their preview, `codes` holds all its pictures in the preview's order, [row][col][rgb] each. Those of the
-     * preview on show take the place of the former at once.
+     * Shows patterns that are being computed. `json` is their preview, and `codes` contains all its
+     * pictures in the preview's order, [row][col][rgb] each. Patterns of the current preview are
+     * replaced at once.
      */
     showStack(json: string, codes: Uint8Array<ArrayBuffer>): Promise<void>;
-    /** Other patterns for the preview on show, a PNG for every file that it names: all of them take effect at once. */
+    /**
+     * Replaces the patterns of the current preview at once; `files` has a PNG for every file that it
+     * names.
+     */
     renew(files: readonly ArrayBuffer[]): Promise<void>;
     connectedCallback(): void;
     disconnectedCallback(): void;
@@ -68,15 +75,15 @@ export declare class LumistackViewer extends HTMLElement {
     private load;
     private dropContent;
     private show;
-    /** The simulator of what is on show has started. */
+    /** Called when the simulator of the current content has started. */
     private opened;
-    /** The picture that a page brings along, or else the one that the preview names. */
+    /** The poster in the page, otherwise the one that the preview names. */
     private get poster();
     private showPoster;
     private watchPoster;
     private get hasPoster();
     private lookInto;
-    /** Keeps the state within what a display has. */
+    /** Limits the state to the display's layers and frames. */
     private fit;
     private arrived;
     private finish;
@@ -88,16 +95,16 @@ export declare class LumistackViewer extends HTMLElement {
     private wish;
     private readAddress;
     private set;
-    /** Brings everything into line with the state and asks for a picture. */
+    /** Updates all parts for the state and requests a picture. */
     private stateChanged;
     private writeAddress;
     private layOut;
-    /** What is to be seen now, where there are patterns. */
+    /** The picture to show; undefined without patterns. */
     private shot;
-    /** Whether something stands in for the picture until every frame is there: the mean of a few is confetti. */
+    /** True while a substitute is shown: the mean of a few frames is only noise. */
     private get isEarly();
     private draw;
-    /** A picture is on the canvas. */
+    /** Called when a picture is on the canvas. */
     private drawn;
     private drawingFailed;
     private describe;
