@@ -42,7 +42,9 @@ def page(path: str, folder: Path) -> int:
             if not words:
                 continue
             print(f"{path}: {line}", flush=True)
-            if words[:2] == ["lumistack", "preview"]:
+            if ">>" in words:
+                subprocess.run(line, cwd=folder, check=True, shell=True)
+            elif words[:2] == ["lumistack", "preview"]:
                 serves(words, folder)
             else:
                 small = SMALL if words[:2] == ["lumistack", "run"] and "--plan" not in words else []

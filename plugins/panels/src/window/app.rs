@@ -10,7 +10,7 @@ use lumistack_plugin::display::ColourSequence;
 use winit::application::ApplicationHandler;
 use winit::dpi::{PhysicalPosition, PhysicalSize};
 use winit::event::{ElementState, KeyEvent, WindowEvent};
-use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop};
+use winit::event_loop::{ActiveEventLoop, ControlFlow};
 use winit::keyboard::{Key, ModifiersState, NamedKey};
 use winit::window::{Fullscreen, Window, WindowId};
 
@@ -19,7 +19,7 @@ use super::gpu::{self, Viewport};
 use super::outputs::{self, Watch, is_x11, outputs_of};
 use super::present_loop::{PresentLoop, SharedState};
 use super::producer::{Producer, Work};
-use super::session::session;
+use super::session::{event_loop, session};
 use crate::assign::{Change, Output, assign, bounds, change};
 use crate::fit::{fitted, misfits};
 use crate::presentation::{Command, Content, Event, Mode, Report, Settings};
@@ -43,7 +43,7 @@ const SPAN_TITLE: &str = "lumistack panels: span";
 const REACH: f64 = 1.2;
 
 /// Runs a presentation until a key, a command, `cancelled` or the duration ends it. `emit` receives
-/// events from any thread. Call it on the main thread, once per process.
+/// events from any thread. Call it once per process, on macOS on the main thread.
 ///
 /// # Errors
 /// Without a windowing system, a graphics driver or the required outputs; and if an output is
@@ -54,7 +54,7 @@ pub fn present(
     cancelled: &dyn Fn() -> bool,
     emit: Arc<dyn Fn(Event) + Send + Sync>,
 ) -> Result<(), WindowError> {
-    let event_loop = EventLoop::<Command>::with_user_event().build().map_err(session)?;
+    let event_loop = event_loop::<Command>().build().map_err(session)?;
     let proxy = event_loop.create_proxy();
     std::thread::spawn(move || {
         // ends when the sender is dropped or the event loop exits

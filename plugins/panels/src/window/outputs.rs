@@ -11,12 +11,12 @@
 
 use winit::application::ApplicationHandler;
 use winit::event::WindowEvent;
-use winit::event_loop::{ActiveEventLoop, EventLoop};
+use winit::event_loop::ActiveEventLoop;
 use winit::monitor::MonitorHandle;
 use winit::window::{Window, WindowId};
 
 use super::WindowError;
-use super::session::session;
+use super::session::{event_loop, session};
 use crate::assign::Output;
 
 /// The outputs of this session, from left to right.
@@ -33,7 +33,7 @@ pub fn outputs() -> Result<Vec<Output>, WindowError> {
         fn window_event(&mut self, _: &ActiveEventLoop, _: WindowId, _: WindowEvent) {}
     }
     let mut lister = Lister(Vec::new());
-    EventLoop::new().map_err(session)?.run_app(&mut lister).map_err(session)?;
+    event_loop::<()>().build().map_err(session)?.run_app(&mut lister).map_err(session)?;
     Ok(lister.0)
 }
 
