@@ -105,8 +105,8 @@ fn tasks_of_the_processor_alone_refuse_a_device() {
     ] {
         std::fs::write(&job, format!("{solved}{rest}")).unwrap();
         let text = fail(lumistack().arg(command).arg(&job).arg("-o").arg(folder.path().join(command)));
-        // A build without devices refuses every device.
-        let reason = if cfg!(feature = "gpu") { reason } else { "built without the feature `gpu`" };
-        assert!(text.contains("factorize.device") && text.contains(reason), "{text}");
+        // A build without devices may give that as the reason.
+        let unbuilt = !cfg!(feature = "gpu") && text.contains("built without the feature `gpu`");
+        assert!(text.contains("factorize.device") && (unbuilt || text.contains(reason)), "{text}");
     }
 }
