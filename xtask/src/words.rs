@@ -34,6 +34,7 @@ const CLEAN: &[&str] = &[
     "crates/testkit",
     "crates/usd",
     "crates/web",
+    "crates/web-decoders",
     "crates/web-solver",
     "docs/GLOSSARY.md",
     "docs/GLTF.md",

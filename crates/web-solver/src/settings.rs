@@ -1,9 +1,9 @@
 //! The page's choices: a display and its variation.
 
-use lumistack_display::{Display, PRESETS, Variation, Views};
+use lumistack_display::{Display, Variation, Views};
 use lumistack_factorizer::{ZONE_ITERATIONS, held_bytes};
 use lumistack_shot::{Denoise, RenderJob, ZoneSamples};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use crate::error::Error;
 
@@ -16,6 +16,24 @@ const MOST_SOLVING: u64 = 700 << 20;
 const ZONE_SAMPLES: u32 = 800;
 /// Allowed columns of a light field.
 const COLS: std::ops::RangeInclusive<usize> = 16..=640;
+
+/// A display that comes with the program.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Preset {
+    /// Its name.
+    pub name: String,
+    /// The display.
+    pub display: Display,
+}
+
+/// The displays that come with the program. They are JSON here, which the module reads anyway: a
+/// reader of TOML would be a tenth of it.
+///
+/// # Errors
+/// None: a test compares them with the files of the command.
+pub fn presets() -> Result<Vec<Preset>, Error> {
+    serde_json::from_str(include_str!("presets.json")).map_err(|error| Error(format!("presets: {error}")))
+}
 
 /// The page's choices, read from JSON. A missing key keeps the preset's value.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -69,12 +87,12 @@ impl Settings {
     /// When there is no such preset, a value is out of range, or the display needs more memory than
     /// a page has.
     pub fn display(&self) -> Result<Display, Error> {
-        let preset = PRESETS.iter().find(|(name, _)| *name == self.preset);
-        let (_, text) = preset.ok_or_else(|| Error::value("preset", "the name of a preset", &self.preset))?;
+        let preset = presets()?.into_iter().find(|preset| preset.name == self.preset);
+        let preset = preset.ok_or_else(|| Error::value("preset", "the name of a preset", &self.preset))?;
         if !COLS.contains(&self.cols) {
             return Err(Error::value("cols", "16 to 640 columns", self.cols));
         }
-        let base = Display::from_toml(text)?;
+        let base = preset.display;
         let [cols, rows] = base.field.resolution;
         let rows = ((self.cols * rows) as f64 / cols as f64).round().max(1.0) as usize;
         let Self { layers, frames, brightness, gap_mm, .. } = *self;
@@ -116,5 +134,29 @@ impl Settings {
         let fixed = matches!(display.field.views, Views::Fixed(_));
         let default = if fixed { lumistack_factorizer::Settings::default().iterations } else { ZONE_ITERATIONS };
         self.iterations.unwrap_or(default)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use lumistack_display::PRESETS;
+
+    use super::*;
+
+    #[test]
+    fn presets_are_those_of_the_command() {
+        let preset = |(name, text): &(&str, &str)| Preset {
+            name: (*name).to_owned(),
+            display: Display::from_toml(text).unwrap(),
+        };
+        let expected: Vec<Preset> = PRESETS.iter().map(preset).collect();
+        if std::env::var_os("LUMISTACK_WRITE").is_some() {
+            let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src/presets.json");
+            let lines: Vec<String> = expected.iter().map(|preset| serde_json::to_string(preset).unwrap()).collect();
+            std::fs::write(path, format!("[\n{}\n]\n", lines.join(",\n"))).unwrap();
+            return;
+        }
+        let remedy = "LUMISTACK_WRITE=1 cargo test -p lumistack-web-solver presets writes presets.json";
+        assert_eq!(presets().unwrap(), expected, "{remedy}");
     }
 }

@@ -2,11 +2,11 @@
 //! is tested natively.
 
 use js_sys::Uint8Array;
-use lumistack_display::PRESETS;
 use serde_json::json;
 use wasm_bindgen::prelude::*;
 
-use crate::{Error, Files, Settings, Stage, Work, patterns};
+use crate::presets as presets_of_the_program;
+use crate::{Error, Files, Preset, Settings, Stage, Work, patterns};
 
 impl From<Error> for JsValue {
     fn from(error: Error) -> Self {
@@ -19,11 +19,8 @@ type Thrown<T> = Result<T, JsValue>;
 /// Names, titles and values of the presets, as JSON.
 #[wasm_bindgen]
 pub fn presets() -> String {
-    let about = |(name, text): &(&str, &str)| {
-        let display = lumistack_display::Display::from_toml(text).ok()?;
-        Some(json!({"name": name, "title": display.name, "about": patterns::about(&display)}))
-    };
-    json!(PRESETS.iter().filter_map(about).collect::<Vec<_>>()).to_string()
+    let about = |Preset { name, display }: Preset| json!({"name": name, "title": display.name, "about": patterns::about(&display)});
+    json!(presets_of_the_program().unwrap_or_default().into_iter().map(about).collect::<Vec<_>>()).to_string()
 }
 
 /// Dropped files to solve.

@@ -15,7 +15,7 @@ use crate::subject::Held;
 use crate::views::{Picked, Views};
 
 /// Most rows and columns of views of the first patterns.
-const FIRST: usize = 5;
+const FIRST: usize = 3;
 /// Iterations on unfinished views: they start from the last patterns.
 const WARM: u32 = 3;
 /// Views of splats per piece: one sort of the splats serves several views.
