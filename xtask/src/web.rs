@@ -129,6 +129,12 @@ fn module(&Module { package: name_of_package, name, profile }: &Module) -> Outco
     tools::run(bindgen.arg(&built).arg(&package).arg(name))?;
     npm_packages()?;
     let module = package.join(format!("{name}_bg.wasm"));
+    let bytes = fs::read(&module).map_err(|error| format!("{}: {error}", module.display()))?;
+    for folder in [".rustup", ".cargo"] {
+        if bytes.windows(folder.len()).any(|part| part == folder.as_bytes()) {
+            return Err(format!("web: {}: expected no path of this machine, found {folder}", module.display()));
+        }
+    }
     let mut optimize = command(root().join("web/node_modules/.bin/wasm-opt"));
     optimize.args(["-Oz", "--converge", "--strip-debug", "--strip-producers"]).args(FEATURES);
     tools::run(optimize.arg(&module).arg("-o").arg(&module))
@@ -142,6 +148,10 @@ fn rustflags() -> Vec<String> {
     let home = home.or_else(|| std::env::home_dir().map(|home| home.join(".cargo"))).unwrap_or_default();
     let registries = fs::read_dir(home.join("registry/src")).into_iter().flatten().flatten();
     let mut flags = vec!["-Ctarget-feature=+simd128".to_owned()];
+    // With the component rust-src, messages of the standard library would name its sources here.
+    if let Some(sysroot) = output_of(command("rustc").args(["--print", "sysroot"])) {
+        flags.push(format!("--remap-path-prefix={}/lib/rustlib/src/rust=std", sysroot.trim()));
+    }
     flags.extend(registries.map(|folder| format!("--remap-path-prefix={}=crates", folder.path().display())));
     flags.sort();
     flags

@@ -246,29 +246,6 @@ impl Renderer {
         self.view_of::<false, 3>(window, geometry, view, settings, task, mean, rgb)
     }
 
-    /// [`render_view`](Self::render_view), and the variance of every mean, `[row][col][rgb]`: the
-    /// variance of the samples over their number. Samples are stratified, so the means scatter less
-    /// than this says. NaN where fewer than two samples are finite numbers.
-    ///
-    /// # Errors
-    /// As [`render_view`](Self::render_view).
-    pub fn render_view_and_variance(
-        &self,
-        window: &Window,
-        geometry: &FieldGeometry,
-        view: [usize; 2],
-        settings: &Settings,
-        task: Task<'_>,
-    ) -> Result<(Tensor<3>, Tensor<3>), RenderError> {
-        let both = |pixel: &PixelMean, _: &FirstSums| {
-            let ([r, g, b], [x, y, z]) = (pixel.mean.to_array(), pixel.variance.to_array());
-            [r, g, b, x, y, z]
-        };
-        let both = self.view_of::<false, 6>(window, geometry, view, settings, task, both, rgb)?;
-        let [radiance, variance] = ranges(&both, [("rgb", 3); 2]);
-        Ok((radiance, variance))
-    }
-
     /// `K` values of every pixel of a view, `[row][col][k]`, from which `radiance` takes their
     /// radiance; with `FIRST` also from the first surfaces of its paths.
     fn view_of<const FIRST: bool, const K: usize>(

@@ -26,7 +26,9 @@ pub struct Features {
 pub struct GuidedView {
     /// Scene-linear radiance, `[row][col][rgb]`.
     pub radiance: Tensor<3>,
-    /// Variance of every mean, likewise; NaN where fewer than two samples are finite numbers.
+    /// Variance of every mean, likewise: the variance of the samples over their number. Samples are
+    /// stratified, so the means scatter less than this says. NaN where fewer than two samples are
+    /// finite numbers.
     pub variance: Tensor<3>,
     /// Guides.
     pub features: Features,
@@ -107,9 +109,8 @@ impl Features {
 }
 
 impl Renderer {
-    /// [`render_view`](Self::render_view), the variance of every mean as in
-    /// [`render_view_and_variance`](Self::render_view_and_variance), and the first surfaces of all
-    /// paths.
+    /// [`render_view`](Self::render_view), the variance of every mean, and the first surfaces of
+    /// all paths. The radiance is the same to the bit.
     ///
     /// # Errors
     /// As [`render_view`](Self::render_view).

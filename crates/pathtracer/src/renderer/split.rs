@@ -116,7 +116,7 @@ impl Renderer {
     }
 
     /// [`render_split`](Self::render_split), the variance of every mean as in
-    /// [`render_view_and_variance`](Self::render_view_and_variance), and the first surfaces of all
+    /// [`render_view_and_features`](Self::render_view_and_features), and the first surfaces of all
     /// paths.
     ///
     /// # Errors

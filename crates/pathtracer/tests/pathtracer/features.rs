@@ -109,18 +109,16 @@ fn surfaces_come_with_the_light_at_no_change_of_it() {
     for samples in [1, 5, 16, 40] {
         for (max_bounces, clamp) in [(8, None), (0, None), (4, Some(0.5))] {
             let settings = Settings { samples, max_bounces, clamp, seed: 7, ..Settings::default() };
-            let (plain, variance) =
-                renderer.render_view_and_variance(&window(), &geometry, [0, 0], &settings, task).unwrap();
-            assert!(plain == renderer.render_view(&window(), &geometry, [0, 0], &settings, task).unwrap());
+            let plain = renderer.render_view(&window(), &geometry, [0, 0], &settings, task).unwrap();
             let guided = renderer.render_view_and_features(&window(), &geometry, [0, 0], &settings, task).unwrap();
             let alone = renderer.render_features(&window(), &geometry, [0, 0], &settings, task).unwrap();
-            assert!(same(&guided.radiance, &plain) && same(&guided.variance, &variance), "{samples} {max_bounces}");
+            assert!(same(&guided.radiance, &plain), "{samples} {max_bounces}");
             assert!(same(guided.features.values(), alone.values()), "{samples} {max_bounces}");
             // both parts, with and without guides
             let split = renderer.render_split(&window(), &geometry, [0, 0], &settings, task).unwrap();
             let parts = renderer.render_split_and_features(&window(), &geometry, [0, 0], &settings, task).unwrap();
             let features = &parts.features;
-            assert!(same(split.values(), parts.split.values()) && same(&parts.variance, &variance));
+            assert!(same(split.values(), parts.split.values()) && same(&parts.variance, &guided.variance));
             assert!(same(features.values(), alone.values()));
             let missed = renderer.render_misses(&window(), &geometry, [0, 0], &settings, task).unwrap();
             let pixels = split.values().data().chunks(SplitView::VALUES).zip(plain.data().chunks(3));

@@ -60,7 +60,8 @@ fn the_reported_variance_is_that_of_the_mean() {
     let geometry = one_view(8, [0.0, 0.0]);
     let render = |seed: u64| -> (Tensor<3>, Tensor<3>) {
         let settings = Settings { samples: 8, seed, ..Settings::default() };
-        renderer.render_view_and_variance(&window(), &geometry, [0, 0], &settings, task).unwrap()
+        let guided = renderer.render_view_and_features(&window(), &geometry, [0, 0], &settings, task).unwrap();
+        (guided.radiance, guided.variance)
     };
     let plain = Settings { samples: 8, seed: 1, ..Settings::default() };
     assert_eq!(render(1).0, renderer.render_view(&window(), &geometry, [0, 0], &plain, task).unwrap());
@@ -82,6 +83,6 @@ fn the_reported_variance_is_that_of_the_mean() {
     // some 13000 degrees of freedom in all: the ratio itself is known to a few percent
     assert!((0.95..10.0).contains(&ratio), "reported {reported}, measured {measured}");
     let one = Settings { samples: 1, ..Settings::default() };
-    let (_, variance) = renderer.render_view_and_variance(&window(), &geometry, [0, 0], &one, task).unwrap();
-    assert!(variance.data().iter().all(|value| value.is_nan()), "one sample has no variance");
+    let guided = renderer.render_view_and_features(&window(), &geometry, [0, 0], &one, task).unwrap();
+    assert!(guided.variance.data().iter().all(|value| value.is_nan()), "one sample has no variance");
 }
