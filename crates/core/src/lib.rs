@@ -16,6 +16,6 @@ pub mod tone;
 pub use task::{Cancel, Cancelled, Collector, NoProgress, Progress, Task, Warning, Warnings};
 pub use tensor::{Lender, ShapeError, Tensor};
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that
-/// this code has a part in.
+/// Hash of this crate's sources, computed at build. It is part of the key of every cached result
+/// that depends on this code.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

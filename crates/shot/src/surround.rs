@@ -19,7 +19,7 @@ pub(crate) fn warn_of_unused(scene: &Scene, job: &LightJob, task: Task<'_>) {
     }
 }
 
-/// Rotates the environment as the job says, be it a file's or the studio light.
+/// Rotates the environment as the job says, both a file's environment and the studio light.
 ///
 /// # Errors
 /// When the changed scene is not valid.

@@ -55,7 +55,7 @@ impl JsonSchema for Background {
     }
 }
 
-/// Writes a code such as `#202028` where it is exact, else `[r, g, b]`, so that no digit is lost.
+/// Writes a code such as `#202028` if it is exact, otherwise `[r, g, b]`, so that no digit is lost.
 impl Serialize for Background {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self {
