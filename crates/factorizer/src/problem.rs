@@ -68,7 +68,7 @@ impl Problem<'_> {
     }
 }
 
-/// A factorization that failed or was cancelled.
+/// The reason why a factorization failed, or its cancellation.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum FactorizeError {
     /// The display is invalid.
@@ -102,7 +102,7 @@ pub enum FactorizeError {
     },
     /// No ray has a weight above 0, so no patterns are better than others.
     #[error(
-        "no ray with a weight above 0 hits all layers: expected layers and weights through which the display shows something of the target"
+        "no ray with a weight above 0 hits all layers: expected layers and weights with which the display shows some of the target"
     )]
     NoRays,
     /// No solver has this name.

@@ -19,10 +19,10 @@ use crate::step::Rule;
 use crate::target::{LentTarget, Target};
 use crate::{FactorizeError, Objective};
 
-/// Rounds of coordinate steps per update.
+/// Number of sweeps of coordinate steps per update.
 const SWEEPS: u32 = 2;
 
-/// Storage of one channel, in bytes.
+/// Size of the storage of one channel, bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Estimate {
     /// The target in its file: half floats.
@@ -70,17 +70,17 @@ impl ChannelRun {
         target: LentTarget,
         seed: u64,
     ) -> Result<Self, FactorizeError> {
-        // refuse all that one channel alone cannot have
+        // refuse displays and targets that one channel alone cannot be solved with
         display.check()?;
         let [view_rows, view_cols] = geometry.grid.views();
         let count = view_rows * view_cols * geometry.rows * geometry.cols;
         let values = (*target).as_ref();
         let unsuitable = |why: &'static str| Err(FactorizeError::Unsuitable { solver: "one channel", why });
         if values.len() != count || geometry.cols < PAD {
-            return unsuitable("the target has not the size of the geometry, or fewer than 16 columns");
+            return unsuitable("the target does not have the size of the geometry, or has fewer than 16 columns");
         }
         if display.layers.iter().any(|layer| layer.response().is_some()) {
-            return unsuitable("layers with blur, crosstalk or tied channels need all channels at once");
+            return unsuitable("layers with blur, crosstalk or tied channels need all channels together");
         }
         const EXPONENT: u16 = 0x7c00;
         if !crate::bands::all(values, |part| part.iter().all(|half| half & EXPONENT != EXPONENT)) {

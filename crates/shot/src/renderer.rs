@@ -4,6 +4,7 @@
 //! ```text
 //! view = splats.over(traced view)
 //! ```
+//!
 //! Splats are blended in their own colour space. Surfaces hide splats behind them. Splats have no
 //! noise, so they are blended after denoising.
 

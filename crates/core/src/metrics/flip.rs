@@ -10,6 +10,7 @@
 //!           ΔE_f = (larger difference / √2) ^ 0.5
 //! FLIP      ΔE_c ^ (1 − ΔE_f), 0 (equal) to 1 (worst)
 //! ```
+//!
 //! Filters have their size in degrees of visual angle, so the error depends on the number of pixels
 //! per degree. Outside of the picture they read the outermost pixel. Every filter is separable. The
 //! sum of two Gaussians of Cz is two separate filters whose total weight is 1.

@@ -334,7 +334,7 @@ impl RenderJob {
         }
         if self.engine == Engine::Blender && !self.is_plain() {
             let expected =
-                "`blender` without `angular_filter`, `lens_deg`, `denoise` and `clamp`, since a .blend file has its own settings";
+                "`blender` without `angular_filter`, `lens_deg`, `denoise` and `clamp`: the .blend file has its own";
             return fail("render.engine", expected, "`blender` with one of these keys".into());
         }
         if let Some(limit) = self.clamp.filter(|limit| !(*limit > 0.0 && limit.is_finite())) {
