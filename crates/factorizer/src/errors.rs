@@ -135,7 +135,7 @@ unsafe fn squared_shifted<V: Lanes>(
                     _ => emitted_by::<V, 3>(&lines, m, col, emitted),
                 };
             }
-            // the error βL − L̃, and 0 behind the last ray
+            // the error βL − L̃, and 0 after the last ray
             let wanted = match target {
                 Row::Half(row) => V::load_half(row[PAD + col..][..V::COUNT].as_ptr()),
                 Row::Float(row) => V::load(row[PAD + col..][..V::COUNT].as_ptr()),

@@ -5,22 +5,24 @@ use lumistack_display::{Backlight, Display, FieldGeometry, Sampling};
 use crate::factor::PAD;
 use crate::step::Sums;
 
-/// Bytes of the tables of one factor, per column of a view column or row of a view row.
+/// Size of the tables of one factor, per field column of a view column or field row of a view row,
+/// bytes.
 ///
-/// They hold the places where rays hit the factor, once as floats and once for the kernels.
+/// The tables hold the positions where rays hit the factor, once as floats and once for the
+/// kernels.
 const TABLE_BYTES: u64 = 96;
-/// Bytes of everything else, which is small.
+/// Size of everything else, which is small, bytes.
 const SMALL: u64 = 1 << 20;
 
 /// Upper bound of the bytes that [`factorize`](crate::factorize()) holds at any time, on `threads`
 /// threads.
 ///
-/// Counted are:
+/// The bound includes:
 /// * the target in half floats, at full resolution and at the coarser levels,
 /// * the factors during the run, and the patterns before and after it,
 /// * tables, and the buffers of each thread.
 ///
-/// The caller's own target, which may lie in a mapped file, and the weights are not counted. A
+/// It does not include the caller's own target, which may be in a mapped file, nor the weights. A
 /// target whose values half floats cannot hold exactly is kept in f32, which takes twice as much.
 pub fn held_bytes(display: &Display, geometry: &FieldGeometry, threads: usize) -> u64 {
     let [view_rows, view_cols] = geometry.grid.views().map(|count| count as u64);
@@ -54,14 +56,14 @@ pub fn held_bytes(display: &Display, geometry: &FieldGeometry, threads: usize) -
         (Backlight::Uniform, _) => lines * 2 * factors.len() as u64,
         (Backlight::Lenslets(_), _) => lines * (2 * factors.len() as u64 + view_cols * (factors.len() as u64 - 1)),
     };
-    // A coarser level has a quarter of the pixels, so all levels take 4/3 of the finest. The four
-    // times of the factors are: the values that rays read, those before an extrapolation, the
-    // stored ones and a spare. The patterns are held as tensors before and after the run.
+    // A coarser level has a quarter of the pixels, so all levels take 4/3 of the finest. Factors
+    // are held four times: the values that rays read, those before an extrapolation, the stored
+    // ones and a spare. The patterns are held as tensors before and after the run.
     4 * (target + 4 * patterns + sums + tables) / 3 + 2 * patterns + threads * expanded + SMALL
 }
 
-/// Columns and rows of every layer and the backlight, and how many columns past their edges rays
-/// may read.
+/// Columns and rows of every layer and the backlight, and the number of columns past their edges
+/// that rays may read.
 fn factors(display: &Display, geometry: &FieldGeometry) -> Vec<([u64; 2], u64)> {
     let steepest = geometry.grid.slope_x.iter().fold(0.0f64, |most, slope| most.max(slope.abs()));
     let width = geometry.cols as f64 * geometry.pitch_mm;

@@ -1,4 +1,4 @@
-//! One colour channel of a display that is larger than memory.
+//! One colour channel of a display whose light field is larger than memory.
 //!
 //! The target stays in its mapped file and is read row by row. The patterns exist once, and are
 //! returned row by row. Channels are independent, so a colour display is three such problems in

@@ -41,7 +41,7 @@ fn every_pixel_is_one_tiles_own_and_all_rays_through_free_pixels_are_the_tiles()
     each(|kind, owned, tiling| {
         let (geometry, map) = (owned.target.geometry(), tiling.map());
         let tiles: Vec<Tile> = (0..tiling.count()).map(|number| tiling.tile(number)).collect();
-        // tiles partition the pixels of every part
+        // tiles partition the pixels of every layer and of the lenslets
         for (n, [rows, cols]) in tiles[0].whole.iter().copied().enumerate() {
             for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
                 let owners = tiles.iter().filter(|tile| {

@@ -9,13 +9,13 @@ use crate::device::Updater;
 use crate::engine::Engine;
 use crate::{Settings, StartKind, factorize, random_start};
 
-/// Greatest loss by the end of a run, dB.
+/// Largest loss by the end of a run, dB.
 const COST_DB: f64 = 1e-3;
-/// Transmittance of the other layer below which a test counts a pixel as unlit: a tenth of the
+/// Transmittance of the other layer below which a test takes a pixel as unlit: a tenth of the
 /// solver's own limit.
 const UNLIT: f32 = 1e-6;
 
-/// Greatest value of an unlit pixel whose other layer was darkened at the end: the solver's own
+/// Largest value of an unlit pixel whose other layer was darkened at the end: the solver's own
 /// limit.
 const BLACK: f32 = 1e-4;
 
