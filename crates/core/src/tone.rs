@@ -158,7 +158,7 @@ fn sigmoid(x: f32) -> f32 {
     scale * t / (1.0 + t.abs().powf(POWER)).powf(1.0 / POWER) + y0
 }
 
-/// Turns the hue (of the hexcone) of `rgb` by the fraction 1 − [`HUE_AFTER`] towards that of the
+/// Turns the hue (of the hexcone) of `rgb` by the fraction 1 − [`HUE_AFTER`] towards the hue of the
 /// colour `before`.
 fn with_hue_of(rgb: [f32; 3], before: [f32; 3]) -> [f32; 3] {
     let (low, high) = (rgb[0].min(rgb[1]).min(rgb[2]), rgb[0].max(rgb[1]).max(rgb[2]));

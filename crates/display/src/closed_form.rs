@@ -7,8 +7,7 @@
 //! ```text
 //! (23) lens array               1/(2Δx)          if |z| ≤ Δx/Δs,                  else 1/(2|z|Δs)
 //! (24) two layers                ω0 · 2Δd/(Δd + 2|z|)
-//! (25) three layers             ω0 · 3Δd/(Δd + |z|)   if |z| ≤ 2Δd,               else ω0 ·
-//! 2Δd/|z|
+//! (25) three layers             ω0 · 3Δd/(Δd + |z|)   if |z| ≤ 2Δd,   else ω0 · 2Δd/|z|
 //! (26) a layer on a lens array   1/(2Δx) + ω0     if |z| ≤ Δx/(Δs + 2ΔxΔsω0),      else 1/(2|z|Δs)
 //! ```
 //!

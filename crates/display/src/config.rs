@@ -19,7 +19,7 @@ pub struct Display {
     /// Version of the format.
     #[serde(default = "version")]
     pub version: u32,
-    /// Name for people.
+    /// Name, as shown to the user.
     pub name: String,
     /// Time-multiplexed frames M of one period, ≥ 1.
     pub frames: usize,

@@ -7,8 +7,8 @@
 //! z, in cycles per millimetre, is
 //!
 //! ```text
-//! ω(z) = min over i with g_i × u ≠ 0 of  Σ_j |g_i × g_j| / |g_i × u|,     a × c = a_1 c_2 − a_2
-//! c_1
+//! ω(z) = min over i with g_i × u ≠ 0 of  Σ_j |g_i × g_j| / |g_i × u|,
+//!        a × c = a_1 c_2 − a_2 c_1
 //! layer n:    g = (1, d_n)/(2 p_n)
 //! lenslets:   g = (1, d_b)/(2 Δx)  and  g = (0, 1)/(2 Δs),   Δs = (2/A) tan(α/2)
 //! ```

@@ -6,7 +6,7 @@ use crate::{Backlight, Display, DisplayError, Lens, LensletBacklight, Panel, Tra
 /// Equal panels, one behind another.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PanelStack {
-    /// Name for people.
+    /// Name, as shown to the user.
     pub name: String,
     /// Gaps between neighbouring layers, rear to front, millimetres; one less than there are
     /// layers.

@@ -79,7 +79,7 @@ pub(crate) enum TargetRow<'a> {
     Float(Place<'a, f32>),
 }
 
-/// Number of rows that each view prefetches. All rows at once would stall the loads.
+/// Number of rows that each view prefetches. A prefetch of all rows together would stall the loads.
 const PREFETCHED: usize = 3;
 
 /// The rows along one view's rays.

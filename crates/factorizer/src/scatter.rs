@@ -219,7 +219,7 @@ struct ColumnBlock<'a> {
     views: Range<usize>,
     /// Shares of each row of rays in the line and in the next.
     shares: &'a [[f32; 2]],
-    /// Some row of rays has a share in the next line.
+    /// True if some row of rays has a share in the next line.
     is_high: bool,
     x: usize,
     params: SumParams,

@@ -228,7 +228,7 @@ fn start_peers_in(folder: &Path, peers: &[[PathBuf; 2]], case: &Case) -> Outcome
         for variant in peer.variants.clone() {
             peer.save(&variant, &saved)?;
             let difference = peers::largest_difference(&saved, &ours)?;
-            println!("{}, {variant}: masks after one update differ from Lumistack's by at most {difference:.1e}", peer.name);
+            println!("{}, {variant}: masks after one update differ by at most {difference:.1e}", peer.name);
             if difference >= SAME_MASKS {
                 return Err(format!("{}, {variant}: expected the same masks within {SAME_MASKS:e}", peer.name).into());
             }

@@ -138,7 +138,8 @@ impl Report {
             let what = format!("{}, {}, {threads}", peer.name, peer.variant);
             let [medians, fastest] = self.ratios(peer);
             let difference = peer.difference;
-            let rest = format!("   {medians:.1} × Lumistack's time (fastest {fastest:.1} ×); masks within {difference:.0e}");
+            let rest =
+                format!("   {medians:.1} × Lumistack's time (fastest {fastest:.1} ×); masks within {difference:.0e}");
             line(&mut text, &what, &peer.times, &rest);
         }
         if self.resolution == PAPER_RESOLUTION {

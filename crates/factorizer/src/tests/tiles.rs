@@ -9,7 +9,7 @@ use crate::device::Updater;
 use crate::engine::Engine;
 use crate::{FactorizeError, Problem, Settings, factorize, factorize_tile, random_start};
 
-/// Tolerance of a gain, relative to the objective before. Tile and whole sum it in f32.
+/// Tolerance of a gain, relative to the previous objective. Tile and whole sum the gain in f32.
 const GAIN_TOLERANCE: f64 = 2e-5;
 const SEEDS: [u64; 3] = [1, 2, 3];
 
