@@ -1,7 +1,7 @@
 //! Foundations of every other crate: labelled tensors, colour, image metrics, seeds, large pages,
 //! and the [`Task`] handle that carries progress, cancellation and warnings.
 //!
-//! No file system, no clock, no threads: the crate also compiles to wasm32.
+//! The crate uses no file system, no clock and no threads, so that it also compiles to wasm32.
 
 pub mod colour;
 pub mod config;

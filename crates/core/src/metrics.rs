@@ -80,7 +80,7 @@ impl Mean {
     }
 }
 
-/// A metric at every pixel of a picture.
+/// The values of a metric at every pixel of a picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MetricMap {
     /// Pixel rows.
@@ -94,7 +94,7 @@ pub struct MetricMap {
 }
 
 impl MetricMap {
-    /// The metric of the whole picture.
+    /// The metric of the whole picture: the mean of its values.
     pub fn mean(&self) -> Mean {
         self.mean_where(|_| true)
     }

@@ -20,12 +20,12 @@ const KEY: &str = "percent";
 pub mod optional {
     use super::*;
 
-    /// Writes the path, or nothing.
+    /// Writes the path; `None` is written as nothing.
     pub fn serialize<S: Serializer>(path: &Option<PathBuf>, serializer: S) -> Result<S::Ok, S::Error> {
         path.as_deref().map(Text).serialize(serializer)
     }
 
-    /// Reads a path, or nothing.
+    /// Reads a path, or `None`.
     pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<PathBuf>, D::Error> {
         Ok(Option::<Read>::deserialize(deserializer)?.map(|Read(path)| path))
     }

@@ -38,7 +38,7 @@ pub enum ToneCurve {
     Agx,
 }
 
-/// Reflection at normal incidence that the Khronos curve takes away.
+/// Reflection at normal incidence that the Khronos curve subtracts.
 const F90: f32 = 0.04;
 /// Value at which the compression of the Khronos curve starts.
 const START: f32 = 0.8 - F90;
@@ -80,7 +80,7 @@ const OUTSET: Matrix = [
 ];
 
 impl ToneCurve {
-    /// Every curve with the name that job files use.
+    /// Every curve with its name in job files.
     pub const ALL: [(&'static str, Self); 3] =
         [("linear", Self::Linear), ("khronos-neutral", Self::KhronosNeutral), ("agx", Self::Agx)];
 
@@ -313,8 +313,8 @@ mod tests {
         }
     }
 
-    /// Hue of the hexcone in degrees. The neutral curve keeps it exactly (it scales and mixes with
-    /// grey), AgX within the change of Blender's table.
+    /// Measures the hue of the hexcone in degrees. The neutral curve keeps the hue exactly (it
+    /// scales and mixes with grey), AgX within the change of Blender's table.
     #[test]
     fn hues_stay() {
         let mut stream = Stream::new(6);

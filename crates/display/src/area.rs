@@ -15,7 +15,7 @@ use crate::{Backlight, Display, FieldGeometry, RayMap, Sampling};
 /// pixel's own border.
 const SLIVER: f64 = 1e-9;
 
-/// The tables of one view, with a ray for every part of a pixel.
+/// The tables of one view, with one ray for every part of a pixel.
 #[derive(Clone, Debug)]
 pub struct AreaMap {
     /// The map of one view, whose columns and rows are the parts in the order of `x` and `y`.

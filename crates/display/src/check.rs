@@ -1,4 +1,4 @@
-//! Ranges of a display's values.
+//! Checks of the ranges of a display's values.
 
 use crate::{Backlight, Display, DisplayError, Layer, LayerColour, Lens, Panel, Views};
 
@@ -6,7 +6,7 @@ use crate::{Backlight, Display, DisplayError, Layer, LayerColour, Lens, Panel, V
 const ROW_SUM_ROUNDING: f64 = 1e-6;
 
 impl Display {
-    /// Checks every value.
+    /// Checks the range of every value.
     ///
     /// # Errors
     /// On the first value out of range.

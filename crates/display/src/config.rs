@@ -94,10 +94,10 @@ pub struct FieldConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum ProjectionKind {
-    /// Parallel projections (the paper's).
+    /// Every view is a parallel projection, as in the paper.
     #[default]
     Oblique,
-    /// Pinholes at `distance_mm`.
+    /// Every view is a pinhole at distance `distance_mm`.
     Perspective,
 }
 

@@ -218,7 +218,7 @@ pub fn ray_is_valid(map: &RayMap, missing: Missing, view: [usize; 2], row: usize
 
 /// How the rays of a row read a layer.
 enum Reads<'a> {
-    /// Runs of rays that read single pixels one after another; all other rays miss.
+    /// Runs of rays that read neighbouring single pixels; all other rays miss the layer.
     Runs(Vec<Run>),
     /// Each ray reads the pixels of its tap.
     Taps(&'a [Tap]),
@@ -386,7 +386,7 @@ mod tests {
         assert!(clear.radiance.data().iter().any(|v| (*v - 0.25).abs() < 1e-6), "one layer missed");
     }
 
-    /// Lines and taps give the same bits, for both samplings, on and off the pixels' grid.
+    /// Runs and taps give the same bits, for both samplings, on and off the pixels' grid.
     #[test]
     fn whole_lines_are_read_as_single_pixels_are() {
         let (cols, rows, mut lines, mut taps) = (13, 4, 0, 0);

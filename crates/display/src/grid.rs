@@ -81,7 +81,7 @@ impl ViewGrid {
         Self { projection, slope_x: vec![slope[0]], slope_y: vec![slope[1]] }
     }
 
-    /// Checks a grid that came from outside.
+    /// Checks a grid that may come from a file or a caller.
     ///
     /// # Errors
     /// If it has no views, a slope that is not finite, or a viewing distance that is not above 0.
@@ -212,10 +212,10 @@ pub struct FieldGeometry {
 }
 
 impl FieldGeometry {
-    /// Checks a geometry that came from outside.
+    /// Checks a geometry that may come from a file or a caller.
     ///
     /// # Errors
-    /// If there are no pixels, the pitch is not above 0, or the grid is wrong.
+    /// If there are no pixels, the pitch is not above 0, or the grid is invalid.
     pub fn check(&self) -> Result<(), GridError> {
         if self.rows == 0 || self.cols == 0 {
             return Err(GridError::new(

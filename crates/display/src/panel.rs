@@ -34,7 +34,7 @@ pub struct Panel {
     /// the layer's centre. Default: the whole picture.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crop: Option<[usize; 4]>,
-    /// [right, down] by which the upright picture is shifted, panel pixels.
+    /// [right, down] shift of the upright picture, panel pixels.
     #[serde(default)]
     pub nudge_px: [f64; 2],
     /// Map from a pixel's nominal position to its real position, in millimetres from the layer's

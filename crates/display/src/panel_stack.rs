@@ -30,9 +30,9 @@ pub struct PanelStack {
     pub refresh_hz: f64,
     /// Brightness scale β.
     pub brightness: f64,
-    /// Transmittance of each code value.
+    /// Transfer function of a panel: the transmittance of each code value.
     pub transfer: Transfer,
-    /// Transmittance of black.
+    /// Transmittance of black, relative to white.
     pub black_level: f64,
     /// A lens array in front of a panel of its own, which then is the rearmost panel.
     pub lenses: Option<LensArray>,

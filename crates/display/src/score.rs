@@ -17,7 +17,7 @@ pub struct ViewScore {
     pub error: SquaredError,
 }
 
-/// Errors of a light field, by view.
+/// Errors of a light field, view by view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Score {
     /// Views, row by row.

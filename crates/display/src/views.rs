@@ -20,7 +20,7 @@ const ROUNDING: f64 = 1e-9;
 /// `[horizontal, vertical]`, or `{ step = [x, y] }`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Views {
-    /// As many as make a display right between them: at multiples of its [native
+    /// As many views as make a display right between them too: at multiples of its [native
     /// step](crate::native_step).
     #[default]
     Auto,
@@ -130,7 +130,7 @@ impl<'de> Visitor<'de> for Form {
     }
 }
 
-/// `auto`, or columns × rows as `5x3`.
+/// Reads `auto`, or columns × rows as `5x3`.
 impl std::str::FromStr for Views {
     type Err = String;
 

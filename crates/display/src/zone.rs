@@ -17,7 +17,7 @@ pub const LEAST_DIRECTIONS: usize = 32;
 /// Radius of the disc that represents an eye box, in standard deviations of the box.
 const EYE_BOX_SIGMAS: f64 = 1.5;
 
-/// The expected slopes or positions of eyes.
+/// The slopes or eye positions from which a display is expected to be seen.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Zone {
     /// Slopes, or eye positions D·s: a rectangle around 0.
@@ -175,7 +175,7 @@ mod tests {
         let zone = Zone::Slopes { projection: Projection::Oblique, half_width: [0.2, 0.1] };
         let directions = zone.directions(32);
         assert_eq!(directions, zone.directions(32));
-        // every cell of a 4 × 4 grid holds one to three of the 32
+        // every cell of a 4 × 4 grid holds one to three of the 32 directions
         let mut cells = [0; 16];
         for direction in &directions {
             let [x, y] = [direction.slope_x[0] / 0.2, direction.slope_y[0] / 0.1].map(|s| (2.0 + 2.0 * s) as usize);

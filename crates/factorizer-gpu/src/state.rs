@@ -90,14 +90,14 @@ impl State {
     /// Allocates and fills all buffers, and divides the work into bands.
     fn upload(gpu: Arc<Gpu>, begin: Begin) -> Result<Self, FactorizeError> {
         let Begin { plan, display, ranges, factors, tries_local } = begin;
-        // the problem and the patterns
+        // copy the problem and the patterns to the device
         let tables = Tables::new(&plan);
         let table_words = gpu.buffer(tables.words.len() as u64);
         gpu.write(&table_words, &tables.words, |part| part.iter().flat_map(|word| word.to_le_bytes()).collect());
         let target = Target::upload(&gpu, &plan);
         let factors: Vec<_> =
             factors.iter().enumerate().map(|(n, factor)| Values::upload(&gpu, &plan, n, factor)).collect();
-        // bands that fit the bindings
+        // divide lines into bands that fit the bindings
         let limits = &gpu.limits;
         let sizes = BandSizes {
             tables: &tables,
@@ -113,7 +113,7 @@ impl State {
         let bands: Option<Vec<_>> = (0..factors.len()).map(|n| sizes.of_factor(n, plan.size(n)[0])).collect();
         let bands = bands.ok_or_else(too_small)?;
         let row_bands = sizes.of_rows(plan.field()[0]).ok_or_else(too_small)?;
-        // room for the parameters and results of the largest number of dispatches
+        // allocate room for the parameters and results of the largest number of dispatches
         let dispatches = bands.iter().chain([&row_bands]).map(Vec::len).max().unwrap_or(0) * plan.channels();
         let places = (0..factors.len()).map(|n| plan.size(n)).chain([plan.field()]);
         let groups = places.map(|[lines, cols]| lines * cols.div_ceil(GROUP)).max().unwrap_or(0) * plan.channels();
@@ -228,7 +228,7 @@ impl State {
             let size = std::num::NonZeroU64::new(4 * (words.end - words.start));
             wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer, offset: 4 * words.start, size })
         }
-        // the order of the bindings in `read.wgsl`
+        // list the bindings in the order of `read.wgsl`
         let size = std::num::NonZeroU64::new(self.params_stride);
         let params = wgpu::BufferBinding { buffer: &self.params, offset: params_at, size };
         let [weights, next, latest] = &self.unused;

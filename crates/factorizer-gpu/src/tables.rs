@@ -51,7 +51,7 @@ impl Tables {
                 words[at + range.start..at + range.end].fill(1);
             }
         }
-        // the taps and readers of every factor
+        // add the taps and readers of every factor
         let mut tables = Self { words, counted_rows, counted_cols, factors: Vec::new() };
         for n in 0..plan.factor_count() {
             let factor = tables.add(plan, n);

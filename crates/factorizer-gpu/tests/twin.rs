@@ -262,7 +262,7 @@ fn bands_change_nothing() {
         for bytes in [16 << 10, 8 << 10, 4 << 10, 2 << 10] {
             let cut = device.with_binding_bytes(bytes).unwrap();
             match cut.solver("extrapolated").unwrap().start(&owned.problem(), start.clone()) {
-                // the smallest bands possible
+                // the device cannot divide this problem into smaller bands
                 Err(error) => assert!(error.to_string().contains("too little memory"), "{error}"),
                 Ok(_) => {
                     let parts = run(&cut.solver("extrapolated").unwrap(), &owned.problem(), &start, 3);

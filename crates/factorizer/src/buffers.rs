@@ -51,7 +51,7 @@ impl Buffers {
     }
 }
 
-/// The target's scale and the sums that an update needs.
+/// The target's scale, and the sums that an update needs.
 #[derive(Clone, Copy)]
 pub(crate) struct SumParams {
     pub(crate) brightness: f32,
@@ -108,7 +108,7 @@ impl Kernel for ByBuffers {
             at.begin::<V>(frames, false);
             let BlockOfLine { rays, x, params, buffers, .. } = at;
             let (mut squares, mut active, mut add) = (V::splat(0.0), 0, false);
-            // buffer view after view; a full group is summed before the next begins
+            // buffer one view after another; a full group is summed before the next begins
             for (index, view) in rays.views.iter().enumerate() {
                 if let Some(weight) = view.weight::<V>(x) {
                     if active == GROUP {
@@ -261,7 +261,7 @@ pub(crate) unsafe fn wanted<V: Lanes>(row: &TargetRow, x: usize, params: SumPara
 pub(crate) struct Group {
     pub(crate) frames: usize,
     pub(crate) views: usize,
-    /// Add to the sums in the block instead of replacing them.
+    /// True to add to the sums in the block instead of replacing them.
     pub(crate) add: bool,
 }
 
@@ -280,7 +280,7 @@ pub(crate) unsafe fn sum_views<V: Lanes, const SHARED: bool>(
     let (frames, tiles) = (group.frames, Tiles::<SHARED> { group, shares, products, errors, emitted });
     // SAFETY: guaranteed by the caller
     unsafe {
-        // r and the diagonal, or n and d: as many frames at a time as registers hold
+        // sum r and the diagonal, or n and d, for as many frames at a time as registers hold
         if sums != Sums::Gram {
             let mut m = 0;
             while m < frames {
@@ -299,7 +299,7 @@ pub(crate) unsafe fn sum_views<V: Lanes, const SHARED: bool>(
             }
             return;
         }
-        // G: first the tiles of 3×3 frames along the diagonal with r, then the rest
+        // sum G: first the tiles of 3×3 frames along the diagonal with r, then the rest
         for m in (0..frames).step_by(3) {
             match frames - m {
                 1 => tiles.diagonal::<V, 1>(m, block),

@@ -86,7 +86,7 @@ fn rotate(plan: &Plan, factors: &[Factor], own: Option<usize>, rays: &Rays, scra
     emitted.iter_mut().for_each(|sum| *sum *= mean);
     if own.is_some() && own != backlight {
         let curvature = &mut curvature[..len];
-        // the bound of the curvature: |βL − L̃| is largest at L̃ = 0 or L̃ = 1
+        // bound the curvature: |βL − L̃| is largest at L̃ = 0 or L̃ = 1
         wanted(plan, rays, curvature);
         let most = FRAC_PI_2 * FRAC_PI_2 * plan.frames as f32;
         curvature.iter_mut().for_each(|value| *value = most * (1.0 + 2.0 * value.abs().max((1.0 - *value).abs())));

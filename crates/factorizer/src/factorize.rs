@@ -36,7 +36,7 @@ pub struct Settings {
     /// Number of coarser levels at which a run begins, each at half the resolution of the next.
     /// Levels that are too small are left out; `None` chooses by solver. A warm start uses none.
     pub coarse_levels: Option<u32>,
-    /// Iterations at each coarser level.
+    /// Number of iterations at each coarser level.
     pub coarse_iterations: u32,
     /// Number of iterations between evaluations of the objective, at least 1; the last iteration
     /// always has an evaluation.
@@ -98,7 +98,7 @@ pub struct Iteration {
     pub iteration: u32,
     /// Σ w (βL − L̃)² over all rays and channels.
     pub objective: f64,
-    /// PSNR in dB of L̃/β against L over all rays with w > 0; NaN without such a ray, infinite if
+    /// PSNR of L̃/β against L over all rays with w > 0, dB; NaN without such a ray, infinite if
     /// exact.
     pub psnr_view: f64,
 }

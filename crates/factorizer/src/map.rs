@@ -1,4 +1,4 @@
-//! Where rays read one factor: the columns per view column, the lines per view row.
+//! The tables of where rays read one factor: the columns per view column, the lines per view row.
 
 use std::ops::Range;
 
@@ -27,7 +27,7 @@ pub(crate) struct FactorMap {
     pub(crate) x: Vec<ColumnTaps>,
     /// Per view row, the lines that each field row's rays read.
     pub(crate) y: Vec<Vec<LineTap>>,
-    /// Per view row, the field rows that read each line.
+    /// Per view row, the field rows whose rays read each line.
     rays: Vec<RaysOfLine>,
     /// Per view row and line, the field rows whose rays read this line first and the next one
     /// second, with the weight of the second.
@@ -67,11 +67,11 @@ pub(crate) struct Piece {
 /// How consecutive field columns read a factor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Access {
-    /// At their own column plus `by`, mixed with the next pixel by the weight `t`.
+    /// Each ray reads its own column plus `by`, mixed with the next pixel by the weight `t`.
     Shift { by: isize, t: f32 },
-    /// One pixel each, by table.
+    /// Each ray reads one pixel, by table.
     Indexed,
-    /// Two pixels each, by table.
+    /// Each ray reads two pixels, by table.
     Mixed,
 }
 
@@ -110,7 +110,7 @@ impl FactorMap {
     pub(crate) fn new(raw: RawMap, frames: usize, runs: &[Vec<Range<usize>>], valid_rows: &[Vec<bool>]) -> Self {
         let (lines, cols) = (raw.bins[0] * raw.size[0], raw.bins[1] * raw.size[1]);
         let shifts: Vec<_> = raw.x.iter().zip(runs).map(|(taps, runs)| constant_shift(taps, runs, cols)).collect();
-        // padding: at a constant shift, rays that miss the layer read past its edges
+        // padding is needed, since at a constant shift rays that miss the layer read past its edges
         let (mut before, mut after) = (0, 0);
         for (shift, runs) in shifts.iter().zip(runs) {
             if let (Some(shift), [first, ..]) = (*shift, runs.as_slice()) {

@@ -28,10 +28,10 @@ pub fn held_bytes(display: &Display, geometry: &FieldGeometry, threads: usize) -
     let [view_rows, view_cols] = geometry.grid.views().map(|count| count as u64);
     let (rows, cols, threads) = (geometry.rows as u64, geometry.cols as u64, threads as u64);
     let (frames, pad) = (display.frames as u64, PAD as u64);
-    // the factorizer's own copy of the target: half floats in padded rows
+    // the factorizer's own copy of the target is half floats in padded rows
     let target = 2 * 3 * view_rows * view_cols * rows * (cols + 2 * pad);
     let factors = factors(display, geometry);
-    // factors: f32 in padded lines, with one line more than the layer has
+    // factors are f32 in padded lines, with one line more than the layer has
     let padded = |[factor_cols, factor_rows]: [u64; 2], reach: u64| {
         4 * 3 * frames * (factor_rows + 1) * (factor_cols + 2 * reach + 6 * pad)
     };
@@ -47,8 +47,8 @@ pub fn held_bytes(display: &Display, geometry: &FieldGeometry, threads: usize) -
     let sums: u64 = factors.iter().enumerate().map(summed).sum();
     // tables of the rays
     let tables = TABLE_BYTES * factors.len() as u64 * (view_cols * cols + view_rows * rows);
-    // values along rays for factors without a constant shift: a row for every field row that reads
-    // a line or lies next to it
+    // factors without a constant shift keep values along rays: a row for every field row that reads
+    // a line or is next to it
     let longest = factors.iter().map(|([factor_cols, _], reach)| factor_cols + 2 * reach).max().unwrap_or(0).max(cols);
     let lines = 3 * view_rows * frames * (longest + 6 * pad) * 4;
     let expanded = match (&display.backlight, display.sampling) {

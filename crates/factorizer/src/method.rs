@@ -1,4 +1,5 @@
-//! The internal interface of solvers: runs on problems that several of them share.
+//! The internal interface of solvers: they start runs on prepared problems, which several runs may
+//! share.
 
 use crate::FactorizeError;
 use crate::device::Updater;

@@ -83,7 +83,7 @@ impl Plan {
         Ok(Self::with_target(problem.display, problem.target.geometry(), target))
     }
 
-    /// As [`Self::new`] for a tile; `map` maps its rays to its pixels.
+    /// As [`Self::new`] for a tile; `map` maps the tile's rays to its pixels.
     pub(crate) fn of_tile(problem: &Problem, map: &RayMap, tile: TilePlace) -> Result<Self, FactorizeError> {
         problem.check_all_but_target()?;
         let target = Target::new(problem);
@@ -114,7 +114,7 @@ impl Plan {
             .collect();
         let valid_rows: Vec<Vec<bool>> =
             (0..views[0]).map(|view| (0..rows).map(|i| valid(view, i, |l| &l.y, &lit_y)).collect()).collect();
-        // the maps of layers and backlight; constant shifts allow the fast kernels
+        // make the maps of layers and backlight; constant shifts allow the fast kernels
         let frames = display.frames;
         let maps: Vec<_> = raw_maps(display, map, views)
             .into_iter()

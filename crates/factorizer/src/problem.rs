@@ -62,7 +62,7 @@ impl Problem<'_> {
         let layers = (0..self.display.layers.len()).map(|n| LayerStack::layer_shape(self.display, n).to_vec());
         let emission = LayerStack::emission_shape(self.display).map(|shape| shape.to_vec());
         let values: u128 = layers.chain(emission).map(|shape| shape.iter().map(|&n| n as u128).product::<u128>()).sum();
-        // the input patterns, padded working copies and one spare copy, in f32
+        // the input patterns, padded working copies and one spare copy are in f32
         let bytes = 4 * 4 * values;
         if bytes > isize::MAX as u128 { Err(FactorizeError::TooLarge { values }) } else { Ok(()) }
     }

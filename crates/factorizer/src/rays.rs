@@ -91,7 +91,7 @@ pub(crate) struct RowsOfView<'a, const K: usize> {
 }
 
 impl<const K: usize> RowsOfView<'_, K> {
-    /// Prefetches the values at x of this view's part of the rows.
+    /// Prefetches the values at x of those rows that this view prefetches.
     #[inline(always)]
     pub(crate) fn prefetch(&self, x: usize) {
         for row in self.ahead {
@@ -188,9 +188,9 @@ pub(crate) fn expanded_stride(plan: &Plan) -> usize {
 /// they are read.
 #[derive(Default)]
 pub(crate) struct Spare {
-    /// Mixtures of two neighbouring lines of a factor, all frames, one after another.
+    /// Mixtures of two neighbouring lines of a factor, for all frames, one after another.
     mixed: Vec<f32>,
-    /// Values along rays, all frames, one row after another.
+    /// Values along rays, for all frames, one row after another.
     expanded: Vec<f32>,
     /// The content of each expanded row: factor, channel, view column, first column, line.
     held: Vec<Option<[usize; 5]>>,
@@ -246,7 +246,7 @@ impl<'a> Left<'a> {
         (Self { mixed, expanded, held: held.iter_mut() }, rows)
     }
 
-    /// The line of factor `k` that a row of rays reads, all frames.
+    /// The line of factor `k` that a row of rays reads, for all frames.
     ///
     /// Call it for every factor in turn, since mixed lines are taken in order. A factor under
     /// update in place has no values; its line is empty.
@@ -354,7 +354,7 @@ pub(crate) fn rays_of_column<'a>(
 
 /// Lists the rays of a line, and expands factors that are not at a constant shift.
 ///
-/// `rays` gives its storage; `own` are the line's rows, which are prefetched.
+/// `rays` provides the storage; `own` are the line's rows, which are prefetched.
 pub(crate) fn rays_through<'a>(
     mut rays: LineRays<'a>,
     plan: &'a Plan,
@@ -387,7 +387,7 @@ pub(crate) fn rays_through<'a>(
         let before = rays.others.len();
         lines.clear();
         lines.extend((0..factors.len()).map(|k| left.line(plan, factors, k, at.channel, row_of)));
-        // per view: its valid range, weights and target, then the other factors
+        // list, per view, its valid range, weights and target, then the other factors
         for view_x in 0..plan.views[1] {
             let ([run], Some(own)) = (plan.runs[view_x].as_slice(), map.x[view_x].shift) else { continue };
             let view = plan.view(view_y, view_x);

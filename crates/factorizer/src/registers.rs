@@ -133,7 +133,7 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
                     }
                     active += 1;
                 }
-                // the sums so far go to the block
+                // store the sums so far in the block
                 for m in 0..M {
                     store(residual[m], &mut block.residual, m * V::COUNT);
                     for k in m..M {
@@ -143,7 +143,7 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
                     }
                 }
                 store(squares, all, 0);
-                // the rest of G, from the buffered a_m
+                // sum the rest of G from the buffered a_m
                 if tile < M {
                     let group = Group { frames: M, views: active, add };
                     let tiles = Tiles { group, shares: &[], products: buffered, errors, emitted };
@@ -158,7 +158,7 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
     }
 }
 
-/// a_m of all frames, βL and L̃, each times √w, of one view in a block.
+/// a_m of all frames, βL and L̃ of one view in a block, each times √w.
 struct ViewTerms<V, const M: usize> {
     products: [V; M],
     wanted: V,

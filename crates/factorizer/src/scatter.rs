@@ -68,7 +68,7 @@ impl ScatterFunctions {
 
 /// Sums of one line in its own columns, `[quantity][x]`.
 struct LineSums {
-    /// The sums, rounded at the end if they are long.
+    /// The sums in f32. Sums in f64 are rounded to these at the end.
     short: Vec<f32>,
     /// The sums in f64, if pixels may get many rays; otherwise empty.
     long: Vec<f64>,
@@ -90,7 +90,7 @@ pub(crate) struct Scratch {
     spare: Spare,
     /// The sums of one view column by field columns, low and high: `[quantity][x]`.
     columns: [Vec<f32>; 2],
-    /// The sums of this line and of the next.
+    /// The sums of this line and of the next line.
     lines: [LineSums; 2],
     /// The shares of the listed rows of rays in this line and in the next.
     shares: Vec<[f32; 2]>,
@@ -176,7 +176,7 @@ impl ScatterBand<'_> {
         let together = if map.short_sums { GROUP } else { SHORT_ROWS };
         let params = SumParams { brightness: plan.target.brightness, sums: needed };
         spare.mix_lines(plan, factors, at.channel);
-        // per view column: sums by field columns, then by the pixels that these read
+        // sum, per view column, by field columns, then by the pixels that these read
         for view_x in 0..plan.views[1] {
             for run in &plan.runs[view_x] {
                 let list = rays_of_column(std::mem::take(rays), plan, factors, at, (view_x, run), spare);
@@ -215,7 +215,7 @@ impl ScatterBand<'_> {
 /// One block of field columns, with the rays of one view column.
 struct ColumnBlock<'a> {
     rays: &'a LineRays<'a>,
-    /// A range of rows of rays, at most a group.
+    /// A range of rows of rays, no longer than a group.
     views: Range<usize>,
     /// Shares of each row of rays in the line and in the next.
     shares: &'a [[f32; 2]],

@@ -20,7 +20,7 @@ pub enum StartKind {
     #[default]
     Random,
     /// The same noise, blurred by 1.5 pixels and stretched to the same range. Neighbouring rays
-    /// then see nearly the same, so the first updates need not smooth.
+    /// then see nearly the same values, so the first updates need not smooth the patterns.
     Smooth,
     /// The value at which N equal factors emit the mean of βL over the pixel's rays, times smooth
     /// noise per frame. If layers attenuate, it is the N-th root of the mean.
@@ -151,7 +151,7 @@ fn noise(display: &Display, seed: u64, tile: Option<&TilePlace>) -> LayerStack {
     stack
 }
 
-/// Rows and columns of a plane, per layer, then of the lenslets.
+/// Rows and columns of a plane, for each layer and then for the lenslets.
 fn sizes(stack: &LayerStack) -> Vec<[usize; 2]> {
     let layers = stack.layers.iter().map(|layer| [layer.shape()[1], layer.shape()[2]]);
     layers.chain(stack.emission.iter().map(|emission| [emission.shape()[3], emission.shape()[4]])).collect()

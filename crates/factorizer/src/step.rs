@@ -35,7 +35,8 @@ pub enum Rule {
     /// Changes nothing. The gain is the squared change of the emission, Σ_m G_mm δ_m², over the
     /// coordinate steps δ_m that are still possible.
     KktResidual,
-    /// The same gain; sets unlit values to the darkest, see [`crate::Run::darken_unlit`].
+    /// As [`Self::KktResidual`], and sets unlit values to the darkest value; see
+    /// [`crate::Run::darken_unlit`].
     Darken,
 }
 
@@ -183,7 +184,7 @@ impl Block {
                     }
                 }
             }
-            // the gain, by −2 rᵀδ + δᵀGδ = −(r + r')ᵀδ with r' = r − Gδ
+            // compute the gain by −2 rᵀδ + δᵀGδ = −(r + r')ᵀδ with r' = r − Gδ
             let mut gain = V::splat(0.0);
             for m in 0..M {
                 gain = before[m].add(residual[m]).mul_add(values[m].sub(start[m]).mul(mean), gain);

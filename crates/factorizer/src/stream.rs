@@ -40,14 +40,14 @@ impl Estimate {
         let (views, frames) = ((view_rows * view_cols) as u64, display.frames as u64);
         let (rows, cols) = (geometry.rows as u64, geometry.cols as u64);
         let layer = |[layer_cols, layer_rows]: [usize; 2]| {
-            // padding: the largest shift and two vectors per line
+            // padding is the largest shift and two vectors per line
             4 * frames * (layer_rows as u64 + 1) * (layer_cols as u64 + cols / 8 + 4 * PAD as u64)
         };
         let mut patterns: u64 = display.layers.iter().map(|l| layer(l.resolution)).sum();
         if let Backlight::Lenslets(b) = &display.backlight {
             patterns += layer([b.lenslets[0] * b.views[0], b.lenslets[1] * b.views[1]]);
         }
-        // ray tables, and the buffers of a line per thread
+        // the rest is ray tables, and the buffers of a line per thread
         let tables = display.layers.len() as u64 * (view_rows as u64 * rows + view_cols as u64 * cols) * 32;
         Self { target: 2 * views * rows * cols, patterns, working: tables + (64 << 20) }
     }

@@ -58,7 +58,7 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bo
             for view_x in 0..plan.views[1] {
                 for run in &plan.runs[view_x] {
                     let rays = Rays { channel: at.channel, view: [view_y, view_x], row: row as usize, run };
-                    // the coefficients a_m and the emission L̃ of these rays
+                    // compute the coefficients a_m and the emission L̃ of these rays
                     coefficients(plan, factors, Some(at.factor), &rays, scratch);
                     let len = run.len();
                     let weights = plan.target.weights(plan.view(view_y, view_x), row as usize);
@@ -67,7 +67,7 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bo
                         &mut *scratch;
                     let (e, weighted) = (&mut e[..len], &mut weighted[..len]);
                     let weigh = |values: &[f32], to: &mut [f32]| plan.row.weigh(values, line_weight, weights, to);
-                    // the residual, which also gives the objective
+                    // compute the residual, which also gives the objective
                     errors(plan, &rays, emitted, e);
                     weigh(e, weighted);
                     error += e.iter().zip(&*weighted).map(|(&e, &we)| f64::from(e) * f64::from(we)).sum::<f64>();

@@ -34,7 +34,7 @@ pub(crate) struct Target {
     pub(crate) weight_scale: f64,
 }
 
-/// L, in 16 bits if half floats hold it exactly, since the inner loops wait for memory.
+/// L, in 16 bits if half floats hold it exactly: the inner loops wait for memory.
 #[derive(Clone, Debug)]
 enum Radiance {
     Half(Vec<u16>),
@@ -122,7 +122,7 @@ impl Target {
     pub(crate) fn averaged(&self, functions: &RowFunctions, views: &[usize], pixels: &[Vec<Cover>; 2]) -> Self {
         let [rows, cols] = [&pixels[0], &pixels[1]];
         let (stride, fine_cols) = (PAD + cols.len() + PAD, self.stride - 2 * PAD);
-        // one coarse row: three fine rows are mixed, then three columns of the mixture
+        // compute one coarse row: mix three fine rows, then three columns of the mixture
         let mix = |mixed: &mut Vec<f32>, index: usize, to: RowMut| {
             let (picture, (first, shares)) = (index / rows.len(), rows[index % rows.len()]);
             let (channel, view) = (picture / views.len(), views[picture % views.len()]);

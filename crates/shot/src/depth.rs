@@ -21,7 +21,7 @@ pub struct Depths {
 }
 
 impl Depths {
-    /// Traces the central rays of coarser pixels.
+    /// Traces the central rays of [`coarse`](Self::coarse) pixels.
     ///
     /// # Errors
     /// When cancelled.

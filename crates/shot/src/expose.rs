@@ -60,7 +60,7 @@ pub fn brightest<'a, E>(
     let every = all.div_ceil(MOST_RAYS).max(1);
     let mut rays = Vec::with_capacity(all / every + 1);
     for (number, &view) in views.iter().enumerate() {
-        // continue the even spread across views
+        // continue the even spread of rays from view to view
         let first = (every - number * size % every) % every;
         rays.extend(picture(view)?.chunks_exact(3).enumerate().skip(first).step_by(every).map(|(i, rgb)| {
             let surface = depths.is_surface(view, i / geometry.cols, i % geometry.cols, geometry);

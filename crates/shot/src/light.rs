@@ -47,7 +47,7 @@ pub(crate) fn probe(scene: &Arc<Scene>, task: Task<'_>) -> Result<Option<&'stati
         parts.materials.iter_mut().for_each(to_clay);
         Ok(())
     })?);
-    // Render a small picture: of the first camera, or framed from the best side.
+    // Render a small picture of the scene, from the first camera or framed from the best side.
     let [cols, rows] = PROBE;
     let grid = ViewGrid::single(Projection::Oblique, [0.0; 2]);
     let geometry = FieldGeometry { rows, cols, pitch_mm: 1.0, grid };
@@ -154,7 +154,7 @@ pub fn lit(
     job: &LightJob,
     task: Task<'_>,
 ) -> Result<(Arc<Scene>, bool), ShotError> {
-    // The job's factor on the environment of the scene's own file.
+    // Apply the job's factor to the environment of the scene's own file.
     if !environment
         && let Some(strength) = scene.environment.map(|environment| environment.strength)
         && job.environment_strength != 1.0

@@ -56,7 +56,7 @@ pub struct Placement {
     pub moved_back_mm: f64,
     /// Factor on the slopes at which views are traced.
     pub depth_scale: f64,
-    /// Fitting changed the window or the scale.
+    /// True if fitting changed the window or the scale.
     pub fitted: bool,
     /// Azimuth and elevation of the viewer that framed the scene, degrees.
     pub looked_from_deg: Option<[f64; 2]>,
@@ -208,7 +208,7 @@ fn best_fit(depths: &[f64], [low, high]: [f64; 2], projection: Projection, scale
         let inside = depths.partition_point(|z| shown(*z, by, scale) <= high) - below;
         inside as f64 / depths.len() as f64
     };
-    // distance of the shown ends' middle from the middle of the depth of field
+    // distance between the middle of the shown ends and the middle of the depth of field
     let uneven = |by: f64| {
         let scale = scale_at(by);
         (ends.map(|end| shown(end, by, scale)).into_iter().sum::<f64>() - (low + high)).abs()

@@ -1,4 +1,4 @@
-//! Rotation of the environment about the up axis, and warnings about keys that need one.
+//! Rotation of the environment about the up axis, and warnings about keys that need an environment.
 
 use glam::Quat;
 use lumistack_core::Task;

@@ -41,8 +41,8 @@ impl ToneMapping {
     /// Leaves radiance unchanged.
     pub const NONE: Self = Self { exposure: 1.0, curve: ToneCurve::Linear };
 
-    /// Chooses exposure and tone curve of a shot. `brightest` holds the brightest channel of rays
-    /// from all views, and whether each ray hits a surface.
+    /// Chooses exposure and tone curve of a light field. `brightest` holds the brightest channel of
+    /// rays from all views, and whether each ray hits a surface.
     pub fn choose(job: &LightJob, scene: &Scene, brightest: &[(f32, bool)]) -> Self {
         let stops = 2f64.powf(job.exposure_ev);
         let exposure = |curve| {

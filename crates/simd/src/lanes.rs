@@ -59,8 +59,8 @@ pub trait Lanes: Copy {
     /// One bit per lane, lane 0 lowest.
     unsafe fn bits(mask: Self::Mask) -> u32;
 
-    /// Calls another kernel with the same vectors, out of line unless the compiler finds inlining
-    /// cheap.
+    /// Calls another kernel with the same vectors. The call is out of line, unless the compiler
+    /// finds inlining cheap.
     unsafe fn call<K: Kernel>(args: K::Args<'_>) -> K::Output;
 
     /// Reads an array of exactly `COUNT` values.

@@ -26,9 +26,9 @@ impl Real for f64 {}
 /// Rule for the pixels that a filter reads outside of the picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Border {
-    /// The outermost pixel: a a | a b c | c c.
+    /// The filter repeats the outermost pixel: a a | a b c | c c.
     Nearest,
-    /// The picture mirrored about its edge: b a | a b c | c b.
+    /// The filter mirrors the picture about its edge: b a | a b c | c b.
     Mirror,
 }
 

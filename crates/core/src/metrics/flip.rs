@@ -46,7 +46,7 @@ const XYZ_FROM_RGB: [[f64; 3]; 3] = [
     [1425312.0 / 73733382.0, 8788810.0 / 73733382.0, 70074185.0 / 73733382.0],
 ];
 
-/// FLIP at a viewing distance.
+/// FLIP at a viewing distance: the filters, and the colour spaces.
 #[derive(Clone, Debug)]
 pub struct Flip {
     y: Vec<f32>,

@@ -42,7 +42,7 @@ pub fn ssim(first: &[f32], second: &[f32], shape: [usize; 2]) -> MetricMap {
     let weights = window();
     let mut values = vec![0.0; rows * cols];
     for band in bands(rows) {
-        // f64, since a variance is a small difference of squares
+        // compute in f64, since a variance is a small difference of squares
         let planes = [first, second]
             .map(|rgb| channels(rgb, shape, &band, RADIUS, Border::Mirror, |value| f64::from(srgb_encode(value))));
         let local = |plane: &Plane<f64>| {

@@ -81,7 +81,7 @@ fn arguments() -> Result<Arguments, String> {
 }
 
 fn bench(arguments: &Arguments) -> Outcome {
-    // the cases: the paper's, the same with bilinear sampling, many views, and a lens array
+    // time four cases: the paper's, the same with bilinear sampling, many views, and a lens array
     let resolution = arguments.resolution;
     println!("preparing: light fields in closed form, {}×{} pixels, 5×5 views", resolution[0], resolution[1]);
     let (three, between) = (cases::three_layers(resolution, PAPER_VIEWS), cases::bilinear(resolution));

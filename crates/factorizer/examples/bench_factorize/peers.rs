@@ -68,11 +68,9 @@ impl Peer {
     fn answer(&mut self) -> Outcome<Value> {
         let mut line = String::new();
         if self.answers.read_line(&mut line)? == 0 {
-            return Err(format!(
-                "{} ended without an answer",
-                if self.name.is_empty() { "the script" } else { &self.name }
-            )
-            .into());
+            return Err(
+                format!("{} ended without an answer", if self.name.is_empty() { "a peer" } else { &self.name }).into()
+            );
         }
         Ok(serde_json::from_str(&line)?)
     }

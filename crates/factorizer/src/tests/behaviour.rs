@@ -1,4 +1,4 @@
-//! Small cases with exact solutions, degenerate input, errors, threads and cancellation.
+//! Tests small cases with exact solutions, degenerate input, errors, threads and cancellation.
 
 use std::cell::Cell;
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! Losses by hardware effects, with solvers that ignore them and solvers that model them.
+//! Measures losses by hardware effects, with solvers that ignore them and solvers that model them.
 
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{Display, EyeBox, Formation, LayerColour, LayerStack, LightField, Sampling, Weights, score};

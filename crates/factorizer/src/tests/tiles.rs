@@ -1,5 +1,5 @@
-//! Tiles: a tile's rays read the same values as in the whole display. With fixed borders, the whole
-//! gains as much as the tile.
+//! Tests tiles: a tile's rays read the same values as in the whole display. With fixed borders, the
+//! whole display gains as much as the tile.
 
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{LayerColour, LayerStack, RayMap, Region, Tap, Tile, Tiling, Weights};
@@ -51,7 +51,7 @@ fn every_pixel_is_one_tiles_own_and_all_rays_through_free_pixels_are_the_tiles()
                 assert_eq!(owners.count(), 1, "{kind:?}, part {n}, pixel {row}, {col}");
             }
         }
-        // each tile holds all that its rays read
+        // each tile holds all pixels that its rays read
         for (number, tile) in tiles.iter().enumerate() {
             let within = tile.map(map);
             for part in &tile.parts {
@@ -60,7 +60,7 @@ fn every_pixel_is_one_tiles_own_and_all_rays_through_free_pixels_are_the_tiles()
                 }
                 assert!(part.own.is_empty() || part.own.common(&part.free) == part.own, "{kind:?}");
             }
-            // naively: every ray, every layer
+            // compare naively, for every ray and every layer
             for view in geometry.grid.iter() {
                 for (row, col) in (0..geometry.rows).flat_map(|r| (0..geometry.cols).map(move |c| (r, c))) {
                     let Region { rows, cols } = &tile.field;
@@ -85,7 +85,7 @@ fn every_pixel_is_one_tiles_own_and_all_rays_through_free_pixels_are_the_tiles()
                     }
                 }
             }
-            // and the tile's own geometry equals its part of the whole
+            // and the tile's own geometry equals its section of the whole display's
             let display = tile.display(&owned.display, geometry);
             display.check().unwrap_or_else(|error| panic!("{kind:?}: {error}"));
             let anew = RayMap::new(&display, &tile.geometry(geometry));

@@ -13,7 +13,7 @@ use crate::solvers::method;
 use crate::step::Rule;
 use crate::{FLOOR, random_start};
 
-/// Largest difference of a mask value between full updates in f32 and in f64.
+/// Largest allowed difference of a mask value between full updates in f32 and in f64.
 const MASK_TOLERANCE: f64 = 1e-5;
 /// Tolerated relative rise of the objective by rounding in f32.
 const RISE_RELATIVE: f64 = 1e-6;
@@ -23,17 +23,17 @@ const RISE_PER_VALUE: f64 = 1e-13;
 const ERROR_SEEN: f64 = 1e-5;
 /// Tolerance of such an objective near 0, per ray and channel.
 const ERROR_SEEN_PER_VALUE: f64 = 1e-11;
-/// KKT residual after many iterations.
+/// Largest allowed KKT residual after many iterations.
 const SETTLED: f64 = 1e-4;
 /// Tolerance of the objective between f32 and f64, relative.
 const OBJECTIVE_TOLERANCE: f64 = 1e-5;
 /// Tolerance of an objective near 0 between f32 and f64, per ray and channel.
 const OBJECTIVE_PER_VALUE: f64 = 1e-12;
-/// Difference of PSNR values computed from the same patterns in two ways, dB.
+/// Largest allowed difference of PSNR values computed from the same patterns in two ways, dB.
 const PSNR_TOLERANCE: f64 = 1e-3;
 /// Smallest influence of a value on the emission at which the value is taken as determined.
 const DETERMINED: f64 = 0.1;
-/// Largest change of the emission by differences between f32 and f64.
+/// Largest allowed change of the emission by differences between f32 and f64.
 const SEEN_TOLERANCE: f64 = 1e-5;
 const SEEDS: [u64; 12] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11];
 

@@ -11,7 +11,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 /// The background of the views, where a ray misses every surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Background {
-    /// The environment that lights the scene, or black where there is none.
+    /// The environment that lights the scene, or black if there is none.
     #[default]
     Environment,
     /// A linear RGB colour, 0..1, as the display shows it: neither exposure nor tone curve change

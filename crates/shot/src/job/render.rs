@@ -15,7 +15,7 @@ use crate::error::ShotError;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RenderJob {
-    /// Program that renders them.
+    /// Program that renders the views.
     pub engine: Engine,
     /// Paths per pixel of each view. Without this key, `zone_samples` are divided among the views.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -27,7 +27,7 @@ pub struct RenderJob {
     /// chooses no more views than fit. A larger light field of a given number of views is kept in a
     /// file.
     pub field_mib: u64,
-    /// Bounces after the first hit.
+    /// Largest number of bounces after the first hit.
     pub max_bounces: u32,
     /// Largest value of a single path. Brighter paths are dimmed, which loses light. Without this
     /// key all light is kept.
@@ -195,7 +195,7 @@ pub enum Denoise {
     Shared,
     /// Lumistack's own filter, over all views together.
     Guided,
-    /// Intel's Open Image Denoise, view by view, where it is installed.
+    /// Intel's Open Image Denoise, view by view, if it is installed.
     Oidn,
 }
 

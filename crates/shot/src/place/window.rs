@@ -25,7 +25,7 @@ const PROBE_COLS: usize = 336;
 pub struct Found {
     /// The window.
     pub window: Window,
-    /// The user chose the depth of the window: by numbers or by a focus distance.
+    /// True if the user chose the depth of the window: by numbers or by a focus distance.
     pub chosen: bool,
     /// Azimuth and elevation of the viewer that framed the scene, degrees.
     pub looked_from_deg: Option<[f64; 2]>,
@@ -63,7 +63,7 @@ fn unlimited_window<S: Subject>(
     let scene = subject.scene();
     let size_mm = geometry.size_mm();
     let error = |source| ShotError::Window { name: scene.name.clone(), source };
-    // The four keys of a given window.
+    // Read the four keys of a given window.
     if job.from == WindowFrom::Given {
         let missing =
             |key: &str| ShotError::job(format!("window.{key}"), "a value, as `from = \"given\"` needs", "nothing");
