@@ -36,8 +36,8 @@ impl Display {
             let [old_cols, old_rows] = backlight.lenslets.map(|count| count as f64);
             let cols = scaled(backlight.lenslets[0], 0);
             let pitch_mm = backlight.pitch_mm * old_cols / cols as f64;
-            // one pitch is used for both axes: the rows cover at least the same fraction of the
-            // height as before, since rays outside the grid are lost
+            // one pitch is used for both axes; the rows cover at least the same fraction of the
+            // height as before: rays outside the grid are lost
             let height_factor = pitch_factor * resolution[1] as f64 / old[1] as f64;
             let rows = old_rows * backlight.pitch_mm * height_factor / pitch_mm;
             backlight.lenslets = [cols, ((rows - SAME * rows).ceil() as usize).max(1)];
@@ -55,8 +55,8 @@ impl Display {
     /// field. It has more bins if rays of perspective or one-sided views leave these bins.
     ///
     /// # Errors
-    /// If the light field's rays spread over so many widths of a view that the backlight would need
-    /// more than 64 bins along an axis, and more than two per view.
+    /// If the light field's rays spread over too many widths of a view. The backlight would then
+    /// need more than 64 bins along an axis, and more than two per view.
     pub fn adapted_to(&self, geometry: &FieldGeometry) -> Result<Self, DisplayError> {
         if self.geometry()? == *geometry {
             return Ok(self.clone());
@@ -136,8 +136,8 @@ impl Display {
         let needed = 2.0 * reach / bin;
         let mut bins = (needed - 1e-6).ceil().max(1.0);
         if (fineness - 1.0).abs() < 1e-6 {
-            // bin centres are at whole multiples of the bin's width if the number of bins is odd,
-            // at half ones if it is even; choose the number that puts views at bin centres
+            // bin centres are at whole multiples of the bin's width for an odd number of bins, at
+            // half ones for an even number. Choose the number that puts views at bin centres.
             let from_whole = slopes[0] / bin - (slopes[0] / bin).round();
             let odd = from_whole.abs() <= 0.25;
             if (bins % 2.0 == 1.0) != odd {

@@ -45,9 +45,9 @@ impl GridError {
 }
 
 impl ViewGrid {
-    /// A grid of `views` = [horizontal, vertical] views at the centres of equal bins of the slope,
-    /// over the full angles `fov_deg`. s_y has the same form, with the topmost view first. The
-    /// spacing is Δv of eq. 23.
+    /// A grid of `views` = [horizontal, vertical] views over the full angles `fov_deg`. Views are
+    /// at the centres of equal bins of the slope. s_y has the same form, with the topmost view
+    /// first. The spacing is Δv of eq. 23.
     ///
     /// ```text
     /// s_x(a) = (a − (A_x−1)/2)·(2/A_x)·tan(α_x/2)
@@ -133,8 +133,8 @@ impl ViewGrid {
         Self { projection: self.projection, slope_x: midpoints(&self.slope_x), slope_y: midpoints(&self.slope_y) }
     }
 
-    /// Views outside the zone, in the middle row: `steps` views to the left and as many to the
-    /// right of the outermost columns, one mean spacing apart. A grid with one column has them
+    /// Views outside the zone, in the middle row: `steps` to the left and as many to the right of
+    /// the outermost columns. They are one mean spacing apart. A grid with one column has them
     /// above and below. `None` if `steps` is 0 or there are no two different views.
     pub fn outside(&self, steps: usize) -> Option<Self> {
         let beyond = |slopes: &[f64]| {

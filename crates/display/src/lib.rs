@@ -1,7 +1,7 @@
 //! The display: its description, its view grids, the intersections of rays with its layers, and its
 //! emission.
 //!
-//! Display space is right-handed, in millimetres: origin at the centre of the light field's
+//! Display space is right-handed, in millimetres. The origin is at the centre of the light field's
 //! rectangle, x right, y up, z to the viewer. z = 0 is the display plane, of zero parallax. Array
 //! indices count down and right from the top left. A ray is a point on z = 0 and a slope s =
 //! tangent of its direction (the paper's v/d_r, eq. 1).

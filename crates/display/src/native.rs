@@ -6,8 +6,8 @@ use crate::{Backlight, Display, GridError, Projection, ViewGrid, Views};
 /// Largest number of views per axis that [`Views::Auto`] chooses.
 const MOST_AUTO: usize = 101;
 /// Views per bin of a directional backlight. A bin shows the mean of its directions. Zone scores of
-/// letters on `paper-directional`: 22.5 dB for one view per bin, 22.9 dB for one view that is the
-/// mean over the bin, and 24.1 dB for three views.
+/// letters on `paper-directional`: 22.5 dB for one view per bin, 24.1 dB for three views. One view
+/// that is the mean over the bin scores 22.9 dB.
 const VIEWS_PER_BIN: f64 = 3.0;
 
 /// The native angular step of a display per axis (x, y); `None` without parallax. It is the
@@ -16,10 +16,10 @@ const VIEWS_PER_BIN: f64 = 3.0;
 /// * p / max |Δd|, which moves some layer by one pixel against the light field or the next layer,
 /// * the change that moves the rays by one bin of the backlight.
 ///
-/// If all layers have one pitch and distances that are multiples of one distance, every layer is
-/// shifted by whole pixels at multiples of this step. There one ray per pixel is exact for the
-/// pixel's area. Between two neighbouring multiples, the seen picture is a mixture of the same
-/// pixel products as at those two.
+/// Suppose that all layers have one pitch, and distances that are multiples of one distance. At
+/// multiples of this step, every layer is then shifted by whole pixels. There one ray per pixel is
+/// exact for the pixel's area. Between two neighbouring multiples, the seen picture is a mixture of
+/// the same pixel products as at those two.
 pub fn native_step(display: &Display) -> [Option<f64>; 2] {
     let against_field = display.layers.iter().map(|layer| (layer.d_mm.abs(), layer.pitch_mm));
     let gaps =

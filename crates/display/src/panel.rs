@@ -37,8 +37,8 @@ pub struct Panel {
     /// [right, down] shift of the upright picture, panel pixels.
     #[serde(default)]
     pub nudge_px: [f64; 2],
-    /// Map from a pixel's nominal position to its real position, in millimetres from the layer's
-    /// centre, x right, y up: rows of a 3 × 3 matrix. Default: the identity.
+    /// Map from a pixel's nominal position to its real position: rows of a 3 × 3 matrix. Both are
+    /// in millimetres from the layer's centre, x right, y up. Default: the identity.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub homography: Option<[[f64; 3]; 3]>,
     /// Measured crosstalk that the patterns do not account for; they account for

@@ -7,8 +7,8 @@
 //! u = (x_c + d_n·s − o_n)/p_n + (W_n−1)/2
 //! ```
 //!
-//! The map is separable. One table of W entries per view column and layer, and one of H entries per
-//! view row and layer, describe all rays, so rays are never expanded into a list.
+//! The map is separable. Each layer has one table of W entries per view column, and one of H
+//! entries per view row. They describe all rays, so rays are never expanded into a list.
 
 use crate::{Backlight, Display, FieldGeometry, Layer, LensletBacklight, OutsideBins, Sampling};
 
@@ -269,8 +269,8 @@ impl Axis {
 }
 
 /// A ray reads the lenslet at its position on d_b, and the bin of its slope. Under `repeat` a ray
-/// outside the bins sees the picture of a neighbouring lenslet, as behind a real lens array: bins
-/// continue periodically, and the lenslet changes by one per period.
+/// outside the bins sees the picture of a neighbouring lenslet, as behind a real lens array. Bins
+/// then continue periodically, and the lenslet changes by one per period.
 fn backlight_taps(backlight: &LensletBacklight, rays: &[AxisRay], axis: Axis) -> Vec<BacklightTap> {
     let lenslets = backlight.lenslets[axis.index()] as f64;
     let bins = backlight.views[axis.index()] as f64;

@@ -7,7 +7,7 @@
 //! own    │   │   ┌───────┐   │   │   every pixel of the display is the own pixel of one tile
 //! ```
 //!
-//! The map of rays is separable, so a tile is a product of ranges: of field pixels, and of the
+//! The map of rays is separable. So a tile is a product of ranges: of field pixels, and of the
 //! pixels of every layer and the lenslets. All ranges come from [`RayMap`]'s own tables. A tile's
 //! map is a section of these tables, so a ray reads the same pixel in a tile as in the whole
 //! display.

@@ -39,9 +39,10 @@ pub struct EyeBox {
 }
 
 impl Weights {
-    /// Weights that follow viewers. A ray has the weight `floor` + Σ weight · exp(−½ (r/σ)²), where
-    /// r is its distance from the eye in the plane through the eye parallel to the display. `floor`
-    /// ≥ 0 is the least weight of every ray, so that directions between eye boxes are solved too.
+    /// Weights that follow viewers. A ray has the weight `floor` + Σ weight · exp(−½ (r/σ)²). The
+    /// distance r of the ray from the eye is measured in the plane through the eye parallel to the
+    /// display. `floor` ≥ 0 is the least weight of every ray, so that directions between eye boxes
+    /// are solved too.
     ///
     /// # Errors
     /// If the geometry is invalid, or an eye is not in front of the display. If σ is not above 0,

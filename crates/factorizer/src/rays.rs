@@ -114,8 +114,9 @@ pub(crate) struct LineRays<'a> {
     /// it at the same place.
     pub(crate) own: Vec<Place<'a, f32>>,
     pub(crate) own_stride: usize,
-    /// Rows to prefetch, as pointers to x = 0: the line's own rows, and the other factors' rows at
-    /// the largest address that a view reads, so that one view prefetches for all.
+    /// Rows to prefetch, as pointers to x = 0: the line's own rows, and the other factors' rows.
+    /// The latter are at the largest address that a view reads, so that one view prefetches for
+    /// all.
     ahead: Vec<*const f32>,
 }
 

@@ -14,7 +14,7 @@ pub fn prefetch<T>(from: *const T) {
     let _ = from;
 }
 
-/// Requests a cache line into the second-level cache and beyond, but not into the first-level
+/// Requests a cache line into the second-level cache and larger ones, but not into the first-level
 /// cache.
 #[inline(always)]
 pub fn prefetch_far<T>(from: *const T) {

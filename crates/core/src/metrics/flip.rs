@@ -25,8 +25,8 @@ use std::ops::Range;
 use super::MetricMap;
 use super::filter::{Border, Plane, bands, channels};
 
-/// Contrast sensitivity a·√(π/b)·exp(−π² x²/b) as (a, b), with x in degrees; that of Cz is a sum of
-/// two such Gaussians.
+/// Contrast sensitivity a·√(π/b)·exp(−π² x²/b) as (a, b), with x in degrees. That of Cz is the sum
+/// of two such Gaussians.
 const SENSITIVITY_Y: (f64, f64) = (1.0, 0.0047);
 const SENSITIVITY_CX: (f64, f64) = (1.0, 0.0053);
 const SENSITIVITY_CZ: [(f64, f64); 2] = [(34.1, 0.04), (13.5, 0.025)];

@@ -18,9 +18,9 @@
 //!                       use_sample_covariance=False)
 //! ```
 //!
-//! A picture that is smaller than the window on either axis is mirrored at its edges, and all its
-//! pixels are included. scikit-image refuses such a picture, unless `win_size=1` is given, which
-//! has the same result.
+//! A picture that is smaller than the window on either axis is mirrored at its edges. All its
+//! pixels are included. scikit-image refuses such a picture; with `win_size=1` it computes the
+//! same.
 
 use super::MetricMap;
 use super::filter::{Border, Plane, bands, channels};

@@ -83,8 +83,8 @@ pub(super) fn emitted(
     emitted_at(display, effective, stack, geometry, view, [row as f64, col as f64])
 }
 
-/// Mean over a pixel's area, by the rays through the centres of `fine` × `fine` squares of it, and
-/// the fraction of these rays that is valid.
+/// Mean over a pixel's area, by the rays through the centres of `fine` × `fine` squares of it. Also
+/// returns the fraction of these rays that is valid.
 pub(super) fn seen(
     display: &Display,
     effective: &[Effective],

@@ -350,7 +350,7 @@ impl RenderJob {
 }
 
 /// Returns the settings with a seed for one of a job's light fields (`stream` 0 is the target), and
-/// for one part of that light field.
+/// one `part` of it.
 pub fn seeded(settings: Settings, stream: u64, part: &[u64]) -> Settings {
     Settings { seed: lumistack_core::seed::derive(settings.seed, &[&[stream], part].concat()), ..settings }
 }

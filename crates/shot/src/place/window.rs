@@ -153,8 +153,8 @@ fn extents(mask: &Tensor<2>) -> Option<[[usize; 2]; 2]> {
     Some([seen(0, rows)?, seen(1, cols)?])
 }
 
-/// Returns the region of a picture that holds every set pixel and a [margin](MARGIN): a factor on
-/// the picture's size, and the region's centre [row, column] in pixels.
+/// Returns the region of a picture that holds every set pixel and a [margin](MARGIN). It is given
+/// by a factor on the picture's size, and by its centre [row, column] in pixels.
 fn whole(mask: &Tensor<2>) -> (f64, [f64; 2]) {
     let size = mask.shape();
     let Some(seen) = extents(mask) else { return (1.0, size.map(|count| 0.5 * count as f64)) };
@@ -236,7 +236,7 @@ mod tests {
     #[test]
     fn a_camera_comes_closer_but_cuts_nothing_off() {
         // two fifths of the height, to the right of the middle: at a factor of 0.82 it covers
-        // enough, but its right edge is cut off
+        // enough, but is cut off at the right
         let beside = mask(100, 160, |row, col| (30..70).contains(&row) && (80..150).contains(&col));
         let (factor, centre) = closer(&beside);
         assert_eq!(centre, [50.0, 80.0], "a camera's axis stays in the middle");
