@@ -36,8 +36,8 @@ impl Display {
             let [old_cols, old_rows] = backlight.lenslets.map(|count| count as f64);
             let cols = scaled(backlight.lenslets[0], 0);
             let pitch_mm = backlight.pitch_mm * old_cols / cols as f64;
-            // one pitch is used for both axes; the rows cover at least the same fraction of the
-            // height as before: rays outside the grid are lost
+            // one pitch is used for both axes; the rows cover no smaller fraction of the height
+            // than before, since rays outside the grid are lost
             let height_factor = pitch_factor * resolution[1] as f64 / old[1] as f64;
             let rows = old_rows * backlight.pitch_mm * height_factor / pitch_mm;
             backlight.lenslets = [cols, ((rows - SAME * rows).ceil() as usize).max(1)];

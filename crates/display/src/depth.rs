@@ -38,8 +38,8 @@ impl Display {
         (low <= high).then_some([low, high])
     }
 
-    /// The display's depth of field for a light field of pixel pitch `pitch_mm`: the depths at
-    /// which the finest detail of its pixels, 1/(2 pitch), can be shown.
+    /// The display's depth of field for a light field of pixel pitch `pitch_mm`. At these depths
+    /// the finest detail of its pixels, 1/(2 pitch), can be shown.
     pub fn depth_of_field(&self, pitch_mm: f64) -> Option<[f64; 2]> {
         self.depths_shown(0.5 / pitch_mm)
     }

@@ -7,8 +7,8 @@
 //!
 //! The simple version reads four pixels of a layer for every ray. Departure: if neighbouring rays
 //! of a view read neighbouring single pixels, whole lines are combined together (`Reads::Runs`), to
-//! the same bits. This holds for nearest sampling at equal pitch, for views whose rays hit the
-//! layer's pixel centres, and for the parts of pixels of a seen picture.
+//! the same bits. This holds for nearest sampling at equal pitch, and for views whose rays hit the
+//! layer's pixel centres. It also holds for the parts of pixels of a seen picture.
 
 use std::borrow::Cow;
 

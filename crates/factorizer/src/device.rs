@@ -68,8 +68,8 @@ pub trait Updater {
     /// Updates factor `n` by the current values of all factors.
     ///
     /// With `extrapolation` = β_k, rays then read the extrapolated values x + β_k (x − x'), clamped
-    /// to the box, where x and x' are this and the previous iterate. If L̃ is not linear, `local`
-    /// selects the curvature at the current point.
+    /// to the box. x and x' are this and the previous iterate. If L̃ is not linear, `local` selects
+    /// the curvature at the current point.
     fn apply(&mut self, n: usize, rule: Rule, extrapolation: Option<f32>, local: bool);
 
     /// Returns error and gain of the last [`apply`](Self::apply).

@@ -90,7 +90,7 @@ impl LineStep<'_> {
     }
 
     /// Steps the vector of pixels at x by the sums and values in `block`, and writes the gain to
-    /// the block. x + lanes must lie within the padded rows.
+    /// the block. x + lanes must be within the padded rows.
     pub(crate) fn finish_block(&mut self, functions: &StepFunctions, block: &mut Block, x: usize) {
         let lanes = functions.lanes;
         // lanes past the last column are padding, to which rays that miss the layer add their sums

@@ -41,8 +41,8 @@ use crate::vector;
 /// of the next.
 pub(crate) const BAND: usize = 16;
 
-/// Number of rows of rays that are summed in f32 before they go into f64 sums, for pixels with so
-/// many rays that f32 loses digits.
+/// Number of rows of rays that are summed in f32 before they go into f64 sums. Pixels with very
+/// many rays need them, since f32 loses digits.
 const SHORT_ROWS: usize = 7;
 
 /// The functions of an update, for one instruction set and rule.

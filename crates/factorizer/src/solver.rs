@@ -72,7 +72,7 @@ pub trait Run {
 pub struct Objective {
     /// Σ w (βL − L̃)² over all rays and channels (eq. 27).
     pub value: f64,
-    /// PSNR of L̃/β against L with a peak of 1, over all rays with w > 0 and all channels, dB; NaN
-    /// without such a ray.
+    /// PSNR of L̃/β against L with a peak of 1, dB. It covers all rays with w > 0 and all channels,
+    /// and is NaN without such a ray.
     pub psnr_view: f64,
 }

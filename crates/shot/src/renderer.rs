@@ -46,8 +46,8 @@ impl SceneRenderer {
         Ok(Self { tracer, splats: Splats::new(scene), has_surfaces })
     }
 
-    /// Returns z of the first surface or splat along the central ray of every pixel of a view: mm
-    /// in display space, `[row][col]`, NaN where there is none.
+    /// Returns z of the first surface or splat along the central ray of every pixel of a view,
+    /// `[row][col]`. It is in display space, mm, and NaN where there is none.
     ///
     /// # Errors
     /// When the geometry or the view is out of range, or when cancelled.

@@ -164,8 +164,8 @@ fn whole(mask: &Tensor<2>) -> (f64, [f64; 2]) {
     (factor, seen.map(|[first, end]| 0.5 * (first + end) as f64))
 }
 
-/// Returns the middle region of a picture of which [`COVERAGE`] is set, as [`whole`] does. The
-/// region is larger if it would otherwise cut off set pixels or be smaller than [`CLOSEST`].
+/// Returns the middle region of a picture of which [`COVERAGE`] is set, in the form of [`whole`].
+/// The region is larger if it would otherwise cut off set pixels or be smaller than [`CLOSEST`].
 fn closer(mask: &Tensor<2>) -> (f64, [f64; 2]) {
     let [rows, cols] = mask.shape();
     let middle = [rows, cols].map(|count| 0.5 * count as f64);
@@ -235,8 +235,8 @@ mod tests {
 
     #[test]
     fn a_camera_comes_closer_but_cuts_nothing_off() {
-        // two fifths of the height, to the right of the middle: at a factor of 0.82 it covers
-        // enough, but is cut off at the right
+        // two fifths of the height, right of the middle: at a factor of 0.82 it covers enough, but
+        // is cut off at the right
         let beside = mask(100, 160, |row, col| (30..70).contains(&row) && (80..150).contains(&col));
         let (factor, centre) = closer(&beside);
         assert_eq!(centre, [50.0, 80.0], "a camera's axis stays in the middle");
