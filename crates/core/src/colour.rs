@@ -1,19 +1,19 @@
-//! Colour encodings. Everything inside Lumistack is linear light with sRGB (BT.709) primaries;
-//! these functions stand at the edges, where pictures are read and written.
+//! Colour encodings. Inside Lumistack all light is linear, with sRGB (BT.709) primaries. These
+//! functions convert where pictures are read and written.
 
-/// Linear light to the sRGB encoding (IEC 61966-2-1), for values in 0..1; clamps outside, NaN
-/// becomes 0.
+/// Converts linear light to the sRGB encoding (IEC 61966-2-1). Values outside of 0..1 are clamped,
+/// and NaN becomes 0.
 pub fn srgb_encode(linear: f32) -> f32 {
     let linear = if linear.is_nan() { 0.0 } else { linear.clamp(0.0, 1.0) };
     if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 }
 }
 
-/// The sRGB encoding to linear light, for values in 0..1.
+/// Converts the sRGB encoding to linear light, for values in 0..1.
 pub fn srgb_decode(encoded: f32) -> f32 {
     if encoded <= 0.040_45 { encoded / 12.92 } else { ((encoded + 0.055) / 1.055).powf(2.4) }
 }
 
-/// Linear light to an 8-bit sRGB code value.
+/// Converts linear light to an 8-bit sRGB code value.
 pub fn srgb_code(linear: f32) -> u8 {
     (srgb_encode(linear) * 255.0 + 0.5) as u8
 }

@@ -14,7 +14,7 @@ pub struct ConfigError {
     pub column: usize,
     /// Byte range in the text.
     pub span: std::ops::Range<usize>,
-    /// The found value and the expected one, as a sentence.
+    /// One sentence with the expected and the found value.
     pub message: String,
     /// The known key that is spelled most like the unknown one.
     pub suggestion: Option<String>,
@@ -41,15 +41,15 @@ pub fn parse<T: DeserializeOwned>(text: &str) -> Result<T, ConfigError> {
     })
 }
 
-/// serde's sentence about a value of another type, in the words of the file; `key` names the value,
-/// and its ending the unit (`pitch_mm`). Other sentences stay as they are.
+/// Translates serde's sentence about a value of a wrong type into terms of the file. `key` names
+/// the value, and its ending gives the unit (`pitch_mm`). Other sentences stay as they are.
 pub fn plain(message: &str, key: &str) -> String {
     let kinds = ["invalid type: ", "invalid value: ", "invalid length "];
     let Some((kind, rest)) = kinds.iter().find_map(|kind| Some((*kind, message.strip_prefix(*kind)?))) else {
         return message.into();
     };
     let Some((found, expected)) = rest.rsplit_once(", expected ") else { return message.into() };
-    // JSON's place comes after it
+    // in messages about JSON, the position follows the expected type
     let (expected, place) = expected.find(" at line ").map_or((expected, ""), |at| expected.split_at(at));
     let unit = UNITS.iter().find(|(ending, _)| key.ends_with(ending)).map_or("", |(_, unit)| *unit);
     let expected = match expected {
@@ -80,12 +80,12 @@ pub fn plain(message: &str, key: &str) -> String {
     format!("expected {expected}, found {found}{place}")
 }
 
-/// Text for a table in messages; empty for the top level.
+/// The name of a table in messages; empty for the top level.
 fn table_of(key: &str) -> String {
     if key.is_empty() { String::new() } else { format!(", [{key}]") }
 }
 
-/// Units by the endings of keys.
+/// Endings of keys, and the units that they stand for in messages.
 const UNITS: [(&str, &str); 10] = [
     ("_mm", " in millimetres"),
     ("_um", " in micrometres"),
@@ -99,8 +99,8 @@ const UNITS: [(&str, &str); 10] = [
     ("_percent", " in per cent"),
 ];
 
-/// Reads the unknown and the expected names out of serde's message and picks the expected one that
-/// is spelled most like the other.
+/// Reads the unknown name and the expected names from serde's message. Returns the expected name
+/// that is spelled most like the unknown one.
 pub fn nearest_key(message: &str) -> Option<String> {
     if !message.starts_with("unknown ") {
         return None;
@@ -110,7 +110,7 @@ pub fn nearest_key(message: &str) -> Option<String> {
     nearest(unknown, names).map(String::from)
 }
 
-/// The candidate that is spelled most like `name`, if it is close enough to be a likely typo.
+/// The candidate that is spelled most like `name`, if `name` is likely a typo of it.
 pub fn nearest<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     candidates
         .into_iter()

@@ -1,7 +1,7 @@
 //! Foundations of every other crate: labelled tensors, colour, image metrics, seeds, large pages,
 //! and the [`Task`] handle that carries progress, cancellation and warnings.
 //!
-//! No file system, no clock, no threads: the crate also compiles to wasm32.
+//! The crate uses no file system, no clock and no threads, so that it also compiles to wasm32.
 
 pub mod colour;
 pub mod config;
@@ -16,6 +16,6 @@ pub mod tone;
 pub use task::{Cancel, Cancelled, Collector, NoProgress, Progress, Task, Warning, Warnings};
 pub use tensor::{Lender, ShapeError, Tensor};
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that
-/// this code has a part in.
+/// Hash of this crate's sources, computed at build. It is part of the key of every cached result
+/// that depends on this code.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

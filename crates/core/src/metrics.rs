@@ -1,7 +1,8 @@
-//! Image metrics: squared error and PSNR in linear light, SSIM and FLIP as an eye judges pictures.
+//! Image metrics: squared error and PSNR in linear light; SSIM and FLIP, which model how an eye
+//! judges pictures.
 //!
-//! Sums run in `f64`. Pictures are `[row][col][rgb]`, linear light, 0..1; SSIM and FLIP clamp them
-//! and encode or decode as they need.
+//! Sums run in `f64`. Pictures are `[row][col][rgb]`, linear light, 0..1. SSIM and FLIP clamp the
+//! values and convert their encoding.
 
 mod filter;
 mod flip;
@@ -10,7 +11,7 @@ mod ssim;
 pub use flip::Flip;
 pub use ssim::ssim;
 
-/// Sum of squared errors and how many values it covers.
+/// A sum of squared errors, and the number of values in it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SquaredError {
     /// Sum of squared differences.
@@ -28,7 +29,7 @@ impl SquaredError {
         self.count += 1;
     }
 
-    /// Error of two slices of equal length.
+    /// Squared error between two slices of equal length.
     ///
     /// # Panics
     /// If the lengths differ.
@@ -41,7 +42,7 @@ impl SquaredError {
         error
     }
 
-    /// Union of two disjoint sets of values.
+    /// Joins the errors of two disjoint sets of values.
     pub fn merged(self, other: Self) -> Self {
         Self { sum: self.sum + other.sum, count: self.count + other.count }
     }
@@ -58,7 +59,7 @@ impl SquaredError {
     }
 }
 
-/// A mean that can be joined with others.
+/// A mean as sum and count, so that means can be joined.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Mean {
     /// Sum of the values.
@@ -68,18 +69,18 @@ pub struct Mean {
 }
 
 impl Mean {
-    /// Mean of two disjoint sets of values together.
+    /// Joins the means of two disjoint sets of values.
     pub fn merged(self, other: Self) -> Self {
         Self { sum: self.sum + other.sum, count: self.count + other.count }
     }
 
-    /// The mean; NaN of nothing.
+    /// The mean; NaN if there are no values.
     pub fn value(self) -> f64 {
         self.sum / self.count as f64
     }
 }
 
-/// A metric at every pixel of a picture.
+/// The values of a metric at every pixel of a picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MetricMap {
     /// Pixel rows.
@@ -88,17 +89,18 @@ pub struct MetricMap {
     pub cols: usize,
     /// `[row][col]`.
     pub values: Vec<f32>,
-    /// Width of the border, pixels, that the metric's mean leaves out.
+    /// Width of the border that the metric's mean leaves out, pixels.
     pub margin: usize,
 }
 
 impl MetricMap {
-    /// The metric of the whole picture.
+    /// The metric of the whole picture: the mean of its values.
     pub fn mean(&self) -> Mean {
         self.mean_where(|_| true)
     }
 
-    /// Mean over the pixels that count, by their index in `values`; the border never does.
+    /// Mean over the pixels for which `counts` returns true. It receives the index in `values`.
+    /// Pixels of the border are never included.
     pub fn mean_where(&self, counts: impl Fn(usize) -> bool) -> Mean {
         let mut mean = Mean::default();
         for row in self.margin..self.rows.saturating_sub(self.margin) {
@@ -114,8 +116,8 @@ impl MetricMap {
     }
 }
 
-/// The value below which the share `share` (0..1) of the values lies; 0 for no values. Reorders the
-/// slice.
+/// The value below which the fraction `share` (0..1) of the values lies; 0 if there are no values.
+/// Reorders the slice.
 pub fn percentile(values: &mut [f32], share: f64) -> f32 {
     if values.is_empty() {
         return 0.0;

@@ -1,21 +1,22 @@
-//! Large pages for large arrays. With small pages random reads also wait for address translation,
+//! Large pages for large arrays. With small pages, random reads also wait for address translation,
 //! and new memory takes longer to map.
 
 use std::mem::MaybeUninit;
 
-/// Arrays below twice this are left alone, in bytes: the size of a large page on most machines.
+/// Size of a large page on most machines, bytes. Arrays smaller than two large pages are left
+/// alone.
 const LARGE_PAGE: usize = 2 << 20;
 
-/// Requests large pages from the system, on Linux if some are free. Call it for untouched memory,
-/// such as the spare capacity of a new [`Vec`] or a large `vec![0; n]`: the system makes pages at
-/// the first write.
+/// Requests large pages from the system; it gives them on Linux alone, if some are free. Call it
+/// for untouched memory, such as the spare capacity of a new [`Vec`] or a large `vec![0; n]`: the
+/// system assigns pages at the first write.
 pub fn prefer_large_pages<T>(memory: &[T]) {
     if size_of_val(memory) >= 2 * LARGE_PAGE {
         advise(memory.as_ptr() as usize, size_of_val(memory));
     }
 }
 
-/// Copies a large array into large pages, where the system has them; returns others unchanged.
+/// Copies a large array into large pages if the system has them. Returns other arrays unchanged.
 pub fn in_large_pages<T: Copy>(values: Vec<T>) -> Vec<T> {
     if cfg!(not(target_os = "linux")) || size_of_val(values.as_slice()) < 2 * LARGE_PAGE {
         return values;
@@ -37,7 +38,7 @@ fn advise(address: usize, length: usize) {
     let end = (address + length) / LARGE_PAGE * LARGE_PAGE;
     if start < end {
         // SAFETY: the range lies within memory that the caller has borrowed, and the advice changes
-        // no values. A refusal changes nothing.
+        // no values. A refusal of the advice changes nothing.
         unsafe { madvise(start as *mut c_void, end - start, MADV_HUGEPAGE) };
     }
 }

@@ -1,8 +1,8 @@
 //! Paths in TOML and JSON, which hold Unicode only, while names on disk may be any bytes.
 //!
-//! A path that is UTF-8 is a text. Any other is a table `{ percent = "m%F6bel.glb" }`, in which
-//! `%` and two hexadecimal digits stand for a byte. So a job that was written leads to the same
-//! file when it is read back. Paths that are only shown have U+FFFD in place of other bytes.
+//! A path that is UTF-8 is a text. Any other path is a table `{ percent = "m%F6bel.glb" }`, in
+//! which `%` and two hexadecimal digits stand for a byte. So a job that was written leads to the
+//! same file when it is read back. In paths that are only shown, U+FFFD replaces other bytes.
 
 use std::path::{Path, PathBuf};
 
@@ -15,23 +15,24 @@ const ENCODED: &AsciiSet = &CONTROLS.add(b'%');
 /// The one key of the table.
 const KEY: &str = "percent";
 
-/// `#[serde(with = "lumistack_core::path_text::optional")]` of a path that is opened again.
+/// For an optional path that is opened again: `#[serde(with =
+/// "lumistack_core::path_text::optional")]`.
 pub mod optional {
     use super::*;
 
-    /// Writes the path, or nothing.
+    /// Writes the path; `None` is written as nothing.
     pub fn serialize<S: Serializer>(path: &Option<PathBuf>, serializer: S) -> Result<S::Ok, S::Error> {
         path.as_deref().map(Text).serialize(serializer)
     }
 
-    /// Reads a path, or nothing.
+    /// Reads a path, or `None`.
     pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<PathBuf>, D::Error> {
         Ok(Option::<Read>::deserialize(deserializer)?.map(|Read(path)| path))
     }
 }
 
-/// `#[serde(with = "lumistack_core::path_text::hashed")]` of paths that are opened again, each
-/// with a hash of its content.
+/// For paths that are opened again, each with a hash of its content: `#[serde(with =
+/// "lumistack_core::path_text::hashed")]`.
 pub mod hashed {
     use super::*;
 
@@ -47,17 +48,17 @@ pub mod hashed {
     }
 }
 
-/// `#[serde(serialize_with = "lumistack_core::path_text::told")]` of a path that is only shown.
+/// For a path that is only shown: `#[serde(serialize_with = "lumistack_core::path_text::told")]`.
 pub fn told<S: Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_str(&path.to_string_lossy())
 }
 
-/// [`told`] of an optional path.
+/// As [`told`], for an optional path.
 pub fn told_optional<S: Serializer>(path: &Option<PathBuf>, serializer: S) -> Result<S::Ok, S::Error> {
     path.as_deref().map(Path::to_string_lossy).serialize(serializer)
 }
 
-/// [`told`] of several paths.
+/// As [`told`], for several paths.
 pub fn told_each<S: Serializer>(paths: &[PathBuf], serializer: S) -> Result<S::Ok, S::Error> {
     serializer.collect_seq(paths.iter().map(|path| path.to_string_lossy()))
 }
@@ -137,7 +138,7 @@ pub enum PathText {
     },
 }
 
-/// Returns true for a default, which needs not be written.
+/// Returns true for a default value, which need not be written.
 pub fn is_default<T: Default + PartialEq>(value: &T) -> bool {
     *value == T::default()
 }

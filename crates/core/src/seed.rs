@@ -23,7 +23,7 @@ pub fn unit_f32(hash: u64) -> f32 {
     (hash >> 40) as f32 * (1.0 / (1u64 << 24) as f32)
 }
 
-/// A small sequential generator (SplitMix64) for places where quality demands are modest.
+/// A small sequential generator (SplitMix64) for uses with modest demands on quality.
 #[derive(Clone, Debug)]
 pub struct Stream(u64);
 
@@ -33,7 +33,7 @@ impl Stream {
         Self(seed)
     }
 
-    /// The stream after so many numbers more.
+    /// The stream as it is after `numbers` further numbers.
     #[must_use]
     pub fn after(&self, numbers: u64) -> Self {
         Self(self.0.wrapping_add(numbers.wrapping_mul(0x9e37_79b9_7f4a_7c15)))
@@ -77,7 +77,7 @@ mod tests {
         let mut stream = Stream::new(derive(7, &[3]));
         let n = 100_000;
         let mean = (0..n).map(|_| f64::from(stream.next_f32())).sum::<f64>() / f64::from(n);
-        // standard error 0.29 / sqrt(n) = 9e-4; five of them
+        // five standard errors, each 0.29 / sqrt(n) = 9e-4
         assert!((mean - 0.5).abs() < 4.6e-3, "{mean}");
     }
 }

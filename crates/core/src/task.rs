@@ -9,7 +9,7 @@ use thiserror::Error;
 pub trait Progress: Sync {
     /// A stage starts; `total` is its number of steps of kind `unit` ("views", "iterations").
     fn begin(&self, stage: &str, total: u64, unit: &str);
-    /// Some steps are done; `note` is a short figure to show beside the bar, or empty.
+    /// Some steps are done; `note` is a short value to show next to the bar, or empty.
     fn advance(&self, steps: u64, note: &str);
     /// The stage has ended.
     fn end(&self);
@@ -25,12 +25,12 @@ impl Progress for NoProgress {
     fn end(&self) {}
 }
 
-/// A flag that asks running work to stop. Clones share the flag.
+/// A flag that requests running work to stop. Clones share the flag.
 #[derive(Clone, Debug, Default)]
 pub struct Cancel(Arc<AtomicBool>);
 
 impl Cancel {
-    /// Asks everything that holds this flag to stop.
+    /// Requests all work that holds this flag to stop.
     pub fn cancel(&self) {
         self.0.store(true, Ordering::Relaxed);
     }
@@ -40,8 +40,10 @@ impl Cancel {
         self.0.load(Ordering::Relaxed)
     }
 
+    /// Fails if a stop was requested; for use with `?` inside loops.
+    ///
     /// # Errors
-    /// [`Cancelled`] if a stop was requested, for use with `?` inside loops.
+    /// [`Cancelled`] if a stop was requested.
     pub fn check(&self) -> Result<(), Cancelled> {
         if self.is_cancelled() { Err(Cancelled) } else { Ok(()) }
     }
@@ -73,12 +75,12 @@ pub trait Warnings: Sync {
     fn warn(&self, warning: Warning);
 }
 
-/// Keeps warnings in a list, each text once.
+/// Keeps warnings in a list; equal ones are kept once.
 #[derive(Debug, Default)]
 pub struct Collector(Mutex<Vec<Warning>>);
 
 impl Collector {
-    /// The warnings so far; empties the list.
+    /// Returns the warnings so far and empties the list.
     pub fn take(&self) -> Vec<Warning> {
         std::mem::take(&mut self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner))
     }

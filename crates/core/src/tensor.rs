@@ -1,7 +1,7 @@
 //! Dense row-major `f32` tensors whose axes carry names.
 //!
-//! The names are the ones of the design document (`view_y`, `row`, `rgb`, ...): error messages and
-//! file headers use them, so that a swapped axis is visible at once.
+//! Error messages and file headers contain the names (`view_y`, `row`, `rgb`, ...), so that a
+//! swapped axis is visible immediately.
 
 use std::sync::Arc;
 
@@ -47,7 +47,7 @@ impl PartialEq for Values {
     }
 }
 
-/// Data whose length or shape does not fit the axes.
+/// The error of data whose length or shape does not fit the axes.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("axes {axes} of shape {expected} need {count} values, found {found}")]
 pub struct ShapeError {
@@ -81,7 +81,8 @@ impl<const N: usize> Tensor<N> {
         Self::with_values(axes, shape, Values::Own(data))
     }
 
-    /// Uses row-major data where it is, without a copy; writing to the tensor copies it first.
+    /// Uses row-major data where it is, without a copy. The first write to the tensor copies the
+    /// data.
     ///
     /// # Errors
     /// If the number of values is not the product of `shape`.
@@ -135,7 +136,7 @@ impl<const N: usize> Tensor<N> {
         }
     }
 
-    /// Releases the values.
+    /// Returns the values; lent ones are copied.
     pub fn into_data(self) -> Vec<f32> {
         match self.data {
             Values::Own(values) => values,

@@ -1,8 +1,8 @@
-//! Tone curves: from exposed scene-linear radiance to the range of a display, linear light in 0..1
-//! on both sides.
+//! Tone curves map exposed scene-linear radiance to the range of a display, 0..1. Both are linear
+//! light.
 //!
-//! One curve serves all views of a shot, since it acts on a ray's radiance alone: the same point of
-//! the scene keeps its colour from view to view.
+//! One curve is applied to all views of a light field. It acts on a ray's radiance alone, so a
+//! point of the scene keeps its colour from view to view.
 //!
 //! * [`ToneCurve::Linear`]: min(x, 1), channel by channel.
 //! * [`ToneCurve::KhronosNeutral`]: Khronos PBR Neutral (Khronos Group, 2024, specification and
@@ -16,16 +16,17 @@
 //!       (c − f) p_n/p · g + p_n (1 − g)
 //! ```
 //!
-//! * [`ToneCurve::Agx`]: AgX without a further look (Troy Sobotka; matrices and curve as in Eary
+//! * [`ToneCurve::Agx`]: AgX without a creative grade (Troy Sobotka; matrices and curve as in Eary
 //!   Chow's `AgX_LUT_Gen`, from which Blender's table is made). The steps are in Rec. 2020. An
-//!   inset matrix draws colours together. They pass a sigmoid of log₂ exposure around middle grey
-//!   0.18 from −10 to +6.5 stops, and keep 60 % of their hue before it. An outset matrix spreads
-//!   them again. Values below 0 in BT.709 are raised to 0 at equal luminance. The result is within
-//!   0.03 of Blender's table, which treats colours outside the gamut more elaborately.
+//!   inset matrix draws colours together. A sigmoid of log₂ exposure maps −10 to +6.5 stops around
+//!   middle grey 0.18. The hue is then turned back by 60 % of its change in the sigmoid. An outset
+//!   matrix spreads the colours again. Values below 0 in BT.709 are raised to 0 at equal luminance.
+//!   The result is within 0.03 of Blender's table, which treats colours outside the gamut more
+//!   elaborately.
 
 use crate::colour::luminance;
 
-/// A curve that every view of a shot passes through.
+/// A tone curve. It is applied to all views of a light field alike.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ToneCurve {
     /// Clips at 1.
@@ -33,27 +34,28 @@ pub enum ToneCurve {
     Linear,
     /// Khronos PBR Neutral: base colours stay as they are, highlights are compressed.
     KhronosNeutral,
-    /// AgX base look: soft contrast, bright colours turn to white.
+    /// AgX: soft contrast, bright colours turn to white.
     Agx,
 }
 
-/// Reflection at normal incidence that the Khronos curve takes away.
+/// Reflection at normal incidence that the Khronos curve subtracts.
 const F90: f32 = 0.04;
-/// Value at which its compression starts.
+/// Value at which the compression of the Khronos curve starts.
 const START: f32 = 0.8 - F90;
-/// Rate at which its highlights lose colour.
+/// Rate at which highlights lose colour in the Khronos curve.
 const DESATURATION: f32 = 0.15;
 
 /// Middle grey, which AgX keeps.
 const MIDDLE_GREY: f32 = 0.18;
-/// Stops around middle grey that AgX shows.
+/// Range of AgX around middle grey, stops.
 const STOPS: [f32; 2] = [-10.0, 6.5];
-/// Slope of its sigmoid at middle grey, and the power of toe and shoulder.
+/// Slope of AgX's sigmoid at middle grey.
 const SLOPE: f32 = 2.4;
+/// Exponent of the toe and shoulder of AgX's sigmoid.
 const POWER: f32 = 1.5;
-/// Exponent from the sigmoid's values to linear light.
+/// Exponent that converts values of AgX's sigmoid to linear light.
 const GAMMA: f32 = 2.4;
-/// Share of the hue after the sigmoid in the result.
+/// Weight of the hue after the sigmoid in the result; the hue before the sigmoid has the rest.
 const HUE_AFTER: f32 = 0.4;
 
 type Matrix = [[f32; 3]; 3];
@@ -61,7 +63,7 @@ type Matrix = [[f32; 3]; 3];
 /// BT.709 to BT.2020 primaries (ITU-R BT.2087).
 const REC2020_FROM_BT709: Matrix =
     [[0.627_404, 0.329_283, 0.043_313], [0.069_097, 0.919_54, 0.011_362], [0.016_391, 0.088_013, 0.895_595]];
-/// The way back.
+/// BT.2020 to BT.709 primaries.
 const BT709_FROM_REC2020: Matrix =
     [[1.660_491, -0.587_641, -0.072_85], [-0.124_55, 1.132_9, -0.008_349], [-0.018_151, -0.100_579, 1.118_73]];
 /// AgX's inset.
@@ -70,7 +72,7 @@ const INSET: Matrix = [
     [0.137_318_97, 0.761_242, 0.101_439_04],
     [0.111_898_21, 0.076_799_42, 0.811_302_4],
 ];
-/// AgX's outset: the inverse of an inset of its own.
+/// AgX's outset: the inverse of another inset matrix.
 const OUTSET: Matrix = [
     [1.127_100_6, -0.110_606_64, -0.016_493_94],
     [-0.141_329_76, 1.157_823_7, -0.016_493_94],
@@ -78,17 +80,17 @@ const OUTSET: Matrix = [
 ];
 
 impl ToneCurve {
-    /// Every curve with the name that job files use.
+    /// Every curve with its name in job files.
     pub const ALL: [(&'static str, Self); 3] =
         [("linear", Self::Linear), ("khronos-neutral", Self::KhronosNeutral), ("agx", Self::Agx)];
 
-    /// Its name.
+    /// The curve's name in job files.
     pub fn name(self) -> &'static str {
         Self::ALL.iter().find(|(_, curve)| *curve == self).map_or("", |(name, _)| name)
     }
 
     /// Maps exposed radiance `rgb` to the linear value that the display shows. Negative values and
-    /// NaN count as 0, infinite ones as very bright.
+    /// NaN are treated as 0, values above 10⁶ as 10⁶.
     pub fn apply(self, rgb: [f32; 3]) -> [f32; 3] {
         let rgb = rgb.map(|value| if value.is_nan() { 0.0 } else { value.clamp(0.0, 1e6) });
         let shown = match self {
@@ -137,12 +139,13 @@ fn times(matrix: &Matrix, [r, g, b]: [f32; 3]) -> [f32; 3] {
     matrix.map(|row| row[0] * r + row[1] * g + row[2] * b)
 }
 
-/// Place of a value in the range of stops, 0..1.
+/// Position of a value in AgX's range of stops, 0..1.
 fn stops(value: f32) -> f32 {
     (((value.max(1e-10) / MIDDLE_GREY).log2() - STOPS[0]) / (STOPS[1] - STOPS[0])).clamp(0.0, 1.0)
 }
 
-/// A curve that is straight at middle grey (x₀, y₀), with s such that 0 becomes 0 and 1 becomes 1:
+/// AgX's sigmoid. Its slope at middle grey (x₀, y₀) is SLOPE. On either side, s is such that the
+/// end of the range, 0 or 1, is kept:
 ///
 /// ```text
 /// s·h(SLOPE (x − x₀)/s) + y₀,   h(t) = t/(1 + |t|^POWER)^(1/POWER)
@@ -155,21 +158,23 @@ fn sigmoid(x: f32) -> f32 {
     scale * t / (1.0 + t.abs().powf(POWER)).powf(1.0 / POWER) + y0
 }
 
-/// `rgb` with its hue (of the hexcone) turned by 1 − [`HUE_AFTER`] towards that of `before`.
+/// Turns the hue (of the hexcone) of `rgb` by the fraction 1 − [`HUE_AFTER`] towards the hue of the
+/// colour `before`.
 fn with_hue_of(rgb: [f32; 3], before: [f32; 3]) -> [f32; 3] {
     let (low, high) = (rgb[0].min(rgb[1]).min(rgb[2]), rgb[0].max(rgb[1]).max(rgb[2]));
     let (Some(after), Some(before)) = (hue(rgb), hue(before)) else { return rgb };
     // the shorter way round
     let turn = (before - after + 9.0).rem_euclid(6.0) - 3.0;
     let hue = (after + (1.0 - HUE_AFTER) * turn).rem_euclid(6.0);
-    // a channel's share of the range falls from 1 to 0 between 1 and 2 sextants from its own hue
+    // a channel falls from the top to the bottom of the range between 1 and 2 sextants from its own
+    // hue
     [0.0, 2.0, 4.0].map(|own: f32| {
         let distance = ((hue - own + 9.0).rem_euclid(6.0) - 3.0).abs();
         low + (high - low) * (2.0 - distance).clamp(0.0, 1.0)
     })
 }
 
-/// Hue in sextants, 0..6 from red through green and blue; `None` of a grey.
+/// Hue in sextants, 0..6 from red through green and blue; `None` for a grey.
 fn hue([r, g, b]: [f32; 3]) -> Option<f32> {
     let (low, high) = (r.min(g).min(b), r.max(g).max(b));
     let range = high - low;
@@ -186,7 +191,7 @@ fn hue([r, g, b]: [f32; 3]) -> Option<f32> {
     Some(hue.rem_euclid(6.0))
 }
 
-/// Raises all channels until none is below 0, then scales back to the luminance.
+/// Raises all channels equally until none is below 0, then scales back to the luminance.
 fn raised(rgb: [f32; 3]) -> [f32; 3] {
     let least = rgb[0].min(rgb[1]).min(rgb[2]);
     if least >= 0.0 {
@@ -202,15 +207,15 @@ mod tests {
     use super::*;
     use crate::seed::Stream;
 
-    /// Against values of 4 decimals.
+    /// Tolerance against reference values of 4 decimals.
     const ROUNDED: f32 = 1e-4;
-    /// Blender's table beside the equations: greys, where only its interpolation differs, and
-    /// colours, where its gamut rails do too.
+    /// Tolerances of the equations against Blender's table. Greys differ by the table's
+    /// interpolation alone, colours also by its treatment of the gamut.
     const TABLE_GREY: f32 = 1e-3;
     const TABLE_COLOUR: f32 = 0.03;
 
-    /// Exposed colours, and their values after OpenColorIO 2 with the colour configuration of
-    /// Blender 4.5, display sRGB, view AgX, decoded to linear light.
+    /// Exposed colours, and their values by OpenColorIO 2 with the colour configuration of Blender
+    /// 4.5, display sRGB, view AgX, decoded to linear light.
     const BLENDER_AGX: [([f32; 3], [f32; 3]); 22] = [
         ([0.001; 3], [0.0003; 3]),
         ([0.01; 3], [0.0063; 3]),
@@ -248,7 +253,7 @@ mod tests {
         }
     }
 
-    /// The specification worked through by hand for one colour of each branch.
+    /// Expected values were computed by hand from the specification, for one colour of each branch.
     #[test]
     fn khronos_neutral_follows_its_specification() {
         let cases = [
@@ -308,8 +313,8 @@ mod tests {
         }
     }
 
-    /// Hue of the hexcone in degrees. The neutral curve keeps it exactly (it scales and mixes with
-    /// grey), AgX within the change of Blender's table.
+    /// Measures the hue of the hexcone in degrees. The neutral curve keeps the hue exactly (it
+    /// scales and mixes with grey), AgX within the change of Blender's table.
     #[test]
     fn hues_stay() {
         let mut stream = Stream::new(6);
@@ -327,8 +332,8 @@ mod tests {
                 }
             }
         }
-        // uncompressed base colours come out unchanged, less the reflection that a dielectric's
-        // surface adds
+        // base colours below the compression stay as they are, less the reflection that a
+        // dielectric's surface adds
         let [r, g, b] = ToneCurve::KhronosNeutral.apply([0.64, 0.24, 0.14]);
         assert!((r - 0.6).abs() < ROUNDED && (g - 0.2).abs() < ROUNDED && (b - 0.1).abs() < ROUNDED);
     }

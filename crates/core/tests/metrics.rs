@@ -1,6 +1,5 @@
-//! SSIM and FLIP against the reference tools, scikit-image and flip-evaluator: their figures as
-//! they were written down in `tests/metrics_reference.json`, and the tools themselves where a
-//! Python has them.
+//! Compares SSIM and FLIP with the reference tools, scikit-image and flip-evaluator. Their values
+//! are recorded in `tests/metrics_reference.json`. If a Python has the tools, they run too.
 
 use std::path::Path;
 use std::process::Command;
@@ -9,12 +8,12 @@ use lumistack_core::colour::srgb_decode;
 use lumistack_core::metrics::{Flip, MetricMap, ssim};
 use serde_json::Value;
 
-/// Agreement of the mean SSIM, of the mean FLIP and of FLIP at single pixels.
+/// Tolerances of the mean SSIM, of the mean FLIP and of FLIP at single pixels.
 const SSIM: f64 = 1e-5;
 const FLIP_MEAN: f64 = 1e-4;
 const FLIP_PIXEL: f64 = 1e-3;
-/// The reference tools give the same figures on every machine, up to the digits that are written
-/// down.
+/// Tolerance between the recorded values and those that the reference tools give on any machine:
+/// the digits that are recorded.
 const SAME_FIGURE: f64 = 1e-5;
 
 #[test]
@@ -68,7 +67,7 @@ fn check(case: &Value, map: Option<Vec<f32>>) {
     }
 }
 
-/// The formulas of `tests/metrics_reference.py`.
+/// Computes a picture by a formula of `tests/metrics_reference.py`.
 fn picture(formula: &str, [rows, cols]: [usize; 2]) -> Vec<u8> {
     let (kind, number) = formula.split_once(':').unwrap();
     let n: u32 = number.parse().unwrap();

@@ -339,7 +339,7 @@ mod tests {
         assert_eq!(analysis.thickness_mm, 8.5);
         assert!(analysis.timing.flickers && analysis.timing.wanted_hz == 720.0);
         let text = analysis.text();
-        assert!(text.contains("eq. 26") && text.contains("the lens array stands at -8.5 mm"), "{text}");
+        assert!(text.contains("eq. 26") && text.contains("the lens array is at -8.5 mm"), "{text}");
     }
 
     #[test]

@@ -4,19 +4,19 @@ use crate::{
     Backlight, Display, DisplayError, FieldGeometry, LensletBacklight, OutsideBins, Projection, ProjectionKind, Views,
 };
 
-/// Angles and lengths that differ by less, relatively, are equal: a display keeps its own numbers
-/// for a light field of its own.
+/// Relative difference up to which angles and lengths are equal. So a display keeps its own numbers
+/// for its own light field.
 const SAME: f64 = 1e-9;
-/// The most angular bins per axis that a backlight grows to where views fan out, unless half of
-/// them are the light field's own views.
+/// Largest number of angular bins per axis of a backlight that follows a light field. It may have
+/// more bins if there are at most two per view.
 const MOST_BINS: usize = 64;
 
 impl Display {
     /// The same display at another resolution. The field becomes `resolution` = [columns, rows]
-    /// pixels over the same width. The masks and the number of lenslets are scaled by the same
-    /// factors, the lenslets over at least the same share of the field. Point spreads keep their
-    /// width in millimetres, so that a coarse preview keeps the display's character. Physical
-    /// panels stay, and colour filters stay stripes of one mask column.
+    /// pixels over the same width. The numbers of mask pixels and of lenslets are scaled by the
+    /// same factors. The lenslets cover at least the same fraction of the field. Point spreads keep
+    /// their width in millimetres, so that a coarse preview keeps the display's character. Physical
+    /// panels stay the same, and colour filters stay stripes of one mask column.
     #[must_use]
     pub fn with_resolution(&self, resolution: [usize; 2]) -> Self {
         let mut display = self.clone();
@@ -36,8 +36,8 @@ impl Display {
             let [old_cols, old_rows] = backlight.lenslets.map(|count| count as f64);
             let cols = scaled(backlight.lenslets[0], 0);
             let pitch_mm = backlight.pitch_mm * old_cols / cols as f64;
-            // one pitch serves both axes: rows are counted up to the share of the height that they
-            // covered, since rays beside the grid are lost
+            // one pitch is used for both axes; the rows cover no smaller fraction of the height
+            // than before, since rays outside the grid are lost
             let height_factor = pitch_factor * resolution[1] as f64 / old[1] as f64;
             let rows = old_rows * backlight.pitch_mm * height_factor / pitch_mm;
             backlight.lenslets = [cols, ((rows - SAME * rows).ceil() as usize).max(1)];
@@ -46,17 +46,17 @@ impl Display {
         display
     }
 
-    /// The same display for a light field that already exists. Masks take its resolution and size.
-    /// The view grid takes its angles, as the full angle whose bins are as wide as the field's.
-    /// Lenslets scale with the masks. Distances and frames stay.
+    /// The same display for a light field that already exists. Masks take the light field's
+    /// resolution and size. The view grid takes the full angle whose bins are as wide as the light
+    /// field's. Lenslets scale with the masks. Distances and frames stay the same.
     ///
-    /// The backlight's bins follow the views per axis: as many bins to a view as the display has
-    /// for its own. So a backlight made for the display's views has one bin for each of the light
-    /// field's. It has more where rays of perspective or one-sided views leave these bins.
+    /// The backlight's bins follow the views per axis: the number of bins per view stays the same.
+    /// So a backlight that was made for the display's views has one bin for each view of the light
+    /// field. It has more bins if rays of perspective or one-sided views leave these bins.
     ///
     /// # Errors
-    /// If the light field's rays spread over so many of a view's widths that the backlight would
-    /// need more than 64 bins along an axis.
+    /// If the light field's rays spread over too many widths of a view. The backlight would then
+    /// need more than 64 bins along an axis, and more than two per view.
     pub fn adapted_to(&self, geometry: &FieldGeometry) -> Result<Self, DisplayError> {
         if self.geometry()? == *geometry {
             return Ok(self.clone());
@@ -103,7 +103,8 @@ impl Display {
             Views::Auto | Views::Step(_) => own_bins,
         };
         let (own_reach, bins_reach) = (half(self.field.fov_deg[axis]), half(own.fov_deg[axis]));
-        // bins to a view, and the bins' reach relative to the views', as the display has them
+        // bins per view, and the reach of the bins relative to the views' reach, both as in the
+        // display
         let (fineness, spread) = if own_reach > 0.0 {
             (own_reach / own_views * own_bins / bins_reach, bins_reach / own_reach)
         } else {
@@ -111,8 +112,8 @@ impl Display {
         };
         let slopes = if axis == 0 { &geometry.grid.slope_x } else { &geometry.grid.slope_y };
         let outermost = slopes.iter().fold(0.0f64, |most, slope| most.max(slope.abs()));
-        // pinholes see the field's edges under other slopes; a real lens array repeats its bins
-        // there
+        // pinholes see the field's edges under other slopes than its centre; a real lens array
+        // repeats its bins there
         let fan = match (geometry.grid.projection, own.outside_bins) {
             (Projection::Perspective { distance_mm }, OutsideBins::Dark) => {
                 0.5 * geometry.size_mm()[axis] / distance_mm
@@ -121,7 +122,8 @@ impl Display {
         };
         let width = geometry.grid.bin_width()[axis];
         if width == 0.0 {
-            // one view has no directions to separate: the bins of one view, over all of its rays
+            // a single view has no directions to separate: it takes the bins of one view, over all
+            // of its rays
             let bins = (own_bins / own_views).round().max(1.0) as usize;
             let reach = outermost + fan;
             let fov_deg = if reach < bins_reach { own.fov_deg[axis] } else { full_angle_deg(reach * 1.001) };
@@ -134,8 +136,8 @@ impl Display {
         let needed = 2.0 * reach / bin;
         let mut bins = (needed - 1e-6).ceil().max(1.0);
         if (fineness - 1.0).abs() < 1e-6 {
-            // bins stand at whole widths where their number is odd, at half ones where it is even:
-            // views at bins' centres
+            // bin centres are at whole multiples of the bin's width for an odd number of bins, at
+            // half ones for an even number. Choose the number that puts views at bin centres.
             let from_whole = slopes[0] / bin - (slopes[0] / bin).round();
             let odd = from_whole.abs() <= 0.25;
             if (bins % 2.0 == 1.0) != odd {
@@ -147,11 +149,11 @@ impl Display {
             return Err(DisplayError::Value {
                 key: "backlight.views".into(),
                 expected: format!(
-                    "a light field whose {name} rays {MOST_BINS} angular bins of a view's width can tell apart (parallel views, or \
+                    "a light field whose {name} rays need at most {MOST_BINS} angular bins of a view's width (use parallel views or \
                      outside_bins = \"repeat\"), or a display with a uniform backlight"
                 ),
                 found: format!(
-                    "{} views {width:.4} apart and rays of slopes up to {:.3}, which ask for {bins} bins",
+                    "{} views {width:.4} apart and rays of slopes up to {:.3}, which need {bins} bins",
                     slopes.len(),
                     outermost + fan
                 ),
@@ -161,8 +163,8 @@ impl Display {
         Ok((bins as usize, kept(own.fov_deg[axis], fov_deg)))
     }
 
-    /// Says in a sentence how the backlight of `adapted` differs from this display's; `None` where
-    /// it does not.
+    /// Returns a sentence on how the backlight of `adapted` differs from this display's; `None` if
+    /// it does not differ.
     pub fn backlight_change(&self, adapted: &Self) -> Option<String> {
         let (Backlight::Lenslets(own), Backlight::Lenslets(now)) = (&self.backlight, &adapted.backlight) else {
             return None;
@@ -185,12 +187,12 @@ impl Display {
     }
 }
 
-/// Full angle of a slope to both sides, degrees.
+/// Full angle of a slope `half` to both sides, degrees.
 fn full_angle_deg(half: f64) -> f64 {
     2.0 * half.atan().to_degrees()
 }
 
-/// `own` where `new` is that but for rounding.
+/// Returns `own` if `new` equals it up to rounding.
 fn kept(own: f64, new: f64) -> f64 {
     if (new - own).abs() <= SAME * own.abs() { own } else { new }
 }
@@ -216,7 +218,7 @@ mod tests {
         assert_eq!(adapted.grid.views(), [1, 5]);
     }
 
-    /// A display of one layer before lenslets, made for 3 × 3 views over 20°.
+    /// A display of one layer in front of lenslets, made for 3 × 3 views over 20°.
     fn directional() -> Display {
         let mut display = Display::uniform([160, 100], 2.961, [3, 3], [20.0, 20.0], &[0.0], 8);
         let bins = LensletBacklight::new(-8.5, [47, 29], 10.08, [3, 3], [20.0, 20.0]);
@@ -230,8 +232,8 @@ mod tests {
         lenslets
     }
 
-    /// The bins that the rays of each view column (axis 0) or row (axis 1) read; no ray may lie
-    /// outside of them.
+    /// The bins that the rays of each view column (axis 0) or row (axis 1) read. No ray may be
+    /// outside of the bins.
     fn bins_of_views(display: &Display, geometry: &FieldGeometry, axis: usize) -> Vec<std::collections::BTreeSet<u32>> {
         let map = crate::RayMap::new(display, geometry);
         let backlight = map.backlight.as_ref().unwrap();

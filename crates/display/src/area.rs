@@ -1,25 +1,26 @@
 //! Intersections of the rays of one view with the display, over the whole area of every field
 //! pixel.
 //!
-//! Layers are squares of constant value. So along an axis the pixel that a ray reads changes only
-//! where the ray passes an edge. An axis of a field pixel is cut at all these edges: of every
-//! layer, of the lenslets and of their bins. Between two cuts all rays read the same, so one ray
-//! with the part's width as weight represents them. The map is separable, hence so are the parts: a
-//! pixel's area is the product of its parts along x and along y. The mean over it is exact.
+//! Layers consist of squares of constant value. So along an axis the layer pixel that a ray reads
+//! changes only where the ray crosses an edge. Each axis of a field pixel is cut at all these
+//! edges: those of every layer, of the lenslets and of their bins. All rays between two cuts read
+//! the same values. So one ray represents them, with the width of the part as its weight. The map
+//! is separable, and hence so are the parts: a pixel's area is the product of its parts along x and
+//! along y. Thus the mean over the area is exact.
 
 use crate::raymap::{Axis, AxisRay};
 use crate::{Backlight, Display, FieldGeometry, RayMap, Sampling};
 
-/// Parts narrower than this share of a pixel come from rounding, where an edge and the pixel's own
-/// border coincide.
+/// Parts narrower than this fraction of a pixel come from rounding, if an edge coincides with the
+/// pixel's own border.
 const SLIVER: f64 = 1e-9;
 
-/// The tables of one view, with a ray for every part of a pixel.
+/// The tables of one view, with one ray for every part of a pixel.
 #[derive(Clone, Debug)]
 pub struct AreaMap {
-    /// One view, whose columns and rows are the parts in the order of `x` and `y`.
+    /// The map of one view, whose columns and rows are the parts in the order of `x` and `y`.
     pub map: RayMap,
-    /// Parts along x. The first part of every pixel stands before the second of any, so that
+    /// Parts along x: the first parts of all pixels, then the second parts, and so on. So
     /// neighbours in the list read neighbouring pixels.
     pub x: Vec<Part>,
     /// Parts along y, from the top, pixel by pixel.
@@ -31,7 +32,7 @@ pub struct AreaMap {
 pub struct Part {
     /// Field column or row.
     pub pixel: u32,
-    /// Share of the pixel's width, above 0; those of a pixel add up to 1.
+    /// Fraction of the pixel's width, above 0; the fractions of a pixel add up to 1.
     pub share: f64,
 }
 
@@ -54,7 +55,7 @@ fn cut_axis(display: &Display, geometry: &FieldGeometry, axis: Axis, view: usize
         let centre = axis.centre_mm(geometry, pixel);
         let ray = |t: f64| axis.ray(geometry, view, centre + (2.0 * t - 1.0) * half_mm);
         cuts.clear();
-        // every place is linear in t, which runs over the pixel from 0 to 1
+        // every position is linear in t, which runs over the pixel from 0 to 1
         let (first, last) = (ray(0.0), ray(1.0));
         for layer in &display.layers {
             let edge = |ray| axis.pixel(layer, ray) + 0.5;
@@ -83,8 +84,8 @@ fn cut_axis(display: &Display, geometry: &FieldGeometry, axis: Axis, view: usize
     (0..axis.count(geometry)).map(pixel).collect()
 }
 
-/// Adds, in rising order, where a place that runs linearly from `place[0]` to `place[1]` passes the
-/// edges 0 to `count`, as a share of the way.
+/// Adds a cut at each edge 0 to `count` that a position crosses on its straight way from `place[0]`
+/// to `place[1]`. A cut is a fraction of that way. `cuts` stays sorted.
 fn cut_at_whole_numbers(cuts: &mut Vec<f64>, place: [f64; 2], count: usize) {
     let [low, high] = [place[0].min(place[1]), place[0].max(place[1])];
     let first = low.ceil().max(0.0);
@@ -95,14 +96,14 @@ fn cut_at_whole_numbers(cuts: &mut Vec<f64>, place: [f64; 2], count: usize) {
     for edge in first as u64..=last as u64 {
         let t = (edge as f64 - place[0]) / (place[1] - place[0]);
         if t > 0.0 && t < 1.0 {
-            // there are few; the library's sort would be much of the browser's module
+            // cuts are few, and the library's sort would take much of the browser's module
             let at = cuts.iter().take_while(|cut| **cut < t).count();
             cuts.insert(at, t);
         }
     }
 }
 
-/// The first parts of all pixels, then the second ones, and so on.
+/// Orders parts: the first parts of all pixels, then the second parts, and so on.
 fn phase_by_phase(pixels: Vec<Vec<(AxisRay, Part)>>) -> (Vec<AxisRay>, Vec<Part>) {
     let most = pixels.iter().map(Vec::len).max().unwrap_or(0);
     (0..most).flat_map(|phase| pixels.iter().filter_map(move |parts| parts.get(phase).copied())).unzip()

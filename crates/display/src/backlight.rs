@@ -38,10 +38,10 @@ pub struct LensletBacklight {
     /// of the optimized emission.
     #[serde(default)]
     pub black_level: f64,
-    /// Value of a ray outside the bins.
+    /// Value that a ray outside the bins reads.
     #[serde(default)]
     pub outside_bins: OutsideBins,
-    /// From linear values to the code values of the panel behind the lenslets.
+    /// Transfer function from linear values to the code values of the panel behind the lenslets.
     #[serde(default)]
     pub transfer: Transfer,
     /// [columns, rows] of the panel behind the lenslets.
@@ -50,7 +50,7 @@ pub struct LensletBacklight {
     /// Pitch of that panel, millimetres.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panel_pitch_mm: Option<f64>,
-    /// Calibration of that panel; patterns do not depend on it.
+    /// Calibration of the panel behind the lenslets; patterns do not depend on it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panel: Option<Panel>,
     /// The lens array as built; patterns do not depend on it.
@@ -59,8 +59,8 @@ pub struct LensletBacklight {
 }
 
 impl LensletBacklight {
-    /// A centred grid at `d_mm` of [columns, rows] lenslets of `pitch_mm`, with [horizontal,
-    /// vertical] bins `views` over full angles `fov_deg`; dark outside the bins.
+    /// A centred grid at `d_mm` of [columns, rows] lenslets of `pitch_mm`. It has [horizontal,
+    /// vertical] bins `views` over full angles `fov_deg`, and is dark outside the bins.
     pub fn new(d_mm: f64, lenslets: [usize; 2], pitch_mm: f64, views: [usize; 2], fov_deg: [f64; 2]) -> Self {
         Self {
             d_mm,
@@ -84,8 +84,8 @@ impl LensletBacklight {
         [self.black_level as f32, 1.0]
     }
 
-    /// Input of the transfer function for emitting `value`: 0 for the darkest state, 1 for the
-    /// brightest. Values outside the range are clamped; NaN becomes 0.
+    /// Input of the transfer function with which the panel emits `value`: 0 for the darkest state,
+    /// 1 for the brightest. Values outside the range are clamped; NaN becomes 0.
     pub fn drive(&self, value: f32) -> f32 {
         let drive = (f64::from(value) - self.black_level) / (1.0 - self.black_level);
         if drive.is_nan() { 0.0 } else { drive.clamp(0.0, 1.0) as f32 }

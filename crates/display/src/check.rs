@@ -1,12 +1,12 @@
-//! Ranges of a display's values.
+//! Checks of the ranges of a display's values.
 
 use crate::{Backlight, Display, DisplayError, Layer, LayerColour, Lens, Panel, Views};
 
-/// A matrix whose rows were normalized in another program still sums to one.
+/// Tolerance: rows that were normalized in another program still sum to one.
 const ROW_SUM_ROUNDING: f64 = 1e-6;
 
 impl Display {
-    /// Checks every value.
+    /// Checks the range of every value.
     ///
     /// # Errors
     /// On the first value out of range.
@@ -41,7 +41,7 @@ impl Display {
             }
         }
         self.geometry()?.check()?;
-        // layers, each in front of the one before
+        // layers, each in front of the previous one
         check(!self.layers.is_empty(), "layers", "at least one layer", "none".into())?;
         for (n, layer) in self.layers.iter().enumerate() {
             let key = |name: &str| format!("layers[{n}].{name}");

@@ -7,24 +7,23 @@
 //! ```text
 //! (23) lens array               1/(2Δx)          if |z| ≤ Δx/Δs,                  else 1/(2|z|Δs)
 //! (24) two layers                ω0 · 2Δd/(Δd + 2|z|)
-//! (25) three layers             ω0 · 3Δd/(Δd + |z|)   if |z| ≤ 2Δd,               else ω0 ·
-//! 2Δd/|z|
+//! (25) three layers             ω0 · 3Δd/(Δd + |z|)   if |z| ≤ 2Δd,   else ω0 · 2Δd/|z|
 //! (26) a layer on a lens array   1/(2Δx) + ω0     if |z| ≤ Δx/(Δs + 2ΔxΔsω0),      else 1/(2|z|Δs)
 //! ```
 //!
-//! [`Display::spatial_cutoff`] is the general form and needs none of the assumptions; where they
-//! hold, both agree.
+//! [`Display::spatial_cutoff`] is the general form and needs none of the assumptions. If they hold,
+//! both forms agree.
 
 use crate::{Backlight, Display};
 
 /// A closed form, for one axis of a display.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ClosedForm {
-    /// Its number in the paper, 23 to 26.
+    /// Number of the equation in the paper, 23 to 26.
     pub equation: u32,
-    /// Its assumptions, for the user.
+    /// Assumptions of the equation, as text for the user.
     pub assumes: &'static str,
-    /// The assumptions that the display breaks; empty where the closed form is exact.
+    /// The assumptions that the display violates; empty if the closed form is exact.
     pub broken: Vec<String>,
     form: Form,
 }
@@ -37,25 +36,25 @@ enum Form {
     LayerOnLenses { lenslet_mm: f64, step: f64, own: f64 },
 }
 
-/// Relative difference that is no difference: rounding in a file.
+/// Relative difference that is taken as equal, since files round numbers.
 const ROUNDING: f64 = 1e-9;
 
 impl Display {
-    /// The closed form for a display of this kind along one axis (0: x, 1: y); `None` where the
-    /// paper has none.
+    /// The closed form for a display of this kind along one axis (0: x, 1: y); `None` if the paper
+    /// has none.
     pub fn closed_form(&self, axis: usize) -> Option<ClosedForm> {
-        // assumptions that all forms share; the display may break them and still has a form
+        // assumptions that all forms share; a display that violates them still has a form
         let own = self.layers.iter().map(|layer| 0.5 / layer.pitch_mm).fold(f64::INFINITY, f64::min);
         let mut broken = Vec::new();
         if self.layers.iter().any(|layer| 0.5 / layer.pitch_mm > own * (1.0 + ROUNDING)) {
-            broken.push("the layers' pitches differ; it takes the coarsest".to_string());
+            broken.push("the layers' pitches differ; the closed form takes the coarsest".to_string());
         }
         let d_mm: Vec<f64> = self.layers.iter().map(|layer| layer.d_mm).collect();
         let (first, last) = (*d_mm.first()?, *d_mm.last()?);
         let scale = (last - first).abs().max(1e-9);
         let centred = |broken: &mut Vec<String>| {
             if (first + last).abs() > ROUNDING * scale {
-                broken.push(format!("the stack's middle stands at {} mm", 0.5 * (first + last)));
+                broken.push(format!("the stack's middle is at {} mm", 0.5 * (first + last)));
             }
         };
         // select the form by the number of layers and the backlight
@@ -69,14 +68,14 @@ impl Display {
                 centred(&mut broken);
                 let (rear, front) = (d_mm[1] - first, last - d_mm[1]);
                 if (rear - front).abs() > ROUNDING * scale {
-                    broken.push(format!("gaps of {rear} and {front} mm; it takes their mean"));
+                    broken.push(format!("gaps of {rear} and {front} mm; the closed form takes their mean"));
                 }
                 let form = Form::Three { gap_mm: 0.5 * (last - first), own };
                 (25, "three layers of one pitch at −Δd, 0 and Δd", form)
             }
             (1, Backlight::Lenslets(_)) => {
                 if first != 0.0 {
-                    broken.push(format!("the layer stands at {first} mm"));
+                    broken.push(format!("the layer is at {first} mm"));
                 }
                 let Form::Lenses { lenslet_mm, step } = self.lenses(axis, &mut broken)? else { return None };
                 let form = Form::LayerOnLenses { lenslet_mm, step, own };
@@ -98,7 +97,7 @@ impl Display {
     fn lenses(&self, axis: usize, broken: &mut Vec<String>) -> Option<Form> {
         let Backlight::Lenslets(backlight) = &self.backlight else { return None };
         if backlight.d_mm != 0.0 {
-            broken.push(format!("the lens array stands at {} mm", backlight.d_mm));
+            broken.push(format!("the lens array is at {} mm", backlight.d_mm));
         }
         let step = 2.0 / backlight.views[axis] as f64 * (0.5 * backlight.fov_deg[axis].to_radians()).tan();
         Some(Form::Lenses { lenslet_mm: backlight.pitch_mm, step })
@@ -106,7 +105,7 @@ impl Display {
 }
 
 impl ClosedForm {
-    /// ω at depth `z_mm`, cycles per millimetre.
+    /// The cutoff frequency ω at depth `z_mm`, cycles per millimetre.
     pub fn cutoff(&self, z_mm: f64) -> f64 {
         let far = z_mm.abs();
         let angular = |step: f64| 0.5 / (far * step);
@@ -186,14 +185,14 @@ mod tests {
         assert_eq!(directional.closed_form(0), None, "one layer alone has no formula");
         directional.backlight = Backlight::Lenslets(LensletBacklight::new(-8.5, [9, 9], 2.5, [5, 5], [48.0, 48.0]));
         let form = directional.closed_form(1).unwrap();
-        assert_eq!(form.broken, ["the lens array stands at -8.5 mm"]);
+        assert_eq!(form.broken, ["the lens array is at -8.5 mm"]);
         assert_eq!(directional.lens_array_form(1).unwrap().equation, 23);
         let four = Display::uniform([16, 10], 0.5, [5, 5], [20.0, 20.0], &[-3.0, -1.0, 1.0, 3.0], 1);
         assert_eq!(four.closed_form(0), None);
     }
 
-    /// The prototype's lenses stand 8.5 mm behind the layer: away from the screen the bound is some
-    /// 60 % above (26), which assumes no gap.
+    /// The prototype's lenslets are 8.5 mm behind the layer. Away from the display plane the bound
+    /// is some 60 % above (26), which assumes no gap.
     #[test]
     fn a_gap_before_the_lenses_raises_the_bound() {
         let mut display = Display::uniform([840, 525], 0.5655, [5, 5], [48.0, 48.0], &[0.0], 12);
@@ -201,7 +200,7 @@ mod tests {
         let form = display.closed_form(0).unwrap();
         let excess = display.spatial_cutoff_along(0, 100.0) / form.cutoff(100.0) - 1.0;
         assert!((0.55..0.65).contains(&excess), "{excess}");
-        // with the lenses so far behind, the layer's own plane alone has all of both
+        // with the lenslets so far behind, only the layer's own plane has the frequencies of both
         assert!((display.spatial_cutoff_along(0, 0.0) / form.cutoff(0.0) - 1.0).abs() < 0.2);
     }
 }

@@ -1,4 +1,4 @@
-//! Colours that are shown together, or one after another and in which order.
+//! Colours of a frame that are shown together or one after another, and their order.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum ColourSequence {
-    /// Colour filters beside one another: one refresh per frame.
+    /// Colour filters next to one another: one refresh per frame.
     #[default]
     Simultaneous,
     /// No colour filters; red, green and blue light in turn: three refreshes per frame. Each colour
@@ -16,7 +16,7 @@ pub enum ColourSequence {
 }
 
 impl ColourSequence {
-    /// Refreshes of the panels that one frame takes.
+    /// Number of refreshes of the panels that one frame takes.
     pub fn fields(self) -> usize {
         match self {
             Self::Simultaneous => 1,
@@ -25,8 +25,8 @@ impl ColourSequence {
     }
 }
 
-/// Which colour each of a frame's three refreshes shows where colours follow one another: a text
-/// such as `"rgb"`.
+/// The colour that each of a frame's three refreshes shows, if colours are shown one after another:
+/// a text such as `"rgb"`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(try_from = "String", into = "String")]
 #[schemars(extend("enum" = ["rgb", "rbg", "grb", "gbr", "brg", "bgr"]))]

@@ -19,7 +19,7 @@ pub struct Display {
     /// Version of the format.
     #[serde(default = "version")]
     pub version: u32,
-    /// Name for people.
+    /// Name, as shown to the user.
     pub name: String,
     /// Time-multiplexed frames M of one period, ≥ 1.
     pub frames: usize,
@@ -77,7 +77,7 @@ pub struct FieldConfig {
     pub resolution: [usize; 2],
     /// Pixel pitch on z = 0, millimetres.
     pub pitch_mm: f64,
-    /// The views that sample the zone.
+    /// The views that sample the viewing zone.
     #[serde(default)]
     pub views: Views,
     /// [horizontal, vertical] full angle of view, degrees.
@@ -94,10 +94,10 @@ pub struct FieldConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum ProjectionKind {
-    /// Parallel projections (the paper's).
+    /// Every view is a parallel projection, as in the paper.
     #[default]
     Oblique,
-    /// Pinholes at `distance_mm`.
+    /// Every view is a pinhole at distance `distance_mm`.
     Perspective,
 }
 
@@ -105,10 +105,10 @@ impl Display {
     /// Value of the key `schema`.
     pub const SCHEMA: &'static str = "lumistack/display";
 
-    /// A plain stack: `frames` frames, and layers at `d_mm` (rear to front, millimetres) that all
-    /// have the field's pixels; oblique views, uniform backlight, every other key at its default.
-    /// `resolution` and `views` are [columns, rows], `fov_deg` full angles. Like every display that
-    /// is put together by hand it is checked by [`check`](Self::check).
+    /// A plain stack of `frames` frames. Its layers at `d_mm` (rear to front, millimetres) all have
+    /// the field's pixels. It has oblique views, a uniform backlight, and every other key at its
+    /// default. `resolution` and `views` are [columns, rows], `fov_deg` full angles in degrees. The
+    /// values are not checked: call [`check`](Self::check).
     ///
     /// ```
     /// use lumistack_display::{Display, Missing};
@@ -159,7 +159,7 @@ impl Display {
         Ok(display)
     }
 
-    /// Writes a display file with every default written out.
+    /// Writes a display file with every default value included.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("a display holds nothing that TOML cannot")
     }
@@ -167,7 +167,7 @@ impl Display {
     /// The light field's pixels and views.
     ///
     /// # Errors
-    /// If the view grid makes no sense.
+    /// If the view grid is invalid.
     pub fn geometry(&self) -> Result<FieldGeometry, DisplayError> {
         let field = &self.field;
         let projection = match (field.projection, field.distance_mm) {
@@ -195,8 +195,8 @@ impl Display {
         }
     }
 
-    /// The display without its panels' calibration, on which patterns do not depend. Two displays
-    /// that differ in nothing else have the same patterns.
+    /// The display without its panels' calibration. Patterns do not depend on calibration, so two
+    /// displays that differ in nothing else have the same patterns.
     #[must_use]
     pub fn without_panels(&self) -> Self {
         let mut display = Self { colour_order: Default::default(), ..self.clone() };

@@ -7,30 +7,30 @@
 //! z, in cycles per millimetre, is
 //!
 //! ```text
-//! ω(z) = min over i with g_i × u ≠ 0 of  Σ_j |g_i × g_j| / |g_i × u|,     a × c = a_1 c_2 − a_2
-//! c_1
+//! ω(z) = min over i with g_i × u ≠ 0 of  Σ_j |g_i × g_j| / |g_i × u|,
+//!        a × c = a_1 c_2 − a_2 c_1
 //! layer n:    g = (1, d_n)/(2 p_n)
 //! lenslets:   g = (1, d_b)/(2 Δx)  and  g = (0, 1)/(2 Δs),   Δs = (2/A) tan(α/2)
 //! ```
 //!
-//! The paper's bounds (23) to (26) are this with d_b = 0. They assume continuous, band-limited
-//! layers and many frames: a guide, not a strict ceiling.
+//! The paper's bounds (23) to (26) are special cases of ω(z) with d_b = 0. They assume continuous,
+//! band-limited layers and many frames, so ω(z) is a guide and not a strict ceiling.
 
 use crate::{Backlight, Display, FieldGeometry};
 
-/// Share by which a bound may miss a frequency through rounding.
+/// Relative tolerance of a bound against rounding.
 const ROUNDING: f64 = 1e-12;
 
 impl Display {
-    /// ω(z): the highest spatial frequency that can be shown on a plane at `z_mm`, cycles per
-    /// millimetre, of the coarser axis. Infinite where nothing limits it.
+    /// ω(z) of the coarser axis: the highest spatial frequency that can be shown on a plane at
+    /// `z_mm`, cycles per millimetre. It is infinite if nothing limits it.
     pub fn spatial_cutoff(&self, z_mm: f64) -> f64 {
         [0, 1].map(|axis| cutoff(&self.generators(axis), z_mm)).into_iter().fold(f64::INFINITY, f64::min)
     }
 
     /// The depths, [low, high] in millimetres, at which frequencies up to `cutoff` (cycles per
-    /// millimetre) can be shown; `None` where there are none. A single layer without directional
-    /// backlight shows them on itself alone: low = high.
+    /// millimetre) can be shown; `None` if there are none. A single layer without directional
+    /// backlight shows them in its own plane alone: low = high.
     pub fn depths_shown(&self, cutoff: f64) -> Option<[f64; 2]> {
         let [x, y] = [0, 1].map(|axis| range(&self.generators(axis), cutoff));
         let ([x_low, x_high], [y_low, y_high]) = (x?, y?);
@@ -38,13 +38,13 @@ impl Display {
         (low <= high).then_some([low, high])
     }
 
-    /// The display's depth of field for a light field of pixel pitch `pitch_mm`: the depths at
-    /// which the finest detail of its pixels, 1/(2 pitch), can be shown.
+    /// The display's depth of field for a light field of pixel pitch `pitch_mm`. At these depths
+    /// the finest detail of its pixels, 1/(2 pitch), can be shown.
     pub fn depth_of_field(&self, pitch_mm: f64) -> Option<[f64; 2]> {
         self.depths_shown(0.5 / pitch_mm)
     }
 
-    /// The segments along one axis.
+    /// The segments g along one axis.
     pub(crate) fn generators(&self, axis: usize) -> Vec<[f64; 2]> {
         let mut generators: Vec<[f64; 2]> = self
             .layers
@@ -76,15 +76,15 @@ pub(crate) fn width(generators: &[[f64; 2]], g: [f64; 2]) -> f64 {
 }
 
 pub(crate) fn cutoff(generators: &[[f64; 2]], z_mm: f64) -> f64 {
-    // the sum of parallel segments is a segment
+    // parallel segments add up to one segment
     let along = || generators.iter().map(|g| g[0]).sum();
     let bounds = generators.iter().map(|&g| (width(generators, g), cross(g, [1.0, z_mm]).abs()));
     let bounds = bounds.filter(|(_, across)| *across > 0.0).map(|(width, across)| width / across);
     bounds.reduce(f64::min).unwrap_or_else(along)
 }
 
-/// The interval of depths with ω(z) ≥ `least`. Every term bounds the distance from its own layer,
-/// so the depths are an interval.
+/// The interval of depths with ω(z) ≥ `least`. Each term of the minimum bounds the distance from
+/// one layer, so the depths are an interval.
 fn range(generators: &[[f64; 2]], least: f64) -> Option<[f64; 2]> {
     let least = least * (1.0 - ROUNDING);
     let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
@@ -108,9 +108,9 @@ fn range(generators: &[[f64; 2]], least: f64) -> Option<[f64; 2]> {
 }
 
 impl FieldGeometry {
-    /// Shift of content at depth `z_mm` from a view to one whose slope is larger by `step`. The
-    /// unit is pixels of z = 0 against the direction of the step; infinite at an eye. With Δs =
-    /// `step`:
+    /// Shift of content at depth `z_mm` between a view and another one whose slope is larger by
+    /// `step`, in pixels of z = 0. It is positive against the direction of the step, and infinite
+    /// at an eye. With Δs = `step`:
     ///
     /// ```text
     /// parallel projections        z·Δs/p
@@ -160,7 +160,7 @@ mod tests {
         assert!(two.depth_of_field(0.2).is_none(), "finer than both layers together");
     }
 
-    /// Equations (23) and (26), whose box stands at z = 0.
+    /// Equations (23) and (26), whose lens array is at z = 0.
     #[test]
     fn a_directional_backlight_has_the_papers_bounds() {
         let (lenslet, views, fov) = (2.5, 5, 48.0f64);
@@ -173,7 +173,7 @@ mod tests {
             let near = f64::abs(z) <= lenslet / (step + 2.0 * lenslet * step * own);
             close(display.spatial_cutoff(z), if near { barrier + own } else { 0.5 / (f64::abs(z) * step) });
         }
-        // half a cycle per view: a pixel of disparity
+        // half a cycle per view is a disparity of one pixel
         let [low, high] = display.depth_of_field(0.5).unwrap();
         close(high, 0.5 / step);
         close(low, -0.5 / step);
@@ -188,7 +188,7 @@ mod tests {
         close(display.spatial_cutoff(8.0), 0.0);
     }
 
-    /// The interval says the same as the bound, for random stacks.
+    /// The interval agrees with the bound, for random stacks.
     #[test]
     fn the_range_is_where_the_bound_reaches() {
         let mut stream = Stream::new(3);

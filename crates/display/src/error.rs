@@ -11,10 +11,10 @@ pub enum DisplayError {
     /// The text does not parse.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// The view grid makes no sense.
+    /// The view grid is invalid.
     #[error("field: {0}")]
     Grid(#[from] GridError),
-    /// A value makes no sense.
+    /// A value is invalid.
     #[error("{key}: expected {expected}, found {found}")]
     Value {
         /// The key, for example `layers[2].d_mm`.

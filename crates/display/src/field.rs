@@ -13,13 +13,13 @@ pub struct LightField {
     depth: Option<SeenDepth>,
 }
 
-/// Depth of the surfaces in the middle view of a light field. Light fields of scenes have it, those
-/// of pictures do not.
+/// Depth of the surfaces in the middle view of a light field. Light fields of scenes have a depth,
+/// light fields of pictures have none.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeenDepth {
-    /// Rows of the map, over the whole height of the view; may be fewer than its pixels.
+    /// Number of rows of the map over the whole height of the view; may be less than the view has.
     pub rows: usize,
-    /// Columns of the map, over the whole width.
+    /// Number of columns of the map over the whole width.
     pub cols: usize,
     /// z of the first surface in display space, `[row][col]`, millimetres towards the viewer;
     /// `None` where a ray hits nothing.
@@ -27,8 +27,8 @@ pub struct SeenDepth {
 }
 
 impl SeenDepth {
-    /// z at a pixel of a view of `size` = [rows, columns] pixels: that of the nearest place of the
-    /// map.
+    /// z at a pixel of a view of `size` = [rows, columns] pixels, read at the nearest position of
+    /// the map.
     pub fn at(&self, row: usize, col: usize, size: [usize; 2]) -> Option<f32> {
         let place = |i: usize, from: usize, to: usize| ((2 * i + 1) * to / (2 * from)).min(to.saturating_sub(1));
         let index = place(row, size[0], self.rows) * self.cols + place(col, size[1], self.cols);
@@ -43,7 +43,7 @@ impl LightField {
     /// Joins geometry and values.
     ///
     /// # Errors
-    /// If the geometry is wrong or its shape is not that of the values.
+    /// If the geometry is invalid, or its shape is not that of the values.
     pub fn new(geometry: FieldGeometry, radiance: Tensor<5>) -> Result<Self, GridError> {
         geometry.check()?;
         let expected = Self::shape_of(&geometry);
@@ -60,7 +60,7 @@ impl LightField {
     /// A black light field.
     ///
     /// # Errors
-    /// If the geometry is wrong.
+    /// If the geometry is invalid.
     pub fn black(geometry: FieldGeometry) -> Result<Self, GridError> {
         geometry.check()?;
         let radiance = Tensor::zeros(Self::AXES, Self::shape_of(&geometry));
@@ -84,7 +84,7 @@ impl LightField {
         [view_rows, view_cols, geometry.rows, geometry.cols, 3]
     }
 
-    /// Pixels and views of its rays.
+    /// Pixels and views of the light field.
     pub fn geometry(&self) -> &FieldGeometry {
         &self.geometry
     }

@@ -1,6 +1,7 @@
 //! Formation of an image from the layers of one frame.
 //!
-//! With v_n the value of layer n in frame m at the ray's intersection, and b_m the backlight's:
+//! Let v_n be the value of layer n in frame m at the ray's intersection, and b_m the value of the
+//! backlight:
 //!
 //! ```text
 //! attenuating    L̃ = (1/M) Σ_m b_m Π_n v_n               (eqs. 7 and 18)
@@ -28,7 +29,7 @@ pub enum Formation {
 }
 
 impl Formation {
-    /// The value of a layer that is not there: 1 where layers absorb, otherwise 0.
+    /// The value that a missing layer would have: 1 if layers absorb, otherwise 0.
     #[inline]
     pub fn neutral(self) -> f32 {
         match self {

@@ -1,14 +1,14 @@
 //! The forward model: the light that a display emits. The equations are those of [`Formation`],
-//! channels independent.
+//! separately for each colour channel.
 //!
 //! Rays read the stored values after the response of the layers' hardware
-//! ([`LayerStack::effective`]). A [`Simulator`] computes that once and then renders any number of
-//! views.
+//! ([`LayerStack::effective`]). A [`Simulator`] computes these values once and then renders any
+//! number of views.
 //!
-//! The simple version reads four pixels of a layer for every ray. Departure: where the rays of a
-//! view read single pixels one after another, whole lines are combined at once (`Reads::Runs`), to
-//! the same bits. This holds for nearest sampling at equal pitch, for any view along the layer's
-//! own pixels, and for the parts of pixels of a seen picture.
+//! The simple version reads four pixels of a layer for every ray. Departure: if neighbouring rays
+//! of a view read neighbouring single pixels, whole lines are combined together (`Reads::Runs`), to
+//! the same bits. This holds for nearest sampling at equal pitch, and for views whose rays hit the
+//! layer's pixel centres. It also holds for the parts of pixels of a seen picture.
 
 use std::borrow::Cow;
 
@@ -17,7 +17,7 @@ use lumistack_core::Tensor;
 use crate::area::AreaMap;
 use crate::{BacklightTap, Display, FieldGeometry, Formation, LayerStack, Missing, Projection, RayMap, Tap, ViewGrid};
 
-/// A pixel of a seen picture is scored where at least this share of its area counts.
+/// A pixel of a seen picture is scored if the rays of at least this fraction of its area are valid.
 pub const LEAST_SHARE: f32 = 0.5;
 
 /// One emitted view.
@@ -26,7 +26,7 @@ pub struct EmittedView {
     /// Emitted radiance L̃, `[row][col][rgb]`; divided by the stack's brightness it is the picture
     /// of an adapted viewer. Rays that leave the display are 0.
     pub radiance: Tensor<3>,
-    /// True if the ray counts, `[row][col]` row-major: false where it misses the display under the
+    /// True for a valid ray, `[row][col]` row-major: false if the ray misses the display under the
     /// display's [`Missing`] rule.
     pub valid: Vec<bool>,
 }
@@ -34,17 +34,17 @@ pub struct EmittedView {
 /// A picture as an eye sees it: every pixel is the mean over its area.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeenView {
-    /// Mean of the emitted radiance L̃ over the part of the pixel whose rays count,
-    /// `[row][col][rgb]`; 0 where none counts. Divided by the stack's brightness it is the picture
-    /// of an adapted viewer.
+    /// Mean of the emitted radiance L̃ over the area of the pixel with valid rays,
+    /// `[row][col][rgb]`; 0 if there is no such area. Divided by the stack's brightness it is the
+    /// picture of an adapted viewer.
     pub radiance: Tensor<3>,
-    /// Share of the pixel's area whose rays count, 0..1, `[row][col]` row-major. The rest misses
-    /// the display under its [`Missing`] rule.
+    /// Fraction of the pixel's area with valid rays, 0..1, `[row][col]` row-major. Rays of the rest
+    /// miss the display under its [`Missing`] rule.
     pub share: Vec<f32>,
 }
 
 impl From<SeenView> for EmittedView {
-    /// The picture as it is scored: pixels count of which at least [`LEAST_SHARE`] does.
+    /// The picture as it is scored: a pixel is valid if at least [`LEAST_SHARE`] of its area is.
     fn from(seen: SeenView) -> Self {
         Self { radiance: seen.radiance, valid: seen.share.iter().map(|share| *share >= LEAST_SHARE).collect() }
     }
@@ -75,13 +75,13 @@ impl<'a> Simulator<'a> {
         self.seen_from(&ViewGrid::single(Projection::Perspective { distance_mm: z }, [x / z, y / z]))
     }
 
-    /// The seen picture of one view, given as a grid of one: from far away, or from an eye.
+    /// The seen picture of one view, given as a grid of one view: from far away, or from an eye.
     pub fn seen_from(&self, view: &ViewGrid) -> SeenView {
         self.seen(&self.display.field_pixels().with_grid(view.clone()), [0, 0])
     }
 
-    /// The view `view` = [view_y, view_x] of a geometry whose tables for this display are `map`:
-    /// one ray per pixel, through its centre, as solvers have it.
+    /// The view `view` = [view_y, view_x] of a geometry, with one ray per pixel through its centre,
+    /// as solvers use it. `map` has the tables of the geometry for this display.
     pub fn view(&self, map: &RayMap, geometry: &FieldGeometry, view: [usize; 2]) -> EmittedView {
         let (rows, cols) = (geometry.rows, geometry.cols);
         let mut radiance = Tensor::zeros(["row", "col", "rgb"], [rows, cols, 3]);
@@ -101,9 +101,9 @@ impl<'a> Simulator<'a> {
         EmittedView { radiance, valid }
     }
 
-    /// The seen picture of a view: for every pixel of `geometry` the mean over its area of the
-    /// emission along the rays of that view. Exact, since layers are squares of constant value:
-    /// pixels are cut where rays pass from one square to the next.
+    /// The seen picture of a view: for every pixel of `geometry`, the mean over its area of the
+    /// emission along the rays of that view. It is exact, since layers consist of squares of
+    /// constant value, and pixels are cut where rays cross from one square to the next.
     pub fn seen(&self, geometry: &FieldGeometry, view: [usize; 2]) -> SeenView {
         let area = AreaMap::new(self.display, geometry, view);
         let missing = self.display.missing;
@@ -160,8 +160,7 @@ impl<'a> Lines<'a> {
         Self { simulator, map, view, reads, formed: vec![0.0; cols * 3], sum: vec![0.0; cols * 3] }
     }
 
-    /// Mean over the frames of the emission of a row's rays, `[col][rgb]`, whether they count or
-    /// not.
+    /// Mean over the frames of the emission of a row's rays, `[col][rgb]`, both valid and invalid.
     fn emitted(&mut self, row: usize) -> &[f64] {
         let Self { simulator, map, view, reads, formed, sum } = self;
         let (stack, formation) = (&simulator.stack, simulator.display.formation);
@@ -203,7 +202,7 @@ pub fn view_from_eye(display: &Display, stack: &LayerStack, eye_mm: [f64; 3]) ->
     Simulator::new(display, stack).from_eye(eye_mm)
 }
 
-/// True if a ray counts: it intersects the lenslet grid and, under [`Missing::Drop`], every layer.
+/// True if a ray is valid: it hits the lenslet grid and, under [`Missing::Drop`], every layer.
 #[inline]
 pub fn ray_is_valid(map: &RayMap, missing: Missing, view: [usize; 2], row: usize, col: usize) -> bool {
     let layers = missing == Missing::Clear
@@ -217,15 +216,15 @@ pub fn ray_is_valid(map: &RayMap, missing: Missing, view: [usize; 2], row: usize
     layers && backlight
 }
 
-/// The reads of a row's rays on a layer.
+/// How the rays of a row read a layer.
 enum Reads<'a> {
-    /// Runs of rays that read single pixels one after another; all other rays miss.
+    /// Runs of rays that read neighbouring single pixels; all other rays miss the layer.
     Runs(Vec<Run>),
-    /// Each as its tap says.
+    /// Each ray reads the pixels of its tap.
     Taps(&'a [Tap]),
 }
 
-/// Rays `first` to `end` read the single pixels from `from` on.
+/// Rays `first` to before `end` read neighbouring single pixels, the first of which is `from`.
 #[derive(Clone, Copy)]
 struct Run {
     first: usize,
@@ -245,7 +244,7 @@ impl<'a> Reads<'a> {
                 _ => runs.push(Run { first: i, end: i + 1, from: tap.first as usize }),
             }
         }
-        // calls for runs of a few rays cost more than the rays themselves
+        // calls for runs of a few rays cost more than reading these rays one by one
         if runs.len() * SHORT_RUN > taps.len() { Self::Taps(taps) } else { Self::Runs(runs) }
     }
 }
@@ -253,8 +252,8 @@ impl<'a> Reads<'a> {
 /// Mean length of runs, in rays, below which rays are read one by one.
 const SHORT_RUN: usize = 4;
 
-/// Combines each `formed[col][rgb]` with the layer's value there. Where the ray misses, the value
-/// stays: a ray that does not count is set to 0 later.
+/// Combines each `formed[col][rgb]` with the layer's value at the ray. If the ray misses the layer,
+/// the value stays, since invalid rays are set to 0 later.
 fn combine_layer(
     formed: &mut [f32],
     values: &Tensor<4>,
@@ -295,8 +294,8 @@ fn combine_layer(
     }
 }
 
-/// Combines each `formed[col][rgb]` with the backlight's emission there; 0 where it is dark or
-/// missed.
+/// Combines each `formed[col][rgb]` with the backlight's emission at the ray; 0 if the ray is dark
+/// or misses the backlight.
 fn combine_backlight(
     formed: &mut [f32],
     emission: &Tensor<6>,
@@ -316,10 +315,10 @@ fn combine_backlight(
     }
 }
 
-/// sin²(π/2 · x) for 0 ≤ x < 1000, which no number of layers passes; the absolute error stays below
-/// 1e-6 up to x = 8. In place of `f32::sin`, whose calls would take most of a view's time.
+/// sin²(π/2 · x) for 0 ≤ x < 1000; x is at most the number of layers. The absolute error is below
+/// 1e-6 up to x = 8. `f32::sin` would take most of a view's time.
 fn sin2_of_quarter_turns(x: f32) -> f32 {
-    // adding 1.5 · 2²³ leaves no room for a fraction: the sum is rounded to whole half turns
+    // the sum with 1.5 · 2²³ has no bits for a fraction, so it is rounded to whole half turns
     const ROUND: f32 = 12_582_912.0;
     let half_turns = (0.5 * x + ROUND) - ROUND;
     let angle = std::f32::consts::FRAC_PI_2 * (x - 2.0 * half_turns);
@@ -387,7 +386,7 @@ mod tests {
         assert!(clear.radiance.data().iter().any(|v| (*v - 0.25).abs() < 1e-6), "one layer missed");
     }
 
-    /// Lines and taps give the same bits, for both samplings, on and off the pixels' grid.
+    /// Runs and taps give the same bits, for both samplings, on and off the pixels' grid.
     #[test]
     fn whole_lines_are_read_as_single_pixels_are() {
         let (cols, rows, mut lines, mut taps) = (13, 4, 0, 0);
@@ -421,7 +420,7 @@ mod tests {
             }
         }
         assert!(lines > 20 && taps > 20, "{lines} {taps}");
-        // a layer that every ray misses, and no ray at all
+        // a layer that every ray misses, and a list without rays
         let missed = Tap { first: Tap::MISSED, second: Tap::MISSED, t: 0.0 };
         assert!(
             [&[][..], &[missed; 3]].iter().all(|taps| matches!(Reads::of(taps), Reads::Runs(runs) if runs.is_empty()))

@@ -1,4 +1,4 @@
-//! View grids: which directions a light field samples.
+//! View grids: the directions that a light field samples.
 
 use thiserror::Error;
 
@@ -19,18 +19,18 @@ pub enum Projection {
 pub struct ViewGrid {
     /// Projection of the rays of one view.
     pub projection: Projection,
-    /// Slope of each view column at the centre of the field; increasing from left to right in our
-    /// own grids.
+    /// Slope of each view column at the centre of the field; increases from left to right in grids
+    /// that Lumistack makes.
     pub slope_x: Vec<f64>,
-    /// Slope of each view row, y up; decreasing from top to bottom in our own grids.
+    /// Slope of each view row, y up; decreases from top to bottom in grids that Lumistack makes.
     pub slope_y: Vec<f64>,
 }
 
-/// A grid that makes no sense.
+/// An invalid grid.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("{what}: expected {expected}, found {found}")]
 pub struct GridError {
-    /// Name of the wrong number.
+    /// Name of the wrong value.
     pub what: &'static str,
     /// The expected value or range.
     pub expected: &'static str,
@@ -45,8 +45,9 @@ impl GridError {
 }
 
 impl ViewGrid {
-    /// `views` = [horizontal, vertical] views at the centres of equal bins of the slope, over full
-    /// angles `fov_deg`. s_y is alike, with the topmost view first. The spacing is eq. 23's Δv.
+    /// A grid of `views` = [horizontal, vertical] views over the full angles `fov_deg`. Views are
+    /// at the centres of equal bins of the slope. s_y has the same form, with the topmost view
+    /// first. The spacing is Δv of eq. 23.
     ///
     /// ```text
     /// s_x(a) = (a − (A_x−1)/2)·(2/A_x)·tan(α_x/2)
@@ -75,12 +76,12 @@ impl ViewGrid {
         Ok(grid)
     }
 
-    /// One view.
+    /// A grid of one view.
     pub fn single(projection: Projection, slope: [f64; 2]) -> Self {
         Self { projection, slope_x: vec![slope[0]], slope_y: vec![slope[1]] }
     }
 
-    /// Checks a grid that came from outside.
+    /// Checks a grid that may come from a file or a caller.
     ///
     /// # Errors
     /// If it has no views, a slope that is not finite, or a viewing distance that is not above 0.
@@ -122,8 +123,8 @@ impl ViewGrid {
         ]
     }
 
-    /// The midpoints between neighbouring views: the grid of in-between views that a display was
-    /// not optimized for. An axis with one view keeps it.
+    /// The grid of the midpoints between neighbouring views, for which a display was not optimized.
+    /// An axis with one view keeps that view.
     pub fn in_between(&self) -> Self {
         let midpoints = |slopes: &[f64]| match slopes {
             [only] => vec![*only],
@@ -132,9 +133,9 @@ impl ViewGrid {
         Self { projection: self.projection, slope_x: midpoints(&self.slope_x), slope_y: midpoints(&self.slope_y) }
     }
 
-    /// Views outside the zone: `steps` to the left and to the right of the outermost columns, one
-    /// mean spacing apart, in the middle row. A grid with one column has them above and below.
-    /// `None` without steps or without two different views.
+    /// Views outside the zone, in the middle row: `steps` to the left and as many to the right of
+    /// the outermost columns. They are one mean spacing apart. A grid with one column has them
+    /// above and below. `None` if `steps` is 0 or there are no two different views.
     pub fn outside(&self, steps: usize) -> Option<Self> {
         let beyond = |slopes: &[f64]| {
             let (low, high) = slopes.iter().fold((f64::MAX, f64::MIN), |(low, high), s| (low.min(*s), high.max(*s)));
@@ -152,9 +153,10 @@ impl ViewGrid {
         Some(Self { projection: self.projection, slope_x: middle(&self.slope_x), slope_y })
     }
 
-    /// All slopes times `factor`: views closer together, or further apart. From such views
-    /// everything moves `factor` times as far as between the original ones, as if depth were
-    /// [scaled](Projection::scaled_depth); the view of slope 0 stays.
+    /// The grid with all slopes multiplied by `factor`, so that views are closer together or
+    /// further apart. Between these views content moves `factor` times as far as between the
+    /// original views, as if depth were [scaled](Projection::scaled_depth). The view of slope 0
+    /// stays.
     #[must_use]
     pub fn scaled(&self, factor: f64) -> Self {
         let scaled = |slopes: &[f64]| slopes.iter().map(|slope| slope * factor).collect();
@@ -210,10 +212,10 @@ pub struct FieldGeometry {
 }
 
 impl FieldGeometry {
-    /// Checks a geometry that came from outside.
+    /// Checks a geometry that may come from a file or a caller.
     ///
     /// # Errors
-    /// If there are no pixels, the pitch is not above 0, or the grid is wrong.
+    /// If there are no pixels, the pitch is not above 0, or the grid is invalid.
     pub fn check(&self) -> Result<(), GridError> {
         if self.rows == 0 || self.cols == 0 {
             return Err(GridError::new(
@@ -228,13 +230,13 @@ impl FieldGeometry {
         self.grid.check()
     }
 
-    /// Centre of column `col` on z = 0.
+    /// Centre of column `col` on z = 0, millimetres.
     #[inline]
     pub fn x_mm(&self, col: usize) -> f64 {
         (col as f64 - (self.cols as f64 - 1.0) / 2.0) * self.pitch_mm
     }
 
-    /// Centre of row `row` on z = 0; row 0 is the top.
+    /// Centre of row `row` on z = 0, millimetres; row 0 is the top.
     #[inline]
     pub fn y_mm(&self, row: usize) -> f64 {
         ((self.rows as f64 - 1.0) / 2.0 - row as f64) * self.pitch_mm
@@ -251,8 +253,8 @@ impl FieldGeometry {
     }
 }
 
-/// Evenly spread places among `count`, `most` ≥ 2 at most: the first and the last among them, and
-/// of an odd number the middle where there is one.
+/// Evenly spread indices below `count`, at most `most` ≥ 2 of them. They include the first and the
+/// last index, and an odd number of them includes the middle index of an odd `count`.
 pub fn spread(count: usize, most: usize) -> Vec<usize> {
     if count <= most {
         return (0..count).collect();
@@ -264,7 +266,7 @@ pub fn spread(count: usize, most: usize) -> Vec<usize> {
 mod tests {
     use super::*;
 
-    /// Slopes that are written out to 17 digits are compared to this.
+    /// Tolerance for slopes that are written out to 17 digits.
     const EXACT: f64 = 1e-15;
 
     #[test]
@@ -303,8 +305,8 @@ mod tests {
         }
     }
 
-    /// Seen from slopes of a factor, a point moves as one at the scaled depth does from the slopes
-    /// themselves, and looks the same from the middle.
+    /// Seen from slopes that are multiplied by a factor, a point moves as a point at the scaled
+    /// depth does from the original slopes. From the middle both look the same.
     #[test]
     fn scaled_slopes_are_scaled_depths() {
         for projection in [Projection::Oblique, Projection::Perspective { distance_mm: 400.0 }] {

@@ -1,12 +1,12 @@
-//! Projective maps of the plane: where a panel's pixels are ([`Panel`](crate::Panel)), and where a
-//! camera sees them.
+//! Projective maps of the plane: to the real positions of a panel's pixels
+//! ([`Panel`](crate::Panel)), and to the positions where a camera sees them.
 
 /// A projective map of the plane: rows of a 3 × 3 matrix.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Homography(pub [[f64; 3]; 3]);
 
 impl Homography {
-    /// Everything stays where it is.
+    /// The map that keeps every point.
     pub const IDENTITY: Self = Self([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
 
     /// Maps a point.
@@ -16,7 +16,7 @@ impl Homography {
         [a / c, b / c]
     }
 
-    /// The way back, by cofactors.
+    /// The inverse map, by cofactors.
     pub fn inverse(&self) -> Self {
         let m = &self.0;
         let minor = |r: usize, c: usize| {
@@ -27,13 +27,13 @@ impl Homography {
         Self([0, 1, 2].map(|r| [0, 1, 2].map(|c| minor(c, r) / determinant)))
     }
 
-    /// `self` after `first`.
+    /// The map that applies `first`, then `self`.
     pub fn after(&self, first: &Self) -> Self {
         Self([0, 1, 2].map(|r| [0, 1, 2].map(|c| (0..3).map(|k| self.0[r][k] * first.0[k][c]).sum())))
     }
 
     /// The map that takes the corners (0,0), (1,0), (1,1), (0,1) of the unit square to four points.
-    /// `None` where they span nothing, or where the horizon touches or crosses the square. Source:
+    /// `None` if the points span no area, or if the horizon touches or crosses the square. Source:
     /// Heckbert, "Fundamentals of Texture Mapping and Image Warping" (1989), section 2.2.3.
     pub fn of_unit_square([a, b, c, d]: [[f64; 2]; 4]) -> Option<Self> {
         let (dx1, dx2, sx) = (b[0] - c[0], d[0] - c[0], a[0] - b[0] + c[0] - d[0]);
@@ -65,7 +65,7 @@ mod tests {
         }
         let same = map.after(&back).apply([4.0, 5.0]);
         assert!((same[0] - 4.0).abs() < 1e-12 && (same[1] - 5.0).abs() < 1e-12);
-        // nothing, and a corner that is seen from inside
+        // four equal points, and a corner inside the triangle of the others
         assert_eq!(Homography::of_unit_square([[0.0, 0.0]; 4]), None);
         assert_eq!(Homography::of_unit_square([[0.0, 0.0], [10.0, 0.0], [3.0, 3.0], [0.0, 10.0]]), None);
     }

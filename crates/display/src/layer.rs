@@ -1,4 +1,4 @@
-//! One layer: its place, the range of its pixels, and the response of its hardware.
+//! One layer: its position, the range of its values, and the response of its hardware.
 //!
 //! A stored value f is absolute: the transmittance (or emission, or rotation in units of 90°) of a
 //! mask pixel. The panel reaches
@@ -25,43 +25,44 @@ pub struct Layer {
     pub resolution: [usize; 2],
     /// Mask pixel pitch, millimetres.
     pub pitch_mm: f64,
-    /// [x, y] of the layer's centre, millimetres. A misalignment that was measured goes here too:
-    /// the solver then makes up for it. Fractions of a pixel need `sampling = "bilinear"`; under
-    /// nearest sampling they round.
+    /// [x, y] of the layer's centre, millimetres. It may include a measured misalignment, for which
+    /// the solver then compensates. Fractions of a pixel need `sampling = "bilinear"`; under
+    /// nearest sampling they are rounded.
     #[serde(default)]
     pub offset_mm: [f64; 2],
-    /// Value of the brightest state, above 0 and at most 1: the share that is left after the
-    /// filter, polarizer or clear film of an open pixel.
+    /// Value of the brightest state, above 0 and at most 1: the fraction that the filter, polarizer
+    /// or clear film of an open pixel leaves.
     #[serde(default = "default_peak")]
     pub peak: f64,
     /// Value of the darkest state relative to the brightest, 0 to less than 1: one over the
     /// contrast.
     #[serde(default)]
     pub black_level: f64,
-    /// Code values per channel are 2^bits, 1 to 16; none for a continuous range.
+    /// Number of bits of a code value, 1 to 16: a channel has 2^bits code values. Without this key
+    /// the range is continuous.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bits: Option<u32>,
-    /// From linear values to the panel's code values.
+    /// Transfer function from linear values to the panel's code values.
     #[serde(default)]
     pub transfer: Transfer,
     /// Standard deviation of the layer's Gaussian point spread, mask pixels, 0 to 8.
     #[serde(default)]
     pub blur_px: f64,
-    /// Share of each mask channel (column) in each emitted channel (row): entries ≥ 0, row sums
-    /// above 0 and at most 1. None: each channel its own.
+    /// Fraction of each mask channel (column) in each emitted channel (row): entries ≥ 0, row sums
+    /// above 0 and at most 1. Without this key channels do not mix.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crosstalk: Option<[[f64; 3]; 3]>,
     /// Values per mask pixel: three or one.
     #[serde(default)]
     pub colour: LayerColour,
     /// Column stripes of colour filters on a `mono` layer: column j has the RGB factors
-    /// `filters[j % len]`, 0..1. Empty: clear.
+    /// `filters[j % len]`, 0..1. An empty list means clear columns.
     #[serde(default)]
     pub filters: Vec<[f64; 3]>,
-    /// [columns, rows] of the physical panel, where it differs from the mask.
+    /// [columns, rows] of the physical panel, if it differs from the mask.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panel_resolution: Option<[usize; 2]>,
-    /// Pitch of the physical panel, millimetres, where it differs from the mask's.
+    /// Pitch of the physical panel, if it differs from the mask's, millimetres.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panel_pitch_mm: Option<f64>,
     /// Calibration of the physical panel; patterns do not depend on it.
@@ -85,9 +86,9 @@ pub enum LayerColour {
 }
 
 impl Layer {
-    /// Codes per channel at most 2^this.
+    /// Largest number of bits of a code value.
     pub const MAX_BITS: u32 = 16;
-    /// Largest point spread, mask pixels.
+    /// Largest standard deviation of the point spread, mask pixels.
     pub const MAX_BLUR_PX: f64 = 8.0;
 
     /// An ideal layer at `d_mm` with [columns, rows] pixels of `pitch_mm`.
@@ -117,8 +118,8 @@ impl Layer {
     }
 
     /// The 2^bits values that a mask pixel can take, rising; the first and the last are those of
-    /// [`range`](Self::range). `None` for a continuous range. They are the same for all channels:
-    /// `bits` goes with one transfer function.
+    /// [`range`](Self::range). `None` for a continuous range. The values are the same for all
+    /// channels, since `bits` allows only one transfer function for all.
     pub fn levels(&self) -> Option<Vec<f32>> {
         let codes = 1u32 << self.bits?.clamp(1, Self::MAX_BITS);
         let level = |code: u32| {
@@ -128,16 +129,16 @@ impl Layer {
         Some((0..codes).map(level).collect())
     }
 
-    /// Input of the transfer function for showing `value`: 0 for the darkest state, 1 for the
-    /// brightest. Values outside the range are clamped; NaN becomes 0.
+    /// Input of the transfer function with which the panel shows `value`: 0 for the darkest state,
+    /// 1 for the brightest. Values outside the range are clamped; NaN becomes 0.
     pub fn drive(&self, value: f32) -> f32 {
         let drive = (f64::from(value) / self.peak - self.black_level) / (1.0 - self.black_level);
         if drive.is_nan() { 0.0 } else { drive.clamp(0.0, 1.0) as f32 }
     }
 }
 
-/// The level nearest to `value`, of levels that rise; of two equally near the lower. Without levels
-/// the value itself; NaN goes to the lowest.
+/// The level nearest to `value`, among rising levels; of two equally near levels, the lower one.
+/// Without levels it is the value itself. NaN becomes the lowest level.
 pub fn quantize(value: f32, levels: &[f32]) -> f32 {
     let above = levels.partition_point(|level| *level < value);
     match (above.checked_sub(1).map(|below| levels[below]), levels.get(above)) {
@@ -154,7 +155,7 @@ mod tests {
 
     use super::*;
 
-    /// f32 arithmetic on values in 0..1.
+    /// Tolerance of f32 arithmetic on values in 0..1.
     const ROUNDING: f32 = 1e-6;
 
     fn limited() -> Layer {
@@ -175,7 +176,7 @@ mod tests {
                 assert_eq!([levels[0], levels[levels.len() - 1]], layer.range());
             }
         }
-        // the middle code of 3 levels of light above black: 0.8 (0.02 + 0.98 · (2/3)²)
+        // code 2 of 0..3 is decoded to (2/3)² above black: 0.8 (0.02 + 0.98 · (2/3)²)
         let layer = Layer { bits: Some(2), transfer: Transfer::gamma(2.0), ..limited() };
         assert!((layer.levels().unwrap()[2] - 0.364_444_44).abs() < ROUNDING);
         assert_eq!(limited().range(), [0.016, 0.8]);

@@ -1,10 +1,10 @@
 //! The display: its description, its view grids, the intersections of rays with its layers, and its
 //! emission.
 //!
-//! Display space is right-handed millimetres: origin at the centre of the light field's rectangle,
-//! x right, y up, z to the viewer; z = 0 is the zero-parallax plane. Array indices count down and
-//! right from the top left. A ray is a point on z = 0 and a slope s = tangent of its direction (the
-//! paper's v/d_r, eq. 1).
+//! Display space is right-handed, in millimetres. The origin is at the centre of the light field's
+//! rectangle, x right, y up, z to the viewer. z = 0 is the display plane, of zero parallax. Array
+//! indices count down and right from the top left. A ray is a point on z = 0 and a slope s =
+//! tangent of its direction (the paper's v/d_r, eq. 1).
 //!
 //! ```text
 //! Display + FieldGeometry ──▶ RayMap ─────────────────┐
@@ -49,8 +49,8 @@ mod views;
 mod weights;
 mod zone;
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that
-/// this code has a part in.
+/// Hash of this crate's sources, computed at build. It is part of the key of every cached result
+/// that depends on this code.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
 pub use area::{AreaMap, Part};

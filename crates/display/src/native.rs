@@ -1,24 +1,25 @@
-//! The slopes at which a display shows whole pixels, and the views that it therefore wants.
+//! The slopes at which a display shows whole pixels, and the views at these slopes.
 
 use crate::views::{half_width, steps_within};
 use crate::{Backlight, Display, GridError, Projection, ViewGrid, Views};
 
-/// Views per axis that [`Views::Auto`] takes at most.
+/// Largest number of views per axis that [`Views::Auto`] chooses.
 const MOST_AUTO: usize = 101;
-/// Views to a bin of a directional backlight, which shows the mean of its directions. Zone scores
-/// of letters on `paper-directional`: 22.5 dB for one view, 22.9 dB for one that is the mean over
-/// the bin, and 24.1 dB for three.
+/// Views per bin of a directional backlight. A bin shows the mean of its directions. Zone scores of
+/// letters on `paper-directional`: 22.5 dB for one view per bin, 24.1 dB for three views. One view
+/// that is the mean over the bin scores 22.9 dB.
 const VIEWS_PER_BIN: f64 = 3.0;
 
-/// The native angular step of a display per axis (x, y); `None` without parallax. It is the least
-/// of these changes of slope:
+/// The native angular step of a display per axis (x, y); `None` without parallax. It is the
+/// smallest of these changes of slope:
 ///
 /// * p / max |Δd|, which moves some layer by one pixel against the light field or the next layer,
-/// * the one that moves the rays by one bin of the backlight.
+/// * the change that moves the rays by one bin of the backlight.
 ///
-/// If layers have one pitch and multiples of one distance, all shifts at multiples of this step are
-/// whole pixels. There one ray per pixel is exact for the pixel's area. Between two such slopes the
-/// seen picture mixes products that both share.
+/// Suppose that all layers have one pitch, and distances that are multiples of one distance. At
+/// multiples of this step, every layer is then shifted by whole pixels. There one ray per pixel is
+/// exact for the pixel's area. Between two neighbouring multiples, the seen picture is a mixture of
+/// the same pixel products as at those two.
 pub fn native_step(display: &Display) -> [Option<f64>; 2] {
     let against_field = display.layers.iter().map(|layer| (layer.d_mm.abs(), layer.pitch_mm));
     let gaps =
@@ -31,7 +32,7 @@ pub fn native_step(display: &Display) -> [Option<f64>; 2] {
     })
 }
 
-/// Width of slopes of a bin of a directional backlight along an axis; `None` where it has a single
+/// Width in slopes of a bin of a directional backlight along an axis; `None` if it has a single
 /// bin.
 pub(crate) fn bin_width(display: &Display, axis: usize) -> Option<f64> {
     match &display.backlight {
@@ -52,16 +53,17 @@ impl Display {
         self.field.views.grid(projection, self.field.fov_deg, || self.auto_step(usize::MAX))
     }
 
-    /// Number of those views, [horizontal, vertical]; none where the display makes no sense.
+    /// Number of views of [`view_grid`](Self::view_grid), [horizontal, vertical]; 0 if the display
+    /// is invalid.
     pub fn views(&self) -> [usize; 2] {
         let [rows, cols] = self.view_grid(Projection::Oblique).map_or([0, 0], |grid| grid.views());
         [cols, rows]
     }
 
     /// The step of slopes (x, y) of [`Views::Auto`]. It is the [native](native_step) step, or a
-    /// third of a bin of a directional backlight. It is thinned to every second, third, ... native
-    /// slope until there are no more than `most_views`. An axis with parallax has at least three
-    /// views: a display that was solved for one direction is right in no other.
+    /// third of a bin of a directional backlight. If there are more than `most_views`, it becomes a
+    /// multiple of this step. An axis with parallax has at least three views: a display that was
+    /// solved for one direction is right in no other.
     pub fn auto_step(&self, most_views: usize) -> [f64; 2] {
         let half = self.field.fov_deg.map(half_width);
         let mut native = native_step(self);
@@ -70,7 +72,7 @@ impl Display {
         }
         let step = |every: f64| {
             [0, 1].map(|axis| match native[axis] {
-                // the outermost of three views then stand inside of the zone
+                // then the outermost of three views are inside of the zone
                 Some(native) if half[axis] > 0.0 => (every * native).min(0.8 * half[axis]),
                 _ => 0.0,
             })
@@ -80,7 +82,7 @@ impl Display {
             let [x, y] = count(step);
             x.max(y) <= MOST_AUTO && x.saturating_mul(y) <= most_views
         };
-        // no coarser than three views
+        // increase the multiple until the views fit, but keep at least three views
         let axes = [0, 1].map(|axis| native[axis].map_or(1.0, |native| half[axis] / native / (MOST_AUTO / 2) as f64));
         let mut every = axes[0].max(axes[1]).floor().max(1.0);
         while !fits(step(every)) && count(step(every)).iter().any(|count| *count > 3) {
@@ -89,8 +91,8 @@ impl Display {
         step(every)
     }
 
-    /// The same display with its choice of views made: where they are [`Views::Auto`], no more than
-    /// `most_views`.
+    /// The same display with its views chosen: [`Views::Auto`] becomes a step with no more than
+    /// `most_views` views.
     #[must_use]
     pub fn with_views_chosen(mut self, most_views: usize) -> Self {
         if self.field.views == Views::Auto {
@@ -112,7 +114,7 @@ mod tests {
         display
     }
 
-    /// Whole shifts of layers 40 mm from one another over 20°.
+    /// Numbers of whole shifts over 20° of layers 40 mm apart.
     #[test]
     fn a_display_takes_its_native_slopes() {
         for (cols, views) in [(280, 9), (420, 13), (840, 25)] {
@@ -146,8 +148,8 @@ mod tests {
         assert_eq!(fixed.clone().with_views_chosen(1), fixed, "views that were asked for stay");
     }
 
-    /// Coarse pixels, where a native step is wider than the zone, and displays that show one
-    /// direction.
+    /// Displays with coarse pixels, whose native step is wider than the zone, and displays that
+    /// show one direction.
     #[test]
     fn what_shows_parallax_has_three_views_and_the_rest_one() {
         let mut coarse = stack(20);
@@ -157,20 +159,21 @@ mod tests {
         let mut flat = stack(420);
         flat.layers.retain(|layer| layer.d_mm == 0.0);
         assert_eq!(flat.views(), [1, 1]);
-        // pixels of a micrometre: no more than is sensible
+        // pixels of a micrometre: no more views than the largest number
         let fine = stack(400_000);
         assert!(fine.views()[0] <= MOST_AUTO && fine.views()[0] > MOST_AUTO / 2);
     }
 
-    /// The figures of layered displays with three layers 40 mm apart: at 420 columns there are 13
-    /// whole shifts over 20°.
+    /// The values of displays with three layers 40 mm apart: at 420 columns there are 13 whole
+    /// shifts over 20°.
     #[test]
     fn native_steps_are_whole_shifts() {
         let display = Display::uniform([420, 262], 1.128, [5, 5], [20.0, 20.0], &[-40.0, 0.0, 40.0], 6);
         let step = native_step(&display)[0].unwrap();
         assert!((step - 1.128 / 40.0).abs() < 1e-12);
         assert_eq!(2 * (10f64.to_radians().tan() / step).floor() as usize + 1, 13);
-        // two layers around the light field's plane: one pixel of one against the other
+        // two layers around the light field's plane: the step moves one layer by a pixel against
+        // the other
         let pair = Display::uniform([4, 4], 1.0, [1, 1], [20.0, 20.0], &[-10.0, 10.0], 1);
         assert_eq!(native_step(&pair), [Some(0.05); 2]);
         let flat = Display::uniform([4, 4], 1.0, [1, 1], [20.0, 20.0], &[0.0], 1);

@@ -1,5 +1,5 @@
-//! Calibration of the physical panels: which output of the computer drives which layer, and where
-//! its pixels really are.
+//! Calibration of the physical panels: the output of the computer that drives a layer, and the real
+//! positions of its pixels.
 //!
 //! ```text
 //! output pixel ─rotate, flip─▶ upright pixel (u, v) ─crop─▶ nominal place (x, y) mm
@@ -8,42 +8,42 @@
 //! x = (u − nudge_x − u_centre) · panel_pitch,   y = (v_centre − v + nudge_y) · panel_pitch
 //! ```
 //!
-//! Patterns do not depend on any of this: outputs apply it.
+//! Patterns do not depend on the calibration: output plugins apply it.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::Sampling;
 
-/// One physical panel. In a browser all values are defaults: nothing uses them there, and reading
-/// them would take a twentieth of the page.
+/// One physical panel. In a browser all values are defaults: nothing uses them there, and the code
+/// to read them would take a twentieth of the page.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 #[cfg_attr(not(target_arch = "wasm32"), derive(Deserialize), serde(deny_unknown_fields))]
 pub struct Panel {
-    /// Name of the output that drives it, as `lumistack show --list` prints it. Panels without a
-    /// name take the outputs that no panel names, from left to right.
+    /// Name of the output that drives the panel, as `lumistack show --list` prints it. Panels
+    /// without a name take the outputs that no panel names, from left to right.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub output: Option<String>,
-    /// How far the upright picture is turned on the output, clockwise: 0, 90, 180 or 270 degrees.
+    /// Rotation of the upright picture on the output, clockwise: 0, 90, 180 or 270 degrees.
     #[serde(default)]
     pub rotate_deg: u32,
-    /// How the upright picture is mirrored before it is turned: a panel that is seen from behind.
+    /// Mirroring of the upright picture before its rotation, for a panel that is seen from behind.
     #[serde(default)]
     pub flip: Flip,
-    /// [left, top, columns, rows] of the part of the upright picture that is used; its centre is
-    /// the layer's centre. Default: all of it.
+    /// [left, top, columns, rows] of the region of the upright picture that is used; its centre is
+    /// the layer's centre. Default: the whole picture.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crop: Option<[usize; 4]>,
-    /// [right, down] by which the upright picture is shifted, panel pixels.
+    /// [right, down] shift of the upright picture, panel pixels.
     #[serde(default)]
     pub nudge_px: [f64; 2],
-    /// Map from a pixel's nominal place to its real one, in millimetres from the layer's centre, x
-    /// right, y up: rows of a 3 × 3 matrix. Default: the identity.
+    /// Map from a pixel's nominal position to its real position: rows of a 3 × 3 matrix. Both are
+    /// in millimetres from the layer's centre, x right, y up. Default: the identity.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub homography: Option<[[f64; 3]; 3]>,
-    /// Measured crosstalk that the patterns do not account for (they account for
-    /// `layers[].crosstalk`). It is compensated when they are shown. Row = emitted channel, column
-    /// = channel of the picture.
+    /// Measured crosstalk that the patterns do not account for; they account for
+    /// `layers[].crosstalk`. It is compensated when the patterns are shown. Row = emitted channel,
+    /// column = channel of the picture.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crosstalk: Option<[[f64; 3]; 3]>,
     /// Interpolation of the mask at a panel pixel.
@@ -51,11 +51,11 @@ pub struct Panel {
     pub resample: Sampling,
 }
 
-/// Mirrored how.
+/// How a picture is mirrored.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Flip {
-    /// Not.
+    /// Not mirrored.
     #[default]
     None,
     /// Left and right exchanged.
@@ -64,22 +64,23 @@ pub enum Flip {
     Vertical,
 }
 
-/// A lens array as built, where it differs from the one that the patterns were made for. In a
+/// A lens array as built, if it differs from the array that the patterns were made for. In a
 /// browser all values are defaults, as in [`Panel`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 #[cfg_attr(not(target_arch = "wasm32"), derive(Deserialize), serde(deny_unknown_fields))]
 pub struct Lens {
-    /// Distance of lens axes, millimetres; default: the backlight's `pitch_mm`.
+    /// Distance between the axes of neighbouring lenslets, millimetres; default: the backlight's
+    /// `pitch_mm`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pitch_mm: Option<f64>,
-    /// Focal length as light travels in air, millimetres; default: the one at which a lens fills
-    /// the horizontal bins.
+    /// Focal length in air, millimetres; default: the length at which a lenslet fills the
+    /// horizontal bins.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub focal_mm: Option<f64>,
-    /// Turn against the panel, counterclockwise seen from the front, degrees.
+    /// Rotation against the panel, counterclockwise seen from the front, degrees.
     #[serde(default)]
     pub rotation_deg: f64,
-    /// [x, y] shift of the array beside the backlight's `offset_mm`, millimetres.
+    /// [x, y] shift of the array in addition to the backlight's `offset_mm`, millimetres.
     #[serde(default)]
     pub offset_mm: [f64; 2],
 }
@@ -101,11 +102,11 @@ mod unread {
     }
 }
 
-/// A determinant relative to the matrix' size below which it turns planes into lines.
+/// Determinant, relative to the matrix's size, below which a matrix is taken as singular.
 const SINGULAR: f64 = 1e-9;
 
 impl Panel {
-    /// The first invalid key, the expected value and the value found.
+    /// Returns the first invalid key, the expected value and the value found.
     pub(crate) fn problem(&self) -> Option<(&'static str, &'static str, String)> {
         if !matches!(self.rotate_deg, 0 | 90 | 180 | 270) {
             return Some(("rotate_deg", "0, 90, 180 or 270", self.rotate_deg.to_string()));

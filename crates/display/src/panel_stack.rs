@@ -3,21 +3,22 @@
 
 use crate::{Backlight, Display, DisplayError, Lens, LensletBacklight, Panel, Transfer};
 
-/// Equal panels behind one another.
+/// Equal panels, one behind another.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PanelStack {
-    /// Name for people.
+    /// Name, as shown to the user.
     pub name: String,
-    /// Distances from layer to layer, rear to front, millimetres; one less than there are layers.
+    /// Gaps between neighbouring layers, rear to front, millimetres; one less than there are
+    /// layers.
     pub gaps_mm: Vec<f64>,
     /// [columns, rows] of a panel.
     pub panel_resolution: [usize; 2],
-    /// Its pixel pitch, millimetres.
+    /// Pixel pitch of a panel, millimetres.
     pub panel_pitch_mm: f64,
-    /// Panel pixels per pixel of the masks and of the light field, per axis; at least 1.
+    /// Number of panel pixels per pixel of the masks and of the light field, per axis; at least 1.
     pub panel_pixels: usize,
-    /// Names of the outputs, rear to front, that of the backlight's panel first; empty for those
-    /// from left to right.
+    /// Names of the outputs, rear to front; the backlight's panel is the first. If the list is
+    /// empty, panels take the outputs from left to right.
     pub outputs: Vec<String>,
     /// [horizontal, vertical] views of the light field.
     pub views: [usize; 2],
@@ -29,46 +30,47 @@ pub struct PanelStack {
     pub refresh_hz: f64,
     /// Brightness scale β.
     pub brightness: f64,
-    /// Transmittance of each code value.
+    /// Transfer function of a panel: the transmittance of each code value.
     pub transfer: Transfer,
-    /// Transmittance of black.
+    /// Transmittance of black, relative to white.
     pub black_level: f64,
-    /// A lens array before a panel of its own, which then is the rearmost.
+    /// A lens array in front of a panel of its own, which then is the rearmost panel.
     pub lenses: Option<LensArray>,
 }
 
-/// Lenses in front of a panel, which become a directional backlight.
+/// Lenslets in front of a panel; together they form a directional backlight.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LensArray {
-    /// Distance of their axes, millimetres.
+    /// Distance between the axes of neighbouring lenslets, millimetres.
     pub pitch_mm: f64,
     /// Focal length in air, millimetres.
     pub focal_mm: f64,
-    /// Distance to the layer in front of them, millimetres.
+    /// Distance to the layer in front of the lenslets, millimetres.
     pub gap_mm: f64,
 }
 
 impl LensArray {
-    /// Full angle under which a lens sends light, degrees: 2 atan(p / 2f).
+    /// Full angle into which a lenslet sends light, degrees: 2 atan(p / 2f).
     pub fn fov_deg(&self) -> f64 {
         2.0 * (0.5 * self.pitch_mm / self.focal_mm).atan().to_degrees()
     }
 }
 
 impl PanelStack {
-    /// Most frames that do not flicker at this refresh rate; at least 1.
+    /// Largest number of frames that do not flicker at this refresh rate; at least 1.
     pub fn steady_frames(refresh_hz: f64) -> usize {
         ((refresh_hz / Display::FLICKER_HZ + 1e-6).floor() as usize).max(1)
     }
 
-    /// The display. The plane of zero parallax is the middle layer, or the middle between the two
-    /// in the middle.
+    /// Makes the display. The plane of zero parallax is the middle layer, or the middle between the
+    /// two middle layers.
     ///
     /// # Errors
-    /// If a number makes no sense.
+    /// If a value is invalid.
     pub fn display(&self) -> Result<Display, DisplayError> {
         let &Self { panel_resolution: resolution, panel_pitch_mm: pitch_mm, panel_pixels: scale, .. } = self;
-        // distances, with the stack's middle at z = 0; of an odd number the middle layer lies there
+        // distances, with the stack's middle at z = 0; the middle one of an odd number of layers is
+        // moved there
         let depth_mm: f64 = self.gaps_mm.iter().sum();
         let mut d_mm = vec![-depth_mm / 2.0];
         self.gaps_mm.iter().for_each(|gap| d_mm.push(d_mm[d_mm.len() - 1] + gap));
@@ -81,7 +83,7 @@ impl PanelStack {
         let plain = Display::uniform(mask, pitch_mm * scale as f64, self.views, self.fov_deg, &d_mm, self.frames);
         let (refresh_hz, brightness) = (self.refresh_hz, self.brightness);
         let mut display = Display { name: self.name.clone(), refresh_hz, brightness, ..plain };
-        // outputs go to panels from the rearmost on, that of the backlight first
+        // outputs go to panels from the rearmost on, which is the backlight's if there is one
         let mut names = self.outputs.iter().cloned().map(Some).chain(std::iter::repeat(None));
         let mut panel = || Some(Panel { output: names.next().flatten(), ..Panel::default() });
         if let Some(lenses) = &self.lenses {

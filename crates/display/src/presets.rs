@@ -1,4 +1,4 @@
-//! Displays that come with the program: the paper's prototypes and figures.
+//! Displays that come with the program: the paper's prototypes, and the displays of its figures.
 
 macro_rules! presets {
     ($($name:literal),* $(,)?) => {

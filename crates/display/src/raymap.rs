@@ -1,14 +1,14 @@
 //! Intersections of the rays of a light field with the layers and the backlight.
 //!
-//! Column c of the field at slope s intersects layer n at a pixel computed in f64; rows alike with
-//! y down:
+//! A ray of field column c at slope s hits layer n at pixel position u, computed in f64. Rows are
+//! alike, with y down:
 //!
 //! ```text
 //! u = (x_c + d_n·s − o_n)/p_n + (W_n−1)/2
 //! ```
 //!
-//! The map is separable. One table of W entries per view column and layer, and one of H entries per
-//! view row and layer, describe all rays: rays are never expanded into a list.
+//! The map is separable. Each layer has one table of W entries per view column, and one of H
+//! entries per view row. They describe all rays, so rays are never expanded into a list.
 
 use crate::{Backlight, Display, FieldGeometry, Layer, LensletBacklight, OutsideBins, Sampling};
 
@@ -24,7 +24,7 @@ pub struct Tap {
 }
 
 impl Tap {
-    /// Index of a ray that misses the layer.
+    /// Value of `first` if the ray misses the layer.
     pub const MISSED: u32 = u32::MAX;
 
     /// True if the ray misses the layer.
@@ -67,7 +67,7 @@ impl AxisTaps {
         &self.taps[view * self.rays..(view + 1) * self.rays]
     }
 
-    /// Some rays of every view, their taps changed by `change`.
+    /// The taps of some rays of every view, changed by `change`.
     pub(crate) fn cut(&self, rays: &std::ops::Range<usize>, change: impl Fn(&Tap) -> Tap) -> Self {
         let views = self.taps.chunks_exact(self.rays.max(1));
         let taps = views.flat_map(|view| view[rays.clone()].iter().map(&change));
@@ -78,17 +78,17 @@ impl AxisTaps {
 /// Intersections of rays with one layer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LayerMap {
-    /// Along columns, per view column.
+    /// Taps along columns, per view column.
     pub x: AxisTaps,
-    /// Along rows, per view row.
+    /// Taps along rows, per view row.
     pub y: AxisTaps,
-    /// Layer rows.
+    /// Number of rows of the layer.
     pub rows: usize,
-    /// Layer columns.
+    /// Number of columns of the layer.
     pub cols: usize,
 }
 
-/// The place on a directional backlight that one axis of a ray reads.
+/// The element of a directional backlight that one axis of a ray reads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BacklightTap {
     /// A lenslet and one of its angular bins.
@@ -98,9 +98,9 @@ pub enum BacklightTap {
         /// Angular bin, from the left or the top.
         bin: u32,
     },
-    /// Intersects the lenslet grid outside the bins: reads 0.
+    /// The ray hits the lenslet grid outside the bins and reads 0.
     Dark,
-    /// Passes beside the lenslet grid.
+    /// The ray misses the lenslet grid.
     Missed,
 }
 
@@ -113,20 +113,20 @@ pub struct BacklightMap {
 }
 
 impl BacklightMap {
-    /// All field columns for a view column.
+    /// Taps of all field columns for a view column.
     #[inline]
     pub fn x(&self, view: usize) -> &[BacklightTap] {
         &self.x[view * self.rays[0]..(view + 1) * self.rays[0]]
     }
 
-    /// All field rows for a view row.
+    /// Taps of all field rows for a view row.
     #[inline]
     pub fn y(&self, view: usize) -> &[BacklightTap] {
         &self.y[view * self.rays[1]..(view + 1) * self.rays[1]]
     }
 
-    /// Some rays [along x, along y] of every view, their taps changed by `change`, which also takes
-    /// the number in `first` of its axis.
+    /// The taps of some rays [along x, along y] of every view, changed by `change`. It also
+    /// receives the number in `first` for the tap's axis.
     pub(crate) fn cut(
         &self,
         rays: [&std::ops::Range<usize>; 2],
@@ -144,21 +144,21 @@ impl BacklightMap {
 /// All tables of one display and one field geometry.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RayMap {
-    /// Rearmost layer first.
+    /// Maps of the layers, rearmost first.
     pub layers: Vec<LayerMap>,
-    /// `None` for a uniform backlight.
+    /// Map of the directional backlight; `None` for a uniform one.
     pub backlight: Option<BacklightMap>,
 }
 
 impl RayMap {
-    /// Computes the tables; sizes A_x·W and A_y·H per layer.
+    /// Computes the tables, of A_x·W and A_y·H entries per layer.
     pub fn new(display: &Display, geometry: &FieldGeometry) -> Self {
         let [x, y] = [Axis::X, Axis::Y].map(|axis| axis.centres(geometry));
         Self::of_rays(display, display.sampling, [(&x, geometry.cols), (&y, geometry.rows)])
     }
 
-    /// Tables of any rays; per axis (x, y) the rays of all views, and how many of them belong to
-    /// one view.
+    /// Tables of any rays. Per axis (x, y), `rays` has the rays of all views, and how many of them
+    /// belong to one view.
     pub(crate) fn of_rays(display: &Display, sampling: Sampling, rays: [(&[AxisRay], usize); 2]) -> Self {
         let layers = display
             .layers
@@ -185,7 +185,7 @@ impl RayMap {
     }
 }
 
-/// One axis of a ray: where it passes z = 0, in millimetres, and its slope.
+/// One axis of a ray: where it crosses z = 0, in millimetres, and its slope.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct AxisRay {
     pub(crate) at_mm: f64,
@@ -211,7 +211,7 @@ impl Axis {
         }
     }
 
-    /// Pixels of the field.
+    /// Number of field pixels along the axis.
     pub(crate) fn count(self, geometry: &FieldGeometry) -> usize {
         match self {
             Self::X => geometry.cols,
@@ -248,19 +248,19 @@ impl Axis {
         (0..views).flat_map(pixels).collect()
     }
 
-    /// Intersection of a ray with a layer, in pixels from the centre of the first.
+    /// Intersection of a ray with a layer, in pixels from the centre of the first pixel.
     pub(crate) fn pixel(self, layer: &Layer, ray: &AxisRay) -> f64 {
         let position = ray.at_mm + layer.d_mm * ray.slope - layer.offset_mm[self.index()];
         self.sign() * position / layer.pitch_mm + (layer.resolution[self.index()] as f64 - 1.0) / 2.0
     }
 
-    /// Intersection of a ray with the lenslet grid, in lenslets from its edge.
+    /// Intersection of a ray with the lenslet grid, in lenslets from the grid's edge.
     pub(crate) fn lenslet(self, backlight: &LensletBacklight, ray: &AxisRay) -> f64 {
         let position = ray.at_mm + backlight.d_mm * ray.slope - backlight.offset_mm[self.index()];
         self.sign() * position / backlight.pitch_mm + backlight.lenslets[self.index()] as f64 / 2.0
     }
 
-    /// Angular bin of a ray: A_b/2·(1 + s/tan(α_b/2)), in bins from the edge of the first.
+    /// Angular bin of a ray: A_b/2·(1 + s/tan(α_b/2)), in bins from the edge of the first bin.
     pub(crate) fn bin(self, backlight: &LensletBacklight, ray: &AxisRay) -> f64 {
         let bins = backlight.views[self.index()] as f64;
         let half_width = (0.5 * backlight.fov_deg[self.index()].to_radians()).tan();
@@ -268,9 +268,9 @@ impl Axis {
     }
 }
 
-/// The ray reads the lenslet by its position at d_b and the bin by its slope. Under `repeat` a ray
-/// outside the bins sees the picture of the neighbouring lenslet, as behind a real lens array. Bins
-/// continue periodically while the lenslet moves by one per zone.
+/// A ray reads the lenslet at its position on d_b, and the bin of its slope. Under `repeat` a ray
+/// outside the bins sees the picture of a neighbouring lenslet, as behind a real lens array. Bins
+/// then continue periodically, and the lenslet changes by one per period.
 fn backlight_taps(backlight: &LensletBacklight, rays: &[AxisRay], axis: Axis) -> Vec<BacklightTap> {
     let lenslets = backlight.lenslets[axis.index()] as f64;
     let bins = backlight.views[axis.index()] as f64;

@@ -5,9 +5,9 @@
 //! F_c = Σ_c' crosstalk[c][c'] · blur(filter_c' · f_c')
 //! ```
 //!
-//! The filters stand on the mask's columns; the blur is a Gaussian along both axes that keeps
-//! constants. On a `mono` layer the three stored channels are equal: there A maps one unknown per
-//! pixel to three channels.
+//! The filters belong to the mask's columns. The blur is a Gaussian along both axes that keeps
+//! constant planes constant. On a `mono` layer the three stored channels are equal: there A maps
+//! one unknown per pixel to three channels.
 
 use lumistack_core::Tensor;
 
@@ -19,7 +19,7 @@ use crate::{Layer, LayerColour};
 pub struct Response {
     tied: bool,
     mix: [[f32; 3]; 3],
-    /// Empty for clear columns.
+    /// Empty if columns are clear.
     filters: Vec<[f32; 3]>,
     spread: PointSpread,
 }
@@ -27,7 +27,7 @@ pub struct Response {
 const IDENTITY: [[f32; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
 impl Layer {
-    /// The hardware's response to this layer's values. `None` where rays read the stored values and
+    /// The hardware's response to this layer's values. `None` if rays read the stored values and
     /// every channel is free.
     pub fn response(&self) -> Option<Response> {
         let response = Response::of(self);
@@ -77,7 +77,7 @@ impl Response {
         self.spread.taps()
     }
 
-    /// The blur of one plane `[row][col]`. `scratch` is for reuse from call to call.
+    /// Blurs one plane `[row][col]`. Calls may share the storage `scratch`.
     ///
     /// # Panics
     /// If a plane does not hold `rows · cols` values.
@@ -93,7 +93,7 @@ impl Response {
         self.spread.apply::<true>([rows, cols], input, output, scratch);
     }
 
-    /// The whole map for a layer `[frame][row][col][rgb]`.
+    /// Applies the whole map to a layer `[frame][row][col][rgb]`.
     pub fn apply(&self, layer: &Tensor<4>) -> Tensor<4> {
         let mut effective = layer.clone();
         let [frames, rows, cols, _] = layer.shape();

@@ -10,17 +10,18 @@ pub enum Sampling {
     /// The pixel at the intersection: floor(ξ + ½).
     #[default]
     Nearest,
-    /// A mixture of the four around it.
+    /// A mixture of the four pixels around the intersection.
     Bilinear,
 }
 
-/// The transmittance that a ray reads where it leaves a layer.
+/// The value that a ray reads if it misses a layer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Missing {
     /// The ray has weight 0.
     #[default]
     Drop,
-    /// The value of a layer that is not there: [`Formation::neutral`](crate::Formation::neutral).
+    /// The ray reads the value of a missing layer:
+    /// [`Formation::neutral`](crate::Formation::neutral).
     Clear,
 }

@@ -1,7 +1,8 @@
 //! Difference of a display's emission from its target.
 //!
-//! PSNR has peak 1 and runs over all rays with w > 0 and all channels. `view` compares L̃/β, the
-//! picture of an adapted viewer, with L. `raw` compares L̃ with βL, higher by −20·log10 β.
+//! PSNR has a peak of 1, and includes all channels of all rays with w > 0. `psnr_view` compares
+//! L̃/β, the picture of an adapted viewer, with L. `psnr_raw` compares L̃ with βL, so it is higher
+//! by −20·log10 β.
 
 use lumistack_core::metrics::SquaredError;
 
@@ -16,21 +17,21 @@ pub struct ViewScore {
     pub error: SquaredError,
 }
 
-/// Errors of a light field, by view.
+/// Errors of a light field, view by view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Score {
-    /// Row by row.
+    /// Views, row by row.
     pub views: Vec<ViewScore>,
     brightness: f64,
 }
 
 impl Score {
-    /// PSNR of all rays, in dB, L̃/β against L.
+    /// PSNR of L̃/β against L over all rays, dB.
     pub fn psnr_view(&self) -> f64 {
         self.total().psnr()
     }
 
-    /// PSNR of all rays, in dB, L̃ against βL.
+    /// PSNR of L̃ against βL over all rays, dB.
     pub fn psnr_raw(&self) -> f64 {
         self.total().psnr() - 20.0 * self.brightness.log10()
     }
@@ -59,7 +60,7 @@ pub fn view_error(
     error
 }
 
-/// Simulates every view of the target and compares.
+/// Simulates every view of the target and compares it with the target.
 pub fn score(display: &Display, stack: &LayerStack, target: &LightField, weights: &Weights) -> Score {
     let geometry = target.geometry();
     let (simulator, map) = (Simulator::new(display, stack), RayMap::new(display, geometry));

@@ -7,7 +7,7 @@ use thiserror::Error;
 
 use crate::{Backlight, Display};
 
-/// Patterns for every layer and frame, linear, 0..1, and the brightness they were made for.
+/// Patterns for every layer and frame, linear, 0..1, and the brightness that they were made for.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LayerStack {
     /// Per layer, rearmost first: `transmittance[frame][row][col][rgb]`.
@@ -23,7 +23,7 @@ pub struct LayerStack {
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("{what}: expected {expected}, found {found}")]
 pub struct StackError {
-    /// Name of the part that does not fit.
+    /// Name of the array or value that does not fit.
     pub what: String,
     /// The shape or range that the display needs.
     pub expected: String,
@@ -67,8 +67,8 @@ impl LayerStack {
         self.layers.first().map_or(0, |layer| layer.shape()[0])
     }
 
-    /// The stack that rays read: every layer's [`Response`](crate::Response) applied. Borrowed
-    /// where no layer has one that changes values.
+    /// The stack that rays read: every layer's [`Response`](crate::Response) is applied. It is
+    /// borrowed if no layer has a response that changes values.
     pub fn effective(&self, display: &Display) -> Cow<'_, Self> {
         let responses: Vec<_> =
             display.layers.iter().map(|layer| layer.response().filter(|response| !response.is_identity())).collect();
@@ -82,12 +82,12 @@ impl LayerStack {
         Cow::Owned(Self { layers: layers.collect(), emission: self.emission.clone(), brightness: self.brightness })
     }
 
-    /// Checks that the stack has the shapes of the display and values in 0..1. The box of a layer
-    /// is narrower where its hardware is limited ([`Layer::range`](crate::Layer::range)); patterns
-    /// from elsewhere may ignore it.
+    /// Checks that the stack has the shapes of the display and values in 0..1. A layer with limited
+    /// hardware has a narrower [range](crate::Layer::range), which patterns from elsewhere may
+    /// ignore.
     ///
     /// # Errors
-    /// On the first part that does not fit.
+    /// On the first array or value that does not fit.
     pub fn check(&self, display: &Display) -> Result<(), StackError> {
         let error = |what: String, expected: String, found: String| Err(StackError { what, expected, found });
         if self.layers.len() != display.layers.len() {

@@ -1,4 +1,4 @@
-//! `stack.json`: what the arrays beside it are.
+//! `stack.json`: the description of the arrays next to it.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,9 +7,9 @@ use crate::{Backlight, Display, Layer, LayerStack};
 /// `stack.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StackIndex {
-    /// `lumistack/stack`.
+    /// Name of the format, `lumistack/stack`.
     pub schema: String,
-    /// 1.
+    /// Version of the format, 1.
     pub version: u32,
     /// Name of the display.
     pub display: String,
@@ -23,7 +23,7 @@ pub struct StackIndex {
     pub frames: usize,
     /// β: the display emits β times the target.
     pub brightness: f64,
-    /// Rear to front.
+    /// Layers, rear to front.
     pub layers: Vec<LayerEntry>,
     /// The directional backlight, if there is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -33,15 +33,15 @@ pub struct StackIndex {
 /// One layer of `stack.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LayerEntry {
-    /// Array beside the index.
+    /// File name of the array, next to the index.
     pub file: String,
-    /// Signed distance from z = 0.
+    /// Signed distance from z = 0, millimetres.
     pub d_mm: f64,
     /// [columns, rows].
     pub resolution: [usize; 2],
-    /// Pixel pitch.
+    /// Pixel pitch, millimetres.
     pub pitch_mm: f64,
-    /// [x, y] of the centre.
+    /// [x, y] of the centre, millimetres.
     #[serde(default)]
     pub offset_mm: [f64; 2],
 }
@@ -49,27 +49,27 @@ pub struct LayerEntry {
 /// The backlight of `stack.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BacklightEntry {
-    /// Array beside the index.
+    /// File name of the array, next to the index.
     pub file: String,
-    /// Signed distance of the lenslets from z = 0.
+    /// Signed distance of the lenslets from z = 0, millimetres.
     pub d_mm: f64,
     /// [columns, rows] of lenslets.
     pub lenslets: [usize; 2],
-    /// Lenslet pitch.
+    /// Lenslet pitch, millimetres.
     pub pitch_mm: f64,
-    /// [horizontal, vertical] full angle of the bins.
+    /// [horizontal, vertical] full angle of the bins, degrees.
     pub fov_deg: [f64; 2],
-    /// [horizontal, vertical] angular bins.
+    /// [horizontal, vertical] number of angular bins.
     pub views: [usize; 2],
-    /// [x, y] of the grid's centre.
+    /// [x, y] of the grid's centre, millimetres.
     #[serde(default)]
     pub offset_mm: [f64; 2],
 }
 
 impl StackIndex {
-    /// Its file.
+    /// File name of the index.
     pub const FILE: &str = "stack.json";
-    /// File of a directional backlight's array.
+    /// File name of a directional backlight's array.
     pub const EMISSION: &str = "emission.npy";
     /// Value of the key `schema`.
     pub const SCHEMA: &str = "lumistack/stack";
@@ -81,7 +81,7 @@ impl StackIndex {
         Self { frames: stack.frames(), brightness: stack.brightness, ..Self::of_display(display) }
     }
 
-    /// The index of patterns that are yet to be made, with the display's frames and brightness.
+    /// The index of patterns that do not exist yet, with the display's frames and brightness.
     pub fn of_display(display: &Display) -> Self {
         let digits = (display.layers.len() - 1).to_string().len();
         let layer = |(n, layer): (usize, &Layer)| LayerEntry {

@@ -1,35 +1,36 @@
-//! Spectral support: the frequencies that a display can show at all, and the footprint of light
-//! that fits it.
+//! Spectral support: the frequencies that a display can show at all, and the range of slopes over
+//! which light may be averaged for them.
 //!
 //! Along one axis the support is the sum of the segments ±g of
-//! [`depth`](crate::Display::spatial_cutoff): a polygon that is its own mirror image. Its plane has
-//! spatial frequency ω_x (cycles per millimetre) and frequency per slope ω_s (cycles per unit of
-//! slope; the paper's ω_v with d_r = 1). It is a box for a lens array, a diamond for two layers, a
-//! hexagon for three (the paper's Figure 4).
+//! [`depth`](crate::Display::spatial_cutoff): a polygon that is symmetric about the origin. It lies
+//! in the plane of spatial frequency ω_x (cycles per millimetre) and frequency per slope ω_s
+//! (cycles per unit of slope; the paper's ω_v with d_r = 1). It is a box for a lens array, a
+//! diamond for two layers, a hexagon for three (the paper's Figure 4).
 //!
-//! Its extent on the axis ω_x = 0 is the limit of the bound far from the display, ω(z) → ω_s/|z|.
-//! Light gathered over slopes of width
+//! The support's extent ω_s on the axis ω_x = 0 limits the bound far from the display: ω(z) →
+//! ω_s/|z|. Light that is gathered over slopes of width
 //!
 //! ```text
 //! δs = 1/(2 ω_s)
 //! ```
 //!
 //! blurs a plane at z over |z| δs = 1/(2 ω(z)), as a pixel of pitch p = 1/(2 ω) does on the
-//! display. Together with the pixel that is the prefilter of the display (section 4.1). For lens
+//! display. The pixel and δs together are the prefilter of the display (section 4.1). For lens
 //! arrays δs is the width of a view's bin.
 
 use crate::Display;
 use crate::depth::{cross, cutoff, width};
 
 impl Display {
-    /// ω(z) along one axis (0: x, 1: y), cycles per millimetre; see
-    /// [`spatial_cutoff`](Self::spatial_cutoff), which is that of the coarser one.
+    /// ω(z) along one axis (0: x, 1: y), cycles per millimetre.
+    /// [`spatial_cutoff`](Self::spatial_cutoff) returns the value of the coarser axis.
     pub fn spatial_cutoff_along(&self, axis: usize, z_mm: f64) -> f64 {
         cutoff(&self.generators(axis), z_mm)
     }
 
     /// Corners of the support along one axis (0: x, 1: y), counterclockwise: [ω_x in cycles per
-    /// millimetre, ω_s in cycles per unit of slope]. Two corners where it is a line.
+    /// millimetre, ω_s in cycles per unit of slope]. There are two corners if the support is a
+    /// line.
     pub fn spectral_support(&self, axis: usize) -> Vec<[f64; 2]> {
         let mut generators = self.generators(axis);
         for g in &mut generators {
@@ -59,9 +60,9 @@ impl Display {
         corners
     }
 
-    /// Width of slopes per axis (x, y) over which light may be gathered without losing detail that
-    /// the display can show far from itself: δs above. It is at most the whole field of view, which
-    /// a single layer reaches.
+    /// Width of slopes per axis (x, y) over which light may be gathered: δs of the module. This
+    /// loses no detail that the display can show far from itself. The width is at most the whole
+    /// field of view, as for a single layer.
     pub fn angular_footprint(&self) -> [f64; 2] {
         [0, 1].map(|axis| {
             let generators = self.generators(axis);
@@ -73,7 +74,7 @@ impl Display {
     }
 }
 
-/// Sine of an angle up to which segments count as parallel.
+/// Sine of an angle up to which segments are taken as parallel.
 const PARALLEL: f64 = 1e-12;
 
 fn norm(a: [f64; 2]) -> f64 {
@@ -110,11 +111,11 @@ mod tests {
         directional.backlight = Backlight::Lenslets(LensletBacklight::new(0.0, [4, 4], 2.0, [5, 5], [20.0, 20.0]));
         let (x, s) = (0.25 + 1.0, 0.5 / (0.4 * 10f64.to_radians().tan()));
         assert_corners(&directional, &[[x, s], [-x, s], [-x, -s], [x, -s]]);
-        // one layer: a line
+        // the support of one layer is a line
         assert_corners(&stack(&[5.0]), &[[1.0, 5.0], [-1.0, -5.0]]);
     }
 
-    /// The bound is where the line of a plane leaves the support, for every stack.
+    /// The bound is the frequency at which the line of a plane leaves the support, for every stack.
     #[test]
     fn the_bound_lies_on_the_supports_edge() {
         let mut stream = Stream::new(11);

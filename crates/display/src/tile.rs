@@ -1,5 +1,5 @@
-//! A display cut into tiles: which pixels a tile decides, which rays pass through them, and which
-//! other pixels those rays hit.
+//! A display cut into tiles: the pixels that a tile decides, the rays through these pixels, and the
+//! other pixels that those rays hit.
 //!
 //! ```text
 //! held   ┌───────────────────────┐   hit by rays through free pixels; fixed in a solve
@@ -7,9 +7,10 @@
 //! own    │   │   ┌───────┐   │   │   every pixel of the display is the own pixel of one tile
 //! ```
 //!
-//! The map of rays is separable, so a tile is a product of ranges: of field pixels, and of the
-//! pixels of every layer and the lenslets. All ranges come from [`RayMap`]'s own tables, and a
-//! tile's map is a part of them: a ray reads the same pixel in a tile as in the whole.
+//! The map of rays is separable. So a tile is a product of ranges: of field pixels, and of the
+//! pixels of every layer and the lenslets. All ranges come from [`RayMap`]'s own tables. A tile's
+//! map is a section of these tables, so a ray reads the same pixel in a tile as in the whole
+//! display.
 
 use std::ops::Range;
 
@@ -29,38 +30,38 @@ pub struct Region {
     pub cols: Range<usize>,
 }
 
-/// A layer's, or the lenslets', pixels of a tile; see the module.
+/// The pixels of a tile on one layer or on the lenslets; see the module.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TilePart {
-    /// Decided by this tile; may be empty.
+    /// Pixels that this tile decides; may be empty.
     pub own: Region,
-    /// Solved with them.
+    /// Pixels that are solved together with the own pixels.
     pub free: Region,
-    /// Hit by rays through free pixels: the tile must know their values. Never empty.
+    /// Pixels that rays through free pixels hit, so the tile must know their values. Never empty.
     pub held: Region,
 }
 
 /// A tile of a display.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Tile {
-    /// Field pixels whose rays, of all views, the tile takes.
+    /// Field pixels of the tile. It takes their rays of all views.
     pub field: Region,
-    /// Layers rear to front, then the lenslets.
+    /// Pixels on the layers, rear to front, then on the lenslets.
     pub parts: Vec<TilePart>,
     /// Rows and columns of the whole display's layers and lenslets.
     pub whole: Vec<[usize; 2]>,
 }
 
-/// A display that is cut.
+/// A display and its division into tiles.
 #[derive(Clone, Debug)]
 pub struct Tiling {
     map: RayMap,
-    /// Along x and along y: the tiles, and the pixels of every part.
+    /// Along x and along y: the tiles, and the number of pixels of every layer and of the lenslets.
     axes: [(Vec<AxisTile>, Vec<usize>); 2],
 }
 
 impl Tiling {
-    /// Cuts a display into `tiles` = [columns, rows] of about the same size. None has fewer than
+    /// Cuts a display into `tiles` = [columns, rows] of about the same size. No tile has fewer than
     /// two field pixels to a side.
     pub fn new(display: &Display, geometry: &FieldGeometry, tiles: [usize; 2]) -> Self {
         let map = RayMap::new(display, geometry);
@@ -81,15 +82,15 @@ impl Tiling {
         [0, 1].map(|axis| self.axes[axis].0.len())
     }
 
-    /// The rays of the whole.
+    /// The map of the whole display's rays.
     pub fn map(&self) -> &RayMap {
         &self.map
     }
 
-    /// A tile by its number, row by row.
+    /// Returns a tile by its number; tiles are numbered row by row.
     ///
     /// # Panics
-    /// If there are fewer.
+    /// If there are fewer tiles.
     pub fn tile(&self, number: usize) -> Tile {
         let [(across, widths), (down, heights)] = &self.axes;
         let (cols, rows) = (&across[number % across.len()], &down[number / across.len()]);
@@ -101,14 +102,14 @@ impl Tiling {
         Tile { field: region(&rows.field, &cols.field), parts: parts.collect(), whole: whole.collect() }
     }
 
-    /// Numbers of the tiles whose own pixels a tile holds, itself among them, ascending. The tile
-    /// reads their patterns.
+    /// Numbers of the tiles whose own pixels a tile holds, ascending; the tile itself is among
+    /// them. The tile reads the patterns of these tiles.
     pub fn around(&self, number: usize) -> Vec<usize> {
         let tile = self.tile(number);
         let shares = |other: &usize| {
             let of_other = self.tile(*other);
             let overlaps = |(part, other): (&TilePart, &TilePart)| !part.held.common(&other.own).is_empty();
-            // a tile of few pixels may have none of its own
+            // a tile of few pixels may have no own pixels
             *other == number || tile.parts.iter().zip(&of_other.parts).any(overlaps)
         };
         (0..self.count()).filter(shares).collect()
@@ -129,13 +130,14 @@ struct AxisPart {
     pitch_mm: f64,
     /// Offset of the centre in the direction of growing indices.
     offset_mm: f64,
-    /// Pixels by which its blur reaches.
+    /// Number of pixels by which the layer's blur reaches.
     blur: usize,
     /// Per view and field pixel, the two pixels that the ray reads.
     met: Vec<Vec<Option<[usize; 2]>>>,
 }
 
-/// Ranges of a tile along one axis; of every part own, free and held pixels.
+/// Ranges of a tile along one axis: field pixels, and the own, free and held pixels of every layer
+/// and of the lenslets.
 #[derive(Clone, Debug)]
 struct AxisTile {
     field: Range<usize>,
@@ -171,8 +173,8 @@ impl AxisCut {
         Self { tiles, pixels, pitch_mm: geometry.pitch_mm, parts }
     }
 
-    /// The first field pixel of a tile; even, so that pairs of pixels stay together at half the
-    /// resolution.
+    /// The first field pixel of a tile. It is even, so that pairs of pixels stay together at half
+    /// the resolution.
     fn cut(&self, tile: usize) -> usize {
         if tile == self.tiles { self.pixels } else { self.pixels * tile / self.tiles / 2 * 2 }
     }
@@ -191,7 +193,7 @@ impl AxisCut {
         let field = even(&self.rays(&free, &middle), self.pixels);
         let held = self.parts.iter().zip(&free).map(|(part, free)| {
             let held = hull(free, &part.hits(&field));
-            // a layer that ends elsewhere still has a pixel, which no ray hits
+            // a layer that no ray of the tile hits still has one pixel there
             let held =
                 if held.is_empty() { held.start.min(part.count - 1)..held.start.min(part.count - 1) + 1 } else { held };
             even(&held, part.count)
@@ -201,20 +203,21 @@ impl AxisCut {
         AxisTile { field, parts }
     }
 
-    /// The range of field pixels whose rays hit pixels of a range of some part; at least `middle`.
+    /// The range of field pixels whose rays hit a pixel of `ranges`, one range per layer and for
+    /// the lenslets. It includes `middle`.
     fn rays(&self, ranges: &[Range<usize>], middle: &Range<usize>) -> Range<usize> {
         self.parts.iter().zip(ranges).fold(middle.clone(), |all, (part, range)| hull(&all, &part.rays(range)))
     }
 }
 
 impl AxisPart {
-    /// The first pixel whose centre does not lie before a place.
+    /// The first pixel whose centre is at a position or after it.
     fn first_from(&self, place_mm: f64) -> usize {
         let pixel = (place_mm - self.offset_mm) / self.pitch_mm + (self.count as f64 - 1.0) / 2.0;
         (pixel.ceil().max(0.0) as usize).min(self.count)
     }
 
-    /// The range of field pixels whose rays read pixels of a range, blurred as they are shown.
+    /// The range of field pixels whose rays read pixels of a range after the blur.
     fn rays(&self, range: &Range<usize>) -> Range<usize> {
         if range.is_empty() {
             return 0..0;
@@ -228,20 +231,20 @@ impl AxisPart {
         })
     }
 
-    /// The range of pixels that rays through a range of field pixels read.
+    /// The range of pixels that influence the rays through a range of field pixels.
     fn hits(&self, field: &Range<usize>) -> Range<usize> {
         let met = self.met.iter().flat_map(|view| view[field.clone()].iter().flatten().flatten());
         let range = met.fold(0..0, |all, &pixel| hull(&all, &(pixel..pixel + 1)));
         if range.is_empty() { range } else { self.widened(&range) }
     }
 
-    /// With all pixels that the blur mixes into those of a range.
+    /// Extends a range by all pixels that the blur mixes into its pixels.
     fn widened(&self, range: &Range<usize>) -> Range<usize> {
         range.start.saturating_sub(self.blur)..(range.end + self.blur).min(self.count)
     }
 }
 
-/// The smallest range that holds both.
+/// The smallest range that holds both ranges.
 fn hull(a: &Range<usize>, b: &Range<usize>) -> Range<usize> {
     match (a.is_empty(), b.is_empty()) {
         (_, true) => a.clone(),
@@ -250,7 +253,8 @@ fn hull(a: &Range<usize>, b: &Range<usize>) -> Range<usize> {
     }
 }
 
-/// The smallest range of whole pairs that holds a range, the last of an odd count being alone.
+/// The smallest range of whole pairs that holds a range. The last pixel of an odd count has no
+/// partner.
 fn even(range: &Range<usize>, count: usize) -> Range<usize> {
     range.start / 2 * 2..range.end.next_multiple_of(2).min(count)
 }
@@ -261,19 +265,19 @@ impl Region {
         [self.rows.len(), self.cols.len()]
     }
 
-    /// Returns true if it has no pixels.
+    /// Returns true if the region has no pixels.
     pub fn is_empty(&self) -> bool {
         self.rows.is_empty() || self.cols.is_empty()
     }
 
-    /// The same rectangle, counted from the first pixel of another around it.
+    /// The same rectangle, with indices counted from the first pixel of a region `around` it.
     #[must_use]
     pub fn within(&self, around: &Self) -> Self {
         let shift = |range: &Range<usize>, by: usize| range.start.saturating_sub(by)..range.end.saturating_sub(by);
         Self { rows: shift(&self.rows, around.rows.start), cols: shift(&self.cols, around.cols.start) }
     }
 
-    /// The pixels of both; may be empty.
+    /// The pixels that both regions have; may be empty.
     #[must_use]
     pub fn common(&self, other: &Self) -> Self {
         let common = |a: &Range<usize>, b: &Range<usize>| {
@@ -285,7 +289,7 @@ impl Region {
 }
 
 impl Tile {
-    /// The tile as a display of its own: its held pixels, where they stand.
+    /// The tile as a separate display, which has the held pixels at their positions.
     pub fn display(&self, whole: &Display, geometry: &FieldGeometry) -> Display {
         let mut display = whole.without_panels();
         display.field.resolution = [self.field.cols.len(), self.field.rows.len()];
@@ -296,7 +300,7 @@ impl Tile {
             layer.resolution = [held.cols.len(), held.rows.len()];
             layer.offset_mm = [0, 1].map(|axis| layer.offset_mm[axis] + centre_mm[axis] - field_mm[axis]);
             (layer.panel_resolution, layer.panel_pitch_mm) = (None, None);
-            // stripes go on where the tile begins
+            // stripes continue where the tile begins
             let stripes = layer.filters.len();
             if stripes > 0 {
                 layer.filters.rotate_left(held.cols.start % stripes);
@@ -314,11 +318,11 @@ impl Tile {
         display
     }
 
-    /// Its rays.
+    /// The geometry of the tile's rays.
     pub fn geometry(&self, whole: &FieldGeometry) -> FieldGeometry {
         let mut grid = whole.grid.clone();
         if let Projection::Perspective { distance_mm } = grid.projection {
-            // the same eyes, seen from the tile's centre
+            // the same eyes, relative to the tile's centre
             let [x, y] = centre_mm(&self.field, [whole.rows, whole.cols], whole.pitch_mm);
             grid.slope_x.iter_mut().for_each(|slope| *slope -= x / distance_mm);
             grid.slope_y.iter_mut().for_each(|slope| *slope -= y / distance_mm);
@@ -327,7 +331,8 @@ impl Tile {
         FieldGeometry { rows, cols, pitch_mm: whole.pitch_mm, grid }
     }
 
-    /// Where its rays hit its pixels: the part of the whole's map, without rounding anew.
+    /// Where the tile's rays hit its pixels: a section of the whole display's map, so nothing is
+    /// rounded anew.
     pub fn map(&self, whole: &RayMap) -> RayMap {
         let tap = |tap: &Tap, first: usize| {
             let shifted = |pixel: u32| pixel.wrapping_sub(first as u32);
@@ -359,7 +364,7 @@ impl Tile {
         RayMap { layers: layers.collect(), backlight }
     }
 
-    /// The radiance of its rays.
+    /// The radiance of the tile's rays.
     ///
     /// # Panics
     /// If the light field is not that of the tiling.
@@ -377,7 +382,7 @@ impl Tile {
         target
     }
 
-    /// The weights of its rays. `None` where none of them counts.
+    /// The weights of the tile's rays. `None` if all of them are 0.
     pub fn weights(&self, whole: &Weights) -> Option<Weights> {
         let Weights::PerRay(weights) = whole else { return Some(whole.clone()) };
         let [view_rows, view_cols, _, _] = weights.shape();
@@ -396,15 +401,16 @@ impl Tile {
     }
 }
 
-/// The centre of a region of a grid, from the grid's own, [x, y] in display space.
+/// The centre of a region of a grid relative to the grid's centre, [x, y] in display space,
+/// millimetres.
 fn centre_mm(region: &Region, [rows, cols]: [usize; 2], pitch_mm: f64) -> [f64; 2] {
     let beside = |range: &Range<usize>, count: usize| 0.5 * (range.start + range.end) as f64 - 0.5 * count as f64;
     [beside(&region.cols, cols) * pitch_mm, -beside(&region.rows, rows) * pitch_mm]
 }
 
 impl LayerStack {
-    /// The pixels of one region per layer, and of the lenslets, as a stack of their own. `regions`
-    /// lie within the stack.
+    /// The pixels of one region per layer, and of the lenslets, as a separate stack. `regions` must
+    /// be within the stack.
     #[must_use]
     pub fn cut(&self, regions: &[Region]) -> Self {
         let layers = self.layers.iter().zip(regions).map(|(layer, region)| {
@@ -426,8 +432,9 @@ impl LayerStack {
 }
 
 impl LayerStack {
-    /// Copies the pixels that it shares with another part of the same patterns. `regions` are the
-    /// pixels of the whole in this stack, per layer and of the lenslets; `others` those in `other`.
+    /// Copies the pixels that this stack shares with another section of the same patterns. Per
+    /// layer and for the lenslets, `regions` are this stack's pixels within the whole, and `others`
+    /// those of `other`.
     pub fn paste(&mut self, regions: &[Region], other: &Self, others: &[Region]) {
         for (n, (to, from)) in self.layers.iter_mut().zip(&other.layers).enumerate() {
             paste(to.data_mut(), &regions[n], from.data(), &others[n]);
@@ -439,7 +446,7 @@ impl LayerStack {
     }
 }
 
-/// Copies the common pixels of every plane `[row][col][rgb]`.
+/// Copies the pixels that both regions have, in every plane `[row][col][rgb]`.
 fn paste(to: &mut [f32], region: &Region, from: &[f32], other: &Region) {
     let common = region.common(other);
     if common.is_empty() {

@@ -6,19 +6,19 @@ impl Display {
     /// Rate below which eyes see flicker, periods a second.
     pub const FLICKER_HZ: f64 = 60.0;
 
-    /// Refreshes of one period: M, or 3·M where colours are shown in turn.
+    /// Number of refreshes of one period: M, or 3·M if colours are shown in turn.
     pub fn subframes(&self) -> usize {
         self.frames * self.colour_sequence.fields()
     }
 
-    /// Periods that the eye sees a second.
+    /// Number of periods that the eye sees per second.
     pub fn period_hz(&self) -> f64 {
         self.refresh_hz / self.subframes() as f64
     }
 
-    /// The warning to the user where a period is so long that it flickers.
+    /// The warning to the user if a period is so long that it flickers.
     pub fn flicker_warning(&self) -> Option<String> {
-        // a display made for the limit exactly does not flicker for a rounding error
+        // a display made for exactly the limit must not flicker because of a rounding error
         const ROUNDING: f64 = 1e-9;
         if self.subframes() <= 1 || self.period_hz() >= Self::FLICKER_HZ * (1.0 - ROUNDING) {
             return None;

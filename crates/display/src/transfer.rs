@@ -1,5 +1,5 @@
-//! From linear values to a panel's code values and back: standard curves, or measurements of the
-//! panel.
+//! Transfer functions from linear values to a panel's code values and back: standard curves, or
+//! measurements of the panel.
 //!
 //! A measured table holds pairs (code, amount of light), each in any unit: the first pair is the
 //! darkest state and the last the brightest, and
@@ -9,8 +9,8 @@
 //! light → (light − light_first) / (light_last − light_first)
 //! ```
 //!
-//! with straight lines in between. `black_level` and `peak` hold the brightness of the darkest and
-//! the brightest state, not this table.
+//! with straight lines between the pairs. `black_level` and `peak` hold the brightness of the
+//! darkest and the brightest state, not this table.
 
 use lumistack_core::colour::{srgb_decode, srgb_encode};
 use schemars::JsonSchema;
@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Transfer {
-    /// IEC 61966-2-1.
+    /// sRGB, IEC 61966-2-1.
     #[default]
     Srgb,
     /// Codes proportional to light.
@@ -31,7 +31,7 @@ pub enum Transfer {
     Table(Channels<Vec<[f64; 2]>>),
 }
 
-/// One thing for red, green and blue together, or one for each.
+/// One value for red, green and blue together, or one for each.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged, expecting = "one for all channels, or three: red, green, blue")]
 pub enum Channels<T> {
@@ -53,7 +53,7 @@ impl<T> Channels<T> {
         }
     }
 
-    /// All that are given: one or three.
+    /// All given values: one or three.
     pub fn iter(&self) -> impl Iterator<Item = &T> {
         match self {
             Self::Same(same) => std::slice::from_ref(same).iter(),
@@ -95,7 +95,7 @@ impl Transfer {
         matches!(self, Self::Gamma(Channels::Rgb(_)) | Self::Table(Channels::Rgb(_)))
     }
 
-    /// The first invalid key below `transfer`, the expected value and the value found.
+    /// The first invalid key under `transfer`, the expected value and the value found.
     pub(crate) fn problem(&self) -> Option<(String, &'static str, String)> {
         let key = |name: &str, channels: usize, i: usize| {
             if channels == 1 { name.to_string() } else { format!("{name}[{i}]") }
@@ -121,8 +121,8 @@ impl Transfer {
     }
 }
 
-/// Straight lines between the pairs of a table, from its column `from` to the other, both scaled to
-/// 0..1.
+/// Interpolates linearly between the pairs of a table, from its column `from` to its column `to`,
+/// both scaled to 0..1.
 fn interpolate(table: &[[f64; 2]], [from, to]: [usize; 2], value: f32) -> f32 {
     let (first, last) = (table[0], table[table.len() - 1]);
     let scaled = |pair: [f64; 2], column: usize| (pair[column] - first[column]) / (last[column] - first[column]);
@@ -137,11 +137,11 @@ fn interpolate(table: &[[f64; 2]], [from, to]: [usize; 2], value: f32) -> f32 {
 mod tests {
     use super::*;
 
-    /// f32 arithmetic on values in 0..1.
+    /// Tolerance of f32 arithmetic on values in 0..1.
     const ROUNDING: f32 = 1e-6;
 
     fn measured() -> Transfer {
-        // codes of 8 bits, candela per square metre
+        // codes of 8 bits, and light in candela per square metre
         let red = vec![[0.0, 0.3], [64.0, 10.3], [128.0, 40.3], [255.0, 200.3]];
         let green = vec![[0.0, 0.0], [255.0, 1.0]];
         Transfer::Table(Channels::Rgb([red, green.clone(), green]))

@@ -1,15 +1,16 @@
-//! A display with other numbers: the axes along which designs are compared.
+//! A display with other values: the axes along which designs are compared.
 
 use serde::{Deserialize, Serialize};
 
 use crate::{Backlight, Display, DisplayError};
 
-/// Changes to a display; keys that are not given stay.
+/// Changes to a display; values that are not given stay the same.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Variation {
-    /// Number of layers N. They stand `gap_mm` apart around the middle of the old ones; new ones
-    /// are like the frontmost. A directional backlight keeps its distance from the rearmost.
+    /// Number of layers N. Layers are `gap_mm` apart around the middle of the old stack; new layers
+    /// are like the frontmost one. A directional backlight keeps its distance from the rearmost
+    /// layer.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub layers: Option<usize>,
     /// Frames M.
@@ -18,7 +19,7 @@ pub struct Variation {
     /// Brightness scale β.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub brightness: Option<f64>,
-    /// Distance of neighbouring layers Δd, millimetres; without it the mean of the old ones.
+    /// Distance of neighbouring layers Δd, millimetres; without it, the mean of the old distances.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gap_mm: Option<f64>,
     /// [horizontal, vertical] full angles of view of the light field and the backlight, degrees.
@@ -33,8 +34,7 @@ impl Variation {
     /// The changed display, checked.
     ///
     /// # Errors
-    /// If a value is out of range, or if layers are added whose distance neither display nor
-    /// variation has.
+    /// If a value is out of range, or if layers are added to a single layer without a gap.
     pub fn applied_to(&self, base: &Display) -> Result<Display, DisplayError> {
         let mut display = base.clone();
         display.frames = self.frames.unwrap_or(display.frames);
@@ -68,7 +68,7 @@ impl Variation {
         let (Some(first), Some(last)) = (display.layers.first().cloned(), display.layers.last().cloned()) else {
             return fail("layers", "at least one layer", "none".into());
         };
-        // the gap: given, or the mean of the old gaps
+        // use the given gap, or the mean of the old gaps
         let mean_gap = (old > 1).then(|| (last.d_mm - first.d_mm) / (old as f64 - 1.0));
         let gap_mm = match self.gap_mm.or(mean_gap) {
             Some(gap_mm) if gap_mm.is_finite() && gap_mm > 0.0 => gap_mm,
@@ -77,7 +77,7 @@ impl Variation {
             None => {
                 return fail(
                     "gap_mm",
-                    "the distance of layers, which a display of one layer does not say",
+                    "the distance of layers, since the display has a single layer and so no gap",
                     "none".into(),
                 );
             }
@@ -97,7 +97,7 @@ impl Variation {
     }
 }
 
-/// More layers than this let no light through.
+/// Largest number of layers: more would let no light through.
 const MOST_LAYERS: usize = 64;
 
 #[cfg(test)]

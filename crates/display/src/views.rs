@@ -1,4 +1,4 @@
-//! Density of the views in the zone.
+//! Density of the views in the viewing zone.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -10,30 +10,31 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::{GridError, Projection, ViewGrid};
 
-/// Share of a step by which the outermost view may stand outside of the zone; so the zone's rim is
-/// no further than three quarters of a step from it.
+/// Fraction of a step by which the outermost view may be outside of the zone. So the zone's rim is
+/// at most three quarters of a step from it.
 const BEYOND: f64 = 0.25;
-/// Rounding of quotients that are whole numbers.
+/// Tolerance for quotients that are whole numbers up to rounding.
 const ROUNDING: f64 = 1e-9;
 
 /// The views that sample the zone |s| ≤ tan(α/2) of a display. In files `"auto"`,
 /// `[horizontal, vertical]`, or `{ step = [x, y] }`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Views {
-    /// As many as make a display right between them: at multiples of its [native
+    /// As many views as make a display right between them too: at multiples of its [native
     /// step](crate::native_step).
     #[default]
     Auto,
-    /// So many, [horizontal, vertical], at the centres of equal bins of the zone (the paper's).
+    /// A number of views, [horizontal, vertical], at the centres of equal bins of the zone, as in
+    /// the paper.
     Fixed([usize; 2]),
-    /// At all multiples of these slopes (x, y), ≥ 0, that lie in the zone. 0 is one view, straight
-    /// ahead.
+    /// Views at all multiples of these slopes (x, y), ≥ 0, that are in the zone. A step of 0 gives
+    /// one view, straight ahead.
     Step([f64; 2]),
 }
 
 impl Views {
-    /// The grid over full angles of `fov_deg`, at the steps that `auto` gives where the choice is
-    /// the display's.
+    /// The grid over full angles of `fov_deg`. For [`Views::Auto`] it has the steps that `auto`
+    /// returns.
     pub(crate) fn grid(
         self,
         projection: Projection,
@@ -45,7 +46,7 @@ impl Views {
             Self::Step(step) => step,
             Self::Auto => auto(),
         };
-        // checks the angles
+        // check the angles
         ViewGrid::uniform(projection, [1, 1], fov_deg)?;
         let slopes = |axis: usize| {
             let most = steps_within(half_width(fov_deg[axis]), step[axis]) as i64;
@@ -61,7 +62,7 @@ pub(crate) fn half_width(fov_deg: f64) -> f64 {
     (0.5 * fov_deg.to_radians()).tan()
 }
 
-/// Views on either side of the middle one.
+/// Number of views on either side of the middle one.
 pub(crate) fn steps_within(half_width: f64, step: f64) -> usize {
     if step > 0.0 { (half_width / step + BEYOND + ROUNDING) as usize } else { 0 }
 }
@@ -76,7 +77,7 @@ impl Serialize for Views {
     }
 }
 
-/// At all multiples of these slopes.
+/// Views at all multiples of these slopes.
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Steps {
@@ -104,7 +105,7 @@ impl JsonSchema for Views {
     }
 }
 
-/// The three forms, distinguished by their kinds, so that an error names the place inside of one.
+/// Reads the three forms by their kinds, so that an error names the position inside of a form.
 struct Form;
 
 impl<'de> Visitor<'de> for Form {
@@ -115,7 +116,7 @@ impl<'de> Visitor<'de> for Form {
     }
 
     fn visit_str<E: Error>(self, name: &str) -> Result<Views, E> {
-        // not as the command line has it: files have the other forms for that
+        // `5x3` is for the command line alone: files have the other forms for that
         if name == "auto" { Ok(Views::Auto) } else { Err(E::invalid_value(Unexpected::Str(name), &self)) }
     }
 
@@ -129,7 +130,7 @@ impl<'de> Visitor<'de> for Form {
     }
 }
 
-/// `auto`, or columns × rows as `5x3`.
+/// Reads `auto`, or columns × rows as `5x3`.
 impl std::str::FromStr for Views {
     type Err = String;
 

@@ -8,7 +8,7 @@ use crate::FieldGeometry;
 /// Weight of each ray in the objective; all values finite and ≥ 0.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Weights {
-    /// Every ray 1.
+    /// Every ray has weight 1.
     #[default]
     Uniform,
     /// One weight per view, `[view_y][view_x]`.
@@ -17,7 +17,7 @@ pub enum Weights {
     PerRay(Tensor<4>),
 }
 
-/// Weights that do not fit or are not weights.
+/// Weights of a wrong shape, or with invalid values.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("weights: expected {expected}, found {found}")]
 pub struct WeightError {
@@ -27,7 +27,7 @@ pub struct WeightError {
     pub found: String,
 }
 
-/// A region around a viewer's eye: a Gaussian in the plane z = eye z.
+/// A region around a viewer's eye: a Gaussian in the plane through the eye parallel to the display.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EyeBox {
     /// The eye in display space, millimetres; z > 0.
@@ -39,13 +39,14 @@ pub struct EyeBox {
 }
 
 impl Weights {
-    /// Weights that follow viewers. A ray counts `floor` + Σ weight · exp(−½ (r/σ)²), where r is
-    /// its distance from the eye in the plane through the eye parallel to the display. `floor` ≥ 0
-    /// is the weight of every ray, so that the space between eye boxes is not left to chance.
+    /// Weights that follow viewers. A ray has the weight `floor` + Σ weight · exp(−½ (r/σ)²). The
+    /// distance r of the ray from the eye is measured in the plane through the eye parallel to the
+    /// display. `floor` ≥ 0 is the least weight of every ray, so that directions between eye boxes
+    /// are solved too.
     ///
     /// # Errors
-    /// If the geometry makes no sense, or an eye is not in front of the display. If σ is not above
-    /// 0, or a weight or the floor is negative or not finite.
+    /// If the geometry is invalid, or an eye is not in front of the display. If σ is not above 0,
+    /// or a weight or the floor is negative or not finite.
     pub fn eye_boxes(geometry: &FieldGeometry, boxes: &[EyeBox], floor: f32) -> Result<Self, WeightError> {
         let check = |ok: bool, expected: String, found: String| {
             if ok { Ok(()) } else { Err(WeightError { expected, found }) }
@@ -72,7 +73,7 @@ impl Weights {
         let shape = [view_rows, view_cols, geometry.rows, geometry.cols];
         let mut weights = Tensor::filled(["view_y", "view_x", "row", "col"], shape, floor);
         for eye_box in boxes {
-            // the Gaussian of a distance is the product of those of its components
+            // the Gaussian of a distance is the product of the Gaussians of its components
             let [x, y] = eye_box.falloff(geometry);
             for [view_y, view_x] in geometry.grid.iter() {
                 let x = &x[view_x * geometry.cols..(view_x + 1) * geometry.cols];
@@ -105,7 +106,7 @@ impl Weights {
             return Err(WeightError { expected: "finite values ≥ 0".into(), found: found.to_string() });
         }
         if data.iter().all(|w| *w == 0.0) {
-            let found = format!("{} weights of 0: no ray counts", data.len());
+            let found = format!("{} weights, all of them 0", data.len());
             return Err(WeightError { expected: "at least one weight above 0".into(), found });
         }
         Ok(())
@@ -124,7 +125,7 @@ impl Weights {
 
 impl EyeBox {
     /// The Gaussian's factors along x `[view_x][col]` and y `[view_y][row]`: a ray at p with slope
-    /// s passes the eye's plane at p + z·s.
+    /// s crosses the eye's plane at p + z·s.
     fn falloff(&self, geometry: &FieldGeometry) -> [Vec<f64>; 2] {
         let [eye_x, eye_y, z] = self.eye_mm;
         let along = |slopes: &[f64], positions: Vec<f64>, eye: f64| {
@@ -144,7 +145,7 @@ mod tests {
     use crate::config::tests::small_display;
     use crate::{GridError, Projection, ViewGrid};
 
-    /// Single precision of weights near 1.
+    /// Tolerance: single precision of weights near 1.
     const ROUNDING: f64 = 1e-6;
 
     fn at(eye_mm: [f64; 3]) -> EyeBox {

@@ -1,7 +1,8 @@
-//! The zone that a display is made for, and how right it is there.
+//! The viewing zone of a display, and the errors of its seen pictures there.
 //!
-//! The zone of an oblique field is the slopes |s_x| ≤ tan(α_x/2), |s_y| ≤ tan(α_y/2). That of a
-//! perspective field is the eye positions D·s. With eye boxes it is their union.
+//! The zone of an oblique light field is the slopes |s_x| ≤ tan(α_x/2), |s_y| ≤ tan(α_y/2). The
+//! zone of a perspective light field is the eye positions D·s. With eye boxes, the zone is the
+//! union of the boxes.
 //!
 //! The score `psnr_zone` is −10 log₁₀ of the mean squared error between seen picture / β and the
 //! scene's picture. The mean is over directions that are spread over the whole zone and that the
@@ -11,12 +12,12 @@
 
 use crate::{EyeBox, LEAST_SHARE, Projection, SeenView, ViewGrid};
 
-/// Directions of a score, at least.
+/// Smallest number of directions of a score.
 pub const LEAST_DIRECTIONS: usize = 32;
-/// Radius of the disc that stands for an eye box, in its standard deviations.
+/// Radius of the disc that represents an eye box, in standard deviations of the box.
 const EYE_BOX_SIGMAS: f64 = 1.5;
 
-/// The expected slopes or positions of eyes.
+/// The slopes or eye positions from which a display is expected to be seen.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Zone {
     /// Slopes, or eye positions D·s: a rectangle around 0.
@@ -32,8 +33,8 @@ pub enum Zone {
 
 impl Zone {
     /// The zone of a light field's views. Per axis it reaches half a spacing past the outermost
-    /// views, or is as wide as `fov_deg` where that is known. An axis with one view has no width,
-    /// since a display for one view promises nothing beside it.
+    /// views, or is as wide as `fov_deg` if that is known. An axis with one view has no width,
+    /// since a display for one view promises nothing for other directions.
     pub fn of_grid(grid: &ViewGrid, fov_deg: Option<[f64; 2]>) -> Self {
         let slopes = [&grid.slope_x, &grid.slope_y];
         let spacing = grid.bin_width();
@@ -45,9 +46,9 @@ impl Zone {
         Self::Slopes { projection: grid.projection, half_width }
     }
 
-    /// `count` directions, spread over the zone by an additive recurrence of low discrepancy in two
-    /// dimensions (Roberts' R₂, whose ratio is the real root of x³ = x + 1). Each is a grid of one
-    /// view. The same zone and count always give the same directions.
+    /// `count` directions, each as a grid of one view. An additive recurrence of low discrepancy in
+    /// two dimensions spreads them over the zone (Roberts' R₂, whose ratio is the real root of x³ =
+    /// x + 1). The same zone and count always give the same directions.
     pub fn directions(&self, count: usize) -> Vec<ViewGrid> {
         const RATIO: f64 = 1.324_717_957_244_746;
         let point = |i: usize| [1.0, 2.0].map(|power| (0.5 + (i + 1) as f64 * RATIO.powf(-power)).fract());
@@ -58,7 +59,7 @@ impl Zone {
                     ViewGrid::single(*projection, [(2.0 * u - 1.0) * x, (2.0 * v - 1.0) * y])
                 }
                 Self::Eyes(boxes) => {
-                    // every box in turn; within one, equal areas of its disc
+                    // each box in turn; within a box, equal areas of its disc
                     let EyeBox { eye_mm: [x, y, z], sigma_mm, .. } = boxes[i % boxes.len()];
                     let [u, v] = point(i / boxes.len());
                     let (radius, angle) = (EYE_BOX_SIGMAS * sigma_mm * u.sqrt(), std::f64::consts::TAU * v);
@@ -79,16 +80,16 @@ impl Zone {
 pub struct DirectionScore {
     /// Slope (x, y) at the centre of the field.
     pub slope: [f64; 2],
-    /// Mean squared error over pixels and channels. Noise may leave it a little below 0 where a
+    /// Mean squared error over pixels and channels. Noise may make it slightly negative if a
     /// display is perfect.
     pub mse: f64,
-    /// Pixels that are scored.
+    /// Number of pixels that are scored.
     pub pixels: usize,
 }
 
 impl DirectionScore {
     /// Compares a seen picture / β with two renders of the scene's picture, `[row][col][rgb]`,
-    /// whose noise is independent; two equal ones where they have none.
+    /// whose noise is independent. Without noise, pass the same picture twice.
     pub fn new(direction: &ViewGrid, seen: &SeenView, brightness: f64, references: [&[f32]; 2]) -> Self {
         let (mut sum, mut pixels) = (0.0, 0);
         let pictures = references[0].chunks_exact(3).zip(references[1].chunks_exact(3));
@@ -111,21 +112,21 @@ impl DirectionScore {
     }
 }
 
-/// Errors all over the zone.
+/// Errors in directions all over the zone.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ZoneScore {
-    /// Direction by direction.
+    /// One score per direction.
     pub directions: Vec<DirectionScore>,
 }
 
 impl ZoneScore {
-    /// `psnr_zone`: of the mean error over all directions, dB. `None` where no pixel could be
+    /// `psnr_zone`: PSNR of the mean error over all directions, dB. `None` if no pixel could be
     /// scored.
     pub fn psnr(&self) -> Option<f64> {
         mean(&self.scored()).map(psnr)
     }
 
-    /// PSNR of the mean error over the worst tenth of the directions, rounded up, in dB.
+    /// PSNR of the mean error over the worst tenth of the directions, rounded up, dB.
     pub fn worst_tenth(&self) -> Option<f64> {
         let mut scored = self.scored();
         scored.sort_by(|a, b| b.total_cmp(a));
@@ -142,7 +143,8 @@ fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// Peak 1; an error that noise leaves at 0 or below counts as that of the tenth of a 16-bit step.
+/// PSNR with peak 1, dB. An error that noise leaves at 0 or below is taken as the square of a tenth
+/// of a 16-bit step.
 fn psnr(mse: f64) -> f64 {
     const LEAST: f64 = 1.5e-6 * 1.5e-6;
     -10.0 * mse.max(LEAST).log10()
@@ -173,7 +175,7 @@ mod tests {
         let zone = Zone::Slopes { projection: Projection::Oblique, half_width: [0.2, 0.1] };
         let directions = zone.directions(32);
         assert_eq!(directions, zone.directions(32));
-        // every cell of a 4 × 4 grid holds one to three of the 32
+        // every cell of a 4 × 4 grid holds one to three of the 32 directions
         let mut cells = [0; 16];
         for direction in &directions {
             let [x, y] = [direction.slope_x[0] / 0.2, direction.slope_y[0] / 0.1].map(|s| (2.0 + 2.0 * s) as usize);
@@ -196,8 +198,8 @@ mod tests {
         assert!(Zone::Eyes(Vec::new()).directions(32).is_empty());
     }
 
-    /// Two noisy references give the error of the picture, not that of the noise, which is 25 times
-    /// as large.
+    /// Two noisy references give the error of the picture, without the error of the noise, which is
+    /// 19 times as large.
     #[test]
     fn noise_of_the_references_does_not_count() {
         let pixels = 40_000;
@@ -210,7 +212,7 @@ mod tests {
         };
         let direction = ViewGrid::single(Projection::Oblique, [0.0; 2]);
         let score = DirectionScore::new(&direction, &seen, 0.2, [&a, &b]);
-        // σ of the mean product of 120,000 pairs is 9e-5; five of them
+        // the tolerance is five standard errors of the mean product of 120,000 pairs, each 9e-5
         assert!((score.mse - 0.0016).abs() < 4.5e-4, "{}", score.mse);
         assert!((DirectionScore::new(&direction, &seen, 0.2, [&a, &a]).mse - 0.0316).abs() < 1e-3);
     }

@@ -1,12 +1,12 @@
-//! Updates per second of an adapter on the paper's main case, beside the processor and the measured
-//! limits of the adapter.
+//! Measures the updates per second of an adapter on the paper's main case, and compares them with
+//! the processor and with the adapter's measured limits.
 //!
 //! Operations and bytes per update and colour channel, with F factors and M frames:
 //!
 //! ```text
 //! multiply-adds per ray   block-exact      F (M (F−2) + 2M + M(M+1)/2)
 //!                         multiplicative   F M (F+1)
-//! bytes                   F times the target and all factors once, and every factor written
+//! bytes                   F times: the target and all factors are read, and one factor is written
 //! ```
 //!
 //! The paper's two Quadro cards computed about 10 updates a second.
@@ -26,7 +26,7 @@ use lumistack_factorizer_gpu::{Device, adapters};
 const WIDTH_MM: f64 = 473.76;
 const FRAMES: usize = 12;
 
-/// Seconds of the first update, including the start, and of one more.
+/// Seconds of the first update, including the start, and of one further update.
 fn time(
     solver: &dyn Solver,
     problem: &Problem,
@@ -36,7 +36,7 @@ fn time(
     let begun = Instant::now();
     let mut run = solver.start(problem, start.clone())?;
     run.step(&Cancel::default())?;
-    // waits for the device
+    // the objective waits for the device
     run.objective();
     let first = begun.elapsed().as_secs_f64();
     let begun = Instant::now();
@@ -53,7 +53,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let quick = arguments.iter().any(|argument| argument == "--quick");
     arguments.retain(|argument| argument != "--quick");
     let name = arguments.first().map(String::as_str);
-    // list the adapters, and open the requested one or else any
+    // list the adapters, and open the requested one, or any if none is requested
     for adapter in adapters() {
         println!("{} ({}, {}, {})", adapter.name, adapter.kind, adapter.backend, adapter.driver);
     }
@@ -66,7 +66,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let adapter = device.adapter();
     if !adapter.is_hardware {
-        println!("no graphics processor: what follows is the processor itself, by a driver in software");
+        println!("no graphics processor: the device measured below is the processor, through a software driver");
     }
     // the limits of this adapter, which bound every update
     let limits = device.measured_limits();
@@ -84,7 +84,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let target = scene::light_field(&display)?;
     let problem = Problem { display: &display, target: &target, weights: &Weights::Uniform };
     let start = random_start(&display, 1);
-    // the least traffic of an update, see the top
+    // the smallest traffic of an update, see the top of this file
     let (factors, frames) = (3.0, FRAMES as f64);
     let values = 3.0 * (resolution[0] * resolution[1]) as f64;
     let rays = 25.0 * values;

@@ -13,7 +13,7 @@ pub struct Adapter {
     pub kind: &'static str,
     /// Name and version of the driver.
     pub driver: String,
-    /// Bytes of the largest buffer, and of the largest part of one that a shader can read.
+    /// Largest size of a buffer, and of the region of a buffer that a shader can read, bytes.
     pub buffer_bytes: [u64; 2],
     /// True for a graphics processor; `auto` selects only such adapters.
     pub is_hardware: bool,
@@ -25,8 +25,8 @@ pub fn adapters() -> Vec<Adapter> {
 }
 
 fn found() -> Vec<(Adapter, wgpu::Adapter)> {
-    // interfaces with compute shaders alone: without a session, OpenGL's driver writes to standard
-    // error
+    // use interfaces with compute shaders alone: without a session, OpenGL's driver writes to
+    // standard error
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle_from_env();
     descriptor.backends = Backends::PRIMARY;
     let instance = wgpu::Instance::new(descriptor);

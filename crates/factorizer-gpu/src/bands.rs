@@ -1,14 +1,14 @@
-//! Bands of lines, so that the data of a dispatch fits into the device's bindings.
+//! Divides lines into bands, so that the data of a dispatch fits into the device's bindings.
 //!
-//! Buffers hold whole channels. A dispatch writes some lines and binds windows of the buffers that
-//! it needs for them. These are the field rows whose rays read the lines, and the lines of other
-//! factors that those rays read. A band whose windows are too large is halved.
+//! Buffers hold whole channels. A dispatch writes some lines, and binds windows of the buffers that
+//! it reads for these lines. The windows hold the field rows whose rays read the lines, and the
+//! lines of other factors that those rays read. A band whose windows are too large is halved.
 
 use std::ops::Range;
 
 use crate::tables::Tables;
 
-/// The windows of one dispatch; ranges are in words of a channel's buffers.
+/// The windows of one dispatch; ranges are in 4-byte words of a channel's buffers.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Band {
     /// Lines of a factor, or field rows.
@@ -19,19 +19,19 @@ pub(crate) struct Band {
     pub(crate) factors: Vec<Range<u64>>,
 }
 
-/// Words per line of each buffer, and the device's limits.
+/// Number of 4-byte words per line of each buffer, and the device's limits.
 pub(crate) struct BandSizes<'a> {
     pub(crate) tables: &'a Tables,
     /// Words per line of each factor.
     pub(crate) line_words: Vec<u64>,
-    /// Words per field row, all views.
+    /// Words per field row, over all views.
     pub(crate) target_words: u64,
     pub(crate) weight_words: u64,
     /// Largest binding, in bytes.
     pub(crate) limit: u64,
     /// Alignment of a binding's offset, in bytes.
     pub(crate) align: u64,
-    /// Most workgroups along an axis.
+    /// Largest number of workgroups along an axis.
     pub(crate) groups: usize,
 }
 
@@ -90,7 +90,8 @@ impl BandSizes<'_> {
         })
     }
 
-    /// The words of some lines, from an aligned offset on; `None` if they exceed a binding.
+    /// The range of some lines in words, from an aligned offset on; `None` if the range exceeds a
+    /// binding.
     fn window(&self, lines: Range<usize>, words: u64) -> Option<Range<u64>> {
         let align = self.align.div_ceil(4);
         let start = lines.start as u64 * words / align * align;
@@ -99,7 +100,7 @@ impl BandSizes<'_> {
     }
 }
 
-/// The smallest range that contains all given ones.
+/// The smallest range that contains all given ranges.
 fn span(ranges: &[Option<[usize; 2]>]) -> Range<usize> {
     let all = ranges.iter().flatten();
     let first = all.clone().map(|range| range[0]).min();

@@ -9,7 +9,7 @@ use lumistack_factorizer::FactorizeError;
 use crate::adapters::{self, Adapter};
 use crate::text::{FIRST_FACTOR, Program};
 
-/// Bytes that are written or read at a time.
+/// Number of bytes that are written or read at a time.
 pub(crate) const CHUNK: u64 = 32 << 20;
 
 /// Longest wait for the callback of a read whose data has arrived.
@@ -49,7 +49,10 @@ impl Gpu {
         let (heard, lost) = (record(&failure), record(&failure));
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| heard(error.to_string())));
         device.set_device_lost_callback(move |_, message| {
-            lost(format!("the device was lost: {message}").trim_end_matches(": ").to_owned());
+            lost(
+                format!("the device was lost: {message}").trim_end_matches(": ").to_owned()
+                    + "; run again, or use --device cpu",
+            );
         });
         Ok(Self { adapter, device, queue, limits, programs: Mutex::default(), failure })
     }
@@ -87,7 +90,8 @@ impl Gpu {
         failure.as_ref().map_or(Ok(()), |why| Err(self.error(why.clone())))
     }
 
-    /// Allocates a buffer of at least `words` words; an empty one could not be bound.
+    /// Allocates a buffer of at least `words` words. It is never empty, since an empty buffer
+    /// cannot be bound.
     pub(crate) fn buffer(&self, words: u64) -> wgpu::Buffer {
         let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC;
         self.device.create_buffer(&wgpu::BufferDescriptor {
@@ -105,7 +109,7 @@ impl Gpu {
         }
     }
 
-    /// Writes words to a buffer, a part at a time, since words in flight occupy memory a second
+    /// Writes words to a buffer, a chunk at a time, since words in flight occupy memory a second
     /// time.
     pub(crate) fn write<T: Copy>(&self, buffer: &wgpu::Buffer, words: &[T], bytes: impl Fn(&[T]) -> Vec<u8>) {
         let per_chunk = (CHUNK / 4) as usize;
@@ -118,7 +122,7 @@ impl Gpu {
         }
     }
 
-    /// Reads floats; zeros if the device is lost.
+    /// Reads floats; returns zeros if the device is lost.
     pub(crate) fn read(&self, buffer: &wgpu::Buffer, count: usize) -> Vec<f32> {
         let mut floats = Vec::with_capacity(count);
         let bytes = 4 * count as u64;
@@ -128,7 +132,7 @@ impl Gpu {
             usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });
-        // a part at a time, through one staging buffer
+        // read a chunk at a time, through one staging buffer
         for start in (0..bytes).step_by(CHUNK as usize) {
             let len = (bytes - start).min(CHUNK);
             let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -137,7 +141,7 @@ impl Gpu {
             let (sender, receiver) = std::sync::mpsc::channel();
             staging.map_async(wgpu::MapMode::Read, 0..len, move |result| drop(sender.send(result)));
             self.wait();
-            // another waiting thread may run the callback, a little later
+            // another thread that waits may run the callback, slightly later
             let mapped = receiver.recv_timeout(CALLBACK_TIMEOUT).map_err(|_| "the device does not answer".to_owned());
             match mapped.and_then(|result| result.map_err(|error| error.to_string())) {
                 Ok(()) => match staging.get_mapped_range(0..len) {

@@ -9,15 +9,15 @@
 //!                                          one thread per field pixel: errors of all views
 //! ```
 //!
-//! The schedule is that of the processor: this crate implements
-//! [`lumistack_factorizer::device::Updater`] alone. Every shader is generated for the problem's N
-//! and M, so sums stay in registers (`text.rs`). The results are those of the processor up to
-//! rounding. They are the same in every run on one device and driver.
+//! The schedule of updates is the processor's: this crate only implements
+//! [`lumistack_factorizer::device::Updater`]. Every shader is generated for the problem's N and M,
+//! so sums stay in registers (`text.rs`). The results equal the processor's up to rounding. They
+//! are the same in every run on one device and driver.
 //!
-//! Targets of half floats stay half floats. A buffer holds a channel. A shader binds windows of
+//! Targets of half floats stay half floats. A buffer holds one channel. A shader binds windows of
 //! buffers, in bands of lines that fit the device (`bands.rs`). Layers with blur, crosstalk, colour
-//! filters or tied channels are an error. The processor re-optimizes patterns for panels of few
-//! bits.
+//! filters or tied channels are an error. Patterns for panels of few bits are re-optimized on the
+//! processor.
 
 mod adapters;
 mod bands;
@@ -42,7 +42,7 @@ pub use measure::Limits;
 /// results that this code contributes to.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
-/// An open device; its clones share it.
+/// An open device; clones of this value share it.
 #[derive(Clone)]
 pub struct Device {
     gpu: Arc<gpu::Gpu>,
@@ -91,7 +91,7 @@ impl Device {
         measure::limits(&self.gpu)
     }
 
-    /// Returns a solver whose patterns are on this device.
+    /// Returns a solver that keeps its patterns on this device.
     ///
     /// # Errors
     /// If no solver has this name; the error lists all names.
@@ -106,7 +106,7 @@ impl Executor for Device {
     }
 }
 
-/// A solver whose patterns are on a device.
+/// A solver that keeps its patterns on a device.
 pub struct OnDevice {
     device: Device,
     /// The same solver on the processor.

@@ -7,21 +7,21 @@ use crate::gpu::Gpu;
 /// Limits of a device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
-    /// Bytes read and written per second by a kernel that copies.
+    /// Bytes per second, read and written, of a kernel that copies.
     pub bytes_per_s: f64,
     /// Multiply-adds of f32 per second.
     pub multiply_adds_per_s: f64,
 }
 
-/// Multiply-adds per thread of `multiply_add`.
+/// Multiply-adds per thread of the kernel `multiply_add`.
 const MULTIPLY_ADDS: f64 = 8.0 * 4.0 * 64.0;
-/// Number of threads, of 16 bytes each.
+/// Number of threads; each copies 16 bytes.
 const THREADS: u64 = 1 << 21;
 const ROUNDS: usize = 5;
 
-/// Runs each kernel several times; the fastest run counts.
+/// Runs each kernel several times and takes the fastest run.
 pub(crate) fn limits(gpu: &Gpu) -> Limits {
-    // buffers as large as the device allows
+    // use buffers as large as the device allows
     let fits = gpu.limits.max_storage_buffer_binding_size.min(gpu.limits.max_buffer_size) / 16;
     let threads = THREADS.min(fits / 64 * 64);
     let [from, to] = [0; 2].map(|_| gpu.buffer(4 * threads));
@@ -35,7 +35,7 @@ pub(crate) fn limits(gpu: &Gpu) -> Limits {
         },
         count: None,
     };
-    // one layout for both kernels
+    // use one layout for both kernels
     let entries = [entry(0, true), entry(1, false)];
     let layout =
         gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &entries });
@@ -51,7 +51,7 @@ pub(crate) fn limits(gpu: &Gpu) -> Limits {
     });
     let groups = (threads / 64) as u32;
     let across = groups.min(1 << 12);
-    // time a dispatch until the device is idle
+    // measure the time of a dispatch until the device is idle
     let fastest = |entry: &str| {
         let pipeline = gpu.pipeline(&module, &layout, entry);
         let once = || {

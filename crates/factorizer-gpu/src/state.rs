@@ -1,4 +1,4 @@
-//! The patterns of a run on a device: the updates of [`Updater`] as dispatches.
+//! The patterns of a run on a device. The updates of [`Updater`] are dispatches.
 
 use std::sync::Arc;
 
@@ -35,10 +35,10 @@ pub(crate) struct State {
     row_bands: Vec<Band>,
     layout: wgpu::BindGroupLayout,
     params: wgpu::Buffer,
-    /// Distance of the parameters of successive dispatches, in bytes.
+    /// Distance of the parameters of successive dispatches, bytes.
     params_stride: u64,
     sums: wgpu::Buffer,
-    /// Bound in place of buffers that a program does not use.
+    /// Bound instead of buffers that a program does not use.
     unused: [wgpu::Buffer; 3],
     /// Number of workgroups of the last dispatch; their results are in `sums`.
     found: usize,
@@ -62,7 +62,7 @@ impl State {
         let (bindings, most) = (FIRST_FACTOR - 1 + n_factors, limits.max_storage_buffers_per_shader_stage);
         if bindings > most as usize {
             return Err(gpu.error(format!(
-                "{n_factors} layers and backlights need {bindings} buffers at once, it allows {most}"
+                "{n_factors} layers and backlights need {bindings} buffers in one program, the device allows {most}"
             )));
         }
         let sizes = (0..n_factors).map(|n| (plan.size(n)[0] * plan.size(n)[1] * plan.frames()) as u64);
@@ -70,7 +70,7 @@ impl State {
         if largest > limits.max_buffer_size {
             let [needed, allowed] = [largest, limits.max_buffer_size].map(|bytes| bytes.div_ceil(1 << 20));
             return Err(gpu.error(format!(
-                "too little memory: a channel needs a buffer of {needed} MiB, it allows {allowed} MiB"
+                "too little memory: a channel needs a buffer of {needed} MiB, the device allows {allowed} MiB"
             )));
         }
         // wgpu reports failed allocations through error scopes
@@ -90,14 +90,14 @@ impl State {
     /// Allocates and fills all buffers, and divides the work into bands.
     fn upload(gpu: Arc<Gpu>, begin: Begin) -> Result<Self, FactorizeError> {
         let Begin { plan, display, ranges, factors, tries_local } = begin;
-        // the problem and the patterns
+        // copy the problem and the patterns to the device
         let tables = Tables::new(&plan);
         let table_words = gpu.buffer(tables.words.len() as u64);
         gpu.write(&table_words, &tables.words, |part| part.iter().flat_map(|word| word.to_le_bytes()).collect());
         let target = Target::upload(&gpu, &plan);
         let factors: Vec<_> =
             factors.iter().enumerate().map(|(n, factor)| Values::upload(&gpu, &plan, n, factor)).collect();
-        // bands that fit the bindings
+        // divide lines into bands that fit the bindings
         let limits = &gpu.limits;
         let sizes = BandSizes {
             tables: &tables,
@@ -108,11 +108,12 @@ impl State {
             align: u64::from(limits.min_storage_buffer_offset_alignment),
             groups: limits.max_compute_workgroups_per_dimension as usize,
         };
-        let too_small = || gpu.error("too little memory: one line's rays read more than it binds at once".into());
+        let too_small =
+            || gpu.error("too little memory: one line's rays read more than the device can bind to one program".into());
         let bands: Option<Vec<_>> = (0..factors.len()).map(|n| sizes.of_factor(n, plan.size(n)[0])).collect();
         let bands = bands.ok_or_else(too_small)?;
         let row_bands = sizes.of_rows(plan.field()[0]).ok_or_else(too_small)?;
-        // room for the parameters and results of the largest number of dispatches
+        // allocate room for the parameters and results of the largest number of dispatches
         let dispatches = bands.iter().chain([&row_bands]).map(Vec::len).max().unwrap_or(0) * plan.channels();
         let places = (0..factors.len()).map(|n| plan.size(n)).chain([plan.field()]);
         let groups = places.map(|[lines, cols]| lines * cols.div_ceil(GROUP)).max().unwrap_or(0) * plan.channels();
@@ -147,11 +148,11 @@ impl State {
         })
     }
 
-    /// Runs a program over all bands and channels; it leaves its results in `sums`.
+    /// Runs a program over all bands and channels, and leaves the results in `sums`.
     fn dispatch(&mut self, update: Option<Update>, extrapolation: f32) {
         let plan = self.plan.clone();
         let weighted = self.target.weights.is_some();
-        // one program serves all bands; the parameters differ
+        // all bands use one program with different parameters
         let pipeline = self.gpu.program(&Program { plan: &plan, weighted, update }, &self.layout);
         let (bands, cols) = match update {
             Some(Update { own, .. }) => (&self.bands[own], plan.size(own)[1]),
@@ -175,7 +176,7 @@ impl State {
                 self.gpu.record(error.to_string());
             }
         }
-        // submit all bands at once
+        // submit all bands together
         self.gpu.queue.write_buffer(&self.params, 0, &words);
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         {
@@ -227,7 +228,7 @@ impl State {
             let size = std::num::NonZeroU64::new(4 * (words.end - words.start));
             wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer, offset: 4 * words.start, size })
         }
-        // the order of the bindings in `read.wgsl`
+        // list the bindings in the order of `read.wgsl`
         let size = std::num::NonZeroU64::new(self.params_stride);
         let params = wgpu::BufferBinding { buffer: &self.params, offset: params_at, size };
         let [weights, next, latest] = &self.unused;
@@ -270,7 +271,7 @@ impl State {
     }
 }
 
-/// Words of `Params` before those of the factors.
+/// Number of words of `Params` in front of those of the factors.
 const PARAMS: usize = 23;
 
 impl Updater for State {
@@ -311,7 +312,7 @@ impl Updater for State {
     }
 
     fn save(&mut self, _: usize) {
-        // an update leaves the values before it in the buffer that the next one overwrites
+        // after an update, the previous values are in the buffer that the next update overwrites
     }
 
     fn restore(&mut self, n: usize) {

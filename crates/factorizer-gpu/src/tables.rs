@@ -3,30 +3,30 @@
 use lumistack_display::Tap;
 use lumistack_factorizer::device::Plan;
 
-/// Word of a tap that misses.
+/// Word of a tap that misses the factor.
 const MISSED: u32 = u32::MAX;
 
 /// All tables, and the offset of each.
 pub(crate) struct Tables {
     pub(crate) words: Vec<u32>,
-    /// `[view row][field row]`: 1 if the rays count, else 0.
+    /// `[view row][field row]`: 1 if the rays are valid, otherwise 0.
     pub(crate) counted_rows: u32,
-    /// `[view column][field column]`: 1 if the rays count, else 0.
+    /// `[view column][field column]`: 1 if the rays are valid, otherwise 0.
     pub(crate) counted_cols: u32,
     pub(crate) factors: Vec<FactorTables>,
 }
 
 /// Offsets and ranges of one factor's tables.
 pub(crate) struct FactorTables {
-    /// `[view row][field row]`: the lines that rays read; the offset counts taps.
+    /// `[view row][field row]`: the lines that rays read; the offset is in taps.
     pub(crate) y: u32,
-    /// `[view column][field column]`: the columns that rays read; the offset counts taps.
+    /// `[view column][field column]`: the columns that rays read; the offset is in taps.
     pub(crate) x: u32,
-    /// `[view row][line]`: the offset of the field rows that read the line. The next entry ends
-    /// them.
+    /// `[view row][line]`: the offset of the list of field rows that read the line. The list ends
+    /// at the next entry's offset.
     pub(crate) own_lines: u32,
-    /// `[view column][column]`: the offset of the field columns that read the column. The next
-    /// entry ends them.
+    /// `[view column][column]`: the offset of the list of field columns that read the column. The
+    /// list ends at the next entry's offset.
     pub(crate) own_columns: u32,
     /// Per line, the first and last field row that read it from any view.
     pub(crate) rows_of_line: Vec<Option<[usize; 2]>>,
@@ -37,7 +37,7 @@ pub(crate) struct FactorTables {
 impl Tables {
     pub(crate) fn new(plan: &Plan) -> Self {
         let ([views_y, views_x], [rows, cols]) = (plan.views(), plan.field());
-        // the rays that count, as flags
+        // the valid rays, as flags
         let mut words = Vec::new();
         let counted_rows = 0;
         for view_y in 0..views_y {
@@ -51,7 +51,7 @@ impl Tables {
                 words[at + range.start..at + range.end].fill(1);
             }
         }
-        // the taps and readers of every factor
+        // add the taps and readers of every factor
         let mut tables = Self { words, counted_rows, counted_cols, factors: Vec::new() };
         for n in 0..plan.factor_count() {
             let factor = tables.add(plan, n);
@@ -85,10 +85,10 @@ impl Tables {
         FactorTables { y, x, own_lines, own_columns, rows_of_line, lines_of_row }
     }
 
-    /// Appends the taps of all views and places: one word each, or three if two neighbours are
-    /// mixed.
+    /// Appends the taps of all views and positions: one word per tap, or three if two neighbours
+    /// are mixed.
     fn taps(&mut self, views: usize, count: usize, mixed: bool, tap: impl Fn(usize, usize) -> Option<Tap>) -> u32 {
-        // shaders count in taps, so the offset must be a multiple of their width
+        // shaders index tables by taps, so the offset must be a multiple of a tap's width
         let width = if mixed { 3 } else { 1 };
         self.words.resize(self.words.len().next_multiple_of(width), 0);
         let at = self.words.len() / width;
@@ -103,8 +103,8 @@ impl Tables {
         at as u32
     }
 
-    /// Appends, for every view and place of a factor, the rays that read it with their shares. A
-    /// table of their offsets precedes them.
+    /// Appends, for every view and every line or column of a factor, the rays that read it, each
+    /// with its weight. A table of the lists' offsets precedes them.
     fn readers(&mut self, views: usize, places: usize, taps: impl Fn(usize) -> Vec<(usize, Tap)>) -> u32 {
         let at = self.words.len();
         self.words.resize(at + views * (places + 1), 0);

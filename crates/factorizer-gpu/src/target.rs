@@ -10,7 +10,7 @@ pub(crate) struct Target {
     pub(crate) channels: Vec<wgpu::Buffer>,
     /// √w; `None` if all are 1.
     pub(crate) weights: Option<wgpu::Buffer>,
-    /// Words per field row, all views.
+    /// Words per field row, over all views.
     pub(crate) row_words: u64,
     pub(crate) weight_words: u64,
 }

@@ -1,4 +1,5 @@
-//! Generates the text of shaders: a part that repeats per factor and frame is written once.
+//! Generates the text of shaders. In their sources, a block that repeats per factor and frame is
+//! written once.
 //!
 //! ```text
 //! //@ factors   all factors, {k}             //@ frames   {m} = 0 .. M
@@ -9,8 +10,8 @@
 //! //@ include coefficients
 //! ```
 //!
-//! Each block ends at its `//@ end`. So N and M are constants of the program, loops over them are
-//! unrolled, and sums stay in registers.
+//! Each block ends at its `//@ end`. So N and M become constants of the program, loops over them
+//! are unrolled, and sums stay in registers.
 
 use std::fmt::Write;
 
@@ -21,14 +22,14 @@ const READ: &str = include_str!("shaders/read.wgsl");
 const UPDATE: &str = include_str!("shaders/update.wgsl");
 const ERRORS: &str = include_str!("shaders/errors.wgsl");
 
-/// Number of bindings before those of the factors.
+/// Number of bindings in front of those of the factors.
 pub(crate) const FIRST_FACTOR: usize = 7;
 
 /// The properties that a program is generated for.
 pub(crate) struct Program<'a> {
     pub(crate) plan: &'a Plan,
     pub(crate) weighted: bool,
-    /// The update of a factor; `None` for errors.
+    /// The update of a factor; `None` for the program that computes errors.
     pub(crate) update: Option<Update>,
 }
 
@@ -38,7 +39,8 @@ pub(crate) struct Update {
     pub(crate) own: usize,
     pub(crate) rule: Rule,
     pub(crate) extrapolated: bool,
-    /// True for the curvature at the current point, where L̃ is not linear in the values.
+    /// True if the update takes the curvature at the current point. This matters only if L̃ is not
+    /// linear in the values.
     pub(crate) local: bool,
 }
 
@@ -98,13 +100,13 @@ impl Program<'_> {
         frames.clone().map(|m| format!("r{m}")).chain(self.pairs().map(|(m, j)| format!("g{m}_{j}"))).collect()
     }
 
-    /// Pairs of frames whose products are summed.
+    /// Pairs of frames (m, j) for which products a_m a_j are summed.
     fn pairs(&self) -> impl Iterator<Item = (usize, usize)> + use<> {
         let (frames, gram) = (self.plan.frames(), self.is("gram"));
         (0..frames).flat_map(move |m| (m..if gram { frames } else { m + 1 }).map(move |j| (m, j)))
     }
 
-    /// Expands lines up to the `//@ end` of their block, or to the last one.
+    /// Expands lines up to the `//@ end` of their block, or up to the last line.
     fn expand(&self, lines: &mut dyn Iterator<Item = &str>, place: &Place, to: &mut String) {
         while let Some(line) = lines.next() {
             let Some(directive) = line.trim_start().strip_prefix("//@ ") else {
@@ -130,7 +132,7 @@ impl Program<'_> {
         }
     }
 
-    /// The substitutions of each repetition of a block.
+    /// The substitutions for each repetition of a block.
     fn places(&self, directive: &str, place: &Place) -> Vec<Place> {
         let plan = self.plan;
         let own = self.update.map(|update| update.own);
@@ -172,7 +174,7 @@ fn block_of<'a>(lines: &mut dyn Iterator<Item = &'a str>) -> Vec<&'a str> {
     inside.collect()
 }
 
-/// Substitutions of the names in braces.
+/// The texts that replace names in braces.
 #[derive(Clone, Default)]
 struct Place {
     own: Option<usize>,

@@ -8,9 +8,9 @@ use crate::gpu::Gpu;
 pub(crate) struct Values {
     /// Values that rays read.
     pub(crate) current: Vec<wgpu::Buffer>,
-    /// Output of the next update; after it, the values from before.
+    /// Output of the next update. After that update it has the previous values.
     pub(crate) next: Vec<wgpu::Buffer>,
-    /// The last iterate, while rays read extrapolated values.
+    /// The last iterate, if rays read extrapolated values.
     pub(crate) latest: Option<Vec<wgpu::Buffer>>,
     words: u64,
 }
@@ -43,7 +43,8 @@ impl Values {
         factor
     }
 
-    /// Allocates the last iterate from the current values, before the first extrapolation.
+    /// Allocates the last iterate as a copy of the current values. The first extrapolation calls
+    /// it.
     pub(crate) fn begin_latest(&mut self, gpu: &Gpu) {
         if self.latest.is_none() {
             self.latest = Some(self.current.iter().map(|_| gpu.buffer(self.words)).collect());
@@ -51,7 +52,7 @@ impl Values {
         }
     }
 
-    /// Copies the values to the last iterate.
+    /// Copies the current values to the last iterate.
     pub(crate) fn copy_to_latest(&self, gpu: &Gpu) {
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         for (from, to) in self.current.iter().zip(self.latest.iter().flatten()) {
@@ -60,14 +61,15 @@ impl Values {
         gpu.queue.submit([encoder.finish()]);
     }
 
-    /// Exchanges the values and the last iterate.
+    /// Exchanges the current values and the last iterate.
     pub(crate) fn swap_latest(&mut self) {
         if let Some(latest) = &mut self.latest {
             std::mem::swap(&mut self.current, latest);
         }
     }
 
-    /// Exchanges the values for those from before the last update, or back.
+    /// Exchanges the current values and the values before the last update. A second call undoes
+    /// this.
     pub(crate) fn swap_next(&mut self) {
         std::mem::swap(&mut self.current, &mut self.next);
     }

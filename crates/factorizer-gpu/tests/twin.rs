@@ -1,5 +1,5 @@
-//! The device against the processor, on any adapter, software included. Without an adapter the
-//! tests are skipped.
+//! Compares the device with the processor, on any adapter, software included. Without an adapter
+//! the tests are skipped.
 
 use std::sync::{Mutex, OnceLock};
 
@@ -17,30 +17,32 @@ mod problems;
 
 use problems::{Kind, Owned, display, random};
 
-/// Largest difference of a mask value.
+/// Largest allowed difference of a mask value.
 const PATTERN_TOLERANCE: f32 = 1e-4;
-/// Largest difference of the emission of a ray.
+/// Largest allowed difference of the emission of a ray.
 const EMISSION_TOLERANCE: f32 = 1e-5;
-/// Relative difference of the objective, and per ray and channel near 0.
+/// Largest allowed relative difference of the objective.
 const OBJECTIVE_TOLERANCE: f64 = 1e-4;
+/// Largest allowed difference of an objective near 0, per ray and channel.
 const OBJECTIVE_PER_VALUE: f64 = 1e-11;
-/// Influence on the emission from which a value counts as determined.
+/// Smallest influence of a value on the emission at which the value is taken as determined.
 const DETERMINED: f32 = 0.1;
-/// Rounds of updates that are compared one by one.
+/// Number of iterations whose updates are compared one by one.
 const ROUNDS: usize = 4;
-/// Updates of whole runs.
+/// Number of updates of a whole run.
 const UPDATES: usize = 10;
 /// Seeds of the random problems; the same for all tests, so that they share programs.
 const SEED: u64 = 4;
-/// Tolerance for the device, as a multiple of the processor's own difference between starts and
-/// targets that differ by a rounding.
+/// Tolerance for the device, as a multiple of the processor's own difference between runs whose
+/// starts and targets differ by a rounding.
 const OWN_ROUNDING: f32 = 4.0;
-/// Runs by which the processor's own differences are measured.
+/// Number of runs by which the processor's own difference is measured.
 const NUDGES: u32 = 4;
-/// Number of runs that may need that tolerance.
+/// Largest number of runs that may need that tolerance.
 const MOST_LED_ELSEWHERE: usize = 8;
 
-/// The adapter of the tests: that of `LUMISTACK_GPU`, a graphics processor, or any other.
+/// The adapter of the tests: the one that `LUMISTACK_GPU` names, otherwise a graphics processor,
+/// otherwise any.
 fn device() -> Option<Device> {
     static DEVICE: OnceLock<Option<Device>> = OnceLock::new();
     let open = || {
@@ -89,8 +91,8 @@ fn influence(owned: &Owned, stack: &LayerStack, tensor: usize, index: usize) -> 
     4.0 * largest(&emissions(owned, stack), &emissions(owned, &moved))
 }
 
-/// Changes values by a rounding, up or down at random. The first exact step would undo one factor
-/// for all values, and later steps would then show nothing.
+/// Changes values by a rounding, up or down at random. If all values changed by one common factor,
+/// the first exact step would undo it, and later steps would show nothing.
 fn nudge(values: &mut [f32], state: &mut u32) {
     for value in values {
         *state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -132,14 +134,14 @@ fn begin_of(name: &str, problem: &Problem, start: LayerStack) -> Begin {
     catch.0.into_inner().unwrap().unwrap()
 }
 
-/// True if two sums of errors are equal within the tolerance for `values` values, as parts of
-/// `sum`.
+/// True if two sums of errors are equal within the tolerance. They are parts of `sum`, which covers
+/// `values` values.
 fn are_near(a: f64, b: f64, sum: f64, values: usize) -> bool {
     (a - b).abs() <= OBJECTIVE_TOLERANCE * sum + OBJECTIVE_PER_VALUE * values as f64
 }
 
-/// Compares every update alone, from the processor's patterns before it, so that rounding does not
-/// accumulate.
+/// Compares every update alone. It starts from the processor's patterns before the update, so that
+/// rounding does not accumulate.
 #[test]
 fn one_update_equals_the_processors() {
     let Some(device) = device() else { return };
@@ -159,7 +161,7 @@ fn one_update_equals_the_processors() {
             let each = factors.len();
             for (round, n) in (0..ROUNDS * each).map(|at| (at / each, at % each)) {
                 let what = format!("{kind:?} {name}, round {round}, factor {n}");
-                // every second update extrapolates, and takes the curvature at the current point
+                // every second update extrapolates, and uses the curvature at the current point
                 let odd = round % 2 == 1;
                 let extrapolation = (odd && name == "block-exact").then_some(0.35);
                 let local = odd && !plan.is_bounded(n);
@@ -173,7 +175,7 @@ fn one_update_equals_the_processors() {
                     state.apply(n, Rule::KktResidual, None, false);
                     let seen = if plan.sees_all_rays(n) { update.error } else { 0.0 };
                     let probed = state.outcome().gain;
-                    // each with the sum that it is a part of
+                    // each result with the sum that it is a part of
                     let sums = [(errors.weighted, errors.weighted), (errors.plain, errors.plain), (seen, seen)];
                     let parts = [(update.gain, update.error), (probed, errors.weighted.max(probed))];
                     (sums.into_iter().chain(parts).collect::<Vec<_>>(), [read, stepped])
@@ -213,8 +215,9 @@ fn one_update_equals_the_processors() {
 
 /// Compares whole runs.
 ///
-/// Single updates agree far better. Later ones depend on values that rounding has decided, so a few
-/// runs end elsewhere. So do the processor's own runs from a start that differs by rounding.
+/// Single updates agree far better. Later updates depend on values that rounding has decided, so a
+/// few runs end at other patterns. So do the processor's own runs from a start that differs by
+/// rounding.
 #[test]
 fn ten_updates_equal_the_processors() {
     let Some(device) = device() else { return };
@@ -259,7 +262,7 @@ fn bands_change_nothing() {
         for bytes in [16 << 10, 8 << 10, 4 << 10, 2 << 10] {
             let cut = device.with_binding_bytes(bytes).unwrap();
             match cut.solver("extrapolated").unwrap().start(&owned.problem(), start.clone()) {
-                // the smallest bands possible
+                // the device cannot divide this problem into smaller bands
                 Err(error) => assert!(error.to_string().contains("too little memory"), "{error}"),
                 Ok(_) => {
                     let parts = run(&cut.solver("extrapolated").unwrap(), &owned.problem(), &start, 3);
@@ -288,7 +291,7 @@ fn a_whole_solve_is_as_good_as_the_processors() {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let settings = Settings { iterations: 8, ..Settings::default() };
     let task = Task::quiet(&warnings, &cancel);
-    // from a coarser level, extrapolated, to levels of few bits
+    // solve a coarser level first, with extrapolation, and end with few bits
     let expected = factorize(&owned.problem(), &settings, None, task, &mut |_| ()).unwrap();
     let found = factorize_on(&device, &owned.problem(), &settings, None, task, &mut |_| ()).unwrap();
     assert_eq!(found.settings, expected.settings);
@@ -303,7 +306,7 @@ fn a_whole_solve_is_as_good_as_the_processors() {
         found.kkt_residual,
         expected.kkt_residual
     );
-    // the same once more
+    // a second run gives the same patterns
     let again = factorize_on(&device, &owned.problem(), &settings, None, task, &mut |_| ()).unwrap();
     assert_eq!(again.stack, found.stack);
 }
@@ -339,7 +342,7 @@ fn what_a_device_cannot_do_is_one_clear_message() {
     owned.display.layers[0].blur_px = 0.0;
     let small = message(&device.with_binding_bytes(16).unwrap(), &owned);
     assert!(small.contains("too little memory"), "{small}");
-    // another handle: the others stay valid
+    // another device, so that the shared one stays valid
     let doomed = device.with_binding_bytes(u64::MAX).unwrap();
     let mut run: Box<dyn Run> = doomed.solver("auto").unwrap().start(&owned.problem(), start.clone()).unwrap();
     run.step(&Cancel::default()).unwrap();

@@ -1,5 +1,5 @@
-//! Prints the PSNR per number of iterations of every solver, start and number of coarser levels,
-//! beside reference figures.
+//! Prints the PSNR of every solver, start and number of coarser levels after several numbers of
+//! iterations, next to reference values.
 //!
 //! ```text
 //! cargo run --release -p lumistack-factorizer --example bench_convergence --
@@ -7,8 +7,8 @@
 //! ```
 //!
 //! The light field `main_5x5_160x100_fov20` comes from the folder in `LUMISTACK_LIGHTFIELDS`
-//! (default `../shared/lightfields` beside the workspace). A second one is computed in closed form,
-//! so every machine has one. `--quick` stops after 50 iterations.
+//! (default `../shared/lightfields` next to the workspace). A second light field is computed in
+//! closed form, so every machine has at least one. `--quick` stops after 50 iterations.
 
 #[path = "bench_factorize/scene.rs"]
 mod scene;
@@ -26,18 +26,18 @@ use serde_json::{Value, json};
 
 /// Numbers of iterations after which the objective is evaluated.
 const ITERATIONS: [u32; 8] = [1, 3, 5, 10, 20, 50, 200, 500];
-/// Number of those that `--quick` keeps.
+/// Number of entries of `ITERATIONS` that `--quick` keeps.
 const QUICK: usize = 6;
 /// Width of the display, millimetres.
 const WIDTH_MM: f64 = 473.76;
 const RESOLUTION: [usize; 2] = [160, 100];
 const FIELD: &str = "main_5x5_160x100_fov20";
 
-/// Figures of an independent implementation on the same light field: iterations and PSNR (dB,
+/// Values of an independent implementation on the same light field: iterations and PSNR (dB,
 /// `psnr_view`).
 type Figures = &'static [(u32, f64)];
 
-/// A display, its light field, and reference figures.
+/// A display, its light field, and reference values.
 struct Group {
     name: String,
     display: Display,
@@ -87,7 +87,7 @@ fn bench(quick: bool, json: Option<&str>) -> Outcome {
             );
             rows.push(row);
         }
-        // the references stand below our rows
+        // print the references under Lumistack's rows
         for (name, figures) in group.references {
             let known = iterations.iter().map(|at| figure(figures, *at));
             let cells = known.map(|psnr| psnr.map_or(format!("{:>8}", ""), |psnr| format!("{psnr:>8.1}")));
@@ -121,7 +121,7 @@ fn groups() -> Outcome<Vec<Group>> {
                 groups.push(Group { name, target: light_field(&display, &bytes)?, display, references });
             }
         }
-        Err(error) => println!("left out: {}: {error}; set LUMISTACK_LIGHTFIELDS to where it is", path.display()),
+        Err(error) => println!("left out: {}: {error}; set LUMISTACK_LIGHTFIELDS to its folder", path.display()),
     }
     for brightness in [0.2, 1.0] {
         let display = three_layers(brightness);
@@ -131,7 +131,7 @@ fn groups() -> Outcome<Vec<Group>> {
     Ok(groups)
 }
 
-/// Displays for the light field on disk, with reference figures.
+/// Displays for the light field on disk, with reference values.
 fn fixed() -> [(&'static str, Display, &'static [(&'static str, Figures)]); 4] {
     const MULTIPLICATIVE: &str = "multiplicative, random";
     const CONTENT: &str = "extrapolated, content";
@@ -199,7 +199,7 @@ fn combinations() -> Vec<Settings> {
     all
 }
 
-/// Figures of one combination.
+/// Results of one combination.
 struct Row {
     settings: Settings,
     start: LayerStack,
@@ -211,8 +211,8 @@ struct Row {
 
 /// Iterates, and evaluates the objective at the given iterations alone.
 ///
-/// If a display allows no coarser level, the start equals that of the row before, whose figures are
-/// then repeated.
+/// If a display allows no coarser level, the start equals that of the previous row, whose values
+/// are then repeated.
 fn curve(group: &Group, settings: Settings, iterations: &[u32], before: Option<&Row>) -> Outcome<Row> {
     let problem = Problem { display: &group.display, target: &group.target, weights: &Weights::Uniform };
     let (warnings, cancel) = (Collector::default(), Cancel::default());
@@ -236,7 +236,7 @@ fn curve(group: &Group, settings: Settings, iterations: &[u32], before: Option<&
 }
 
 fn print_header(group: &Group, iterations: &[u32]) {
-    println!("\n{}: PSNR (view, dB) after so many iterations; * default settings", group.name);
+    println!("\n{}: PSNR (view, dB) after the given numbers of iterations; * default settings", group.name);
     let numbers: String = iterations.iter().map(|at| format!("{at:>8}")).collect();
     println!("{:<44}{numbers}{:>10}", "", "ms/update");
 }

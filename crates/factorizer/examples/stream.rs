@@ -51,7 +51,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         gib(estimate.patterns),
         gib(estimate.working),
     );
-    // the target is written first, so that it is mapped instead of held
+    // write the target first, so that it is mapped instead of held
     std::fs::create_dir_all(&folder)?;
     let path = folder.join("target.f16");
     let begin = Instant::now();
@@ -59,7 +59,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("target written in {:.1} s", begin.elapsed().as_secs_f64());
     // SAFETY: no other process writes the file
     let map = unsafe { memmap2::Mmap::map(&File::open(&path)?)? };
-    // solve, and check the memory against the promise
+    // solve, and compare the memory with the estimate
     let begin = Instant::now();
     let mut run = ChannelRun::start(&display, &geometry, Arc::new(Halves(map)), 1)?;
     println!("started in {:.1} s, {:.0} million rays", begin.elapsed().as_secs_f64(), run.rays() as f64 / 1e6);
@@ -79,7 +79,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Writes three textured planes behind, on and before the display, the nearer ones with holes.
+/// Writes three textured planes behind, on and in front of the display, the nearer ones with holes.
 fn write_planes(path: &Path, geometry: &FieldGeometry) -> std::io::Result<()> {
     let mut file = BufWriter::with_capacity(1 << 20, File::create(path)?);
     let texture = |x: f64, y: f64, scale: f64| 0.5 + 0.25 * (x / scale).sin() + 0.25 * (y / scale * 1.3).cos();
@@ -107,7 +107,7 @@ fn write_planes(path: &Path, geometry: &FieldGeometry) -> std::io::Result<()> {
     file.flush()
 }
 
-/// Nearest half float below a value in 0..1.
+/// The largest half float that is not above a value in 0..1.
 fn half(value: f64) -> u16 {
     let bits = (value as f32).to_bits();
     let exponent = (bits >> 23) as i32 - 112;

@@ -14,8 +14,8 @@ pub(crate) const LINE: usize = 16;
 #[repr(C, align(64))]
 struct CacheLine([f32; LINE]);
 
-/// Cache lines that one thread initializes at a time. The first access to a page is the costly one,
-/// so all threads share it.
+/// Number of cache lines that one thread initializes at a time. The first access to a page is the
+/// costly one, so all threads share the work.
 const PART: usize = 1 << 14;
 
 /// A fixed number of values.
@@ -72,7 +72,7 @@ impl Deref for Aligned {
 impl DerefMut for Aligned {
     #[inline(always)]
     fn deref_mut(&mut self) -> &mut [f32] {
-        // SAFETY: as above
+        // SAFETY: as in `deref`
         unsafe { std::slice::from_raw_parts_mut(self.lines.as_mut_ptr().cast(), self.len) }
     }
 }

@@ -7,17 +7,17 @@
 //! ```
 //!
 //! This is a least-squares problem of M unknowns. Its Gram matrix and right-hand side are sums over
-//! the rays. A few rounds of clamped coordinate steps (Gauss-Seidel) solve it.
+//! the rays. A few sweeps of clamped coordinate steps (Gauss-Seidel) solve it.
 //!
 //! * Under nearest sampling the pixels of a layer are independent, so an update is exact in the
-//!   limit of many rounds.
+//!   limit of many sweeps.
 //! * Under bilinear sampling an update is exact for a separable quadratic that bounds the objective
 //!   from above. In both cases the objective never rises.
-//! * Where layers rotate polarization, L̃ is not linear. A step then takes the curvature at the
+//! * If layers rotate polarization, L̃ is not linear. A step then takes the curvature at the
 //!   current point. If the objective rises, the step is repeated with a bound that holds
 //!   everywhere.
 //!
-//! Between iterations the patterns are extrapolated along their last step; a rise of the objective
+//! Between iterations the patterns are extrapolated along their last step. A rise of the objective
 //! causes a restart. Source: Ang and Gillis, "Accelerating nonnegative matrix factorization
 //! algorithms using extrapolation", Neural Computation 31, 2019.
 
@@ -31,11 +31,11 @@ use crate::prepared::Prepared;
 use crate::step::Rule;
 use crate::{FactorizeError, Objective, Problem, Run, Solver};
 
-/// Rounds of coordinate steps per update.
+/// Number of sweeps of coordinate steps per update.
 ///
-/// Measured after 5 and 50 iterations (3 layers, 6 frames, β = 0.2), against 4 rounds. One round
-/// loses 2.4 and 1.1 dB, two rounds lose 0.7 and 0.2 dB. Eight rounds gain 0.1 and 0 dB. A round
-/// costs about 2 % of an update.
+/// Measured after 5 and 50 iterations (3 layers, 6 frames, β = 0.2), compared with 4 sweeps. One
+/// sweep loses 2.4 and 1.1 dB, two sweeps lose 0.7 and 0.2 dB. Eight sweeps gain 0.1 and 0 dB. A
+/// sweep costs about 2 % of an update.
 const SWEEPS: u32 = 4;
 
 /// The block-exact solver without extrapolation.
@@ -48,7 +48,7 @@ impl Solver for BlockExact {
     }
 
     fn doc(&self) -> &'static str {
-        "Solves every pixel's frames together, one layer after another. Never worsens; converges in a few iterations."
+        "Solves every pixel's frames together, one layer after another. The error never rises; converges in a few iterations."
     }
 
     fn start<'a>(&self, problem: &Problem<'a>, start: LayerStack) -> Result<Box<dyn Run + 'a>, FactorizeError> {
@@ -72,7 +72,7 @@ impl Solver for Extrapolated {
     }
 
     fn doc(&self) -> &'static str {
-        "block-exact, extrapolated between iterations, restarted where that worsens. The fastest to a given quality."
+        "block-exact, extrapolated between iterations, restarted if that raises the error. The fastest to a given quality."
     }
 
     fn start<'a>(&self, problem: &Problem<'a>, start: LayerStack) -> Result<Box<dyn Run + 'a>, FactorizeError> {
@@ -86,7 +86,8 @@ impl Method for Extrapolated {
     }
 }
 
-/// The extrapolation's factor, Ang and Gillis' β_k, with its bound and the rates of both.
+/// The extrapolation's factor (β_k of Ang and Gillis), its bound, and the rates at which both
+/// change.
 #[derive(Clone, Copy, Debug)]
 struct Extrapolation {
     factor: f32,
@@ -100,8 +101,8 @@ struct Extrapolation {
 
 impl Default for Extrapolation {
     fn default() -> Self {
-        // Measured: a first factor of 0.5 costs 0.6 dB at 5 iterations and gains 0.02 dB at 500.
-        // Faster growth restarts too often.
+        // Measured: an initial extrapolation factor of 0.5 costs 0.6 dB at 5 iterations and gains
+        // 0.02 dB at 500. Faster growth causes too many restarts.
         Self { factor: 0.35, bound: 1.0, grow: 1.05, grow_bound: 1.01, shrink: 1.5, error: f64::INFINITY }
     }
 }
@@ -122,7 +123,7 @@ impl Extrapolation {
     }
 }
 
-/// Calls `read` with the last iterate in place of the extrapolated patterns.
+/// Calls `read` with the last iterate instead of the extrapolated patterns.
 fn at_latest<T>(state: &mut dyn Updater, read: impl FnOnce(&mut dyn Updater) -> T) -> T {
     state.swap_latest();
     let result = read(state);
@@ -138,7 +139,7 @@ struct BlockExactRun {
 
 impl BlockExactRun {
     fn new(prepared: Prepared, extrapolation: Option<Extrapolation>) -> Result<Self, FactorizeError> {
-        // sin² is too curved for extrapolation, and curved enough that trying the local curvature
+        // sin² is too curved for extrapolation, and so curved that a try of the local curvature
         // pays
         let tries_local = prepared.display.formation == Formation::Polarization;
         let state = prepared.begin(0.0, tries_local)?;

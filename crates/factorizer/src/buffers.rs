@@ -1,4 +1,4 @@
-//! Sums of one block by way of buffers, for any number of frames and factors.
+//! Sums of one block through buffers, for any number of frames and factors.
 //!
 //! [`registers`](crate::registers) has faster functions for common cases and shares the types here.
 
@@ -9,19 +9,19 @@ use crate::rays::{LineRays, Place, TargetRow};
 use crate::step::{Block, Sums};
 use crate::vector::{Vector, load, store};
 
-/// The factors' rows are prefetched this many vectors ahead. With one vector an update is 10 %
-/// slower, with four no faster.
+/// Number of vectors by which the factors' rows are prefetched ahead. With one vector an update is
+/// 10 % slower, with four it is no faster.
 pub(crate) const AHEAD: usize = 2;
-/// The target's rows are prefetched this many values ahead, into the second-level cache.
+/// Number of values by which the target's rows are prefetched ahead, into the second-level cache.
 ///
 /// The target is read once, and the first-level cache is full of the factors' rows.
 const TARGET_AHEAD: usize = 64;
 
-/// Number of views that are buffered before their sums are added up. The buffers of 169 views at
-/// once would take twice the first-level cache.
+/// Number of views that are buffered before their sums are added up. The buffers of 169 views
+/// together would take twice the first-level cache.
 pub(crate) const GROUP: usize = 32;
 
-/// Buffers of one block. a_m, e, βL and L̃ carry a factor √w, so that their products carry w.
+/// Buffers of one block. a_m, e, βL and L̃ include a factor √w, so that their products include w.
 pub(crate) struct Buffers {
     pub(crate) block: Block,
     /// a_m of a group of views, `[view][frame][lane]`.
@@ -51,7 +51,7 @@ impl Buffers {
     }
 }
 
-/// The target's scale and the sums that an update needs.
+/// The target's scale, and the sums that an update needs.
 #[derive(Clone, Copy)]
 pub(crate) struct SumParams {
     pub(crate) brightness: f32,
@@ -59,9 +59,9 @@ pub(crate) struct SumParams {
     pub(crate) sums: Sums,
 }
 
-/// One block of a line, the pixels x to x + lanes; its sums and values go to `buffers`.
+/// One block of a line: the pixels x to x + lanes. Its sums and values go to `buffers`.
 ///
-/// Where the block overlaps a view's valid range, it lies within that view's padded rows.
+/// If the block overlaps a view's valid range, it is within that view's padded rows.
 pub(crate) struct BlockOfLine<'a> {
     pub(crate) rays: &'a LineRays<'a>,
     pub(crate) x: usize,
@@ -93,7 +93,7 @@ impl BlockOfLine<'_> {
     }
 }
 
-/// The sums over all views, by way of buffers.
+/// Adds up the sums over all views through buffers.
 pub(crate) struct ByBuffers;
 
 impl Kernel for ByBuffers {
@@ -108,7 +108,7 @@ impl Kernel for ByBuffers {
             at.begin::<V>(frames, false);
             let BlockOfLine { rays, x, params, buffers, .. } = at;
             let (mut squares, mut active, mut add) = (V::splat(0.0), 0, false);
-            // buffer view after view; a full group is summed before the next begins
+            // buffer one view after another; a full group is summed before the next begins
             for (index, view) in rays.views.iter().enumerate() {
                 if let Some(weight) = view.weight::<V>(x) {
                     if active == GROUP {
@@ -126,8 +126,8 @@ impl Kernel for ByBuffers {
     }
 }
 
-/// Writes a_m, e (or βL) and L̃ of one view in the block, times √w, to place `to` of the buffers;
-/// returns e √w.
+/// Writes a_m, e (or βL) and L̃ of one view in the block, times √w, to position `to` of the
+/// buffers; returns e √w.
 ///
 /// `OWN`: each view reads other values of the factor under update, as under bilinear sampling.
 ///
@@ -145,7 +145,7 @@ pub(crate) unsafe fn buffered<V: Lanes, const OWN: bool>(
     let (frames, others) = (buffers.block.frames, rays.others_of(view));
     // SAFETY: guaranteed by the caller
     unsafe {
-        // f/M comes from the block, or along the rays where each view reads other values
+        // f/M comes from the block, or along the rays if each view reads other values
         let products = &mut buffers.products[to * frames * V::COUNT..(to + 1) * frames * V::COUNT];
         let scaled = if OWN {
             Scaled::<V, OWN> {
@@ -156,7 +156,7 @@ pub(crate) unsafe fn buffered<V: Lanes, const OWN: bool>(
         } else {
             Scaled { first: buffers.scaled.as_ptr(), stride: V::COUNT, mean: V::splat(1.0) }
         };
-        // a_m and L̃; up to three other factors have loops of their own
+        // a_m and L̃; up to three other factors have separate loops
         let emitted = match others {
             [a] => products_of::<V, OWN, 1>(rays, [a], x, frames, weight, products, scaled),
             [a, b] => products_of::<V, OWN, 2>(rays, [a, b], x, frames, weight, products, scaled),
@@ -174,7 +174,7 @@ pub(crate) unsafe fn buffered<V: Lanes, const OWN: bool>(
                 emitted
             }
         };
-        // the residual; the ratio rule sums βL in its place
+        // the residual; the ratio rule sums βL instead
         let wanted = wanted::<V>(&rays.targets[view], x, params).mul(weight);
         let error = wanted.sub(emitted);
         store(if params.sums == Sums::Ratio { wanted } else { error }, &mut buffers.errors, to * V::COUNT);
@@ -183,8 +183,8 @@ pub(crate) unsafe fn buffered<V: Lanes, const OWN: bool>(
     }
 }
 
-/// f/M of the factor under update, frame by frame: from the block, or along the rays where each
-/// view reads other values.
+/// f/M of the factor under update, frame by frame: from the block, or along the rays if each view
+/// reads other values.
 #[derive(Clone, Copy)]
 struct Scaled<V, const OWN: bool> {
     first: *const f32,
@@ -261,11 +261,11 @@ pub(crate) unsafe fn wanted<V: Lanes>(row: &TargetRow, x: usize, params: SumPara
 pub(crate) struct Group {
     pub(crate) frames: usize,
     pub(crate) views: usize,
-    /// Add to the sums in the block instead of replacing them.
+    /// True to add to the sums in the block instead of replacing them.
     pub(crate) add: bool,
 }
 
-/// Adds up a group of views; with `SHARED` each view counts by its share.
+/// Adds up a group of views; with `SHARED` each view is weighted by its share.
 ///
 /// # Safety
 /// The machine has V, and the buffers hold as many views as the group.
@@ -280,7 +280,7 @@ pub(crate) unsafe fn sum_views<V: Lanes, const SHARED: bool>(
     let (frames, tiles) = (group.frames, Tiles::<SHARED> { group, shares, products, errors, emitted });
     // SAFETY: guaranteed by the caller
     unsafe {
-        // r and the diagonal, or n and d: as many frames at a time as registers hold
+        // sum r and the diagonal, or n and d, for as many frames at a time as registers hold
         if sums != Sums::Gram {
             let mut m = 0;
             while m < frames {
@@ -299,7 +299,7 @@ pub(crate) unsafe fn sum_views<V: Lanes, const SHARED: bool>(
             }
             return;
         }
-        // G: first the tiles of 3×3 frames along the diagonal with r, then the rest
+        // sum G: first the tiles of 3×3 frames along the diagonal with r, then the rest
         for m in (0..frames).step_by(3) {
             match frames - m {
                 1 => tiles.diagonal::<V, 1>(m, block),
@@ -314,7 +314,7 @@ pub(crate) unsafe fn sum_views<V: Lanes, const SHARED: bool>(
 /// The buffers of a block's views, to be summed.
 pub(crate) struct Tiles<'a, const SHARED: bool> {
     pub(crate) group: Group,
-    /// The share of each view; empty without `SHARED`.
+    /// The weight of each view; empty without `SHARED`.
     pub(crate) shares: &'a [f32],
     pub(crate) products: &'a [f32],
     pub(crate) errors: &'a [f32],
@@ -322,7 +322,7 @@ pub(crate) struct Tiles<'a, const SHARED: bool> {
 }
 
 impl<const SHARED: bool> Tiles<'_, SHARED> {
-    /// `value` times the view's share.
+    /// `value` times the view's weight.
     #[inline(always)]
     unsafe fn shared<V: Lanes>(&self, view: usize, value: V) -> V {
         // SAFETY: guaranteed by the caller
@@ -348,7 +348,7 @@ impl<const SHARED: bool> Tiles<'_, SHARED> {
         unsafe { store(sum, sums, quantity * V::COUNT) }
     }
 
-    /// n and d, or r and the diagonal of G, of frames m..m + R.
+    /// Sums n and d, or r and the diagonal of G, of frames m..m + R.
     #[inline(always)]
     unsafe fn pair<V: Lanes, const R: usize>(&self, m: usize, diagonal: bool, block: &mut Block) {
         // SAFETY: guaranteed by the caller
@@ -372,7 +372,7 @@ impl<const SHARED: bool> Tiles<'_, SHARED> {
         }
     }
 
-    /// r of frames m..m + R, and the upper triangle of G among them.
+    /// Sums r of frames m..m + R, and the upper triangle of G among them.
     #[inline(always)]
     unsafe fn diagonal<V: Lanes, const R: usize>(&self, m: usize, block: &mut Block) {
         let at = |i: usize, k: usize| (m + i) * self.group.frames + m + k;
@@ -401,7 +401,7 @@ impl<const SHARED: bool> Tiles<'_, SHARED> {
         }
     }
 
-    /// G between frames m..m + 3 and k..k + C.
+    /// Sums G between frames m..m + 3 and k..k + C.
     #[inline(always)]
     unsafe fn rectangle<V: Lanes, const C: usize>(&self, m: usize, k: usize, block: &mut Block) {
         let at = |i: usize, c: usize| (m + i) * self.group.frames + k + c;
@@ -427,7 +427,7 @@ impl<const SHARED: bool> Tiles<'_, SHARED> {
     }
 }
 
-/// G outside the tiles of 3×3 frames along its diagonal.
+/// Sums G outside the tiles of 3×3 frames along its diagonal.
 pub(crate) struct BetweenTiles<const SHARED: bool>;
 
 impl<const SHARED: bool> Kernel for BetweenTiles<SHARED> {

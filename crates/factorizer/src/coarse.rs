@@ -1,8 +1,8 @@
 //! A problem at half the resolution, whose solution is a start for the whole problem.
 //!
 //! Low frequencies converge there at a quarter of the cost. Field and layers keep half their pixels
-//! per axis. Many views are thinned to every second one, since the parallax between views halves
-//! too. Lenslets, angular bins and frames stay.
+//! per axis. If there are many views, every second one is kept, since the parallax between views
+//! halves too. Lenslets, angular bins and frames stay the same.
 //!
 //! A coarse pixel is the area-weighted mean of the fine pixels that it covers. A coarse solution is
 //! interpolated linearly at the centres of the fine pixels. All values stay in the layout of the
@@ -16,9 +16,9 @@ use crate::bands;
 use crate::factor::{Factor, Layout};
 use crate::plan::Plan;
 
-/// Least number of pixels per axis of a coarse field; fewer are not worth a level.
+/// Smallest number of pixels per axis of a coarse field; fewer pixels are not worth a level.
 const SMALLEST_FIELD: usize = 48;
-/// Least number of views per axis that are thinned to every second one.
+/// Smallest number of views per axis of which only every second view is kept.
 const MANY_VIEWS: usize = 9;
 
 /// A coarse problem that owns its parts.
@@ -54,7 +54,7 @@ impl Coarse {
             layer.pitch_mm *= 2.0;
             layer.blur_px /= 2.0;
         }
-        // angular bins need all of their views, and an even number has no symmetrical half
+        // angular bins need all of their views, and an even number of views has no symmetrical half
         let thins = |count: usize| display.backlight == Backlight::Uniform && count >= MANY_VIEWS && count % 2 == 1;
         let views = geometry.grid.views().map(|count| (0..count).step_by(if thins(count) { 2 } else { 1 }));
         let mut coarse = FieldGeometry {
@@ -115,7 +115,7 @@ pub(crate) fn refine(coarse: &Factor, layout: &Layout, [low, high]: [f32; 2]) ->
     fine
 }
 
-/// Positions of fine pixels between coarse ones of twice the pitch around the same centre.
+/// Positions of fine pixels between coarse pixels of twice the pitch, around the same centre.
 ///
 /// The coarse border pixels are repeated once. The fine pixels 2k and 2k + 1 then lie between the
 /// coarse pixels k, k + 1, k + 2.
@@ -149,9 +149,10 @@ impl Between {
     }
 }
 
-/// The pixels under each coarse pixel of twice the pitch around the same centre.
+/// The fine pixels under each coarse pixel of twice the pitch, around the same centre.
 ///
-/// Returns the first fine pixel that it covers, and the shares of that one and the next two.
+/// Returns, per coarse pixel, the first fine pixel that it covers, and the shares of that pixel and
+/// of the next two.
 pub(crate) fn cover(fine: usize, coarse: usize) -> Vec<(usize, [f32; 3])> {
     (0..coarse)
         .map(|i| {

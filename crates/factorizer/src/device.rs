@@ -24,7 +24,7 @@ pub use crate::step::Rule;
 
 /// A device that can run factorizations.
 pub trait Executor: Sync {
-    /// Takes over the patterns of a run.
+    /// Receives the patterns of a run and returns their updater.
     ///
     /// # Errors
     /// [`FactorizeError::Device`] if the device cannot solve the problem.
@@ -42,12 +42,12 @@ pub struct Begin {
     /// Layers rear to front, then the directional backlight; values within their boxes.
     pub factors: Vec<Factor>,
     /// True if updates try the curvature at the current point before the bound that holds
-    /// everywhere. It matters where L̃ is not linear in a factor.
+    /// everywhere. This matters only if L̃ is not linear in a factor.
     pub tries_local: bool,
 }
 
-/// Least share of the error that must remain after an update for a remainder computed from the
-/// gain, whose terms are f32.
+/// Smallest fraction of the error that must remain after an update, so that the remainder can be
+/// computed from the gain. The gain's terms are f32.
 const LEAST_LEFT: f64 = 0.01;
 
 /// The patterns of a run, on any device.
@@ -58,18 +58,18 @@ pub trait Updater {
     /// Returns the display.
     fn display(&self) -> &Display;
 
-    /// See [`Begin::tries_local`].
+    /// Returns [`Begin::tries_local`].
     fn tries_local(&self) -> bool;
 
-    /// Sets the flag that cancels updates: it is read before each part of an update, and later
-    /// parts then leave their values as they are.
+    /// Sets the flag that cancels updates. It is read before each part of an update; after a
+    /// cancellation, the remaining parts keep their values.
     fn set_cancel(&mut self, cancel: &Cancel);
 
     /// Updates factor `n` by the current values of all factors.
     ///
     /// With `extrapolation` = β_k, rays then read the extrapolated values x + β_k (x − x'), clamped
-    /// to the box, where x and x' are this and the previous iterate. `local` takes the curvature at
-    /// the current point where L̃ is not linear.
+    /// to the box. x and x' are this and the previous iterate. If L̃ is not linear, `local` selects
+    /// the curvature at the current point.
     fn apply(&mut self, n: usize, rule: Rule, extrapolation: Option<f32>, local: bool);
 
     /// Returns error and gain of the last [`apply`](Self::apply).
@@ -145,7 +145,7 @@ pub trait Updater {
         // fixed pixels of a tile keep their error
         let all_step = map.complete && plan.free(n).is_none();
         let exact = plan.is_product() && map.nearest && all_step && stored_is_read;
-        // a remainder much smaller than the error is rounding
+        // a remainder much smaller than the error is only rounding
         let left = outcome.error - outcome.gain;
         let known = exact && plan.target.is_uniform() && left > LEAST_LEFT * outcome.error;
         known.then(|| objective_of(plan, self.display(), ErrorSum { weighted: left, plain: left }))
@@ -158,7 +158,7 @@ pub trait Updater {
     }
 
     /// As [`kkt_residual`](Self::kkt_residual), and darkens unlit values if layers attenuate. In
-    /// other formations no value is dark.
+    /// other formations no value is unlit.
     fn darken_unlit(&mut self) -> f64 {
         let rule = if self.plan().is_product() { Rule::Darken } else { Rule::KktResidual };
         self.over_all(rule)
@@ -177,7 +177,7 @@ pub trait Updater {
     }
 }
 
-/// Computes the objective from sums with weights relative to the largest.
+/// Computes the objective from sums whose weights are relative to the largest weight.
 fn objective_of(plan: &Plan, display: &Display, sums: ErrorSum) -> Objective {
     let target = &plan.target;
     let mean = sums.plain / (target.channels as u64 * plan.rays) as f64;
@@ -214,7 +214,7 @@ impl Plan {
         self.layers
     }
 
-    /// Returns how the light of a ray follows from the layers.
+    /// Returns the image formation: the rule by which layers form the light of a ray.
     pub fn formation(&self) -> Formation {
         self.formation
     }
@@ -224,7 +224,7 @@ impl Plan {
         self.target.brightness
     }
 
-    /// Returns the greatest Σ w a_m² of an unlit pixel, relative to Σ w over its rays; for
+    /// Returns the largest Σ w a_m² of an unlit pixel, relative to Σ w over its rays; for
     /// [`Rule::Darken`].
     pub fn unlit_share(&self) -> f32 {
         crate::unlit::share(self)
@@ -267,12 +267,12 @@ impl Plan {
         hit.then_some(Tap { first: tap.first, second: tap.second, t: tap.t })
     }
 
-    /// Returns the field columns whose rays count in a view column.
+    /// Returns the field columns whose rays are valid in a view column.
     pub fn counted_columns(&self, view_x: usize) -> &[Range<usize>] {
         &self.runs[view_x]
     }
 
-    /// True if the rays of a field row count in a view row.
+    /// True if the rays of a field row are valid in a view row.
     pub fn counts_row(&self, view_y: usize, row: usize) -> bool {
         self.valid_rows[view_y][row]
     }
@@ -287,7 +287,7 @@ impl Plan {
         self.target.row(channel, self.view(view[0], view[1]), row).part(0..self.cols)
     }
 
-    /// Returns one row of √w of a view, weights relative to the largest; `None` if all are 1.
+    /// Returns one row of √w of a view, with weights relative to the largest; `None` if all are 1.
     pub fn weights_row(&self, view: [usize; 2], row: usize) -> Option<&[f32]> {
         let weights = self.target.weights(self.view(view[0], view[1]), row)?;
         Some(&weights[crate::factor::PAD..][..self.cols])
@@ -296,7 +296,7 @@ impl Plan {
 
 /// Values for executors in other crates.
 impl Factor {
-    /// Allocates factor `n` of a plan; all values are those of a miss.
+    /// Allocates factor `n` of a plan; all values are the value of a miss.
     pub fn of(plan: &Plan, n: usize) -> Self {
         Self::blank(&plan.maps[n].layout, plan.target.channels)
     }

@@ -36,18 +36,18 @@ pub(crate) struct Engine {
     display: Display,
     /// Values that rays read: layers rear to front, then the backlight.
     factors: Vec<Factor>,
-    /// Per factor, the stored values if rays read others because of a response.
+    /// Per factor, the stored values, if a response makes rays read other values.
     stored: Vec<Option<(Response, Factor)>>,
     /// Per factor, the levels of its values and the frames confined to them.
     pub(crate) levels: Vec<Option<Levels>>,
-    /// The last iterate, while rays read extrapolated values; else empty.
+    /// The last iterate, if rays read extrapolated values; otherwise empty.
     latest: Vec<Aligned>,
     /// Storage for factors that cannot be updated in place.
     spare: Aligned,
     /// Box [low, high] of each factor's values.
     ranges: Vec<[f32; 2]>,
     fast: bool,
-    /// Read before every line; after it is set, the other lines keep their values.
+    /// Read before every line. After it is set, the remaining lines keep their values.
     pub(crate) cancel: Cancel,
     tries_local: bool,
     outcome: Outcome,
@@ -89,7 +89,7 @@ impl Engine {
         }
     }
 
-    /// Allocates the patterns of one channel. `start(plan, range, line, values)` fills one line,
+    /// Allocates the patterns of one channel. `start(plan, range, line, values)` fills one line of
     /// all frames.
     pub(crate) fn by_lines(
         plan: Plan,
@@ -142,14 +142,14 @@ impl Engine {
         self.fast = fast;
     }
 
-    /// A run of a problem that nothing is prepared of yet.
+    /// Prepares a problem and starts its run.
     #[cfg(test)]
     pub(crate) fn new(problem: &crate::Problem, start: LayerStack, floor: f32) -> Result<Self, FactorizeError> {
         let prepared = crate::prepared::Prepared::new(problem, start, &Processor)?;
         Ok(Self::begin(prepared.into_begin(floor, false)))
     }
 
-    /// Factor of all sums of weighted errors.
+    /// Factor on all sums of weighted errors.
     #[cfg(test)]
     pub(crate) fn weight_scale(&self) -> f64 {
         self.plan.target.weight_scale
@@ -168,7 +168,7 @@ impl Engine {
         if self.stored[n].is_some() {
             return self.update_stored(n, rule, extrapolation, local);
         }
-        // update in place if no other line of the factor is read; else into the spare storage
+        // update in place if no other line of the factor is read; otherwise into the spare storage
         let in_place = self.is_fast(n);
         let mut values = std::mem::take(&mut self.factors[n].values);
         if !in_place {
@@ -199,7 +199,7 @@ impl Engine {
         let mut effective = self.factors[n].values.clone();
         let outcome = self.update_lines(n, rule, None, local, &mut effective, Some(&mut sums));
         let Some((response, stored)) = &mut self.stored[n] else { return outcome };
-        // pull them back to the stored pixels, then step those
+        // apply the adjoint, which gives the sums of the stored pixels, then step those pixels
         let adjoint = AdjointSums::of(response, &layout, rule.sums(), &sums);
         let limits = (rule == Rule::Darken).then(|| unlit::limits(&self.plan, n));
         let steps = Steps::new(&self.plan, n, rule, self.ranges[n], self.levels[n].as_ref(), limits);
@@ -221,7 +221,7 @@ impl Engine {
             },
         );
         let gain: f64 = lines.iter().map(|line| line.outcome.gain).sum();
-        // tied channels are one unknown, which is stepped three times alike
+        // tied channels are one unknown, whose gain is computed three times
         let gain = if response.is_tied() { gain / 3.0 } else { gain };
         respond::respond(response, stored, &mut self.factors[n].values);
         Outcome { error: outcome.error, gain }
@@ -250,7 +250,7 @@ impl Engine {
             channel: index / layout.stored_lines(),
             line: index % layout.stored_lines(),
         };
-        // without a step here, nothing is darkened here
+        // if the sums are stored, nothing is stepped or darkened here
         let limits =
             (rule == Rule::Darken && lines.iter().all(|line| line.sums.is_none())).then(|| unlit::limits(plan, n));
         // conditions and functions that all lines share
@@ -259,7 +259,7 @@ impl Engine {
         let may_change = |at: &LineOf| at.line < layout.lines() && (all || plan.may_change(n, at.line));
         let is_line = |at: &LineOf| may_change(at) && !cancel.is_cancelled();
         let functions = steps.functions(plan, layout.frames);
-        // the fastest kernel that the factor's tables allow
+        // use the fastest kernel that the factor's tables allow
         if fast {
             let functions = GatherFunctions::new(plan.backend, rule, layout.frames, factors.len() - 1, functions);
             bands::for_each_chunk(
@@ -394,8 +394,8 @@ impl Updater for Engine {
         stack_of(&self.display, self.own())
     }
 
-    /// As [`download`](Updater::download), into the memory of the previous iterate if there is one.
-    /// New memory costs more than the copy.
+    /// As [`download`](Updater::download), but into the memory of the previous iterate if there is
+    /// one. New memory costs more than the copy.
     fn into_stack(mut self: Box<Self>) -> Result<LayerStack, FactorizeError> {
         if self.latest.is_empty() {
             return Ok(self.download());
@@ -449,7 +449,7 @@ struct Line<'a> {
     outcome: Outcome,
 }
 
-/// Splits a factor's storage, and all that belongs to it, into lines.
+/// Splits a factor's storage, and everything that belongs to it, into lines.
 fn lines_of<'a>(
     layout: &Layout,
     values: &'a mut [f32],

@@ -78,7 +78,7 @@ impl RowErrors<'_> {
     }
 }
 
-/// Number of blocks whose squares are summed in f32 before the f64 sum.
+/// Number of blocks whose squares are summed in f32 before the sum goes into an f64 sum.
 const BLOCKS_PER_SUM: usize = 4;
 
 /// Squared errors along rays, with L̃ = (1/M) Σ_m Π_k f_k, where every factor is at a constant
@@ -105,7 +105,7 @@ unsafe fn squared_shifted<V: Lanes>(
     rays: &Rays,
     root_weights: Option<&[f32]>,
 ) -> ErrorSum {
-    // the line of each factor that the rays read, and its shift
+    // list the line of each factor that the rays read, and its shift
     let lines: Vec<Line> = plan
         .maps
         .iter()
@@ -126,7 +126,7 @@ unsafe fn squared_shifted<V: Lanes>(
         let (mut weighted, mut plain) = (zero, zero);
         // one vector of rays at a time
         for (index, col) in run.clone().step_by(V::COUNT).enumerate() {
-            // L̃, up to three frames at a time
+            // compute L̃ for up to three frames at a time
             let mut emitted = zero;
             for m in (0..plan.frames).step_by(3) {
                 emitted = match plan.frames - m {
@@ -135,7 +135,7 @@ unsafe fn squared_shifted<V: Lanes>(
                     _ => emitted_by::<V, 3>(&lines, m, col, emitted),
                 };
             }
-            // the error βL − L̃, and 0 behind the last ray
+            // the error βL − L̃, and 0 after the last ray
             let wanted = match target {
                 Row::Half(row) => V::load_half(row[PAD + col..][..V::COUNT].as_ptr()),
                 Row::Float(row) => V::load(row[PAD + col..][..V::COUNT].as_ptr()),

@@ -63,7 +63,7 @@ fn rotate(plan: &Plan, factors: &[Factor], own: Option<usize>, rays: &Rays, scra
     let (values, emitted) = (&mut values[..len], &mut emitted[..len]);
     emitted.fill(0.0);
     let (layers, backlight) = (0..plan.layers, (plan.layers < factors.len()).then_some(plan.layers));
-    // per frame: the sum of rotations s_m, the backlight b, then a_m and the part of L̃
+    // per frame: the sum of rotations s_m, the backlight b, then a_m and the contribution to L̃
     for frame in 0..plan.frames {
         let phase = &mut phase[frame * plan.cols..][..len];
         phase.fill(0.0);
@@ -86,7 +86,7 @@ fn rotate(plan: &Plan, factors: &[Factor], own: Option<usize>, rays: &Rays, scra
     emitted.iter_mut().for_each(|sum| *sum *= mean);
     if own.is_some() && own != backlight {
         let curvature = &mut curvature[..len];
-        // the bound of the curvature: |βL − L̃| is largest at L̃ = 0 or L̃ = 1
+        // bound the curvature: |βL − L̃| is largest at L̃ = 0 or L̃ = 1
         wanted(plan, rays, curvature);
         let most = FRAC_PI_2 * FRAC_PI_2 * plan.frames as f32;
         curvature.iter_mut().for_each(|value| *value = most * (1.0 + 2.0 * value.abs().max((1.0 - *value).abs())));

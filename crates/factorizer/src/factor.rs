@@ -1,9 +1,9 @@
 //! Storage of one factor: a layer, or the directional backlight as one more layer.
 //!
 //! The order is `values[channel][line][frame][x]`. One line is contiguous over all frames. So a
-//! band of lines is a slice for one thread, and a row of rays needs rows that are neighbours.
+//! band of lines is a slice for one thread, and the rows that a row of rays reads are neighbours.
 //!
-//! Lines are padded by [`PAD`] and more values on both sides, and an extra line follows the last.
+//! Lines are padded by at least [`PAD`] values on both sides, and an extra line follows the last.
 //! Padding holds the value of a miss, so inner loops have no branch for misses.
 //!
 //! The backlight has R × C lenslets per angular bin. Its line is bin_y·R + lenslet row, and its
@@ -12,7 +12,7 @@
 use crate::aligned::Aligned;
 use crate::bands;
 
-/// Least padding on both sides of a line, in values: the widest vector.
+/// Smallest padding on both sides of a line, in values: the widest vector.
 pub(crate) const PAD: usize = 16;
 
 /// Sizes of a factor.
@@ -24,7 +24,7 @@ pub struct Layout {
     pub(crate) size: [usize; 2],
     /// Number of frames M.
     pub(crate) frames: usize,
-    /// Number of values before the first column.
+    /// Number of values in front of the first column.
     pub(crate) pad: usize,
     /// Distance of the rows of successive frames, in values.
     pub(crate) stride: usize,
@@ -43,7 +43,7 @@ impl Layout {
         self.bins[1] * self.size[1]
     }
 
-    /// Number of values of one line, all frames.
+    /// Number of values of one line over all frames.
     pub(crate) fn line_len(&self) -> usize {
         self.frames * self.stride
     }
@@ -102,7 +102,7 @@ impl Factor {
         factor
     }
 
-    /// Allocates a factor; all values are those of a miss.
+    /// Allocates a factor; all values are the value of a miss.
     pub(crate) fn blank(layout: &Layout, channels: usize) -> Self {
         let values = Aligned::filled(layout.outside, channels * layout.stored_lines() * layout.line_len());
         Self { layout: layout.clone(), values }
@@ -116,7 +116,7 @@ impl Factor {
             cols * 3,
             || (),
             |(), index, pixels| {
-                // the index counts `[frame][bin_y][bin_x][row]`
+                // the index is in the order `[frame][bin_y][bin_x][row]`
                 let (row, bin_x) = (index % rows, index / rows % bins_x);
                 let (bin_y, frame) = (index / rows / bins_x % bins_y, index / rows / bins_x / bins_y);
                 let from = self.layout.pad + bin_x * cols;

@@ -18,7 +18,8 @@ use crate::solvers::method;
 use crate::start::start_patterns;
 use crate::{Extrapolated, FactorizeError, Multiplicative, Objective, Problem, Solver, StartKind, unlit};
 
-/// Iterations that suffice for a score over the whole viewing zone; more do not raise it.
+/// Number of iterations that suffices for a score over the whole viewing zone; further iterations
+/// do not raise it.
 pub const ZONE_ITERATIONS: u32 = 16;
 
 /// Settings of a factorization.
@@ -35,16 +36,16 @@ pub struct Settings {
     /// Number of coarser levels at which a run begins, each at half the resolution of the next.
     /// Levels that are too small are left out; `None` chooses by solver. A warm start uses none.
     pub coarse_levels: Option<u32>,
-    /// Iterations at each coarser level.
+    /// Number of iterations at each coarser level.
     pub coarse_iterations: u32,
-    /// Iterations between evaluations of the objective, at least 1; the last iteration always has
-    /// one.
+    /// Number of iterations between evaluations of the objective, at least 1; the last iteration
+    /// always has an evaluation.
     ///
-    /// Block-exact solvers get it for free if all rays have one weight and read one pixel per
-    /// layer. Else it costs about a third of an iteration.
+    /// Block-exact solvers compute the objective on their way if all rays have one weight and read
+    /// one pixel per layer. Otherwise an evaluation costs about a third of an iteration.
     pub report_every: u32,
-    /// Re-optimizes patterns of layers with few bits on their panels' levels; else they stay
-    /// continuous.
+    /// Re-optimizes patterns of layers with few bits on their panels' levels; otherwise the
+    /// patterns stay continuous.
     pub levels: bool,
 }
 
@@ -64,7 +65,8 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// Returns `report_every` for a plot with some 40 points; each costs a part of an update.
+    /// Returns `report_every` for a plot with some 40 points. Each point costs a fraction of an
+    /// update.
     pub fn curve_interval(iterations: u32) -> u32 {
         (iterations / 40).max(1)
     }
@@ -72,8 +74,8 @@ impl Settings {
     /// Replaces every automatic choice by its value.
     ///
     /// The paper's rule starts at random, since the paper leaves the start open. All other solvers
-    /// start from the content at half the resolution: on every light field measured, that reached
-    /// any quality first.
+    /// start from the content at half the resolution: on every measured light field, this start
+    /// reached any quality first.
     pub fn resolved(&self) -> Self {
         let paper = self.solver == Multiplicative.name();
         let solver = if self.solver == AUTO { Extrapolated.name().into() } else { self.solver.clone() };
@@ -96,7 +98,7 @@ pub struct Iteration {
     pub iteration: u32,
     /// Σ w (βL − L̃)² over all rays and channels.
     pub objective: f64,
-    /// PSNR in dB of L̃/β against L over all rays with w > 0; NaN without such a ray, infinite if
+    /// PSNR of L̃/β against L over all rays with w > 0, dB; NaN without such a ray, infinite if
     /// exact.
     pub psnr_view: f64,
 }
@@ -106,7 +108,7 @@ pub struct Iteration {
 pub struct Factorization {
     /// The patterns, values in 0..1.
     pub stack: LayerStack,
-    /// All evaluations of the objective; the first is that of the start (iteration 0).
+    /// All evaluations of the objective; the first evaluation is of the start (iteration 0).
     pub history: Vec<Iteration>,
     /// The settings, with every automatic choice replaced by its value.
     pub settings: Settings,
@@ -121,9 +123,9 @@ pub struct Factorization {
 pub struct LevelsLoss {
     /// PSNR of the continuous patterns.
     pub continuous: f64,
-    /// PSNR of their values rounded to the nearest levels.
+    /// PSNR of the continuous patterns after rounding to the nearest levels.
     pub rounded: f64,
-    /// PSNR of the patterns re-optimized on the levels, which are the result.
+    /// PSNR of the patterns that were re-optimized on the levels. These patterns are the result.
     pub reoptimized: f64,
 }
 
@@ -146,7 +148,8 @@ pub fn factorize(
     factorize_on(&Processor, problem, settings, warm, task, on_iteration)
 }
 
-/// Runs [`factorize`] on another executor. The processor re-optimizes patterns for few bits.
+/// Runs [`factorize`] on another executor. The processor re-optimizes patterns for panels of few
+/// bits.
 ///
 /// # Errors
 /// As [`factorize`], and if the device cannot solve the problem or is lost.
@@ -163,10 +166,10 @@ pub fn factorize_on(
 
 /// Factorizes a [`Tile`] of a larger problem.
 ///
-/// `problem` is the tile's own: [`Tile::display`] and [`Tile::light_field`]. `whole` maps the rays
-/// of the whole display. With `fixed`, the pixels of `warm` around the tile's free pixels keep
-/// their values, except that black is lifted as in every warm start. Otherwise all pixels of the
-/// tile are solved. A start by the settings is the tile's part of the start of the whole display.
+/// `problem` consists of [`Tile::display`] and [`Tile::light_field`]. `whole` maps the rays of the
+/// whole display. With `fixed`, the pixels of `warm` around the tile's free pixels keep their
+/// values, except that black is lifted as in every warm start. Otherwise all pixels of the tile are
+/// solved. A start by the settings is the tile's part of the start of the whole display.
 ///
 /// # Errors
 /// As [`factorize`], and [`FactorizeError::NoRays`] if no ray of the tile has a weight above 0.
@@ -212,7 +215,7 @@ fn solve(
                 task.cancel.check()?;
             }
             let mut note = String::new();
-            // a step may have found the objective already; the last value must be that of the
+            // the last step may have found the objective already; the last value must belong to the
             // iterate
             if iteration == settings.iterations || iteration % settings.report_every.max(1) == 0 {
                 let known = run.known_objective().filter(|_| iteration < settings.iterations);
@@ -232,7 +235,7 @@ fn solve(
     let result = iterate();
     task.progress.end();
     result?;
-    // confine layers of few bits to their levels, and measure the loss by that
+    // confine layers of few bits to their levels, and measure the loss
     let (mut stack, mut levels) = (run.finish().into_stack()?, None);
     if settings.levels && has_levels(problem) {
         let psnr_view = |stack: &LayerStack| {
@@ -258,7 +261,7 @@ fn start_run(
     let method = method(&settings.solver)?;
     let display = problem.display;
     let run = match warm {
-        // a warm start overrides the start of the settings; else solve coarser levels first
+        // a warm start replaces the start of the settings; otherwise solve coarser levels first
         Some(warm) => {
             warm.check(display)?;
             // equal frames stay equal; in a tile with fixed pixels that may be intended
@@ -279,12 +282,12 @@ fn start_run(
 
 /// A factorization for callers that read the patterns between iterations.
 ///
-/// After as many iterations its patterns are those of [`factorize`] before re-optimization on few
-/// levels.
+/// After the same number of iterations, its patterns are those of [`factorize`] before
+/// re-optimization on few levels.
 pub struct Ongoing(Box<dyn Iterated>);
 
 impl Ongoing {
-    /// Starts as [`factorize`] does; copies the target.
+    /// Starts as [`factorize`] does, and copies the target.
     ///
     /// # Errors
     /// As [`factorize`].
@@ -306,8 +309,8 @@ impl Ongoing {
         self.0.step(cancel)
     }
 
-    /// Returns the objective: that of the last step if the solver found it on the way, else that of
-    /// the current patterns.
+    /// Returns the objective that the last step found on its way, otherwise the objective of the
+    /// current patterns.
     pub fn objective(&mut self) -> Objective {
         self.0.known_objective().unwrap_or_else(|| self.0.objective())
     }
@@ -331,7 +334,7 @@ impl Ongoing {
 /// Returns whether a warm start is nearer to the target than the start by `fresh`, including its
 /// coarse levels.
 ///
-/// If the warm start has the lower objective, the answer is yes. Else both starts take one
+/// If the warm start has the lower objective, the answer is yes. Otherwise both starts take one
 /// iteration of `warm_solver`, and the warm start must then lead by 1 dB. The objectives of the
 /// starts themselves mislead: patterns of moved content begin far off and improve quickly. The cost
 /// is a fresh start, and sometimes two iterations.
@@ -352,7 +355,7 @@ pub fn warm_start_pays(
     let fresh = &fresh.resolved();
     let (plan, display) = (Arc::new(Plan::new(problem)?), problem.display);
     warm.check(display)?;
-    // both starts use one rule, since the first steps of different rules do not compare
+    // both starts use one rule, since the first steps of different rules cannot be compared
     let rule = method(&Settings { solver: warm_solver.into(), ..Settings::default() }.resolved().solver)?;
     let mut from_fresh = start_fresh(&Processor, rule, &plan, (display, problem.target.geometry()), fresh, task)?;
     let mut from_warm =
@@ -361,7 +364,7 @@ pub fn warm_start_pays(
     if from_warm.objective().value <= from_fresh.objective().value {
         return Ok(true);
     }
-    // else compare after one iteration of each
+    // otherwise compare after one iteration of each
     from_warm.step(task.cancel)?;
     from_fresh.step(task.cancel)?;
     Ok(from_warm.objective().value * 10f64.powf(0.1 * AHEAD_DB) <= from_fresh.objective().value)
@@ -388,8 +391,8 @@ fn start_fresh(
     method.begin(Prepared { plan: plan.clone(), display, patterns, executor })
 }
 
-/// Solves coarser levels, each from the result of the one before; returns the factors of the finest
-/// of them. Returns `None` if there is no coarser level.
+/// Solves coarser levels, each from the result of the previous level. Returns the factors of the
+/// finest of these levels, or `None` if there is no coarser level.
 fn solve_coarse(
     executor: &dyn Executor,
     plan: &Plan,

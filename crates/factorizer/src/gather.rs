@@ -1,5 +1,5 @@
-//! One line of one factor at a constant shift. Every ray reads one pixel of the factor. Its
-//! column is the ray's own plus a constant of the view.
+//! One line of one factor at a constant shift. Every ray reads one pixel of the factor. The pixel's
+//! column is the ray's column plus a constant of the view.
 //!
 //! This is the paper's case: oblique views, equal pitch, nearest sampling. The simple version, for
 //! line j of layer n:
@@ -16,12 +16,13 @@
 //!
 //! Departures:
 //!
-//! 1. **Blocks.** Columns go in blocks of one vector, and a block sums all views before the next
-//!    begins. Its values stay in the first-level cache, and accumulators stay in registers.
+//! 1. **Blocks.** Columns are processed in blocks of one vector, and a block sums all views before
+//!    the next begins. Its values stay in the first-level cache, and accumulators stay in
+//!    registers.
 //! 2. **Registers.** If registers hold a_m and the sums of all frames,
 //!    [`registers`](crate::registers) has the loop. AVX-512 and NEON hold up to 8 frames for the
 //!    paper's rule, and up to 4 for G. For G of 6 frames, 3×3 tiles along its diagonal are summed
-//!    at once. The rest of G follows from a_m in a small buffer.
+//!    together. The rest of G follows from a_m in a small buffer.
 //! 3. **Buffers.** Otherwise the a_m and e of a group of views are buffered, 10 kB for 25 views and
 //!    6 frames. Then the sums are made tile by tile, each in registers. So any number of frames
 //!    runs the same code, and 12 frames spill as little as 6. Groups leave room in the first-level
@@ -29,20 +30,20 @@
 //! 4. **Prefetch.** An update reads frames × layers × view rows, and all views of the target, side
 //!    by side. Hardware prefetchers do not follow so many rows. So each view prefetches a few rows
 //!    two vectors ahead, and its row of the target into the second-level cache alone.
-//! 5. **Target.** It is read in 16 bits if half floats hold it exactly. √w multiplies a_m and e, so
-//!    that no sum needs w.
+//! 5. **Target.** The target is read in 16 bits if half floats hold it exactly. √w multiplies a_m
+//!    and e, so that no sum needs w.
 //! 6. **Masks.** A block is masked if it crosses the border of the valid rays or if rays have
-//!    weights. Padding makes its loads legal.
+//!    weights. Padding makes the loads of such a block legal.
 //! 7. **Expanded factors.** A factor that is not at a constant shift is first expanded along the
 //!    rays, which puts it at shift 0. Examples are a lenslet grid and a layer of another pitch.
 //!    Rows are kept from line to line as long as they read the same lenslets.
-//! 8. **Functions.** Each case of rule, frames, factors and masking is a function of its own,
-//!    chosen once per update and called once per block.
+//! 8. **Functions.** Each case of rule, frames, factors and masking is a separate function, which
+//!    is chosen once per update and called once per block.
 //!
-//! Measured on Zen 4, and tried without gain:
+//! Measurements on Zen 4, and changes that gained nothing:
 //!
 //! * Buffers alone took 1.3 times as long as registers for the multiplicative rule, and 1.2 times
-//!   for the block-exact one.
+//!   as long for the block-exact rule.
 //! * A prefetch of all 60 rows at the start of a block took 4 % longer.
 //! * A view of a block takes 45 to 54 cycles. If no load straddles cache lines, it takes 48 instead
 //!   of 54. If in addition all view rows read one line, it takes 38. With everything in the
@@ -65,14 +66,14 @@ use crate::registers::{Gram, Pairs};
 use crate::step::{Rule, Sums};
 use crate::vector::{self, Vector};
 
-/// Number of blocks whose errors are added in f32 before an f64 sum takes them.
+/// Number of blocks whose errors are added in f32 before they go into an f64 sum.
 const BLOCKS_PER_SUM: usize = 4;
 
 /// The functions of an update, for one instruction set, rule, number of frames and number of
 /// factors.
 pub(crate) struct GatherFunctions {
     lanes: usize,
-    /// For blocks where the rays of every view count in full.
+    /// For blocks in which all rays of every view are valid and have weight 1.
     whole: Function<ByBuffers>,
     /// For all other blocks.
     masked: Function<ByBuffers>,
@@ -80,7 +81,7 @@ pub(crate) struct GatherFunctions {
 }
 
 impl GatherFunctions {
-    /// `others` is the number of factors beside the one under update.
+    /// `others` is the number of factors besides the one under update.
     pub(crate) fn new(backend: Backend, rule: Rule, frames: usize, others: usize, step: StepFunctions) -> Self {
         macro_rules! in_registers {
             ($kernel:ident($whole:tt, $masked:tt) for $($frames:literal),*) => {

@@ -16,9 +16,9 @@ pub(crate) struct LineOf {
 /// Error and gain of an update, with weights relative to the largest.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outcome {
-    /// Σ w e² over the rays through the line, before the step. A ray through several pixels counts
-    /// by their shares. Rays that miss the factor may be included or not, so this is the whole sum
-    /// only if [`Plan::sees_all_rays`](crate::device::Plan::sees_all_rays).
+    /// Σ w e² over the rays through the line, before the step. A ray through several pixels is
+    /// weighted by their shares. Rays that miss the factor may be included or not, so this is the
+    /// whole sum only if [`Plan::sees_all_rays`](crate::device::Plan::sees_all_rays).
     pub error: f64,
     /// Lower bound of the decrease of Σ w e² by the step; 0 if the rule does not compute it.
     /// [`Rule::KktResidual`] and [`Rule::Darken`] return their result here.
@@ -31,26 +31,26 @@ impl Outcome {
     }
 }
 
-/// A line's values and the limits of their step. x counts in padded storage; frames are `stride`
-/// apart.
+/// A line's values and the limits of their step. x is an index into padded storage; frames are
+/// `stride` apart.
 pub(crate) struct LineStep<'a> {
     pub(crate) rule: Rule,
     /// Box [low, high] of the values.
     pub(crate) range: [f32; 2],
     pub(crate) levels: Option<&'a Levels>,
-    /// For [`Rule::Darken`], the greatest Σ w a_m² of an unlit pixel, `[x]`.
+    /// For [`Rule::Darken`], the largest Σ w a_m² of an unlit pixel, `[x]`.
     pub(crate) limits: Option<&'a [f32]>,
     /// In a tile, true for pixels that keep their values, `[x]`.
     pub(crate) fixed: Option<&'a [bool]>,
     /// Columns that rays can hit.
     pub(crate) columns: std::ops::Range<usize>,
     pub(crate) stride: usize,
-    /// The values that rays read, all frames.
+    /// The values that rays read, of all frames.
     pub(crate) values: &'a mut [f32],
     /// The extrapolation's factor β_k, and the line of the last iterate.
     pub(crate) extrapolation: Option<(f32, &'a mut [f32])>,
-    /// Where the sums are stored instead of a step, `[quantity][x]` in the order of [`Sums`]. The
-    /// step then needs the sums of other lines too.
+    /// Destination of the sums, if they are stored instead of a step: `[quantity][x]` in the order
+    /// of [`Sums`]. A later step then needs the sums of other lines too.
     pub(crate) sums: Option<&'a mut [f32]>,
 }
 
@@ -90,10 +90,10 @@ impl LineStep<'_> {
     }
 
     /// Steps the vector of pixels at x by the sums and values in `block`, and writes the gain to
-    /// the block. x + lanes must lie within the padded rows.
+    /// the block. x + lanes must be within the padded rows.
     pub(crate) fn finish_block(&mut self, functions: &StepFunctions, block: &mut Block, x: usize) {
         let lanes = functions.lanes;
-        // lanes past the last column are padding, to which rays that miss the layer add
+        // lanes past the last column are padding, to which rays that miss the layer add their sums
         let room = (self.columns.end - x).min(lanes);
         if let Some(sums) = &mut self.sums {
             block.gain = Vector::default();
@@ -101,7 +101,7 @@ impl LineStep<'_> {
             unsafe { (functions.store_sums)((block, &mut sums[x..], self.stride, self.rule.sums())) };
             return;
         }
-        // step by the rule, then apply what holds for single pixels: darkening and fixed values
+        // step by the rule, then apply darkening and fixed values, which concern single pixels
         let step = Step { block: &mut *block, sweeps: self.rule.sweeps(), range: self.range, levels: self.levels };
         // SAFETY: the function is for the block's number of frames
         unsafe { (functions.step)(step) };
@@ -216,7 +216,7 @@ impl Kernel for Put {
     }
 }
 
-/// Stores the first `room` lanes. The values behind the last column are padding, which rays read.
+/// Stores the first `room` lanes. The values after the last column are padding, which rays read.
 #[inline(always)]
 unsafe fn put<V: Lanes>(vector: V, to: &mut [f32], room: usize) {
     // SAFETY: the machine has V; lengths are checked

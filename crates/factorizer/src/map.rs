@@ -1,4 +1,4 @@
-//! Where rays read one factor: the columns per view column, the lines per view row.
+//! The tables of where rays read one factor: the columns per view column, the lines per view row.
 
 use std::ops::Range;
 
@@ -7,16 +7,16 @@ use lumistack_display::Tap;
 use crate::aligned::LINE;
 use crate::factor::{Layout, PAD};
 
-/// Weights of neighbouring pixels that differ by less count as equal; a mask value changes by no
-/// more than this.
+/// Weights of neighbouring pixels that differ by less are taken as equal; a mask value changes by
+/// no more than this difference.
 const SAME_WEIGHT: f32 = 1e-6;
-/// Shorter pieces of equal shift read by table, since a loop of their own would not pay.
+/// Shorter pieces of equal shift are read by table, since a separate loop would not pay.
 const SHORTEST_PIECE: usize = 8;
-/// Number of rays, by their shares, up to which a pixel's sums stay in f32.
+/// Number of rays, weighted by their shares, up to which a pixel's sums stay in f32.
 ///
-/// A mean over more rays is alike in all frames. So the Gram matrix is nearly singular, and the
-/// rounding of its sums shows. Sums over 64 rays in f32 moved values by 4e-5. In f64 bilinear
-/// updates take 30 % longer.
+/// A mean over more rays is nearly the same in all frames. So the Gram matrix is nearly singular,
+/// and the rounding of its sums shows. Sums over 64 rays in f32 moved values by 4e-5. With sums in
+/// f64, bilinear updates take 30 % longer.
 const SHORT_SUM: f32 = 40.0;
 
 /// The places where rays read one factor, and the rays of each line.
@@ -27,20 +27,20 @@ pub(crate) struct FactorMap {
     pub(crate) x: Vec<ColumnTaps>,
     /// Per view row, the lines that each field row's rays read.
     pub(crate) y: Vec<Vec<LineTap>>,
-    /// Per view row, the field rows that read each line.
+    /// Per view row, the field rows whose rays read each line.
     rays: Vec<RaysOfLine>,
-    /// Per view row and line, the field rows that read this line first and the next one second,
-    /// with the weight of the second.
+    /// Per view row and line, the field rows whose rays read this line first and the next one
+    /// second, with the weight of the second.
     after: Vec<RaysOfLine>,
-    /// Few enough rays read every pixel for exact sums in f32.
+    /// True if so few rays read each pixel that sums in f32 are precise.
     pub(crate) short_sums: bool,
-    /// Every ray reads one pixel, at the field column plus a constant of the view.
+    /// True if every ray reads one pixel, at the field column plus a constant of the view.
     pub(crate) shifted: bool,
-    /// Each view column's rays read at a constant shift; rows may be mixed.
+    /// True if each view column's rays read at a constant shift; rows may be mixed.
     pub(crate) columns_shifted: bool,
-    /// Every ray reads one pixel alone.
+    /// True if every ray reads a single pixel.
     pub(crate) nearest: bool,
-    /// Every ray that counts hits the factor.
+    /// True if every valid ray hits the factor.
     pub(crate) complete: bool,
 }
 
@@ -51,9 +51,9 @@ pub(crate) struct ColumnTaps {
     pub(crate) second: Vec<u32>,
     /// Weight of `second`, 0..1.
     pub(crate) t: Vec<f32>,
-    /// The same as pieces for the inner loops; together all field columns.
+    /// The same taps as pieces for the inner loops; together they cover all field columns.
     pub(crate) pieces: Vec<Piece>,
-    /// Index minus field column, if it is the same for every ray that counts and every `t` is 0.
+    /// Index minus field column, if it is the same for every valid ray and every `t` is 0.
     pub(crate) shift: Option<isize>,
 }
 
@@ -67,11 +67,11 @@ pub(crate) struct Piece {
 /// How consecutive field columns read a factor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Access {
-    /// At their own column plus `by`, mixed with the next pixel by the weight `t`.
+    /// Each ray reads its own column plus `by`, mixed with the next pixel by the weight `t`.
     Shift { by: isize, t: f32 },
-    /// One pixel each, by table.
+    /// Each ray reads one pixel, by table.
     Indexed,
-    /// Two pixels each, by table.
+    /// Each ray reads two pixels, by table.
     Mixed,
 }
 
@@ -84,7 +84,7 @@ pub(crate) struct LineTap {
     pub(crate) t: f32,
 }
 
-/// The field rows whose rays read each line, for one view row: at equal pitch up to two.
+/// The field rows whose rays read each line, for one view row. At equal pitch a line has up to two.
 #[derive(Clone, Debug)]
 struct RaysOfLine {
     /// Line j has `entries[starts[j]..starts[j + 1]]`.
@@ -94,24 +94,23 @@ struct RaysOfLine {
 }
 
 impl FactorMap {
-    /// Field rows that count and whose rays read `line`, with the line's weight.
+    /// Valid field rows whose rays read `line`, with the line's weight.
     #[inline(always)]
     pub(crate) fn rays_of_line(&self, view_y: usize, line: usize) -> &[(u32, f32)] {
         self.rays[view_y].of_line(line)
     }
 
-    /// Field rows that count and whose rays read between `line` and the next, with the next line's
-    /// weight.
+    /// Valid field rows whose rays read between `line` and the next, with the next line's weight.
     #[inline(always)]
     pub(crate) fn rays_after_line(&self, view_y: usize, line: usize) -> &[(u32, f32)] {
         self.after[view_y].of_line(line)
     }
 
-    /// Builds the tables; `runs` and `valid_rows` say which rays count.
+    /// Builds the tables; `runs` and `valid_rows` select the valid rays.
     pub(crate) fn new(raw: RawMap, frames: usize, runs: &[Vec<Range<usize>>], valid_rows: &[Vec<bool>]) -> Self {
         let (lines, cols) = (raw.bins[0] * raw.size[0], raw.bins[1] * raw.size[1]);
         let shifts: Vec<_> = raw.x.iter().zip(runs).map(|(taps, runs)| constant_shift(taps, runs, cols)).collect();
-        // padding: at a constant shift, rays that miss the layer read past its edges
+        // padding is needed, since at a constant shift rays that miss the layer read past its edges
         let (mut before, mut after) = (0, 0);
         for (shift, runs) in shifts.iter().zip(runs) {
             if let (Some(shift), [first, ..]) = (*shift, runs.as_slice()) {
@@ -120,7 +119,7 @@ impl FactorMap {
                 after = after.max(end as isize + shift - cols as isize);
             }
         }
-        // own columns start on a cache line
+        // the factor's own columns start on a cache line
         let pad = (PAD + before as usize).next_multiple_of(PAD);
         // The stride is an odd number of cache lines. If the rows of all frames lie a multiple of 4
         // KiB apart, they share the same sets of the first-level cache. An update then takes 1.7
@@ -140,7 +139,7 @@ impl FactorMap {
                 taps.iter().map(line).collect()
             })
             .collect();
-        // the rays of each line: field rows that count and hit the factor
+        // the rays of each line: valid field rows that hit the factor
         let read_by_view = |(taps, valid): (&Vec<LineTap>, &Vec<bool>)| -> Vec<(u32, LineTap)> {
             let rows = taps.iter().zip(valid).enumerate();
             rows.filter(|(_, (tap, valid))| **valid && tap.first as usize != lines)
@@ -159,7 +158,7 @@ impl FactorMap {
             .iter()
             .map(|rows| RaysOfLine::new(lines, rows.iter().map(|&(row, tap)| (tap.first, (row, tap.t)))))
             .collect();
-        // the largest number of rays of a pixel decides if f32 is exact enough
+        // the largest number of rays of a pixel decides if f32 is precise enough
         let shares_of_line =
             |line: usize| rays.iter().flat_map(|rays| rays.of_line(line)).map(|(_, share)| share).sum();
         let mut shares_of_col = vec![0.0f32; cols];
@@ -226,12 +225,12 @@ fn pieces(taps: &[Option<Tap>], pad: isize) -> Vec<Piece> {
     let mut even: Vec<Piece> = Vec::new();
     for col in 0..taps.len() {
         match even.last_mut() {
-            // t is that of the piece's first column, so differences do not add up
+            // t is the weight at the piece's first column, so differences do not add up
             Some(piece) if alike(piece.access, access(col)) => piece.cols.end = col + 1,
             _ => even.push(Piece { cols: col..col + 1, access: access(col) }),
         }
     }
-    // short pieces read by table, and neighbouring tables become one
+    // short pieces are read by table, and neighbouring tables become one
     let mut pieces: Vec<Piece> = Vec::new();
     for mut piece in even {
         if let Access::Shift { t, .. } = piece.access
@@ -285,9 +284,9 @@ pub(crate) struct RawMap {
     pub(crate) y: Vec<Vec<Option<Tap>>>,
 }
 
-/// Pixel index minus field column, if it is the same for all rays of the runs that hit.
+/// Pixel index minus field column, if it is the same for all rays of the runs that hit the factor.
 ///
-/// Rays that miss must then lie outside of the factor under this shift.
+/// Rays that miss must then be outside of the factor under this shift.
 fn constant_shift(taps: &[Option<Tap>], runs: &[Range<usize>], cols: usize) -> Option<isize> {
     let mut counted = runs.iter().flat_map(Clone::clone);
     let shift = counted.clone().find_map(|c| taps[c].map(|tap| tap.first as isize - c as isize))?;

@@ -5,31 +5,33 @@ use lumistack_display::{Backlight, Display, FieldGeometry, Sampling};
 use crate::factor::PAD;
 use crate::step::Sums;
 
-/// Bytes of the tables of one factor, per column of a view column or row of a view row.
+/// Size of the tables of one factor, per field column of a view column or field row of a view row,
+/// bytes.
 ///
-/// They hold the places where rays hit the factor, once as floats and once for the kernels.
+/// The tables hold the positions where rays hit the factor, once as floats and once for the
+/// kernels.
 const TABLE_BYTES: u64 = 96;
-/// Bytes of everything else, which is small.
+/// Size of everything else, which is small, bytes.
 const SMALL: u64 = 1 << 20;
 
 /// Upper bound of the bytes that [`factorize`](crate::factorize()) holds at any time, on `threads`
 /// threads.
 ///
-/// Counted are:
+/// The bound includes:
 /// * the target in half floats, at full resolution and at the coarser levels,
 /// * the factors during the run, and the patterns before and after it,
 /// * tables, and the buffers of each thread.
 ///
-/// The caller's own target, which may lie in a mapped file, and the weights are not counted. A
+/// It does not include the caller's own target, which may be in a mapped file, nor the weights. A
 /// target whose values half floats cannot hold exactly is kept in f32, which takes twice as much.
 pub fn held_bytes(display: &Display, geometry: &FieldGeometry, threads: usize) -> u64 {
     let [view_rows, view_cols] = geometry.grid.views().map(|count| count as u64);
     let (rows, cols, threads) = (geometry.rows as u64, geometry.cols as u64, threads as u64);
     let (frames, pad) = (display.frames as u64, PAD as u64);
-    // the factorizer's own copy of the target: half floats in padded rows
+    // the factorizer's own copy of the target is half floats in padded rows
     let target = 2 * 3 * view_rows * view_cols * rows * (cols + 2 * pad);
     let factors = factors(display, geometry);
-    // factors: f32 in padded lines, with one line more than the layer has
+    // factors are f32 in padded lines, with one line more than the layer has
     let padded = |[factor_cols, factor_rows]: [u64; 2], reach: u64| {
         4 * 3 * frames * (factor_rows + 1) * (factor_cols + 2 * reach + 6 * pad)
     };
@@ -45,8 +47,8 @@ pub fn held_bytes(display: &Display, geometry: &FieldGeometry, threads: usize) -
     let sums: u64 = factors.iter().enumerate().map(summed).sum();
     // tables of the rays
     let tables = TABLE_BYTES * factors.len() as u64 * (view_cols * cols + view_rows * rows);
-    // values along rays for factors without a constant shift: a row for every field row that reads
-    // a line or lies next to it
+    // factors without a constant shift keep values along rays: a row for every field row that reads
+    // a line or is next to it
     let longest = factors.iter().map(|([factor_cols, _], reach)| factor_cols + 2 * reach).max().unwrap_or(0).max(cols);
     let lines = 3 * view_rows * frames * (longest + 6 * pad) * 4;
     let expanded = match (&display.backlight, display.sampling) {
@@ -54,14 +56,14 @@ pub fn held_bytes(display: &Display, geometry: &FieldGeometry, threads: usize) -
         (Backlight::Uniform, _) => lines * 2 * factors.len() as u64,
         (Backlight::Lenslets(_), _) => lines * (2 * factors.len() as u64 + view_cols * (factors.len() as u64 - 1)),
     };
-    // A coarser level has a quarter of the pixels, so all levels take 4/3 of the finest. The four
-    // times of the factors are: the values that rays read, those before an extrapolation, the
-    // stored ones and a spare. The patterns are held as tensors before and after the run.
+    // A coarser level has a quarter of the pixels, so all levels take 4/3 of the finest. Factors
+    // are held four times: the values that rays read, those before an extrapolation, the stored
+    // ones and a spare. The patterns are held as tensors before and after the run.
     4 * (target + 4 * patterns + sums + tables) / 3 + 2 * patterns + threads * expanded + SMALL
 }
 
-/// Columns and rows of every layer and the backlight, and how many columns past their edges rays
-/// may read.
+/// Columns and rows of every layer and the backlight, and the number of columns past their edges
+/// that rays may read.
 fn factors(display: &Display, geometry: &FieldGeometry) -> Vec<([u64; 2], u64)> {
     let steepest = geometry.grid.slope_x.iter().fold(0.0f64, |most, slope| most.max(slope.abs()));
     let width = geometry.cols as f64 * geometry.pitch_mm;

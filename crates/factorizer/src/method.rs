@@ -1,4 +1,5 @@
-//! The internal interface of solvers: runs on problems that several of them share.
+//! The internal interface of solvers: they start runs on prepared problems, which several runs may
+//! share.
 
 use crate::FactorizeError;
 use crate::device::Updater;
@@ -11,14 +12,14 @@ pub(crate) trait Method: Solver {
     fn begin(&self, prepared: Prepared) -> Result<Box<dyn Iterated>, FactorizeError>;
 }
 
-/// A run whose patterns can be taken over.
+/// A run that can hand over its patterns.
 pub(crate) trait Iterated: Run {
-    /// The objective that the last step found on its way; its patterns may be the extrapolated
-    /// ones.
+    /// The objective that the last step found on its way; it may belong to the extrapolated
+    /// patterns.
     ///
     /// `None` if only [`Run::objective`] can compute it, or after a restart.
     fn known_objective(&self) -> Option<Objective>;
 
-    /// Ends the run and returns its patterns where they are.
+    /// Ends the run and returns the updater that holds its patterns.
     fn finish(self: Box<Self>) -> Box<dyn Updater>;
 }

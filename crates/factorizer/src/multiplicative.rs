@@ -37,7 +37,7 @@ impl Solver for Multiplicative {
     }
 
     fn doc(&self) -> &'static str {
-        "The paper's multiplicative update (eq. 16), one layer after another. Never worsens; slow to converge."
+        "The paper's multiplicative update (eq. 16), one layer after another. The error never rises; slow to converge."
     }
 
     fn start<'a>(&self, problem: &Problem<'a>, start: LayerStack) -> Result<Box<dyn Run + 'a>, FactorizeError> {
@@ -50,7 +50,7 @@ impl Method for Multiplicative {
         if prepared.display.formation == Formation::Polarization {
             return Err(FactorizeError::Unsuitable {
                 solver: "multiplicative",
-                why: "layers that rotate polarization make no nonnegative product",
+                why: "it needs a product of nonnegative values, which layers that rotate polarization do not form",
             });
         }
         Ok(Box::new(MultiplicativeRun { state: prepared.begin(FLOOR, false)? }))
@@ -98,7 +98,7 @@ impl Run for MultiplicativeRun {
 
 impl Iterated for MultiplicativeRun {
     fn known_objective(&self) -> Option<Objective> {
-        // the rule does not compute how much a step lowers the objective
+        // the rule does not compute by how much a step lowers the objective
         None
     }
 

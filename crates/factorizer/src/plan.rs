@@ -1,8 +1,8 @@
 //! The tables of a run: the line and column of every factor that a ray reads, and the rays through
 //! a line.
 //!
-//! All follow from [`RayMap`]: one entry per view column and field column, and one per view row and
-//! field row.
+//! All tables follow from [`RayMap`]: one entry per view column and field column, and one per view
+//! row and field row.
 
 use std::ops::Range;
 
@@ -27,9 +27,9 @@ pub struct Plan {
     pub(crate) cols: usize,
     /// Number of frames M.
     pub(crate) frames: usize,
-    /// Number of layers N; the backlight's map, if any, follows theirs.
+    /// Number of layers N. The backlight's map, if any, follows the layers' maps.
     pub(crate) layers: usize,
-    /// How the light of a ray follows from the layers.
+    /// The rule by which layers form the light of a ray.
     pub(crate) formation: Formation,
     /// True if layers attenuate and every map is a constant shift per view.
     pub(crate) shifted: bool,
@@ -37,24 +37,25 @@ pub struct Plan {
     pub(crate) ones: Vec<f32>,
     /// Layers rear to front, then the directional backlight.
     pub(crate) maps: Vec<FactorMap>,
-    /// Per view column, the ranges of field columns whose rays count; normally one.
+    /// Per view column, the ranges of field columns whose rays are valid; normally one range.
     pub(crate) runs: Vec<Vec<Range<usize>>>,
-    /// Per view row, true for field rows whose rays count.
+    /// Per view row, true for field rows whose rays are valid.
     pub(crate) valid_rows: Vec<Vec<bool>>,
     pub(crate) target: Target,
-    /// Number of rays that count.
+    /// Number of valid rays with a weight above 0.
     pub(crate) rays: u64,
-    /// For a tile, its place in the whole display and its free pixels.
+    /// For a tile, its position in the whole display and its free pixels.
     pub(crate) tile: Option<TilePlace>,
     /// Instruction set of all kernels of the run.
     pub(crate) backend: Backend,
     pub(crate) row: RowFunctions,
 }
 
-/// A tile's place in its display.
+/// The position of a tile in its display.
 #[derive(Clone, Debug)]
 pub(crate) struct TilePlace {
-    /// Per factor: first [row, column] of the tile in the whole, and [rows, columns] of the whole.
+    /// Per factor: first [row, column] of the tile in the whole display, and [rows, columns] of the
+    /// whole.
     pub(crate) place: Vec<[[usize; 2]; 2]>,
     /// Per factor, the pixels that may change, counted within the tile; `None` if all may.
     pub(crate) free: Option<Vec<Region>>,
@@ -82,7 +83,7 @@ impl Plan {
         Ok(Self::with_target(problem.display, problem.target.geometry(), target))
     }
 
-    /// As [`Self::new`] for a tile; `map` maps its rays to its pixels.
+    /// As [`Self::new`] for a tile; `map` maps the tile's rays to its pixels.
     pub(crate) fn of_tile(problem: &Problem, map: &RayMap, tile: TilePlace) -> Result<Self, FactorizeError> {
         problem.check_all_but_target()?;
         let target = Target::new(problem);
@@ -100,7 +101,7 @@ impl Plan {
     fn with_map(display: &Display, geometry: &FieldGeometry, map: &RayMap, target: Target) -> Self {
         let views = geometry.grid.views();
         let (rows, cols) = (geometry.rows, geometry.cols);
-        // a ray counts if it hits every layer (or the display allows misses) and a lit lenslet
+        // a ray is valid if it hits every layer (or the display allows misses) and a lit lenslet
         let drop = display.missing == Missing::Drop;
         let valid = |view: usize, i: usize, axis: fn(&LayerMap) -> &AxisTaps, lit: &dyn Fn(usize, usize) -> bool| {
             (!drop || map.layers.iter().all(|layer| !axis(layer).of_view(view)[i].is_missed())) && lit(view, i)
@@ -113,7 +114,7 @@ impl Plan {
             .collect();
         let valid_rows: Vec<Vec<bool>> =
             (0..views[0]).map(|view| (0..rows).map(|i| valid(view, i, |l| &l.y, &lit_y)).collect()).collect();
-        // the maps of layers and backlight; constant shifts allow the fast kernels
+        // make the maps of layers and backlight; constant shifts allow the fast kernels
         let frames = display.frames;
         let maps: Vec<_> = raw_maps(display, map, views)
             .into_iter()

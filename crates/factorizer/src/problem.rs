@@ -62,13 +62,13 @@ impl Problem<'_> {
         let layers = (0..self.display.layers.len()).map(|n| LayerStack::layer_shape(self.display, n).to_vec());
         let emission = LayerStack::emission_shape(self.display).map(|shape| shape.to_vec());
         let values: u128 = layers.chain(emission).map(|shape| shape.iter().map(|&n| n as u128).product::<u128>()).sum();
-        // the input patterns, padded working copies and one spare copy, in f32
+        // the input patterns, padded working copies and one spare copy are in f32
         let bytes = 4 * 4 * values;
         if bytes > isize::MAX as u128 { Err(FactorizeError::TooLarge { values }) } else { Ok(()) }
     }
 }
 
-/// A factorization that failed or was cancelled.
+/// The reason why a factorization failed, or its cancellation.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum FactorizeError {
     /// The display is invalid.
@@ -102,7 +102,7 @@ pub enum FactorizeError {
     },
     /// No ray has a weight above 0, so no patterns are better than others.
     #[error(
-        "no ray with a weight above 0 hits all layers: expected layers and weights through which the display shows something of the target"
+        "no ray with a weight above 0 hits all layers: expected layers and weights with which the display shows some of the target"
     )]
     NoRays,
     /// No solver has this name.

@@ -2,10 +2,10 @@
 //! others compensate.
 //!
 //! The masks are confined frame by frame and layer by layer to the levels that the panel can show
-//! ([`lumistack_display::Layer::levels`]). After each, its layer is updated. A coordinate step goes
-//! to the level nearest to its minimum, which is exact for a parabola. Free frames and later layers
-//! then reduce the error. Confined masks still move from level to level, so a few last rounds gain
-//! more. Once all masks are confined, the objective never rises.
+//! ([`lumistack_display::Layer::levels`]). After each mask, its layer is updated. A coordinate step
+//! goes to the level nearest to its minimum, which is exact for a parabola. Free frames and later
+//! layers then reduce the error. Confined masks still move from level to level, so a few last
+//! iterations gain more. Once all masks are confined, the objective never rises.
 
 use lumistack_core::Task;
 use lumistack_display::{Display, LayerStack};
@@ -16,9 +16,9 @@ use crate::prepared::Prepared;
 use crate::step::{Freedom, Levels, Rule};
 use crate::{FactorizeError, Problem};
 
-/// Rounds of coordinate steps per update.
+/// Number of sweeps of coordinate steps per update.
 const SWEEPS: u32 = 4;
-/// Rounds over all layers at the end.
+/// Number of iterations over all layers at the end.
 const LAST_ROUNDS: u32 = 3;
 
 /// True if any layer has few levels.

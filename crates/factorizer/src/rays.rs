@@ -14,7 +14,8 @@ use crate::row::Row;
 use crate::rows::Reading;
 use crate::vector::mask;
 
-/// Pointer to the value at x = 0 of a row; x counts in the padded storage of the line under update.
+/// Pointer to the value at x = 0 of a row; x is an index into the padded storage of the line under
+/// update.
 ///
 /// Rows may begin later than x = 0, so the pointer itself may lie outside of its row.
 #[derive(Clone)]
@@ -50,21 +51,21 @@ impl<'a, T> Place<'a, T> {
 
 /// One view's rays through the line.
 pub(crate) struct View<'a> {
-    /// x of the rays that count.
+    /// x of the valid rays.
     valid: Range<usize>,
     /// √w.
     weights: Option<Place<'a, f32>>,
 }
 
 impl View<'_> {
-    /// √w of the rays of a block, 0 for rays that do not count; `None` if none counts.
+    /// √w of the rays of a block, 0 for invalid rays; `None` if all are invalid.
     ///
     /// # Safety
     /// The machine has V.
     #[inline(always)]
     pub(crate) unsafe fn weight<V: Lanes>(&self, x: usize) -> Option<V> {
         let (low, high) = (self.valid.start.max(x), self.valid.end.min(x + V::COUNT));
-        // SAFETY: the machine has V; padding makes loads legal where a ray counts
+        // SAFETY: the machine has V; padding makes loads legal where a ray is valid
         (low < high).then(|| unsafe {
             let inside = mask::<V>(low - x, high - x);
             self.weights.as_ref().map_or(inside, |weights| inside.mul(V::load(weights.at::<V>(x))))
@@ -78,7 +79,7 @@ pub(crate) enum TargetRow<'a> {
     Float(Place<'a, f32>),
 }
 
-/// Number of rows that each view prefetches. All rows at once would stall the loads.
+/// Number of rows that each view prefetches. A prefetch of all rows together would stall the loads.
 const PREFETCHED: usize = 3;
 
 /// The rows along one view's rays.
@@ -90,7 +91,7 @@ pub(crate) struct RowsOfView<'a, const K: usize> {
 }
 
 impl<const K: usize> RowsOfView<'_, K> {
-    /// Prefetches the values at x of this view's part of the rows.
+    /// Prefetches the values at x of those rows that this view prefetches.
     #[inline(always)]
     pub(crate) fn prefetch(&self, x: usize) {
         for row in self.ahead {
@@ -104,22 +105,23 @@ impl<const K: usize> RowsOfView<'_, K> {
 pub(crate) struct LineRays<'a> {
     pub(crate) views: Vec<View<'a>>,
     pub(crate) targets: Vec<TargetRow<'a>>,
-    /// The other factors' lines, all frames; `others_per_view` per view.
+    /// The other factors' lines of all frames; `others_per_view` lines per view.
     pub(crate) others: Vec<Place<'a, f32>>,
     pub(crate) others_per_view: usize,
-    /// Per other factor: values from one frame to the next.
+    /// Per other factor, the distance from one frame to the next, in values.
     pub(crate) strides: Vec<usize>,
-    /// The line's own factor per view, all frames, if views read it at different places; else
-    /// empty.
+    /// Per view, where its rays read the line's own factor, in all frames. Empty if all views read
+    /// it at the same place.
     pub(crate) own: Vec<Place<'a, f32>>,
     pub(crate) own_stride: usize,
-    /// Rows to prefetch, as pointers to x = 0: the line's own, and the other factors' where the
-    /// foremost view reads them.
+    /// Rows to prefetch, as pointers to x = 0: the line's own rows, and the other factors' rows.
+    /// The latter are at the largest address that a view reads, so that one view prefetches for
+    /// all.
     ahead: Vec<*const f32>,
 }
 
 impl LineRays<'_> {
-    /// The range of x where the rays of every view count in full.
+    /// The range of x in which the rays of every view are valid and have weight 1.
     pub(crate) fn inner(&self) -> Range<usize> {
         if self.views.iter().any(|view| view.weights.is_some()) {
             return 0..0;
@@ -128,7 +130,7 @@ impl LineRays<'_> {
         start..self.views.iter().map(|view| view.valid.end).min().unwrap_or(0)
     }
 
-    /// The range of x where the rays of any view count.
+    /// The range of x in which the rays of any view are valid.
     pub(crate) fn outer(&self) -> Range<usize> {
         let start = self.views.iter().map(|view| view.valid.start).min().unwrap_or(0);
         start..self.views.iter().map(|view| view.valid.end).max().unwrap_or(0)
@@ -148,8 +150,8 @@ impl LineRays<'_> {
         &self.others[view * self.others_per_view..(view + 1) * self.others_per_view]
     }
 
-    /// Prefetches the values at x of the rows that no view prefetches; of all rows without
-    /// `by_views`.
+    /// Prefetches the values at x of the rows that no view prefetches; without `by_views`, of all
+    /// rows.
     #[inline(always)]
     pub(crate) fn prefetch_rest(&self, x: usize, by_views: bool) {
         for row in &self.ahead[if by_views { (PREFETCHED * self.views.len()).min(self.ahead.len()) } else { 0 }..] {
@@ -183,12 +185,13 @@ pub(crate) fn expanded_stride(plan: &Plan) -> usize {
     (PAD + plan.cols + PAD).next_multiple_of(PAD)
 }
 
-/// Storage of one thread for values along rays that do not stand in a factor as they are read.
+/// Storage of one thread for values along rays that a factor does not hold in the form in which
+/// they are read.
 #[derive(Default)]
 pub(crate) struct Spare {
-    /// Mixtures of two neighbouring lines of a factor, all frames, one after another.
+    /// Mixtures of two neighbouring lines of a factor, for all frames, one after another.
     mixed: Vec<f32>,
-    /// Values along rays, all frames, one row after another.
+    /// Values along rays, for all frames, one row after another.
     expanded: Vec<f32>,
     /// The content of each expanded row: factor, channel, view column, first column, line.
     held: Vec<Option<[usize; 5]>>,
@@ -224,8 +227,8 @@ impl Spare {
     }
 }
 
-/// The storage that is still free, and the mixed lines that are still unread, in the order of their
-/// making.
+/// The storage that is still free, and the mixed lines that are still unread, in the order in which
+/// they were made.
 struct Left<'a> {
     mixed: &'a [f32],
     expanded: &'a mut [f32],
@@ -244,7 +247,7 @@ impl<'a> Left<'a> {
         (Self { mixed, expanded, held: held.iter_mut() }, rows)
     }
 
-    /// The line of factor `k` that a row of rays reads, all frames.
+    /// The line of factor `k` that a row of rays reads, for all frames.
     ///
     /// Call it for every factor in turn, since mixed lines are taken in order. A factor under
     /// update in place has no values; its line is empty.
@@ -280,7 +283,7 @@ impl<'a> Left<'a> {
         let stride = expanded_stride(plan);
         let (values, rest) = std::mem::take(&mut self.expanded).split_at_mut(plan.frames * stride);
         self.expanded = rest;
-        // several successive field rows read the same lenslets, so an expanded row may be there
+        // several successive field rows read the same lenslets, so an expanded row may exist
         // already
         let tap = map.y[rays.view[0]][rays.row];
         let holds = (tap.t == 0.0).then_some([k, rays.channel, rays.view[1], rays.run.start, tap.first as usize]);
@@ -298,12 +301,13 @@ impl<'a> Left<'a> {
     }
 }
 
-/// Values from one frame to the next where rays of a view column read factor `k`.
+/// Distance from one frame to the next, in the values that rays of a view column read from factor
+/// `k`.
 fn stride_of(plan: &Plan, k: usize, view_x: usize) -> usize {
     if plan.maps[k].x[view_x].shift.is_some() { plan.maps[k].layout.stride } else { expanded_stride(plan) }
 }
 
-/// Lists the rays of one view column by field columns: column c stands at x = [`PAD`] + c.
+/// Lists the rays of one view column by field columns: column c is at x = [`PAD`] + c.
 ///
 /// `spare.rows` has the rows of rays; [`Spare::mix_lines`] must have mixed the lines that they
 /// read.
@@ -332,7 +336,7 @@ pub(crate) fn rays_of_column<'a>(
             Row::Half(row) => TargetRow::Half(Place::new(row, 0)),
             Row::Float(row) => TargetRow::Float(Place::new(row, 0)),
         });
-        // neighbouring field rows often read the same lines; then they share the place
+        // neighbouring field rows often read the same lines; then they share the expanded values
         for k in 0..factors.len() {
             let line = left.line(plan, factors, k, at.channel, row_of);
             let list = if k == at.factor { &mut rays.own } else { &mut rays.others };
@@ -351,7 +355,7 @@ pub(crate) fn rays_of_column<'a>(
 
 /// Lists the rays of a line, and expands factors that are not at a constant shift.
 ///
-/// `rays` gives its storage; `own` are the line's rows, which are prefetched.
+/// `rays` provides the storage; `own` are the line's rows, which are prefetched.
 pub(crate) fn rays_through<'a>(
     mut rays: LineRays<'a>,
     plan: &'a Plan,
@@ -369,8 +373,8 @@ pub(crate) fn rays_through<'a>(
     rays.strides.extend(others().map(|k| if is_there(k) { layout(k).stride } else { expanded_stride(plan) }));
     let elsewhere = others().filter(|&k| !is_there(k)).count();
     rays.ahead.extend(own);
-    // list the field rows whose rays read the line, and mix lines between which they read other
-    // factors
+    // list the field rows whose rays read the line, and mix the lines of other factors between
+    // which these rays read
     spare.rows.clear();
     for view_y in 0..plan.views[0] {
         let of_line = map.rays_of_line(view_y, at.line).iter();
@@ -384,7 +388,7 @@ pub(crate) fn rays_through<'a>(
         let before = rays.others.len();
         lines.clear();
         lines.extend((0..factors.len()).map(|k| left.line(plan, factors, k, at.channel, row_of)));
-        // per view: its valid range, weights and target, then the other factors
+        // list, per view, its valid range, weights and target, then the other factors
         for view_x in 0..plan.views[1] {
             let ([run], Some(own)) = (plan.runs[view_x].as_slice(), map.x[view_x].shift) else { continue };
             let view = plan.view(view_y, view_x);
@@ -402,8 +406,8 @@ pub(crate) fn rays_through<'a>(
                 rays.others.push(left.place(plan, lines[k], k, &part, is_there(k), offset));
             }
         }
-        // all views of a view row read the same lines, side by side, so the foremost prefetches for
-        // all
+        // all views of a view row read the same lines at neighbouring columns, so the view at the
+        // largest address prefetches for all
         for (k, &stride) in rays.strides.iter().enumerate() {
             let of_factor = rays.others[before..].iter().skip(k).step_by(rays.others_per_view);
             if let Some(lead) = of_factor.map(|other| other.zero).max() {

@@ -7,30 +7,31 @@ use crate::buffers::{AHEAD, BetweenTiles, BlockOfLine, Buffers, ByBuffers, GROUP
 use crate::rays::{LineRays, RowsOfView};
 use crate::vector::{load, store};
 
-/// n and d of all frames, or r and the diagonal of G.
+/// Sums n and d of all frames, or r and the diagonal of G.
 ///
-/// `MASKED`: the rays of some view do not all count in full. `DIAGONAL`: r and the diagonal.
+/// `MASKED`: some rays of a view are invalid or weighted. `DIAGONAL`: r and the diagonal.
 pub(crate) struct Pairs<const M: usize, const K: usize, const MASKED: bool, const DIAGONAL: bool>;
 
-/// r of all frames, and G.
+/// Sums r of all frames, and G.
 ///
-/// G's tiles along the diagonal are summed at once, the rest from buffered a_m. `MASKED` as in
+/// G's tiles along the diagonal are summed together, the rest from buffered a_m. `MASKED` as in
 /// [`Pairs`].
 pub(crate) struct Gram<const M: usize, const K: usize, const MASKED: bool>;
 
-/// Registers that [`Pairs`] needs: two accumulators and a_m per frame, and a few more.
+/// Number of registers that [`Pairs`] needs: two accumulators and a_m per frame, and a few more.
 const fn registers_for_pairs(frames: usize) -> usize {
     3 * frames + 4
 }
 
-/// Registers that [`Gram`] needs: r, a_m, the upper triangles of the tiles, and a few more.
+/// Number of registers that [`Gram`] needs: r, a_m, the upper triangles of the tiles, and a few
+/// more.
 const fn registers_for_gram(frames: usize) -> usize {
     let (tile, tiles) = (tile_of(frames), frames.div_ceil(tile_of(frames)));
     2 * frames + tiles * tile * (tile + 1) / 2 + 5
 }
 
-/// Frames per tile of G. While a_m is in registers, only the tiles along the diagonal are summed;
-/// up to 4 frames, one tile is all of G.
+/// Number of frames per tile of G. While a_m is in registers, only the tiles along the diagonal are
+/// summed; up to 4 frames, one tile is all of G.
 const fn tile_of(frames: usize) -> usize {
     if frames <= 4 { frames } else { 3 }
 }
@@ -66,7 +67,7 @@ impl<const M: usize, const K: usize, const MASKED: bool, const DIAGONAL: bool> K
                     below[m] = products[m].mul_add(if DIAGONAL { products[m] } else { emitted }, below[m]);
                 }
             }
-            // the block takes n and d, or r and the diagonal
+            // the block gets n and d, or r and the diagonal
             for m in 0..M {
                 store(above[m], &mut buffers.block.residual, m * V::COUNT);
                 store(below[m], &mut buffers.block.emitted, m * V::COUNT);
@@ -95,8 +96,8 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
             let shared = SharedInputs::<K>::new(rays, x, params, scaled);
             let views = rays.views.len();
             let mut first = 0;
-            // groups of views: their a_m fit the buffer. Sums wait in memory between groups, since
-            // the call at the end of this loop saves no registers
+            // views go in groups whose a_m fit the buffer. Sums wait in memory between groups,
+            // since the call at the end of this loop saves no registers
             loop {
                 let add = first > 0;
                 let mut squares = if add { load::<V>(all, 0) } else { V::splat(0.0) };
@@ -132,7 +133,7 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
                     }
                     active += 1;
                 }
-                // the sums so far go to the block
+                // store the sums so far in the block
                 for m in 0..M {
                     store(residual[m], &mut block.residual, m * V::COUNT);
                     for k in m..M {
@@ -142,7 +143,7 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
                     }
                 }
                 store(squares, all, 0);
-                // the rest of G, from the buffered a_m
+                // sum the rest of G from the buffered a_m
                 if tile < M {
                     let group = Group { frames: M, views: active, add };
                     let tiles = Tiles { group, shares: &[], products: buffered, errors, emitted };
@@ -157,7 +158,7 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
     }
 }
 
-/// a_m of all frames, βL and L̃, each times √w, of one view in a block.
+/// a_m of all frames, βL and L̃ of one view in a block, each times √w.
 struct ViewTerms<V, const M: usize> {
     products: [V; M],
     wanted: V,
@@ -179,7 +180,7 @@ impl<'a, const K: usize> SharedInputs<'a, K> {
         Self { x, params, scaled, strides: std::array::from_fn(|k| rays.strides[k]) }
     }
 
-    /// Computes a_m, βL and L̃ of one view in the block; `None` where no ray counts.
+    /// Computes a_m, βL and L̃ of one view in the block; `None` if no ray is valid.
     #[inline(always)]
     unsafe fn terms_of<V: Lanes, const M: usize, const MASKED: bool>(
         &self,
@@ -187,7 +188,7 @@ impl<'a, const K: usize> SharedInputs<'a, K> {
     ) -> Option<ViewTerms<V, M>> {
         // SAFETY: guaranteed by the caller
         unsafe {
-            // the rows of a later block travel to the cache during this one's arithmetic
+            // load the rows of a later block into the cache during this block's arithmetic
             rows.prefetch(self.x + AHEAD * V::COUNT);
             let weight = if MASKED { rows.view.weight::<V>(self.x)? } else { V::splat(1.0) };
             let mut wanted = wanted::<V>(rows.target, self.x, self.params);

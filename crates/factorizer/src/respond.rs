@@ -12,7 +12,7 @@
 //! ```
 //!
 //! The bound equals the change at d = 0 and is separable over the stored pixels. So the usual step
-//! on Aᵀr and Aᵀ(ρG) never raises the objective. Without blur and crosstalk (tied channels behind
+//! on Aᵀr and Aᵀ(ρG) never raises the objective. Without blur and crosstalk (tied channels with
 //! filters) the bound is exact. The multiplicative rule takes Aᵀn and Aᵀd.
 
 use lumistack_display::Response;
@@ -23,7 +23,7 @@ use crate::factor::{Factor, Layout};
 use crate::line::{LineStep, Outcome, StepFunctions};
 use crate::step::{Block, Sums};
 
-/// Sums of all lines of a factor, carried over to the stored pixels as planes:
+/// Sums of all lines of a factor, transferred to the stored pixels as planes:
 /// `[quantity][channel][line · cols + col]`.
 pub(crate) struct AdjointSums {
     planes: Vec<[Vec<f32>; 3]>,

@@ -25,7 +25,7 @@ impl<'a> Row<'a> {
     }
 }
 
-/// A mean over three neighbouring pixels: the first of them, and the share of each.
+/// A mean over three neighbouring pixels: the index of the first, and the share of each.
 pub(crate) type Cover = (usize, [f32; 3]);
 
 /// A row to be written.

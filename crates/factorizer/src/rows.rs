@@ -55,7 +55,7 @@ impl RowFunctions {
         unsafe { (self.multiply)((from, to)) }
     }
 
-    /// Adds a·b of every ray to the pixels that it reads, by their shares.
+    /// Adds a·b of every ray to the pixels that it reads, weighted by their shares.
     ///
     /// Rays that miss the line add to the padding, which no step reads.
     pub(crate) fn scatter(&self, x: &ColumnTaps, run: &Range<usize>, a: &[f32], b: &[f32], sums: &mut [f32]) {
@@ -80,7 +80,7 @@ impl RowFunctions {
     /// Writes one row of coarser pixels: the weighted mean of `rows`, then the mean over the
     /// columns that each pixel covers.
     ///
-    /// `mixed` is scratch, two values longer than the rows.
+    /// `mixed` is scratch storage, two values longer than the rows.
     pub(crate) fn average(&self, rows: &[(Row, f32)], cols: &[Cover], mixed: &mut [f32], to: RowMut) {
         unsafe { (self.average)((rows, cols, mixed, to)) }
     }

@@ -1,5 +1,5 @@
-//! Lines of one factor that rays read anywhere: between pixels, several field pixels to one, or at
-//! another pitch.
+//! Lines of one factor that rays read anywhere: between pixels, several field pixels per pixel, or
+//! at another pitch.
 //!
 //! A ray reads the factor between lines j and j + 1, and there between columns i and i + 1. So it
 //! adds the sums of [`gather`](crate::gather) to four pixels, by the shares (1 − t_y, t_y) and (1 −
@@ -14,10 +14,10 @@
 //!     once:  line j += low,  line j + 1 += high,  by t_x
 //! ```
 //!
-//! Lines come in bands, one after another, and each line hands its high sums on to the next.
+//! Lines come in bands, one after another, and each line hands its high sums over to the next.
 //! Factors are read in two steps as well. First, two lines of the factor are mixed, once for all
-//! view columns; then the columns of that mixture. In parts of 128 columns, whose rows stay in the
-//! first-level cache, an update took 1.25 times as long.
+//! view columns; then the columns of that mixture are read. In parts of 128 columns, whose rows
+//! stay in the first-level cache, an update took 1.25 times as long.
 //!
 //! Under bilinear sampling a ray reads a mean Σ_t s_t f_t of pixels. By Jensen's inequality, (e −
 //! a·Σ_t s_t δ_t)² ≤ Σ_t s_t (e − a·δ_t)². So the sums by shares describe a quadratic that is
@@ -37,11 +37,12 @@ use crate::rays::{LineRays, RowOfRays, Spare, expanded_stride, rays_of_column};
 use crate::step::{Rule, Sums};
 use crate::vector;
 
-/// Lines per band. Two bands sum the rays between the last line of one and the first of the next.
+/// Number of lines per band. Two bands sum the rays between the last line of one band and the first
+/// of the next.
 pub(crate) const BAND: usize = 16;
 
-/// Rows of rays that are summed in f32 before f64 sums take them, for pixels with so many rays that
-/// f32 loses digits.
+/// Number of rows of rays that are summed in f32 before they go into f64 sums. Pixels with very
+/// many rays need them, since f32 loses digits.
 const SHORT_ROWS: usize = 7;
 
 /// The functions of an update, for one instruction set and rule.
@@ -65,11 +66,11 @@ impl ScatterFunctions {
     }
 }
 
-/// Sums of one line by its own columns, `[quantity][x]`.
+/// Sums of one line in its own columns, `[quantity][x]`.
 struct LineSums {
-    /// The sums, rounded at the end if they are long.
+    /// The sums in f32. Sums in f64 are rounded to these at the end.
     short: Vec<f32>,
-    /// The sums in f64, if pixels may get many rays; else empty.
+    /// The sums in f64, if pixels may get many rays; otherwise empty.
     long: Vec<f64>,
     error: f64,
 }
@@ -89,7 +90,7 @@ pub(crate) struct Scratch {
     spare: Spare,
     /// The sums of one view column by field columns, low and high: `[quantity][x]`.
     columns: [Vec<f32>; 2],
-    /// The sums of this line and of the next.
+    /// The sums of this line and of the next line.
     lines: [LineSums; 2],
     /// The shares of the listed rows of rays in this line and in the next.
     shares: Vec<[f32; 2]>,
@@ -120,7 +121,7 @@ pub(crate) struct ScatterBand<'a> {
     pub(crate) factors: &'a [Factor],
     pub(crate) functions: &'a ScatterFunctions,
     pub(crate) scratch: &'a mut Scratch,
-    /// The line before this one, whose high sums wait; `None` at the beginning.
+    /// The previous line, whose high sums wait; `None` at the beginning.
     pub(crate) before: Option<LineOf>,
 }
 
@@ -129,7 +130,7 @@ impl ScatterBand<'_> {
     pub(crate) fn update(&mut self, at: LineOf, mut step: LineStep) -> Outcome {
         let needed = step.rule.sums();
         let follows = self.before.is_some_and(|before| before.channel == at.channel && before.line + 1 == at.line);
-        // at the start of a band, the rays that begin at the line before are summed once more
+        // at the start of a band, the rays that begin at the previous line are summed once more
         if !follows {
             self.scratch.lines.iter_mut().for_each(LineSums::clear);
             if at.line > 0 {
@@ -137,7 +138,7 @@ impl ScatterBand<'_> {
             }
         }
         self.before = Some(at);
-        // the high sums of the line before are the low sums of this one
+        // the high sums of the previous line are the low sums of this one
         self.scratch.lines.swap(0, 1);
         self.scratch.lines[1].clear();
         self.add_rays(at, needed, false);
@@ -175,7 +176,7 @@ impl ScatterBand<'_> {
         let together = if map.short_sums { GROUP } else { SHORT_ROWS };
         let params = SumParams { brightness: plan.target.brightness, sums: needed };
         spare.mix_lines(plan, factors, at.channel);
-        // per view column: sums by field columns, then by the pixels that these read
+        // sum, per view column, by field columns, then by the pixels that these read
         for view_x in 0..plan.views[1] {
             for run in &plan.runs[view_x] {
                 let list = rays_of_column(std::mem::take(rays), plan, factors, at, (view_x, run), spare);
@@ -214,11 +215,11 @@ impl ScatterBand<'_> {
 /// One block of field columns, with the rays of one view column.
 struct ColumnBlock<'a> {
     rays: &'a LineRays<'a>,
-    /// A range of rows of rays, at most a group.
+    /// A range of rows of rays, no longer than a group.
     views: Range<usize>,
     /// Shares of each row of rays in the line and in the next.
     shares: &'a [[f32; 2]],
-    /// Some row of rays has a share in the next line.
+    /// True if some row of rays has a share in the next line.
     is_high: bool,
     x: usize,
     params: SumParams,

@@ -30,7 +30,7 @@ pub trait Run {
     ///
     /// # Errors
     /// When cancelled; the patterns so far remain usable. The check is made per line of a factor,
-    /// on a device per factor. Also if the device is lost, and the patterns with it.
+    /// or per factor on a device. Also if the device is lost, and the patterns with it.
     fn step(&mut self, cancel: &Cancel) -> Result<(), FactorizeError>;
 
     /// Computes the objective of the current patterns.
@@ -46,18 +46,18 @@ pub trait Run {
     /// Ends a run: sets unlit values to the darkest that the hardware shows. Returns the KKT
     /// residual, see [`kkt_residual`](Self::kkt_residual).
     ///
-    /// Almost no light reaches an unlit value, so the objective leaves it open. A real layer is not
-    /// quite black and would leak light there. The light is that which the other layers transmit in
-    /// the value's frame, over its rays. At most 10⁻⁴ of the brightness (root mean square) counts
-    /// as unlit. Pixels without a weighted ray keep their values, since views between those of the
-    /// target may see them.
+    /// Almost no light reaches an unlit value, so the objective does not determine it. A real layer
+    /// is not quite black and would leak light there. The light of a value is the light that the
+    /// other layers transmit in its frame, over its rays. A value is unlit if this is at most 10⁻⁴
+    /// of the brightness (root mean square). Pixels without a weighted ray keep their values, since
+    /// views between those of the target may see them.
     fn darken_unlit(&mut self) -> f64;
 
     /// Number of rays with w > 0 that hit all layers.
     fn rays(&self) -> u64;
 
-    /// Checks that the patterns still exist, since a device may be lost. If so, the values that
-    /// this run returned last are valid.
+    /// Checks that the patterns still exist, since a device may be lost. If they exist, the values
+    /// that this run returned last are valid.
     ///
     /// # Errors
     /// If the patterns are lost.
@@ -72,7 +72,7 @@ pub trait Run {
 pub struct Objective {
     /// Σ w (βL − L̃)² over all rays and channels (eq. 27).
     pub value: f64,
-    /// PSNR in dB of L̃/β against L, peak 1, over all rays with w > 0 and all channels; NaN without
-    /// such a ray.
+    /// PSNR of L̃/β against L with a peak of 1, dB. It covers all rays with w > 0 and all channels,
+    /// and is NaN without such a ray.
     pub psnr_view: f64,
 }

@@ -9,7 +9,7 @@ use crate::expand::{Rays, wanted};
 use crate::line::LineOf;
 use crate::plan::{Plan, TilePlace};
 
-/// Least value of a start, and of solvers with a multiplicative rule.
+/// Smallest value of a start, and of solvers with a multiplicative rule.
 pub const FLOOR: f32 = 1e-4;
 
 /// Kind of start.
@@ -20,10 +20,10 @@ pub enum StartKind {
     #[default]
     Random,
     /// The same noise, blurred by 1.5 pixels and stretched to the same range. Neighbouring rays
-    /// then see nearly the same, so the first updates need not smooth.
+    /// then see nearly the same values, so the first updates need not smooth the patterns.
     Smooth,
     /// The value at which N equal factors emit the mean of βL over the pixel's rays, times smooth
-    /// noise per frame. Where layers attenuate, it is the N-th root of the mean.
+    /// noise per frame. If layers attenuate, it is the N-th root of the mean.
     Content,
 }
 
@@ -63,10 +63,10 @@ impl StartKind {
 
 /// Standard deviation of the blur of smooth noise, pixels.
 const NOISE_BLUR_PX: f64 = 1.5;
-/// Range of the noise by which a content start multiplies its level.
+/// Range of the noise that multiplies the level of a content start.
 ///
-/// Narrow noise starts closer (20 dB) and still lets frames diverge. PSNR measured after 5
-/// iterations (3 layers, 6 frames, β = 0.2 and 1):
+/// Narrow noise starts closer to the target (20 dB), and frames still diverge. PSNR measured after
+/// 5 iterations (3 layers, 6 frames, β = 0.2 and 1):
 ///
 /// | range | β = 0.2 | β = 1 |
 /// |---|---|---|
@@ -124,7 +124,7 @@ pub fn random_start(display: &Display, seed: u64) -> LayerStack {
     noise(display, seed, None)
 }
 
-/// As [`random_start`]; for a tile, its part of the whole display's noise.
+/// As [`random_start`]; for a tile, its region of the whole display's noise.
 fn noise(display: &Display, seed: u64, tile: Option<&TilePlace>) -> LayerStack {
     let mut stack = LayerStack::filled(display, 0.0);
     let sizes = sizes(&stack);
@@ -137,8 +137,8 @@ fn noise(display: &Display, seed: u64, tile: Option<&TilePlace>) -> LayerStack {
             let stream = Stream::new(derive(seed, &[part as u64]));
             let size @ [rows, cols] = sizes[part];
             let [first, whole] = tile.map_or([[0, 0], size], |tile| tile.place[part]);
-            // every row has its place in the random stream of the whole, so tiles get the same
-            // noise
+            // every row has its position in the random stream of the whole display, so tiles get
+            // the same noise
             for (index, line) in values[0].chunks_exact_mut(3 * cols).enumerate() {
                 let (plane, row) = (index / rows, index % rows);
                 let pixel = (plane * whole[0] + first[0] + row) * whole[1] + first[1];
@@ -151,7 +151,7 @@ fn noise(display: &Display, seed: u64, tile: Option<&TilePlace>) -> LayerStack {
     stack
 }
 
-/// Rows and columns of a plane, per layer, then of the lenslets.
+/// Rows and columns of a plane, for each layer and then for the lenslets.
 fn sizes(stack: &LayerStack) -> Vec<[usize; 2]> {
     let layers = stack.layers.iter().map(|layer| [layer.shape()[1], layer.shape()[2]]);
     layers.chain(stack.emission.iter().map(|emission| [emission.shape()[3], emission.shape()[4]])).collect()

@@ -1,6 +1,6 @@
 //! The rules of a step: new values of pixels from their sums, one vector of pixels at a time.
 //!
-//! For pixel j of one factor, all sums are over the rays r through it:
+//! For pixel j of one factor, all sums are over the rays r through the pixel:
 //!
 //! ```text
 //! a_m(r) = ∂L̃/∂(f_m/M)   where layers attenuate, the product P_m of the other factors
@@ -24,18 +24,19 @@ use crate::vector::{Vector, load as get, store as put};
 pub enum Rule {
     /// f ← clamp(f·n/d): the paper's rule (eq. 16).
     ///
-    /// n is a sum of its own instead of r + d. Values may shrink by orders of magnitude in one
+    /// n is summed separately instead of as r + d. Values may shrink by orders of magnitude in one
     /// step, and must keep their relative precision.
     Multiplicative,
-    /// Rounds of exact coordinate steps on the quadratic within the box.
+    /// Sweeps of exact coordinate steps on the quadratic within the box.
     Block {
-        /// Number of rounds over the M frames.
+        /// Number of sweeps over the M frames.
         sweeps: u32,
     },
     /// Changes nothing. The gain is the squared change of the emission, Σ_m G_mm δ_m², over the
     /// coordinate steps δ_m that are still possible.
     KktResidual,
-    /// The same gain; sets unlit values to the darkest, see [`crate::Run::darken_unlit`].
+    /// As [`Self::KktResidual`], and sets unlit values to the darkest value; see
+    /// [`crate::Run::darken_unlit`].
     Darken,
 }
 
@@ -48,7 +49,7 @@ impl Rule {
         }
     }
 
-    /// Rounds of coordinate steps; 0 for rules without.
+    /// Number of sweeps of coordinate steps; 0 for rules without sweeps.
     pub(crate) fn sweeps(self) -> u32 {
         if let Self::Block { sweeps } = self { sweeps } else { 0 }
     }
@@ -66,8 +67,8 @@ pub(crate) enum Sums {
 }
 
 impl Sums {
-    /// Number of sums per pixel: M of r or n first, then the others. G counts as its
-    /// upper triangle.
+    /// Number of sums per pixel: M of r or n first, then the others. For G only its upper triangle
+    /// is included.
     pub(crate) fn count(self, frames: usize) -> usize {
         if self == Self::Gram { frames + frames * (frames + 1) / 2 } else { 2 * frames }
     }
@@ -91,7 +92,7 @@ pub(crate) enum Freedom {
     Levels,
 }
 
-/// Least diagonal entry of a Gram matrix. A smaller one belongs to a pixel that almost no light
+/// Smallest diagonal entry of a Gram matrix. A smaller one belongs to a pixel that almost no light
 /// reaches. Its value is arbitrary until [`Rule::Darken`] darkens it.
 const LEAST_CURVATURE: f32 = 1e-30;
 
@@ -138,7 +139,7 @@ impl Block {
                 let at = m * V::COUNT;
                 let (f, n, d) = (get::<V>(&self.values, at), get::<V>(&self.residual, at), get::<V>(&self.emitted, at));
                 let moved = f.mul(n.div(d)).max(V::splat(low)).min(V::splat(high));
-                // below f32's normal range d counts as 0, and the value stays
+                // d below f32's normal range is taken as 0, and the value stays
                 put(moved.where_else(V::splat(f32::MIN_POSITIVE).below(d), f), &mut self.values, at);
             }
             V::splat(0.0)
@@ -147,17 +148,17 @@ impl Block {
 
     /// Coordinate descent with values and r in registers.
     ///
-    /// Every coordinate step waits for the one before: 5 instructions' latencies through registers,
-    /// three times as long through memory. Two vectors side by side do not fit into registers and
-    /// gained nothing. To update each frame's best value instead of r gained 6 % of an update, but
-    /// lost digits where G is nearly singular.
+    /// Every coordinate step waits for the previous one: 5 instructions' latencies through
+    /// registers, three times as long through memory. Two vectors side by side do not fit into
+    /// registers and gained nothing. An update of each frame's best value instead of r saved 6 % of
+    /// an update, but lost digits if G is nearly singular.
     #[inline(always)]
     unsafe fn descend_in_registers<V: Lanes, const M: usize>(&mut self, sweeps: u32, [low, high]: [f32; 2]) -> V {
         let n = V::COUNT;
         // SAFETY: see `kernel`
         unsafe {
             let (low, high, mean) = (V::splat(low), V::splat(high), V::splat(1.0 / M as f32));
-            // store G/M in the upper triangle and M/G_mm, so that the rounds have no divisions
+            // store G/M in the upper triangle and M/G_mm, so that the sweeps have no divisions
             for m in 0..M {
                 for k in m + 1..M {
                     let g = get::<V>(&self.gram, (m * M + k) * n).mul(mean);
@@ -166,7 +167,7 @@ impl Block {
                 let curvature = get::<V>(&self.gram, (m * M + m) * n).max(V::splat(LEAST_CURVATURE));
                 put(V::splat(M as f32).div(curvature), &mut self.emitted, m * n);
             }
-            // rounds of coordinate steps: move u_m to its clamped minimum, then update r
+            // sweeps of coordinate steps: move u_m to its clamped minimum, then update r
             let start: [V; M] = std::array::from_fn(|m| get::<V>(&self.values, m * n));
             let before: [V; M] = std::array::from_fn(|m| get::<V>(&self.residual, m * n));
             let (mut values, mut residual) = (start, before);
@@ -183,7 +184,7 @@ impl Block {
                     }
                 }
             }
-            // the gain, by −2 rᵀδ + δᵀGδ = −(r + r')ᵀδ with r' = r − Gδ
+            // compute the gain by −2 rᵀδ + δᵀGδ = −(r + r')ᵀδ with r' = r − Gδ
             let mut gain = V::splat(0.0);
             for m in 0..M {
                 gain = before[m].add(residual[m]).mul_add(values[m].sub(start[m]).mul(mean), gain);
@@ -201,7 +202,7 @@ impl Block {
         // SAFETY: see `kernel`
         unsafe {
             let (low, high, mean) = (V::splat(low), V::splat(high), V::splat(1.0 / frames as f32));
-            // mirror G, so that the rounds read its rows in order
+            // mirror G, so that the sweeps read its rows in order
             for m in 0..frames {
                 for k in 0..m {
                     let mirrored = get::<V>(&self.gram, (k * frames + m) * n);
@@ -212,7 +213,7 @@ impl Block {
                 put(get::<V>(&self.residual, m * n), &mut self.before, m * n);
                 put(V::splat(0.0), &mut self.change, m * n);
             }
-            // the rounds, as in registers
+            // the sweeps, as in registers
             for _ in 0..sweeps {
                 for m in 0..frames {
                     let f = get::<V>(&self.values, m * n);
@@ -273,8 +274,8 @@ impl Block {
 
     /// Sets unlit values to `low`: those with Σ w a_m² at most the limit of their lane.
     ///
-    /// A negative limit exempts a lane. It runs once per solve, so it has no vector code. Inlined
-    /// into the kernels it cost every update a fifth.
+    /// A negative limit exempts a lane. This function runs once per solve, so it has no vector
+    /// code. Inlined into the kernels, it cost every update a fifth.
     #[cold]
     #[inline(never)]
     pub(crate) fn darken(&mut self, lanes: usize, limits: &[f32], low: f32) {
@@ -325,7 +326,7 @@ impl Block {
 /// One vector of pixels and the limits of its step.
 pub(crate) struct Step<'a> {
     pub(crate) block: &'a mut Block,
-    /// Rounds over the frames.
+    /// Number of sweeps over the frames.
     pub(crate) sweeps: u32,
     pub(crate) range: [f32; 2],
     pub(crate) levels: Option<&'a Levels>,

@@ -1,4 +1,4 @@
-//! One colour channel of a display that is larger than memory.
+//! One colour channel of a display whose light field is larger than memory.
 //!
 //! The target stays in its mapped file and is read row by row. The patterns exist once, and are
 //! returned row by row. Channels are independent, so a colour display is three such problems in
@@ -19,10 +19,10 @@ use crate::step::Rule;
 use crate::target::{LentTarget, Target};
 use crate::{FactorizeError, Objective};
 
-/// Rounds of coordinate steps per update.
+/// Number of sweeps of coordinate steps per update.
 const SWEEPS: u32 = 2;
 
-/// Storage of one channel, in bytes.
+/// Size of the storage of one channel, bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Estimate {
     /// The target in its file: half floats.
@@ -40,14 +40,14 @@ impl Estimate {
         let (views, frames) = ((view_rows * view_cols) as u64, display.frames as u64);
         let (rows, cols) = (geometry.rows as u64, geometry.cols as u64);
         let layer = |[layer_cols, layer_rows]: [usize; 2]| {
-            // padding: the largest shift and two vectors per line
+            // padding is the largest shift and two vectors per line
             4 * frames * (layer_rows as u64 + 1) * (layer_cols as u64 + cols / 8 + 4 * PAD as u64)
         };
         let mut patterns: u64 = display.layers.iter().map(|l| layer(l.resolution)).sum();
         if let Backlight::Lenslets(b) = &display.backlight {
             patterns += layer([b.lenslets[0] * b.views[0], b.lenslets[1] * b.views[1]]);
         }
-        // ray tables, and the buffers of a line per thread
+        // the rest is ray tables, and the buffers of a line per thread
         let tables = display.layers.len() as u64 * (view_rows as u64 * rows + view_cols as u64 * cols) * 32;
         Self { target: 2 * views * rows * cols, patterns, working: tables + (64 << 20) }
     }
@@ -70,17 +70,17 @@ impl ChannelRun {
         target: LentTarget,
         seed: u64,
     ) -> Result<Self, FactorizeError> {
-        // refuse all that one channel alone cannot have
+        // refuse displays and targets that one channel alone cannot be solved with
         display.check()?;
         let [view_rows, view_cols] = geometry.grid.views();
         let count = view_rows * view_cols * geometry.rows * geometry.cols;
         let values = (*target).as_ref();
         let unsuitable = |why: &'static str| Err(FactorizeError::Unsuitable { solver: "one channel", why });
         if values.len() != count || geometry.cols < PAD {
-            return unsuitable("the target has not the size of the geometry, or fewer than 16 columns");
+            return unsuitable("the target does not have the size of the geometry, or has fewer than 16 columns");
         }
         if display.layers.iter().any(|layer| layer.response().is_some()) {
-            return unsuitable("layers with blur, crosstalk or tied channels need all channels at once");
+            return unsuitable("layers with blur, crosstalk or tied channels need all channels together");
         }
         const EXPONENT: u16 = 0x7c00;
         if !crate::bands::all(values, |part| part.iter().all(|half| half & EXPONENT != EXPONENT)) {

@@ -1,11 +1,11 @@
-//! Sums of one line of one factor where layers do not attenuate: any tables, any number of frames
-//! and factors.
+//! Sums of one line of one factor if layers do not attenuate, for any tables and any number of
+//! frames and factors.
 //!
 //! For every field row whose rays hit the line, and for every view column:
 //!
 //! 1. Expand the other factors along the row into a_m (M rows) and the residual e = βL − L̃.
-//! 2. Add w e a_m and w a_m a_k to the line's sums. Pixels share a ray;
-//!    [`scatter`](crate::scatter) has the reason.
+//! 2. Add w e a_m and w a_m a_k to the line's sums. Several pixels may share a ray;
+//!    [`scatter`](crate::scatter) explains the shares.
 //!
 //! All loops run along columns.
 
@@ -21,11 +21,11 @@ use crate::step::Sums;
 /// One line and its update.
 pub(crate) struct SumLine<'a, 'b> {
     pub(crate) plan: &'a Plan,
-    /// The line's own factor is read too, where layers are mixed with their neighbours.
+    /// The line's own factor is read too, if layers are mixed with their neighbours.
     pub(crate) factors: &'a [Factor],
     pub(crate) at: LineOf,
-    /// True for the curvature at the current point instead of the bound that holds everywhere,
-    /// where L̃ is not linear in the values.
+    /// True for the curvature at the current point instead of the bound that holds everywhere. This
+    /// matters only if L̃ is not linear in the values.
     pub(crate) local: bool,
     pub(crate) functions: &'a StepFunctions,
     pub(crate) step: LineStep<'b>,
@@ -48,7 +48,7 @@ impl SumLine<'_, '_> {
     }
 }
 
-/// Adds all rays of a line to its sums; returns Σ w e², each ray by its share in the line.
+/// Adds all rays of a line to its sums; returns Σ w e², each ray weighted by its share in the line.
 fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bool, scratch: &mut Scratch) -> f64 {
     let map = &plan.maps[at.factor];
     let (frames, stride) = (plan.frames, map.layout.stride);
@@ -58,7 +58,7 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bo
             for view_x in 0..plan.views[1] {
                 for run in &plan.runs[view_x] {
                     let rays = Rays { channel: at.channel, view: [view_y, view_x], row: row as usize, run };
-                    // the coefficients a_m and the emission L̃ of these rays
+                    // compute the coefficients a_m and the emission L̃ of these rays
                     coefficients(plan, factors, Some(at.factor), &rays, scratch);
                     let len = run.len();
                     let weights = plan.target.weights(plan.view(view_y, view_x), row as usize);
@@ -67,7 +67,7 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bo
                         &mut *scratch;
                     let (e, weighted) = (&mut e[..len], &mut weighted[..len]);
                     let weigh = |values: &[f32], to: &mut [f32]| plan.row.weigh(values, line_weight, weights, to);
-                    // the residual, which also gives the objective
+                    // compute the residual, which also gives the objective
                     errors(plan, &rays, emitted, e);
                     weigh(e, weighted);
                     error += e.iter().zip(&*weighted).map(|(&e, &we)| f64::from(e) * f64::from(we)).sum::<f64>();

@@ -21,7 +21,7 @@ pub(crate) struct Target {
     stride: usize,
     rows: usize,
     views: usize,
-    /// Colour channels.
+    /// Number of colour channels.
     pub(crate) channels: usize,
     /// L, not yet scaled by β.
     values: Radiance,
@@ -34,7 +34,7 @@ pub(crate) struct Target {
     pub(crate) weight_scale: f64,
 }
 
-/// L, in 16 bits if half floats hold it exactly, since the inner loops wait for memory.
+/// L, in 16 bits if half floats hold it exactly: the inner loops wait for memory.
 #[derive(Clone, Debug)]
 enum Radiance {
     Half(Vec<u16>),
@@ -77,7 +77,7 @@ impl Target {
         let views = view_rows * view_cols;
         let stride = PAD + cols + PAD;
         let radiance = problem.target.radiance().data();
-        // half floats if they hold all values exactly, else f32
+        // use half floats if they hold all values exactly, otherwise f32
         let halve = Backend::best().function::<Halve>();
         // SAFETY: the kernel has no requirements
         let halves = rows_of(radiance, cols, stride, |from, to| unsafe { halve((from, to)) });
@@ -122,7 +122,7 @@ impl Target {
     pub(crate) fn averaged(&self, functions: &RowFunctions, views: &[usize], pixels: &[Vec<Cover>; 2]) -> Self {
         let [rows, cols] = [&pixels[0], &pixels[1]];
         let (stride, fine_cols) = (PAD + cols.len() + PAD, self.stride - 2 * PAD);
-        // one coarse row: three fine rows are mixed, then three columns of the mixture
+        // compute one coarse row: mix three fine rows, then three columns of the mixture
         let mix = |mixed: &mut Vec<f32>, index: usize, to: RowMut| {
             let (picture, (first, shares)) = (index / rows.len(), rows[index % rows.len()]);
             let (channel, view) = (picture / views.len(), views[picture % views.len()]);
@@ -186,7 +186,7 @@ impl Target {
         matches!(self.values, Radiance::Float(_))
     }
 
-    /// One padded row of L; column c stands at [`PAD`] + c.
+    /// One padded row of L; column c is at [`PAD`] + c.
     #[inline(always)]
     pub(crate) fn row(&self, channel: usize, view: usize, row: usize) -> Row<'_> {
         let index = (channel * self.views + view) * self.rows + row;
@@ -315,7 +315,7 @@ fn exact_halves(pixels: &[[f32; 3]], rows: [&mut [u16]; 3]) -> bool {
 fn half_from_float(value: f32) -> Option<u16> {
     let bits = value.to_bits();
     let (sign, exponent, mantissa) = ((bits >> 16 & 0x8000) as u16, (bits >> 23 & 0xff) as i32, bits & 0x7f_ffff);
-    // f32 has 13 mantissa bits more; below 2^-14 a half float has one fewer per power of two
+    // f32 has 13 more mantissa bits; below 2^-14 a half float has one fewer per power of two
     let lost = 13 + (113 - exponent).max(0);
     match exponent {
         0 if mantissa == 0 => Some(sign),
@@ -338,7 +338,7 @@ fn ray_weights(weights: &Weights, [views, rows, cols]: [usize; 3], stride: usize
     };
     let largest = data.iter().copied().fold(0.0f32, f32::max);
     let scale = if largest > 0.0 { f64::from(largest) } else { 1.0 };
-    // a tiny weight must not become 0, since PSNR counts every ray with w > 0
+    // a tiny weight must not become 0, since PSNR includes every ray with w > 0
     let relative = |w: f32| if w > 0.0 { ((f64::from(w) / scale).sqrt() as f32).max(f32::MIN_POSITIVE) } else { 0.0 };
     let ray_weights = match weights {
         Weights::PerRay(_) => {

@@ -1,29 +1,30 @@
-//! Unlit values: other layers block almost all their light, so the objective leaves them open.
+//! Unlit values: other layers block almost all their light, so the objective does not determine
+//! them.
 //!
 //! If another layer is black in frame m on all rays through a pixel, then a_m = 0. Every value of
-//! f_m then gives the same emission. A run ends with the darkest one
+//! f_m then gives the same emission. A run ends with the darkest value
 //! ([`crate::Run::darken_unlit`]).
 //!
-//! Two layers that are black behind each other cannot move any more, since each makes the other's
-//! a_m 0. A warm start therefore [lifts](lifted) black slightly, from where an exact step reaches
-//! any value.
+//! If two layers are black on the same rays, neither can move any more, since each makes the
+//! other's a_m 0. A warm start therefore [lifts](lifted) black slightly. From there an exact step
+//! reaches any value.
 
 use lumistack_display::LayerStack;
 
 use crate::bands;
 use crate::plan::Plan;
 
-/// Greatest root mean square of a_m over the rays of an unlit pixel, relative to the brightness β.
+/// Largest root mean square of a_m over the rays of an unlit pixel, relative to the brightness β.
 ///
 /// The full range of such a value changes the seen picture by at most a third of the smallest step
 /// of an 8-bit sRGB picture.
 const UNLIT: f64 = 1e-4;
 
-/// Least value of a warm start. Exact steps have no scale, so any number suffices whose square is a
-/// normal f32.
+/// Smallest value of a warm start. Exact steps have no scale, so any number whose square is a
+/// normal f32 suffices.
 const LIFTED: f32 = 1e-4;
 
-/// Per pixel of factor `n`, the greatest Σ w a_m² of an unlit pixel: (UNLIT β)² Σ w over its rays.
+/// Per pixel of factor `n`, the largest Σ w a_m² of an unlit pixel: (UNLIT β)² Σ w over its rays.
 ///
 /// The order is `[line][x]` as the factor's lines are stored. It is negative for pixels without
 /// rays.
@@ -63,12 +64,12 @@ pub(crate) fn limits(plan: &Plan, n: usize) -> Vec<f32> {
     limits
 }
 
-/// Σ w a_m² of an unlit pixel relative to Σ w over its rays.
+/// The largest Σ w a_m² of an unlit pixel relative to Σ w over its rays.
 pub(crate) fn share(plan: &Plan) -> f32 {
     ((UNLIT * f64::from(plan.target.brightness)).powi(2)) as f32
 }
 
-/// Raises black to a value from which layers behind each other can move.
+/// Raises black to a value from which layers in front of one another can move.
 pub(crate) fn lifted(stack: &LayerStack) -> LayerStack {
     let mut stack = stack.clone();
     let tensors = stack.layers.iter_mut().map(|layer| layer.data_mut());

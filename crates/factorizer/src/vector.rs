@@ -33,7 +33,8 @@ pub(crate) unsafe fn store<V: Lanes>(vector: V, to: &mut [f32], at: usize) {
 /// # Safety
 /// The machine has V; low and high are at most COUNT.
 #[inline(always)]
-// a table of zeros, ones and zeros; a window of it masks one end, the product of two both ends
+// a table of zeros, ones and zeros: one window of it masks one end, the product of two windows
+// masks both ends
 pub(crate) unsafe fn mask<V: Lanes>(low: usize, high: usize) -> V {
     static STEPS: [f32; 3 * MAX_LANES] = {
         let mut steps = [0.0; 3 * MAX_LANES];
@@ -62,7 +63,7 @@ pub(crate) unsafe fn sum<V: Lanes>(vector: V) -> f64 {
 
 /// Sum of lanes, in f64; their number is a multiple of four.
 ///
-/// There are four chains of additions, since each addition waits for the one before it.
+/// There are four chains of additions, since each addition waits for the previous one.
 pub(crate) fn sum_of(lanes: &[f32]) -> f64 {
     let mut sums = [0.0; 4];
     for part in lanes.as_chunks::<4>().0 {

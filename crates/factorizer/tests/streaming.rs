@@ -1,4 +1,5 @@
-//! Targets in a mapped file: the memory of a solve beside the target must agree with `held_bytes`.
+//! Targets in a mapped file: the memory of a solve in addition to the target must agree with
+//! `held_bytes`.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::io::Write;

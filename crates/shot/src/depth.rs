@@ -1,4 +1,4 @@
-//! Depths that the views of a light field see.
+//! Depths of the first surfaces that the views of a light field see.
 
 use lumistack_core::Task;
 use lumistack_display::{FieldGeometry, SeenDepth};
@@ -8,7 +8,7 @@ use crate::error::ShotError;
 use crate::place::{Placement, probe};
 use crate::renderer::SceneRenderer;
 
-/// Columns of the kept depths: enough for shares and percentiles.
+/// Largest number of columns of the kept depths; fractions and percentiles need no more.
 const MOST_COLS: usize = 240;
 
 /// z of the first surface along rays of all views, in display space.
@@ -21,7 +21,7 @@ pub struct Depths {
 }
 
 impl Depths {
-    /// Traces the central rays of coarser pixels.
+    /// Traces the central rays of [`coarse`](Self::coarse) pixels.
     ///
     /// # Errors
     /// When cancelled.
@@ -44,7 +44,7 @@ impl Depths {
         traced.map(|()| Self { geometry, z_mm })
     }
 
-    /// Coarser pixels of a geometry, at which depths are kept.
+    /// The coarser pixels at which the depths of a geometry are kept.
     pub fn coarse(geometry: &FieldGeometry) -> FieldGeometry {
         probe(geometry, geometry.grid.clone(), MOST_COLS)
     }
@@ -55,13 +55,13 @@ impl Depths {
         &self.z_mm[(y * self.geometry.grid.views()[1] + x) * size..][..size]
     }
 
-    /// Share of a view that shows a surface, 0..1.
+    /// Fraction of a view's pixels that show a surface, 0..1.
     pub fn coverage(&self, view: [usize; 2]) -> f64 {
         let depth = self.view(view);
         depth.iter().filter(|z| z.is_finite()).count() as f64 / depth.len() as f64
     }
 
-    /// Depths of the middle view, scaled as the placement says and the display shows them.
+    /// Depths of the middle view as the display shows them, scaled by the placement's depth scale.
     pub fn seen(&self, placement: &Placement) -> SeenDepth {
         let grid = &self.geometry.grid;
         let shown = |z: &f32| grid.projection.scaled_depth(f64::from(*z), placement.depth_scale) as f32;

@@ -1,4 +1,4 @@
-//! Exposure of radiance before a background, and the rays that an automatic exposure measures.
+//! Exposure of radiance in front of a background, and the rays that an automatic exposure measures.
 
 use std::borrow::Cow;
 
@@ -8,12 +8,12 @@ use lumistack_splats::Space;
 use crate::depth::Depths;
 use crate::tone_mapping::ToneMapping;
 
-/// Most rays that an automatic exposure measures.
+/// Largest number of rays that an automatic exposure measures.
 const MOST_RAYS: usize = 4_000_000;
 
 /// Exposes pixels `[..][rgb]` that are black outside surfaces, and blends them over a background.
-/// `missed` is the share 0..1 of each pixel's rays without a hit. Splats are blended over the
-/// background in their own colour space, as over a surface.
+/// `missed` is the fraction of each pixel's rays without a hit, 0..1. Splats are blended over the
+/// background in their own colour space, as they are over a surface.
 pub fn expose_over(
     tone_mapping: ToneMapping,
     background: [f32; 3],
@@ -28,7 +28,8 @@ pub fn expose_over(
         }
         return;
     }
-    // Expose the covered part alone, so that an edge blends shown values and not radiance.
+    // Expose the covered fraction of the pixel alone, so that an edge blends shown values and not
+    // radiance.
     for (pixel, &missed) in rgb.chunks_exact_mut(3).zip(missed) {
         let covered = 1.0 - missed;
         if covered > 0.0 {
@@ -43,7 +44,7 @@ pub fn expose_over(
     }
 }
 
-/// Collects the brightest channel of evenly spread rays of some views, and whether each hits a
+/// For evenly spread rays of some views, collects the brightest channel, and whether the ray hits a
 /// surface.
 ///
 /// # Errors
@@ -59,7 +60,7 @@ pub fn brightest<'a, E>(
     let every = all.div_ceil(MOST_RAYS).max(1);
     let mut rays = Vec::with_capacity(all / every + 1);
     for (number, &view) in views.iter().enumerate() {
-        // continue the even spread across views
+        // continue the even spread of rays from view to view
         let first = (every - number * size % every) % every;
         rays.extend(picture(view)?.chunks_exact(3).enumerate().skip(first).step_by(every).map(|(i, rgb)| {
             let surface = depths.is_surface(view, i / geometry.cols, i % geometry.cols, geometry);

@@ -33,6 +33,6 @@ pub use renderer::{SceneRenderer, put_before, slopes};
 pub use subject::Subject;
 pub use tone_mapping::{ToneMapping, automatic_tone_mapping};
 
-/// Hash of this crate's sources, computed at build. It is part of the key of every kept result that
-/// depends on this code.
+/// Hash of this crate's sources, computed at build. It is part of the key of every cached result
+/// that depends on this code.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

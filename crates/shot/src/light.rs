@@ -16,23 +16,24 @@ use crate::renderer::SceneRenderer;
 use crate::surround;
 use crate::tone_mapping::automatic_tone_mapping;
 
-/// Columns and rows of the studio map; it is smooth.
+/// Columns and rows of the studio map. Few suffice, since the map is smooth.
 const STUDIO: [usize; 2] = [128, 64];
-/// Columns, rows and paths of the picture that measures whether lamps light a scene.
+/// Columns and rows of the picture that measures whether lamps light a scene.
 const PROBE: [usize; 2] = [96, 60];
+/// Paths per pixel of that picture.
 const PROBE_SAMPLES: u32 = 16;
-/// Surfaces darker than this after exposure count as unlit.
+/// Surfaces darker than this after exposure are taken as unlit.
 const DARK: f64 = 0.02;
-/// Least shares of the visible surfaces that glowing objects and light sources must light. Light
-/// sources need less: their author may want a spot in a dark room.
+/// Smallest fractions of the visible surfaces that glowing objects and light sources must light.
+/// Light sources need less: their author may want a spot in a dark room.
 const LIT_BY_GLOW: f64 = 0.5;
 const LIT_BY_LAMPS: f64 = 0.05;
 /// Radiance of the background behind a scene in studio light: a dark neutral ground.
 const GROUND: f32 = 0.035;
 
-/// Measures whether a scene's own lamps light its visible surfaces. If not, returns why the scene
-/// gets the studio light too. A glowing engine does not light a hangar, and lamps may shine past
-/// the visible part.
+/// Measures whether a scene's own lamps light its visible surfaces. If not, returns the reason why
+/// the scene gets the studio light too. For example, a glowing engine does not light a hangar, and
+/// lamps may shine past the visible region.
 ///
 /// # Errors
 /// When the scene cannot be rendered, or when cancelled.
@@ -40,13 +41,13 @@ pub(crate) fn probe(scene: &Arc<Scene>, task: Task<'_>) -> Result<Option<&'stati
     if scene.environment.is_some() {
         return Ok(None);
     }
-    // Replace materials by clay: the answer depends on light alone, so scenes that differ in
-    // materials get the same one.
+    // Replace materials by clay. The answer then depends on light alone, so scenes that differ in
+    // materials get the same answer.
     let scene = &Arc::new(edited::<ShotError>((**scene).clone(), task, |parts| {
         parts.materials.iter_mut().for_each(to_clay);
         Ok(())
     })?);
-    // Render a small picture: of the first camera, or framed from the best side.
+    // Render a small picture of the scene, from the first camera or framed from the best side.
     let [cols, rows] = PROBE;
     let grid = ViewGrid::single(Projection::Oblique, [0.0; 2]);
     let geometry = FieldGeometry { rows, cols, pitch_mm: 1.0, grid };
@@ -108,9 +109,9 @@ fn to_clay(material: &mut Material) {
 }
 
 /// Adds the built-in studio light: a soft grey surround that darkens downwards, with two lamps. The
-/// key light is large, above to the left in front of the scene; the fill to the right is weaker.
-/// Radiance outside the lamps is at most about 1. The viewer sees a dark ground behind the scene
-/// instead.
+/// key light is large, and above to the left in front of the scene. The fill light, to the right,
+/// is weaker. Radiance outside the lamps is at most about 1. Instead of the surround, the viewer
+/// sees a dark ground behind the scene.
 pub fn add_studio_light(parts: &mut SceneParts) {
     let [width, height] = STUDIO;
     let mut texels = Vec::with_capacity(width * height);
@@ -142,8 +143,8 @@ pub fn set_environment(parts: &mut SceneParts, image: Image, strength: Vec3, sce
     parts.environment = Some(Environment { image: parts.images.len() - 1, strength, scene_from_environment });
 }
 
-/// Lights a scene as a job says. `environment` says that its environment came from the job's file,
-/// at the job's strength. Returns the scene, and whether it got the studio light.
+/// Lights a scene as a job says. `environment` says that the scene's environment came from the
+/// job's file, at the job's strength. Returns the scene, and whether it got the studio light.
 ///
 /// # Errors
 /// When the scene cannot be rendered, or when cancelled.
@@ -153,7 +154,7 @@ pub fn lit(
     job: &LightJob,
     task: Task<'_>,
 ) -> Result<(Arc<Scene>, bool), ShotError> {
-    // The job's factor on the environment of the scene's own file.
+    // Apply the job's factor to the environment of the scene's own file.
     if !environment
         && let Some(strength) = scene.environment.map(|environment| environment.strength)
         && job.environment_strength != 1.0
@@ -165,7 +166,7 @@ pub fn lit(
             Ok(())
         })?;
     }
-    // Light sources with a surface: visible or not, as the job says.
+    // Make light sources with a surface visible or invisible, as the job says.
     if let Some(visible) = job.visible {
         let wanted = if visible { Lamp::Seen } else { Lamp::Unseen };
         if scene.materials.iter().any(|material| material.lamp != Lamp::No && material.lamp != wanted) {
@@ -180,8 +181,8 @@ pub fn lit(
     if has_environment {
         scene = surround::turned(scene, job, task)?;
     }
-    // Studio light where the scene is unlit. Splats bring their light with them, so captures get
-    // none.
+    // Add studio light if the scene is unlit. Splats bring their own light, so a scene of splats
+    // alone gets none.
     let automatic = job.automatic && !scene.instances.is_empty();
     let mut studio = automatic && !scene.is_lit();
     let mut scene = Arc::new(scene);

@@ -1,5 +1,5 @@
 //! Places the display in the scene and fits the scene into its depth of field. The window moves
-//! along its normal; where that does not suffice, depth is compressed.
+//! along its normal. If that does not suffice, depth is compressed.
 //!
 //! The straight view stays the same. The window moves back by t and slopes are scaled by k. Then
 //! content at depth z appears at
@@ -11,8 +11,8 @@
 //!
 //! In perspective the eye stays, and the window scales to the eye's frustum.
 //!
-//! By default this happens only where the scene does not fit. A window that the user placed stays
-//! in place, and depth is compressed about it: content in the display plane remains there.
+//! By default this happens only if the scene does not fit. A window that the user placed stays in
+//! place, and depth is compressed about it: content in the display plane remains there.
 //!
 //! Scaling the slopes is the same as moving all viewpoints closer together: every displacement
 //! between views shrinks by k. In oblique views it is an affine compression along the window's
@@ -31,32 +31,32 @@ use crate::job::{FitDepth, Near, WindowFrom, WindowJob};
 pub use crate::place::window::{Found, find_window};
 use crate::subject::Subject;
 
-/// Columns of the straight view by which depth is measured.
+/// Largest number of columns of the straight view by which depth is measured.
 const PROBE_COLS: usize = 210;
-/// Quantiles of the visible depths that must fit: a few stray surfaces do not count.
+/// Quantiles of the visible depths that must fit, so that a few stray surfaces are ignored.
 const ENDS: [f64; 2] = [0.02, 0.98];
-/// Shares of the scene that differ by less count as equal.
+/// Fractions of the scene that differ by less are taken as equal.
 const AS_GOOD: f64 = 0.01;
 /// Tolerance at the ends of the depth of field, mm.
 const ROUNDED: f64 = 1e-6;
 /// Number of window positions to compare.
 const TRIED: usize = 2001;
-/// Share of a pixel's detail that the display must still show. Content farther before a window
-/// given by numbers is cut off.
+/// Smallest fraction of a pixel's detail that the display must still show. Content farther in front
+/// of a window given by numbers is cut off.
 const LEAST_DETAIL: f64 = 0.125;
-/// Least factor on depth.
+/// Smallest factor on depth.
 const LEAST_SCALE: f64 = 0.01;
 
-/// A window in the scene, with the depth that fits it.
+/// A window in the scene, and the depth scale with which the scene fits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement {
     /// The window after the movement.
     pub window: Window,
-    /// Distance by which the window moved back, mm in display space before the movement.
+    /// Distance by which the window moved back, in display space before the movement, mm.
     pub moved_back_mm: f64,
     /// Factor on the slopes at which views are traced.
     pub depth_scale: f64,
-    /// Fitting changed the window or the scale.
+    /// True if fitting changed the window or the scale.
     pub fitted: bool,
     /// Azimuth and elevation of the viewer that framed the scene, degrees.
     pub looked_from_deg: Option<[f64; 2]>,
@@ -69,7 +69,7 @@ struct Means {
     moves: bool,
     /// Depth may be compressed.
     compresses: bool,
-    /// Fitting does nothing where the scene fits already.
+    /// Fitting does nothing if the scene fits already.
     at_need: bool,
 }
 
@@ -82,7 +82,7 @@ impl Means {
             FitDepth::Off => None,
             FitDepth::Move => Some(Self { moves: true, compresses: false, at_need: false }),
             FitDepth::Compress => Some(Self { moves: true, compresses: true, at_need: false }),
-            // the user's place of the window and the user's scale of depth stay
+            // the user's position of the window and the user's scale of depth stay
             FitDepth::Auto if chosen && scaled => None,
             FitDepth::Auto => Some(Self { moves: !chosen, compresses: !scaled, at_need: true }),
         }
@@ -100,7 +100,7 @@ pub fn place<S: Subject>(
     geometry: &FieldGeometry,
     task: Task<'_>,
 ) -> Result<Placement, S::Error> {
-    // Find the window, and the nearest depth that the display can show before it.
+    // Find the window, and the nearest depth that the display can show in front of it.
     let Found { mut window, chosen, looked_from_deg } = find_window(subject, job, geometry, task)?;
     if job.near == Near::Auto && job.from == WindowFrom::Given {
         window.near_mm = farthest_shown(display, geometry.pitch_mm).map(|z| z / job.depth_scale);
@@ -146,14 +146,14 @@ pub fn place<S: Subject>(
     })
 }
 
-/// Returns the z before the window up to which the display shows [`LEAST_DETAIL`] of its pixels'
-/// detail, mm. `None` where it shows detail on its plane alone.
+/// Returns the z in front of the window up to which the display shows [`LEAST_DETAIL`] of its
+/// pixels' detail, mm. Returns `None` if it shows detail on its plane alone.
 fn farthest_shown(display: &Display, pitch_mm: f64) -> Option<f64> {
     let [_, far] = display.depths_shown(LEAST_DETAIL * 0.5 / pitch_mm)?;
     (far > 0.0 && far.is_finite()).then_some(far)
 }
 
-/// Returns the same rectangle with fewer pixels and other views.
+/// Returns the same rectangle with at most `most_cols` columns and with other views.
 pub fn probe(geometry: &FieldGeometry, grid: ViewGrid, most_cols: usize) -> FieldGeometry {
     let [width_mm, height_mm] = geometry.size_mm();
     let cols = geometry.cols.min(most_cols);
@@ -169,8 +169,8 @@ struct Fit {
 }
 
 /// Finds the movement and the scale that bring most of the sorted `depths` between `low` and
-/// `high`. Among equally good movements it takes the one that puts both ends evenly around the
-/// middle.
+/// `high`. Among equally good movements, it takes the one whose ends are at equal distances from
+/// the middle of that range.
 fn best_fit(depths: &[f64], [low, high]: [f64; 2], projection: Projection, scale: f64, means: Means) -> Fit {
     let stay = Fit { moved_back_mm: 0.0, depth_scale: scale };
     let (Some(&nearest), Some(&farthest)) = (depths.last(), depths.first()) else { return stay };
@@ -179,7 +179,7 @@ fn best_fit(depths: &[f64], [low, high]: [f64; 2], projection: Projection, scale
         Projection::Oblique => z + by,
         Projection::Perspective { distance_mm } => (z + by) * distance_mm / (distance_mm + by),
     };
-    // the window must stay before the eye
+    // the window must stay in front of the eye
     let least = match projection {
         Projection::Oblique => f64::NEG_INFINITY,
         Projection::Perspective { distance_mm } => -0.9 * distance_mm,
@@ -188,8 +188,8 @@ fn best_fit(depths: &[f64], [low, high]: [f64; 2], projection: Projection, scale
         if !means.compresses {
             return scale;
         }
-        // parallax is proportional to the scale, so each end of the depths limits the scale on its
-        // own
+        // parallax is proportional to the scale, so each end of the depths limits the scale
+        // separately
         let parallax = |z: f64| projection_parallax(projection, z);
         ends.into_iter().fold(scale, |scale, end| {
             let end = moved(end, by);
@@ -208,12 +208,12 @@ fn best_fit(depths: &[f64], [low, high]: [f64; 2], projection: Projection, scale
         let inside = depths.partition_point(|z| shown(*z, by, scale) <= high) - below;
         inside as f64 / depths.len() as f64
     };
-    // distance of the shown ends' middle from the middle of the depth of field
+    // distance between the middle of the shown ends and the middle of the depth of field
     let uneven = |by: f64| {
         let scale = scale_at(by);
         (ends.map(|end| shown(end, by, scale)).into_iter().sum::<f64>() - (low + high)).abs()
     };
-    // from the whole scene before the depth of field to the whole scene behind it
+    // from the whole scene in front of the depth of field to the whole scene behind it
     let (first, last) = ((low - nearest).min(0.0).max(least), (high - farthest).max(0.0).max(least));
     let at = |i: usize| first + (last - first) * i as f64 / (TRIED - 1) as f64;
     let moves = if means.moves { TRIED } else { 0 };
@@ -296,7 +296,7 @@ mod tests {
     fn unasked_nothing_changes_where_the_scene_fits() {
         let stay = Fit { moved_back_mm: 0.0, depth_scale: 1.0 };
         for means in [AUTO, IN_PLACE] {
-            // a fiftieth at either end may lie outside
+            // a fiftieth of the depths at either end may be outside
             assert_eq!(best_fit(&evenly(-81.0, 81.0), RANGE, Projection::Oblique, 1.0, means), stay);
             assert_eq!(best_fit(&evenly(10.0, 60.0), RANGE, PERSPECTIVE, 1.0, means), stay);
             assert_ne!(best_fit(&evenly(-120.0, 81.0), RANGE, Projection::Oblique, 1.0, means), stay);
@@ -304,7 +304,7 @@ mod tests {
         // a scene that does not fit is moved first, then compressed as far as needed
         let moved = best_fit(&evenly(60.0, 200.0), RANGE, Projection::Oblique, 1.0, AUTO);
         assert!((moved.moved_back_mm + 130.0).abs() < 0.5 && moved.depth_scale == 1.0, "{moved:?}");
-        // a window that the user placed stays: content 160 mm before it moves to 80 mm
+        // a window that the user placed stays: content 160 mm in front of it is compressed to 80 mm
         let squeezed = best_fit(&evenly(100.0, 160.0), RANGE, Projection::Oblique, 1.0, IN_PLACE);
         assert_eq!(squeezed.moved_back_mm, 0.0);
         assert!((squeezed.depth_scale * 158.8 - 80.0).abs() < 0.2, "{squeezed:?}");

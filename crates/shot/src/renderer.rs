@@ -1,13 +1,12 @@
-//! A scene prepared for rendering: the path tracer renders its triangles, and splats are blended
-//! before them.
+//! A scene prepared for rendering. The path tracer renders its triangles, and splats are blended
+//! over the result.
 //!
 //! ```text
 //! view = splats.over(traced view)
 //! ```
 //!
-//! They are blended in the splats' own colour space. Surfaces hide splats behind them.
-//! Splats have no noise, so they are blended after denoising. Until then the cache holds them
-//! beside the views.
+//! Splats are blended in their own colour space. Surfaces hide splats behind them. Splats have no
+//! noise, so they are blended after denoising.
 
 use std::sync::Arc;
 
@@ -28,7 +27,7 @@ const CUTS: usize = 2;
 pub struct SceneRenderer {
     /// Renders triangles and light.
     pub tracer: Renderer,
-    /// Renders splats, where the scene has any.
+    /// Renders splats, if the scene has any.
     pub splats: Option<Splats>,
     has_surfaces: bool,
 }
@@ -40,15 +39,15 @@ impl SceneRenderer {
     /// When it cannot be rendered, or when cancelled.
     pub fn new(scene: Arc<Scene>, task: Task<'_>) -> Result<Self, ShotError> {
         let has_surfaces = !scene.instances.is_empty();
-        // captures bring their light with them, so warnings about missing light do not apply
+        // splats bring their own light, so warnings about missing light do not apply
         let unused = Collector::default();
         let quiet = if has_surfaces { task } else { Task { warnings: &unused, ..task } };
         let tracer = Renderer::new(scene.clone(), quiet)?;
         Ok(Self { tracer, splats: Splats::new(scene), has_surfaces })
     }
 
-    /// Returns z of the first surface or splat along the central ray of every pixel of a view: mm
-    /// in display space, `[row][col]`, NaN where there is none.
+    /// Returns z of the first surface or splat along the central ray of every pixel of a view,
+    /// `[row][col]`. It is in display space, mm, and NaN where there is none.
     ///
     /// # Errors
     /// When the geometry or the view is out of range, or when cancelled.
@@ -67,8 +66,8 @@ impl SceneRenderer {
         Ok(found)
     }
 
-    /// Computes [`depth`](Self::depth) of several views, and calls `done` with each number, in
-    /// order.
+    /// Computes [`depth`](Self::depth) of several views, and calls `done` with the index and the
+    /// depths of each view, in order.
     ///
     /// # Errors
     /// Those of [`depth`](Self::depth) and of `done`.
@@ -86,7 +85,8 @@ impl SceneRenderer {
             });
         };
         let slopes = slopes(geometry, views);
-        // Splats first; where a ray passes them all, the surface behind counts.
+        // Take the depth of the splats. Where a ray goes through all splats, take the surface
+        // behind.
         let surfaces = |number: usize| self.surfaces(window, geometry, slopes[number], 1, task).map_err(E::from);
         splats.render(window, geometry, &slopes, &surfaces, Wanted::Depth, task, |number, view| {
             let mut z_mm = view.z_mm;
@@ -98,8 +98,8 @@ impl SceneRenderer {
         })
     }
 
-    /// Returns 1 for every pixel of a view whose central ray hits a surface or ends in splats, else
-    /// 0: `[row][col]`.
+    /// Returns 1 for every pixel of a view whose central ray hits a surface or ends in splats,
+    /// otherwise 0: `[row][col]`.
     ///
     /// # Errors
     /// When the geometry or the view is out of range, or when cancelled.
@@ -118,9 +118,9 @@ impl SceneRenderer {
         Ok(mask)
     }
 
-    /// Renders the splats of views at `slopes`, and calls `done` with each number, in order.
-    /// Without splats it does nothing. Only size and projection of `geometry` count, its slopes do
-    /// not.
+    /// Renders the splats of views at `slopes`, and calls `done` with the index and the result of
+    /// each view, in order. Without splats it does nothing. Only size and projection of `geometry`
+    /// are used; its slopes are ignored.
     ///
     /// # Errors
     /// When the geometry is out of range, when cancelled, and those of `done`.

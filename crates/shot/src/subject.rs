@@ -10,7 +10,7 @@ use crate::renderer::SceneRenderer;
 
 /// A lit scene, its renderer, and a cache of results about it.
 pub trait Subject {
-    /// Errors of the implementation, beside those of a shot.
+    /// Errors of the implementation, in addition to those of a shot.
     type Error: From<ShotError> + From<Cancelled>;
 
     /// The scene.

@@ -1,4 +1,4 @@
-//! Rotation of the environment about the up axis, and warnings about keys that need one.
+//! Rotation of the environment about the up axis, and warnings about keys that need an environment.
 
 use glam::Quat;
 use lumistack_core::Task;
@@ -19,7 +19,7 @@ pub(crate) fn warn_of_unused(scene: &Scene, job: &LightJob, task: Task<'_>) {
     }
 }
 
-/// Rotates the environment as the job says, be it a file's or the studio light.
+/// Rotates the environment as the job says, both a file's environment and the studio light.
 ///
 /// # Errors
 /// When the changed scene is not valid.

@@ -5,8 +5,8 @@
 //! L = curve(exposure · radiance)        0..1, linear light
 //! ```
 //!
-//! Both are chosen once, from all views together. A choice per view would change the brightness of
-//! a scene point from view to view, which no diffuse surface does.
+//! Exposure and curve are chosen once, from all views together. If each view chose its own, a scene
+//! point would change in brightness from view to view, which no diffuse surface does.
 
 use lumistack_core::metrics::percentile;
 use lumistack_core::tone::ToneCurve;
@@ -17,13 +17,15 @@ use rayon::prelude::*;
 
 use crate::job::{LightJob, Tone};
 
-/// Least shown value of the brightest hundredth of the surfaces.
+/// Smallest shown value of the brightest hundredth of the surfaces.
 const WHITE: f32 = 0.95;
-/// Half of the surfaces are shown above this value, where a few lamps would leave all else dark.
+/// If a few lamps would leave everything else dark, half of the surfaces are shown above this
+/// value.
 const MIDDLE: f32 = 0.22;
-/// Above this share of rays brighter than white, `auto` compresses highlights instead of clipping.
+/// If more than this fraction of rays is brighter than white, `auto` compresses highlights instead
+/// of clipping them.
 const HIGHLIGHTS: f64 = 2e-3;
-/// The sky counts too where surfaces fill less than this share of the views.
+/// The sky is measured too if surfaces fill less than this fraction of the views.
 const LEAST_SURFACE: f64 = 0.05;
 
 /// An exposure and a tone curve.
@@ -39,8 +41,8 @@ impl ToneMapping {
     /// Leaves radiance unchanged.
     pub const NONE: Self = Self { exposure: 1.0, curve: ToneCurve::Linear };
 
-    /// Chooses exposure and tone curve of a shot. `brightest` holds the brightest channel of rays
-    /// from all views, and whether each ray hits a surface.
+    /// Chooses exposure and tone curve of a light field. `brightest` holds the brightest channel of
+    /// rays from all views, and whether each ray hits a surface.
     pub fn choose(job: &LightJob, scene: &Scene, brightest: &[(f32, bool)]) -> Self {
         let stops = 2f64.powf(job.exposure_ev);
         let exposure = |curve| {
@@ -58,7 +60,7 @@ impl ToneMapping {
             Tone::Auto => {
                 let linear = fixed(ToneCurve::Linear);
                 if !scene.placed_clouds.is_empty() {
-                    // the camera has already exposed a capture
+                    // a capture was already exposed by its camera
                     return linear;
                 }
                 let clipped = brightest.iter().filter(|(value, _)| f64::from(*value) * linear.exposure > 1.0).count();
@@ -71,8 +73,8 @@ impl ToneMapping {
         }
     }
 
-    /// Exposure and tone curve of a given light field, as far as the job sets them. `None` leaves
-    /// the field unchanged.
+    /// Exposure and tone curve that the job sets for a given light field. `None` if it sets
+    /// neither, so the light field stays unchanged.
     pub fn of_given(job: &LightJob) -> Option<Self> {
         let curve = match job.tone {
             Tone::Auto if job.exposure_ev == 0.0 => return None,
@@ -84,12 +86,12 @@ impl ToneMapping {
         Some(Self { exposure: 2f64.powf(job.exposure_ev), curve })
     }
 
-    /// Makes a field of scene-linear radiance display-referred.
+    /// Converts a light field of scene-linear radiance to display-referred radiance.
     pub fn apply(self, field: &mut LightField) {
         self.apply_to(field.radiance_mut().data_mut());
     }
 
-    /// Applies them to pixels `[..][rgb]` in place.
+    /// Applies exposure and curve to pixels `[..][rgb]` in place.
     pub fn apply_to(self, rgb: &mut [f32]) {
         let exposure = self.exposure as f32;
         let apply = |pixels: &mut [f32]| {
@@ -98,7 +100,7 @@ impl ToneMapping {
                 rgb.copy_from_slice(&shown);
             }
         };
-        // every pixel on its own, so the number of threads changes nothing
+        // every pixel is computed separately, so the number of threads changes nothing
         #[cfg(feature = "parallel")]
         rgb.par_chunks_mut(3 * 4096).for_each(apply);
         #[cfg(not(feature = "parallel"))]
@@ -125,9 +127,10 @@ fn is_display_referred(scene: &Scene) -> bool {
 
 /// Computes the factor that shows the brightest hundredth of the surfaces as [`WHITE`].
 ///
-/// Where most of them would stay dark, half of them are shown above [`MIDDLE`] instead, with at
-/// most a twentieth above [`WHITE`]. Percentiles ignore single bright samples. Rays past the
-/// surfaces do not count, in particular those to the ground of the studio light (`on_ground`).
+/// If most surfaces would stay dark, half of them are shown above [`MIDDLE`] instead, with at most
+/// a twentieth above [`WHITE`]. Percentiles ignore single bright samples. Rays past the surfaces
+/// are used only if surfaces fill too little of the views. On the ground of the studio light
+/// (`on_ground`) they are used only if there are no surfaces.
 fn exposure_of(brightest: &[(f32, bool)], on_ground: bool, curve: ToneCurve) -> f64 {
     let surfaces = brightest.iter().filter(|(_, surface)| *surface).count();
     let least = if on_ground { f64::MIN_POSITIVE } else { LEAST_SURFACE * brightest.len() as f64 };
@@ -194,7 +197,8 @@ mod tests {
         assert!((exposure_of(&with, false, ToneCurve::Linear) / plain - 1.0).abs() < 2e-3);
         with.extend(vec![(50.0, false); 40_000]);
         assert!((exposure_of(&with, false, ToneCurve::Linear) / plain - 1.0).abs() < 2e-3);
-        // a speck before the sky does not decide alone, a speck before the studio's ground does
+        // a speck in front of the sky does not decide alone, a speck in front of the studio's
+        // ground does
         let mut speck = surfaces(&[0.01; 10]);
         speck.extend(vec![(2.0, false); 10_000]);
         assert!((exposure_of(&speck, false, ToneCurve::Linear) * 2.0 - 0.95).abs() < 1e-3);

@@ -1,4 +1,4 @@
-//! Detection, once, and the functions of a kernel by instruction set.
+//! Detects the machine's instruction sets once, and returns a kernel's function for each.
 
 use std::fmt;
 use std::sync::OnceLock;
@@ -6,13 +6,13 @@ use std::sync::OnceLock;
 use crate::lanes::{Function, Kernel, Lanes};
 use crate::portable::Portable;
 
-/// An instruction set that this machine has: only detection makes values.
+/// An instruction set that this machine has. Only detection makes values of this type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Backend(Set);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Set {
-    /// Every machine of the target; eight lanes.
+    /// Code for every machine of the target; eight lanes.
     Portable,
     /// AVX2 with FMA and F16C; eight lanes.
     #[cfg(target_arch = "x86_64")]
@@ -29,18 +29,18 @@ enum Set {
 }
 
 impl Backend {
-    /// All that this machine has, the best last.
+    /// All instruction sets that this machine has, the best last.
     pub fn available() -> &'static [Self] {
         static AVAILABLE: OnceLock<Vec<Backend>> = OnceLock::new();
         AVAILABLE.get_or_init(detect)
     }
 
-    /// The best that this machine has.
+    /// The best instruction set that this machine has.
     pub fn best() -> Self {
         *Self::available().last().unwrap_or(&Self(Set::Portable))
     }
 
-    /// Number of lanes of its vectors.
+    /// Number of lanes of this instruction set's vectors.
     pub fn lanes(self) -> usize {
         match self.0 {
             Set::Portable => Portable::COUNT,
@@ -55,8 +55,8 @@ impl Backend {
         }
     }
 
-    /// A kernel's function for this instruction set. Only the kernel's own demands on its arguments
-    /// make it unsafe to call: the machine has the set.
+    /// A kernel's function for this instruction set. The machine has the set, so the function is
+    /// unsafe only because of the kernel's own demands on its arguments.
     pub fn function<K: Kernel>(self) -> Function<K> {
         match self.0 {
             Set::Portable => crate::portable::run::<K>,
@@ -71,15 +71,15 @@ impl Backend {
         }
     }
 
-    /// Runs a kernel with vectors of exactly eight lanes: the best that this instruction set has of
-    /// that length.
+    /// Runs a kernel with vectors of exactly eight lanes, in the fastest way that this instruction
+    /// set offers.
     ///
     /// # Safety
     /// The arguments are as the kernel demands.
     #[inline]
     pub unsafe fn call_eight<K: Kernel>(self, args: K::Args<'_>) -> K::Output {
-        // SAFETY: a `Backend` exists only where the machine has it; the rest is passed on from the
-        // caller
+        // SAFETY: a `Backend` exists only where the machine has its instruction set; the caller
+        // guarantees what the kernel demands
         unsafe {
             match self.0 {
                 Set::Portable => K::run::<Portable>(args),

@@ -1,7 +1,7 @@
-//! Half floats without an instruction for them.
+//! Conversion of half floats without instructions for it.
 
-/// A finite half float as `f32`, without branches. The bits are shifted into place, then scaled by
-/// 2^112 for the difference of the exponents' biases. So subnormal numbers are right too.
+/// A finite half float as `f32`, without branches. The bits are shifted into place. The product
+/// with 2^112 then corrects the difference of the exponents' biases, for subnormal numbers too.
 #[inline(always)]
 pub fn float_from_half(half: u16) -> f32 {
     let bits = u32::from(half);
@@ -9,12 +9,12 @@ pub fn float_from_half(half: u16) -> f32 {
     f32::from_bits(magnitude.to_bits() | (bits & 0x8000) << 16)
 }
 
-/// The half float nearest to a value, of two equally near ones the even one; |value| below 65520.
+/// The half float nearest to a value with |value| < 65520; of two equally near ones, the even one.
 #[inline(always)]
 pub fn nearest_half(value: f32) -> u16 {
     let magnitude = value.to_bits() & 0x7fff_ffff;
-    // the last bit of a subnormal half float is that of a float in 0.5..1, so that an addition
-    // rounds there
+    // a subnormal half float has the last bit 2⁻²⁴, as a float in 0.5..1 has, so adding 0.5 rounds
+    // to it
     let subnormal = (f32::from_bits(magnitude) + 0.5).to_bits() & 0x7f_ffff;
     let normal = (magnitude.wrapping_sub(112 << 23) + 0xfff + (magnitude >> 13 & 1)) >> 13;
     let half = if magnitude < 113 << 23 { subnormal } else { normal };

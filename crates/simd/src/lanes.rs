@@ -31,17 +31,17 @@ pub trait Lanes: Copy {
     unsafe fn mul(self, other: Self) -> Self;
     /// self / other.
     unsafe fn div(self, other: Self) -> Self;
-    /// The lesser, of numbers only: the result for NaN is open.
+    /// The lesser value of each lane. The result for NaN is unspecified.
     unsafe fn min(self, other: Self) -> Self;
-    /// The greater, of numbers only: the result for NaN is open.
+    /// The greater value of each lane. The result for NaN is unspecified.
     unsafe fn max(self, other: Self) -> Self;
-    /// self · factor + addend, rounded once where the machine has an instruction for it, else
-    /// twice.
+    /// self · factor + addend. It is rounded once where the machine has an instruction for it,
+    /// otherwise twice.
     unsafe fn mul_add(self, factor: Self, addend: Self) -> Self;
     /// addend − self · factor, rounded as [`mul_add`](Self::mul_add).
     unsafe fn neg_mul_add(self, factor: Self, addend: Self) -> Self;
-    /// self · factor + addend, rounded once on every machine but WebAssembly's: the same bits
-    /// everywhere, at the price of a library call per lane where the machine has no instruction.
+    /// self · factor + addend, rounded once on every machine except WebAssembly. All these machines
+    /// give the same bits, at the price of a library call per lane where there is no instruction.
     unsafe fn fused_mul_add(self, factor: Self, addend: Self) -> Self;
     /// addend − self · factor, rounded as [`fused_mul_add`](Self::fused_mul_add).
     unsafe fn fused_neg_mul_add(self, factor: Self, addend: Self) -> Self;
@@ -59,8 +59,8 @@ pub trait Lanes: Copy {
     /// One bit per lane, lane 0 lowest.
     unsafe fn bits(mask: Self::Mask) -> u32;
 
-    /// Calls another kernel with the same vectors, out of line unless the compiler finds inlining
-    /// cheap.
+    /// Calls another kernel with the same vectors. The call is out of line, unless the compiler
+    /// finds inlining cheap.
     unsafe fn call<K: Kernel>(args: K::Args<'_>) -> K::Output;
 
     /// Reads an array of exactly `COUNT` values.
@@ -89,7 +89,8 @@ pub trait Kernel {
     /// Result.
     type Output;
 
-    /// Runs the kernel; must be `#[inline(always)]`, or the vector operations become calls.
+    /// Runs the kernel. An implementation must be `#[inline(always)]`, otherwise the vector
+    /// operations become calls.
     ///
     /// # Safety
     /// The machine has `V`'s instruction set, and the arguments are as this kernel demands.

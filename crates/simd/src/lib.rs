@@ -1,15 +1,16 @@
-//! Vectors of `f32` over one trait, and the instruction sets that carry them.
+//! Vectors of `f32` under one trait, and the instruction sets that implement it.
 //!
 //! ```text
 //! Kernel::run::<V: Lanes>      written once
 //!     Backend::function        one small function per kernel and instruction set, for tables
-//!     Backend::call_eight      the same with vectors of exactly eight lanes, called at once
+//!     Backend::call_eight      the same with vectors of exactly eight lanes, called directly
 //!     Lanes::call              from one kernel to another, out of line
 //! ```
 //!
 //! A kernel is generic over [`Lanes`]. Each function that a [`Backend`] returns is compiled with
-//! the right `target_feature`, and the vector operations are inlined into it. Code stays small as
-//! long as kernels are: a kernel inlines all that it does not [`call`](Lanes::call).
+//! the right `target_feature`, and the vector operations are inlined into it. The program stays
+//! small only if kernels are small: a kernel inlines everything that it does not
+//! [`call`](Lanes::call).
 //!
 //! [`Portable`] is the scalar twin: it compiles everywhere, and the tests compare every other
 //! backend with it, operation by operation.
@@ -45,9 +46,9 @@ pub use wasm::Simd128;
 #[cfg(target_arch = "x86_64")]
 pub use x86::{Avx2, Avx512};
 
-/// The most lanes of any vector: 16. Every lane count divides it.
+/// Largest number of lanes of any vector: 16. Every lane count divides it.
 pub const MAX_LANES: usize = 16;
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that
-/// this code has a part in.
+/// Hash of this crate's sources, computed at build. It is part of the key of every cached result
+/// that depends on this code.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

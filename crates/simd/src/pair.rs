@@ -1,4 +1,4 @@
-//! Twice as many lanes in two vectors, for kernels that need a certain number.
+//! Two vectors as one of twice as many lanes, for kernels that need a certain number of lanes.
 
 use crate::lanes::{Kernel, Lanes};
 
@@ -6,7 +6,8 @@ use crate::lanes::{Kernel, Lanes};
 #[derive(Clone, Copy, Debug)]
 pub struct Pair<V>([V; 2]);
 
-// SAFETY of every block below: passed on from the caller; the second half lies behind the first
+// SAFETY of every block below: the caller guarantees the demands of both vectors. The second
+// vector's elements follow the first's, from `V::COUNT` on.
 #[expect(clippy::undocumented_unsafe_blocks, reason = "one reason for all, above")]
 impl<V: Lanes> Pair<V> {
     #[inline(always)]
@@ -20,7 +21,8 @@ impl<V: Lanes> Pair<V> {
     }
 }
 
-// SAFETY of every block below: passed on from the caller; the second half lies behind the first
+// SAFETY of every block below: the caller guarantees the demands of both vectors. The second
+// vector's elements follow the first's, from `V::COUNT` on.
 #[expect(clippy::undocumented_unsafe_blocks, reason = "one reason for all, above")]
 impl<V: Lanes> Lanes for Pair<V> {
     type Mask = [V::Mask; 2];

@@ -26,7 +26,7 @@ impl Portable {
     }
 }
 
-/// a · b + c with the rounding of WebAssembly's vectors, or of everybody else's.
+/// a · b + c, rounded twice as WebAssembly's vectors do, and once elsewhere.
 #[inline(always)]
 fn fused(a: f32, b: f32, c: f32) -> f32 {
     if cfg!(target_arch = "wasm32") { a * b + c } else { a.mul_add(b, c) }

@@ -1,4 +1,5 @@
-//! Requests for memory that will soon be read. They may do nothing, and any address is allowed.
+//! Requests for memory that will soon be read. A request may have no effect, and any address is
+//! allowed.
 
 /// Requests a cache line into all caches.
 #[inline(always)]
@@ -13,7 +14,8 @@ pub fn prefetch<T>(from: *const T) {
     let _ = from;
 }
 
-/// Requests a cache line, but no nearer than the second-level cache.
+/// Requests a cache line into the second-level cache and larger ones, but not into the first-level
+/// cache.
 #[inline(always)]
 pub fn prefetch_far<T>(from: *const T) {
     // SAFETY: a prefetch may name any address, and every x86-64 has the instruction

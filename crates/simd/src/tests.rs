@@ -1,4 +1,4 @@
-//! Every operation of every backend that this machine has, against the scalar twin.
+//! Compares every operation of every backend that this machine has with the scalar twin.
 
 use crate::{Backend, Kernel, Lanes, MAX_LANES, float_from_half, nearest_half};
 
@@ -79,7 +79,7 @@ impl Kernel for Caller {
     }
 }
 
-/// Exact half floats as the vectors read them.
+/// Reads half floats by the vectors' loads.
 struct Halves;
 
 impl Kernel for Halves {
@@ -95,7 +95,7 @@ impl Kernel for Halves {
     }
 }
 
-/// The number of lanes of the vectors that run a kernel, and an array there and back.
+/// Returns the number of lanes, and an array after a load and a store.
 struct Eight;
 
 impl Kernel for Eight {
@@ -114,7 +114,8 @@ impl Kernel for Eight {
     }
 }
 
-/// Numbers of all magnitudes and signs, equal ones among them, by a fixed sequence.
+/// Numbers of many magnitudes and signs, by a fixed sequence. Every fifth value of `b` equals that
+/// of `a`.
 fn operands(seed: u32) -> Operands {
     let mut state = seed.wrapping_mul(0x9e37_79b9) | 1;
     let mut next = || {
@@ -138,7 +139,7 @@ fn operands(seed: u32) -> Operands {
     [a, b, c]
 }
 
-/// The results that plain numbers give.
+/// The expected results, computed on plain numbers.
 fn expected([a, b, c]: &Operands, rounds_once: bool) -> Results {
     let each = |f: &dyn Fn(f32, f32, f32) -> f32| std::array::from_fn(|i| f(a[i], b[i], c[i]));
     let fused = |x: f32, y: f32, z: f32, once: bool| if once { x.mul_add(y, z) } else { x * y + z };
@@ -253,7 +254,7 @@ fn the_nearest_half_float_is_no_farther_than_its_neighbours() {
         let (low, high) = (float_from_half(bits), float_from_half(bits + 1));
         let middle = 0.5 * (low + high);
         let even = bits + bits % 2;
-        // an f32 has 13 bits more, so that the middle and its neighbours are exact
+        // an f32 has 13 more bits than a half float, so the middle and its neighbours are exact
         let around = [low, middle.next_down(), middle, middle.next_up(), high].map(nearest_half);
         assert_eq!(around, [bits, bits, even, bits + 1, bits + 1], "{bits}");
         assert_eq!(nearest_half(-low), bits | 0x8000);

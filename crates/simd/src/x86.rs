@@ -4,7 +4,7 @@ use std::arch::x86_64::*;
 
 use crate::lanes::{Kernel, Lanes};
 
-/// Every backend of this file is detected with all features that its functions enable.
+/// A backend of this file exists only if all features that its functions enable were detected.
 #[target_feature(enable = "avx2,fma,f16c")]
 pub(crate) unsafe fn avx2<K: Kernel>(args: K::Args<'_>) -> K::Output {
     // SAFETY: passed on from the caller

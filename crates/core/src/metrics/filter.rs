@@ -6,7 +6,7 @@
 
 use std::ops::{AddAssign, Mul, Range};
 
-/// Rows of a band without its halo.
+/// Number of rows of a band without its halo.
 const BAND: usize = 128;
 
 /// One quantity at every pixel of a band and its halo, `[row][col]`.
@@ -23,22 +23,22 @@ pub(super) trait Real: Copy + Default + Mul<Output = Self> + AddAssign {}
 impl Real for f32 {}
 impl Real for f64 {}
 
-/// Pixels that a filter reads outside of the picture.
+/// Rule for the pixels that a filter reads outside of the picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Border {
-    /// The outermost pixel: a a | a b c | c c.
+    /// The filter repeats the outermost pixel: a a | a b c | c c.
     Nearest,
-    /// The picture mirrored about its edge: b a | a b c | c b.
+    /// The filter mirrors the picture about its edge: b a | a b c | c b.
     Mirror,
 }
 
-/// The bands of a picture, as its rows.
+/// The bands of a picture, as ranges of rows.
 pub(super) fn bands(rows: usize) -> impl Iterator<Item = Range<usize>> {
     (0..rows).step_by(BAND).map(move |start| start..(start + BAND).min(rows))
 }
 
-/// The channels of a band of a picture `[row][col][rgb]`, with `halo` rows above and below, each
-/// value changed by `change`.
+/// The three channels of a band of a picture `[row][col][rgb]`, with `halo` rows above and below.
+/// `change` converts each value.
 pub(super) fn channels<T: Real>(
     rgb: &[f32],
     shape: [usize; 2],
@@ -58,7 +58,7 @@ pub(super) fn channels<T: Real>(
 }
 
 impl<T: Real> Plane<T> {
-    /// A plane of the same shape from this one's and another's values.
+    /// Combines the values of this plane and of another one into a plane of the same shape.
     pub(super) fn with(&self, other: &Self, value: impl Fn(T, T) -> T) -> Self {
         Self { data: self.data.iter().zip(&other.data).map(|(a, b)| value(*a, *b)).collect(), ..*self }
     }
@@ -80,8 +80,8 @@ impl<T: Real> Plane<T> {
         Self { data, ..*self }
     }
 
-    /// Filters every column of a band and takes its halo off; `weights` has odd length of at most
-    /// 2·halo + 1.
+    /// Filters every column of a band and removes its halo. The length of `weights` is odd and at
+    /// most 2·halo + 1.
     pub(super) fn filtered_along_columns(&self, weights: &[T], halo: usize) -> Self {
         let rows = self.rows - 2 * halo;
         let mut data = vec![T::default(); rows * self.cols];
@@ -96,13 +96,13 @@ impl<T: Real> Plane<T> {
 }
 
 impl Border {
-    /// Index that position `i` of a line reads, where the line of `count` ≥ 1 values starts at
-    /// position `radius`.
+    /// Index of the value that a filter reads at position `i` of a line. The line's `count` ≥ 1
+    /// values start at position `radius`.
     fn index(self, i: usize, radius: usize, count: usize) -> usize {
         match self {
             Self::Nearest => i.saturating_sub(radius).min(count - 1),
             Self::Mirror => {
-                // mirrored twice, a line repeats
+                // a line that is mirrored at both ends is periodic
                 let period = 2 * count as isize;
                 let place = (i as isize - radius as isize).rem_euclid(period) as usize;
                 place.min(2 * count - 1 - place)
@@ -136,7 +136,7 @@ mod tests {
     use super::*;
     use crate::seed::Stream;
 
-    /// f32 sums of at most a few dozen terms against f64 ones.
+    /// Tolerance between sums in f32 and in f64, of at most a few dozen terms.
     const ROUNDING: f64 = 1e-6;
 
     #[test]

@@ -12,7 +12,7 @@
 //! ```
 //!
 //! Filters have their size in degrees of visual angle, so the error depends on the number of pixels
-//! per degree. They read the outermost pixel past a picture's edge. Every filter is separable. The
+//! per degree. Outside of the picture they read the outermost pixel. Every filter is separable. The
 //! sum of two Gaussians of Cz is two separate filters whose total weight is 1.
 //!
 //! Source: Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström, Fairchild, "FLIP: A Difference
@@ -25,16 +25,18 @@ use std::ops::Range;
 use super::MetricMap;
 use super::filter::{Border, Plane, bands, channels};
 
-/// Contrast sensitivity in degrees: a·√(π/b)·exp(−π² x²/b), as (a, b); Cz is the sum of two.
+/// Contrast sensitivity a·√(π/b)·exp(−π² x²/b) as (a, b), with x in degrees. That of Cz is the sum
+/// of two such Gaussians.
 const SENSITIVITY_Y: (f64, f64) = (1.0, 0.0047);
 const SENSITIVITY_CX: (f64, f64) = (1.0, 0.0053);
 const SENSITIVITY_CZ: [(f64, f64); 2] = [(34.1, 0.04), (13.5, 0.025)];
 /// Exponent of the colour distance.
 const COLOUR_EXPONENT: f32 = 0.7;
-/// Distances up to this share of the largest are mapped to the share `COLOUR_KNEE_TO` of the range.
+/// Distances up to this fraction of the largest are mapped to 0..`COLOUR_KNEE_TO`, larger ones to
+/// the rest of 0..1.
 const COLOUR_KNEE_FROM: f32 = 0.4;
 const COLOUR_KNEE_TO: f32 = 0.95;
-/// Width of the feature detectors, degrees; twice the Gaussian's standard deviation.
+/// Width of the feature detectors, which is twice the Gaussian's standard deviation, degrees.
 const FEATURE_WIDTH_DEG: f64 = 0.082;
 
 /// XYZ of linear sRGB.
@@ -44,7 +46,7 @@ const XYZ_FROM_RGB: [[f64; 3]; 3] = [
     [1425312.0 / 73733382.0, 8788810.0 / 73733382.0, 70074185.0 / 73733382.0],
 ];
 
-/// FLIP at a viewing distance.
+/// FLIP at a viewing distance: the filters, and the colour spaces.
 #[derive(Clone, Debug)]
 pub struct Flip {
     y: Vec<f32>,
@@ -58,7 +60,7 @@ pub struct Flip {
 
 /// A band of a picture after the filters of the visual system.
 struct Seen {
-    /// Lab after Hunt's effect, one value per pixel each.
+    /// Lightness, a and b of Lab after Hunt's effect, one value per pixel.
     lightness: Vec<f32>,
     a: Vec<f32>,
     b: Vec<f32>,
@@ -68,18 +70,19 @@ struct Seen {
 }
 
 impl Flip {
-    /// The authors' setting: a screen of 3840 pixels as wide as it is far away, 67.02 pixels per
-    /// degree.
+    /// The authors' setting: a screen of 3840 pixels whose width equals the viewing distance. This
+    /// gives 67.02 pixels per degree.
     pub const DEFAULT_PIXELS_PER_DEGREE: f64 = 3840.0 * std::f64::consts::PI / 180.0;
 
-    /// Filters for so many pixels per degree of visual angle, kept within 1 to 1000.
+    /// Makes the filters for a number of pixels per degree of visual angle, which is clamped to
+    /// 1..1000.
     pub fn new(pixels_per_degree: f64) -> Self {
         let density = if pixels_per_degree.is_finite() {
             pixels_per_degree.clamp(1.0, 1000.0)
         } else {
             Self::DEFAULT_PIXELS_PER_DEGREE
         };
-        // as far as three standard deviations of the widest Gaussian reach
+        // the radius is three standard deviations of the widest Gaussian
         let pi = std::f64::consts::PI;
         let radius = (3.0 * (SENSITIVITY_CZ[0].1 / (2.0 * pi * pi)).sqrt() * density).ceil() as usize;
         let gaussian = |amplitude: f64, b: f64| -> Vec<f64> {
@@ -87,7 +90,8 @@ impl Flip {
             (0..=2 * radius).map(|i| amplitude * (-pi * pi * x(i).powi(2) / b).exp()).collect()
         };
         let unit = |b: f64| scaled(&gaussian(1.0, b), 1.0 / gaussian(1.0, b).iter().sum::<f64>());
-        // a 2D Gaussian of weight a·√(π/b) is the product of two of the square root of that
+        // a 2D Gaussian of weight a·√(π/b) is the product of two 1D Gaussians, each of the square
+        // root of that weight
         let [cz1, cz2] = SENSITIVITY_CZ.map(|(a, b)| gaussian((a * (pi / b).sqrt()).sqrt(), b));
         let total = cz1.iter().sum::<f64>().hypot(cz2.iter().sum());
         let (smooth, edge, point) = feature_filters(0.5 * FEATURE_WIDTH_DEG * density);
@@ -155,8 +159,8 @@ impl Flip {
     }
 }
 
-/// Gaussian, its first and its second derivative; positive and negative weights of the derivatives
-/// sum to 1 and −1.
+/// A Gaussian, its first and its second derivative. The positive weights of a derivative sum to 1,
+/// the negative ones to −1.
 fn feature_filters(deviation_px: f64) -> (Vec<f32>, Vec<f32>, Vec<f32>) {
     let radius = (3.0 * deviation_px).ceil() as i64;
     let offsets: Vec<f64> = (-radius..=radius).map(|i| i as f64).collect();
@@ -177,15 +181,16 @@ fn scaled(weights: &[f64], factor: f64) -> Vec<f32> {
     weights.iter().map(|weight| (weight * factor) as f32).collect()
 }
 
-/// Colour spaces, all relative to the white point: y = Y/Y_n, Cx ∝ X/X_n − Y/Y_n, Cz ∝ Y/Y_n −
-/// Z/Z_n.
+/// Conversions of colour spaces, all relative to the white point: y = Y/Y_n, Cx ∝ X/X_n − Y/Y_n, Cz
+/// ∝ Y/Y_n − Z/Z_n.
 #[derive(Clone, Debug)]
 struct Colours {
     opponent_from_rgb: [[f32; 3]; 3],
     rgb_from_opponent: [[f32; 3]; 3],
     /// X/X_n, Y/Y_n, Z/Z_n.
     relative_from_rgb: [[f32; 3]; 3],
-    /// The largest colour distance, that of green and blue, to the power of `COLOUR_EXPONENT`.
+    /// The largest colour distance, which is between green and blue, to the power of
+    /// `COLOUR_EXPONENT`.
     largest: f32,
 }
 
@@ -209,13 +214,13 @@ impl Colours {
         colours
     }
 
-    /// Filtered opponent colours as the eye compares them.
+    /// Converts filtered opponent colours to Lab with Hunt's effect.
     #[inline]
     fn seen(&self, opponent: [f32; 3]) -> [f32; 3] {
         self.hunt_lab(transform(&self.rgb_from_opponent, opponent).map(|value| value.clamp(0.0, 1.0)))
     }
 
-    /// Lab whose a and b grow with lightness.
+    /// Converts linear RGB to Lab with Hunt's effect: a and b grow with lightness.
     #[inline]
     fn hunt_lab(&self, rgb: [f32; 3]) -> [f32; 3] {
         /// δ = 6/29 of CIE Lab.
@@ -227,7 +232,7 @@ impl Colours {
         [lightness, hunt * 500.0 * (x - y), hunt * 200.0 * (y - z)]
     }
 
-    /// Colour error 0..1 of a distance.
+    /// Maps a colour distance to the colour error 0..1.
     #[inline]
     fn error(&self, distance: f32) -> f32 {
         let power = distance.powf(COLOUR_EXPONENT);
@@ -259,7 +264,7 @@ fn inverse(m: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
 mod tests {
     use super::*;
 
-    /// Rounding of f32 after a power of 0.7.
+    /// Tolerance: the rounding of f32 after a power of 0.7.
     const SAME: f64 = 1e-4;
 
     fn flip(reference: &[f32], test: &[f32], shape: [usize; 2]) -> f64 {
@@ -270,7 +275,7 @@ mod tests {
     fn equal_pictures_have_no_error_and_black_on_white_has_most() {
         let flat = |value: f32| vec![value; 3 * 7 * 9];
         assert_eq!(flip(&flat(0.4), &flat(0.4), [7, 9]), 0.0);
-        // Lab lightness 0 and 100: 100^0.7, mapped; flat pictures have no features
+        // Lab lightness is 0 and 100, so the distance is 100; flat pictures have no features
         let colours = Colours::new();
         let expected = f64::from(colours.error(100.0));
         assert!((flip(&flat(0.0), &flat(1.0), [7, 9]) - expected).abs() < SAME && expected > 0.9);

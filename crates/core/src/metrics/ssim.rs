@@ -5,9 +5,9 @@
 //! ```
 //!
 //! Means, variances and the covariance are taken under a Gaussian window of σ = 1.5 pixels on 11 ×
-//! 11 pixels. C₁ = 0.01² and C₂ = 0.03², for a range of 1. Values are sRGB-encoded, each channel on
-//! its own. The result is the mean over channels and over all pixels whose window lies inside the
-//! picture.
+//! 11 pixels. C₁ = 0.01² and C₂ = 0.03², for a range of 1. Values are sRGB-encoded, and channels
+//! are separate. The result is the mean over channels and over all pixels whose window lies inside
+//! the picture.
 //!
 //! Source: Wang, Bovik, Sheikh, Simoncelli, "Image quality assessment: from error visibility to
 //! structural similarity", IEEE Transactions on Image Processing 13 (2004). scikit-image computes
@@ -18,8 +18,9 @@
 //!                       use_sample_covariance=False)
 //! ```
 //!
-//! A picture that is smaller than the window on either axis, which scikit-image refuses, is
-//! mirrored at its edges and all its pixels count (its `win_size=1`).
+//! A picture that is smaller than the window on either axis is mirrored at its edges. All its
+//! pixels are included. scikit-image refuses such a picture; with `win_size=1` it computes the
+//! same.
 
 use super::MetricMap;
 use super::filter::{Border, Plane, bands, channels};
@@ -30,8 +31,8 @@ const RADIUS: usize = 5;
 const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
 
-/// SSIM at every pixel of two pictures `[row][col][rgb]` of linear light; `shape` = [rows, cols]. 1
-/// where they are equal.
+/// SSIM at every pixel of two pictures `[row][col][rgb]` of linear light; `shape` = [rows, cols].
+/// It is 1 where the pictures are equal.
 ///
 /// # Panics
 /// If a picture does not fill the shape.
@@ -41,7 +42,7 @@ pub fn ssim(first: &[f32], second: &[f32], shape: [usize; 2]) -> MetricMap {
     let weights = window();
     let mut values = vec![0.0; rows * cols];
     for band in bands(rows) {
-        // f64, since a variance is a small difference of squares
+        // compute in f64, since a variance is a small difference of squares
         let planes = [first, second]
             .map(|rgb| channels(rgb, shape, &band, RADIUS, Border::Mirror, |value| f64::from(srgb_encode(value))));
         let local = |plane: &Plane<f64>| {
@@ -62,7 +63,7 @@ pub fn ssim(first: &[f32], second: &[f32], shape: [usize; 2]) -> MetricMap {
     MetricMap { rows, cols, values, margin }
 }
 
-/// One axis of the window; it sums to 1.
+/// Weights of the window along one axis; they sum to 1.
 fn window() -> [f64; 2 * RADIUS + 1] {
     let weight = |i: usize| (-0.5 * ((i as f64 - RADIUS as f64) / SIGMA).powi(2)).exp();
     let sum: f64 = (0..=2 * RADIUS).map(weight).sum();
@@ -74,7 +75,7 @@ mod tests {
     use super::*;
     use crate::colour::srgb_decode;
 
-    /// Rounding of the f32 that the map holds.
+    /// Tolerance: the rounding of the map's f32.
     const SAME: f64 = 1e-6;
 
     #[test]

@@ -1,4 +1,4 @@
-//! The forward model of every formation, sampling, border rule, backlight and projection.
+//! Tests the forward model for every formation, sampling, border rule, backlight and projection.
 
 use lumistack_core::seed::{Stream, derive};
 
@@ -9,12 +9,12 @@ use crate::{
     ProjectionKind, RayMap, Sampling, Simulator,
 };
 
-/// Single precision against double precision, in radiance.
+/// Tolerance of single against double precision, in radiance.
 const AGREEMENT: f64 = 1e-5;
 
 const FORMATIONS: [Formation; 3] = [Formation::Attenuating, Formation::Additive, Formation::Polarization];
 
-/// Layers of different size, pitch and place; everything else by the arguments.
+/// Layers of different size, pitch and position; the arguments select everything else.
 fn random_display(formation: Formation, choices: [bool; 5], seed: u64) -> Display {
     let [bilinear, clear, perspective, limited, repeat] = choices;
     let mut random = Stream::new(derive(seed, &[]));
@@ -51,7 +51,7 @@ fn random_display(formation: Formation, choices: [bool; 5], seed: u64) -> Displa
     display
 }
 
-/// Compares every ray of every view.
+/// Compares every ray of every view with the oracle.
 fn assert_agrees(display: &Display, stack: &LayerStack, geometry: &FieldGeometry, what: &str) {
     let effective: Vec<Effective> =
         display.layers.iter().zip(&stack.layers).map(|(layer, values)| Effective::of(layer, values)).collect();
@@ -96,7 +96,7 @@ fn layers_that_are_not_there_change_nothing() {
         }
         let view = Simulator::new(&display, &stack).from_slope([0.05, 0.0]);
         assert!(view.share.iter().all(|share| (share - 1.0).abs() < 1e-6));
-        // attenuating: the bare backlight; otherwise nothing emits or turns the light
+        // attenuating: the bare backlight; otherwise nothing emits or rotates the light
         let expected = if formation == Formation::Attenuating { 1.0 } else { 0.0 };
         assert!(view.radiance.data().iter().all(|value| (value - expected).abs() < 1e-6), "{formation:?}");
         display.missing = Missing::Drop;
@@ -115,7 +115,7 @@ fn one_pixel_and_extreme_values_stay_in_range() {
             let expected = match formation {
                 Formation::Attenuating => value,
                 Formation::Additive => 2.0 * value,
-                // a half turn brings the polarization back
+                // two rotations by 90° bring the polarization back
                 Formation::Polarization => 0.0,
             };
             assert!(view.share[0] > 0.5);
@@ -134,7 +134,7 @@ fn two_quarter_turns_of_half_a_right_angle_are_bright() {
     assert!(half.radiance.data().iter().all(|value| (value - 0.5).abs() < 1e-6));
 }
 
-/// Oblique views whose edges all lie on the sixteenths of a pixel: there 16 × 16 rays per pixel are
+/// Oblique views whose edges all lie on sixteenths of a pixel, so that 16 × 16 rays per pixel are
 /// exact.
 #[test]
 fn seen_pictures_are_exact_means_over_pixels() {
@@ -143,7 +143,7 @@ fn seen_pictures_are_exact_means_over_pixels() {
             let mut display = Display {
                 formation,
                 missing,
-                // eyes see squares under any sampling of the solver
+                // an eye sees squares, with any sampling of the solver
                 sampling: Sampling::Bilinear,
                 ..Display::uniform([8, 6], 1.0, [1, 1], [30.0, 30.0], &[-3.0, 0.0, 2.0], 2)
             };
@@ -166,7 +166,7 @@ fn seen_pictures_are_exact_means_over_pixels() {
     }
 }
 
-/// Any display, from near and far: 150 × 150 rays per pixel agree within the error of their
+/// For any display, from near and far, 150 × 150 rays per pixel agree within the error of their
 /// spacing.
 #[test]
 fn seen_pictures_of_any_display_are_means_over_pixels() {
@@ -182,7 +182,7 @@ fn seen_pictures_of_any_display_are_means_over_pixels() {
     }
 }
 
-/// Largest difference from the oracle over all pixels of the last view.
+/// Largest difference between the forward model and the oracle over all pixels of the last view.
 fn compare_seen(display: &Display, stack: &LayerStack, geometry: &FieldGeometry, fine: usize) -> f64 {
     display.check().unwrap();
     let effective: Vec<Effective> =

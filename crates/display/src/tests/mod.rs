@@ -8,7 +8,7 @@ use lumistack_core::seed::{Stream, derive};
 
 use crate::{Display, LayerStack};
 
-/// Uniformly distributed values.
+/// Fills values with uniformly distributed random numbers.
 fn fill(values: &mut [f32], seed: u64) {
     let mut random = Stream::new(derive(seed, &[]));
     values.fill_with(|| random.next_f32());

@@ -1,4 +1,4 @@
-//! The response of a layer's hardware, against a sum over all pixels; the blur against its
+//! Compares the response of a layer's hardware with a sum over all pixels, and the blur with its
 //! transpose.
 
 use std::borrow::Cow;
@@ -11,7 +11,7 @@ use super::{fill, random_stack};
 use crate::config::tests::small_display;
 use crate::{Layer, LayerColour, LayerStack, Response};
 
-/// Single precision of sums of at most 49 × 49 values in 0..1 with weights of sum 1.
+/// Tolerance: single precision of sums of at most 49 × 49 values in 0..1 with weights of sum 1.
 const ROUNDING: f64 = 2e-6;
 
 const SIGMAS_PX: [f64; 8] = [0.0, 0.05, 0.3, 0.5, 1.0, 1.4, 3.0, 8.0];
@@ -56,7 +56,7 @@ fn every_effect_agrees_with_the_sum_over_all_pixels() {
 
 fn blurs() -> impl Iterator<Item = ([usize; 2], Response)> {
     let kinds = SIZES.into_iter().flat_map(|size| SIGMAS_PX.map(|sigma| layer(size, sigma)).map(|layer| (size, layer)));
-    // mono, so that there is a response without blur as well
+    // mono layers, so that there is a response without blur as well
     kinds.filter_map(|(size, layer)| Some((size, Layer { colour: LayerColour::Mono, ..layer }.response()?)))
 }
 
@@ -119,7 +119,7 @@ fn the_point_spread_has_the_width_that_was_asked_for() {
         let response = layer([100, 100], sigma).response().unwrap();
         let radius = (response.taps().len() / 2) as f64;
         let moments = response.taps().iter().enumerate().map(|(k, w)| f64::from(*w) * (k as f64 - radius).powi(2));
-        // the cut at 3σ takes 2.7 % of the variance
+        // the cut at 3σ removes 2.7 % of the variance
         assert!((moments.sum::<f64>().sqrt() / sigma - 1.0).abs() < 0.02, "{sigma}");
         assert!(radius >= 3.0 * sigma);
     }
@@ -131,7 +131,7 @@ fn an_ideal_layer_has_no_response_and_costs_nothing() {
     let stack = random_stack(&display, 1);
     assert_eq!(display.layers[0].response(), None);
     assert!(matches!(stack.effective(&display), Cow::Borrowed(_)));
-    // one unknown per pixel, read as it is stored
+    // a mono layer has one unknown per pixel, and rays read it as it is stored
     display.layers[0].colour = LayerColour::Mono;
     display.layers[1].crosstalk = Some([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
     let tied = display.layers[0].response().unwrap();

@@ -1,4 +1,5 @@
-// Functions by which rays read factors, the target and weights; the twin of expand.rs and rows.rs.
+// Functions by which rays read factors, the target and weights. They are the twin of expand.rs and
+// rows.rs.
 //
 // Buffers hold one channel. Factors are [line][frame][column] and the target is [field
 // row][view][field column], both cut to the window of the dispatch. Tables contain the line and
@@ -9,7 +10,7 @@ struct Params {
     views_x: u32,
     rows: u32,
     cols: u32,
-    // first line (or field row) of this dispatch, and their number
+    // first line (or field row) of this dispatch, and the number of lines
     first: u32,
     count: u32,
     own_cols: u32,
@@ -17,11 +18,11 @@ struct Params {
     out_base: u32,
     target_base: u32,
     weights_base: u32,
-    // offset of this dispatch's results, and their number per line
+    // offset of this dispatch's results, and the number of results per line
     sums_base: u32,
     groups_x: u32,
-    // offsets of tables: rays through the own factor's lines and columns; rows and columns that
-    // count
+    // offsets of tables: of the rays through the own factor's lines and columns, and of the flags
+    // of valid rows and columns
     own_lines: u32,
     own_columns: u32,
     stored_lines: u32,
@@ -94,7 +95,7 @@ fn read_{k}(line: Tap, column: Tap, frame: u32) -> f32 {
         let right = values_{k}[line.first + at + column.second];
         let below = values_{k}[line.second + at + column.first];
         let across = values_{k}[line.second + at + column.second];
-        // lines first, then columns, as on the processor
+        // mix lines first, then columns, as on the processor
         value = mix(mix(value, below, line.t), mix(right, across, line.t), column.t);
     }
     return select(OUTSIDE_{k}, value, line.hit && column.hit);
@@ -119,7 +120,7 @@ fn root_of(view: u32, row: u32, col: u32) -> f32 {
     return roots[(row * params.views_y * params.views_x + view) * params.cols + col - params.weights_base];
 }
 
-// sin and cos of (π/2) s. WGSL permits errors of 5e-4 in the built-in functions.
+// sin and cos of (π/2) s, since WGSL permits errors of 5e-4 in the built-in functions.
 fn wave(s: f32) -> vec2<f32> {
     let turns = round(s);
     let x = (s - turns) * 1.57079632679490;

@@ -4,7 +4,7 @@
 const LEAST_CURVATURE: f32 = 1e-30;
 const LEAST_NORMAL: f32 = 1.17549435e-38;
 
-// Returns Σ w e² before the step, and the gain.
+// Returns Σ w e² before the step, and the gain of the step as in `Outcome`.
 fn update_pixel(line: u32, column: u32) -> vec2<f32> {
     let views = params.views_y * params.views_x;
     let length = FRAMES * params.own_cols;
@@ -17,7 +17,7 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
     var {s} = 0.0;
 //@ end
     // the rays: field rows that read the line, then field columns that read the column, each with
-    // its share
+    // its weight in the interpolation
     for (var view_y = 0u; view_y < params.views_y; view_y++) {
         let lines_at = params.own_lines + view_y * (params.stored_lines + 1u) + line;
         let last_row = tables[lines_at + 1u];
@@ -31,7 +31,7 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
             let line_of_{own} = line_{own}(view_y, row);
 //@ end
 //@ if long_sums
-            // many rays: sums of partial sums lose fewer digits
+            // with many rays, sums of partial sums lose fewer digits
 //@ sums
             let before_{s} = {s};
             {s} = 0.0;
@@ -82,7 +82,8 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ end
 //@ end
 //@ if nonlinear
-                    // L̃ is not linear in the values: a bound of the curvature along them
+                    // L̃ is not linear in the values, so a bound of the curvature along them is
+                    // added
 //@ if local
                     let most = LOCAL_CURVATURE * abs(e);
 //@ end
@@ -103,7 +104,7 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ end
         }
     }
-    // the step by the rule, from the values f to v
+    // the step from the values f to v, by the rule
     var gain = 0.0;
 //@ frames
     var v{m} = f{m};
@@ -116,7 +117,7 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ end
 //@ end
 //@ if gram
-    // rounds of coordinate steps within the box
+    // sweeps of coordinate steps within the box
 //@ frames
     let inverse{m} = f32(FRAMES) / max(g{m}_{m}, LEAST_CURVATURE);
     let before{m} = r{m};
@@ -138,7 +139,7 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ end
 //@ end
 //@ if diagonal
-    // the steps are computed for the residual alone, and the values stay
+    // the steps are computed for the KKT residual alone, and the values stay
     var curvature = 0.0;
     var step = 0.0;
 //@ frames

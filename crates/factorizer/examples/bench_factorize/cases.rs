@@ -1,7 +1,7 @@
-//! The cases that are timed, and the least number of operations and bytes of an update.
+//! The cases that are timed, and the smallest number of operations and bytes of an update.
 //!
 //! Operations are counted per weighted ray and colour channel, for an update of every factor. F is
-//! the number of factors (layers, and the directional backlight), M that of frames:
+//! the number of factors (layers, and the directional backlight), M the number of frames:
 //!
 //! ```text
 //! multiplicative   F · [ M (F−2)     products of the others
@@ -16,8 +16,8 @@
 //! are not counted.
 //!
 //! Bytes are counted per factor. All factors are read once (4 bytes a value), the target is read
-//! once (half floats, 2 bytes a value), and the factor is written. This is the least traffic of the
-//! memory bus if caches keep only single rows and each factor has its own pass.
+//! once (half floats, 2 bytes a value), and the factor is written. This is the smallest traffic of
+//! the memory bus if caches keep only single rows and each factor is updated separately.
 
 use lumistack_display::{Backlight, Display, LayerStack, LensletBacklight, LightField, Sampling, Weights};
 use lumistack_factorizer::Problem;
@@ -38,8 +38,8 @@ pub struct Case {
 
 /// The paper's number of views per axis.
 pub const PAPER_VIEWS: usize = 5;
-/// Views per axis for which three layers of 420 × 262 pixels are right between the views too: all
-/// their shifts are whole pixels.
+/// Number of views per axis with which three layers of 420 × 262 pixels are right between the views
+/// too: all their shifts are whole pixels.
 pub const NATIVE_VIEWS: usize = 13;
 
 /// The paper's main case with `views` views per axis: three layers, nearest sampling.
@@ -49,13 +49,13 @@ pub fn three_layers(resolution: [usize; 2], views: usize) -> Display {
     Display { brightness: BRIGHTNESS, ..display }
 }
 
-/// The same with bilinear sampling.
+/// The paper's main case with bilinear sampling.
 pub fn bilinear(resolution: [usize; 2]) -> Display {
     Display { sampling: Sampling::Bilinear, ..three_layers(resolution, PAPER_VIEWS) }
 }
 
-/// One layer in front of the paper's lenslets: 187 × 117 of 2.54 mm for 840 × 525 pixels. The
-/// number of pixels per lenslet is the same at any resolution.
+/// One layer in front of the paper's lenslets: 187 × 117 lenslets of 2.54 mm for 840 × 525 pixels.
+/// The number of pixels per lenslet is the same at any resolution.
 pub fn directional(resolution: [usize; 2]) -> Display {
     let pitch_mm = WIDTH_MM / resolution[0] as f64;
     let coarser = 840.0 / resolution[0] as f64;
@@ -72,7 +72,7 @@ pub enum Update {
     BlockExact,
 }
 
-/// Least operations and bytes of an update.
+/// Smallest number of operations and bytes of an update.
 #[derive(Clone, Copy)]
 pub struct Needs {
     /// Multiplications and multiply-adds.
@@ -86,7 +86,8 @@ impl Case {
         Problem { display: &self.display, target: &self.target, weights: &Weights::Uniform }
     }
 
-    /// Counts one update, see the top; `rays` is that of [`lumistack_factorizer::Run::rays`].
+    /// Counts one update, see the top of this file; `rays` is the result of
+    /// [`lumistack_factorizer::Run::rays`].
     pub fn needs(&self, update: Update, rays: u64) -> Needs {
         let stack = LayerStack::filled(&self.display, 0.0);
         let values = stack.layers.iter().map(|layer| layer.data().len());

@@ -1,8 +1,8 @@
 //! The best rates of the machine: multiply-adds per second, and bytes read per second, on all
 //! threads.
 //!
-//! Both are measured repeatedly, between the timings that they are compared with. The best figure
-//! counts, since other programs can only lower it.
+//! Both rates are measured repeatedly, between the timings that they are compared with. The best
+//! value is taken, since other programs can only lower it.
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -10,12 +10,12 @@ use std::time::Instant;
 use lumistack_simd::{Backend, Function, Kernel, Lanes};
 use rayon::prelude::*;
 
-/// Independent sums per thread: more than latency × multiply-add units of any core, and few enough
-/// for 16 registers.
+/// Number of independent sums per thread: more than latency × multiply-add units of any core, and
+/// few enough for 16 registers.
 const SUMS: usize = 12;
-/// Multiply-adds of every sum in one measurement: some 20 ms.
+/// Number of multiply-adds of every sum in one measurement, which takes some 20 ms.
 const ROUNDS: u64 = 6_000_000;
-/// Values of the array that is read, 512 MiB: far more than any cache holds.
+/// Number of values of the array that is read, 512 MiB: far more than any cache holds.
 const VALUES: usize = 64 << 20;
 
 /// Rates, in the order of their measurement.
@@ -28,7 +28,7 @@ impl Rates {
         self.0.iter().copied().fold(0.0, f64::max)
     }
 
-    /// The median rate as a share of the best; other programs lower it.
+    /// The median rate as a fraction of the best rate; other programs lower it.
     pub fn median_share(&self) -> f64 {
         let mut sorted = self.0.clone();
         sorted.sort_by(f64::total_cmp);
@@ -60,7 +60,7 @@ impl Machine {
             bandwidth: Rates::default(),
             lanes: backend.lanes(),
             work: backend.function::<MultiplyAdds>(),
-            // written once, so that every page is in memory
+            // every value is written once, so that every page is in memory
             values: (0..VALUES as u64).into_par_iter().collect(),
         }
     }
@@ -81,7 +81,7 @@ impl Machine {
 }
 
 fn sum(values: &[u64]) -> u64 {
-    // eight chains of additions: memory must be the limit, also with short vectors
+    // eight chains of additions, so that memory is the limit, also with short vectors
     let mut sums = [0u64; 8];
     for chunk in values.chunks_exact(8) {
         sums.iter_mut().zip(chunk).for_each(|(sum, value)| *sum = sum.wrapping_add(*value));

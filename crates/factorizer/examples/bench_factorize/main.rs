@@ -7,10 +7,10 @@
 //! ```
 //!
 //! All cases are timed in turn, round after round. Other programs then slow all of them alike, and
-//! ratios of medians stay valid. A peer is the same multiplicative update in another library, on
-//! the same data and in turn with ours; its masks must be equal.
+//! ratios of medians stay valid. A peer is the same multiplicative update in another library. It
+//! has the same data, and is timed in turn with Lumistack's update; its masks must be equal.
 //!
-//! `cargo xtask bench factorize` passes NumPy and PyTorch. Files for peers go below `--folder`
+//! `cargo xtask bench factorize` passes NumPy and PyTorch. Files for peers go into `--folder`
 //! (default: the system's temporary files). `--quick` uses a quarter of the resolution.
 
 mod cases;
@@ -36,9 +36,9 @@ use table::{PeerRow, Quality, Report, Row, Series};
 const SEED: u64 = 1;
 /// Number of updates of the paper's rule whose PSNR is the quality to reach.
 const PAPER_UPDATES: u32 = 50;
-/// Largest difference between masks after one update, in transmittance, by rounding.
+/// Largest allowed difference between masks after one update, by rounding, in transmittance.
 const SAME_MASKS: f32 = 1e-4;
-/// Least number of our own updates per round.
+/// Smallest number of Lumistack's updates per round.
 const OWN_UPDATES: usize = 3;
 
 type Outcome<T = ()> = Result<T, Box<dyn Error>>;
@@ -48,7 +48,7 @@ struct Arguments {
     rounds: usize,
     json: Option<PathBuf>,
     folder: PathBuf,
-    /// Python and script.
+    /// Python and script of each peer.
     peers: Vec<[PathBuf; 2]>,
 }
 
@@ -81,7 +81,7 @@ fn arguments() -> Result<Arguments, String> {
 }
 
 fn bench(arguments: &Arguments) -> Outcome {
-    // the cases: the paper's, the same with bilinear sampling, many views, and a lens array
+    // time four cases: the paper's, the same with bilinear sampling, many views, and a lens array
     let resolution = arguments.resolution;
     println!("preparing: light fields in closed form, {}×{} pixels, 5×5 views", resolution[0], resolution[1]);
     let (three, between) = (cases::three_layers(resolution, PAPER_VIEWS), cases::bilinear(resolution));
@@ -90,7 +90,7 @@ fn bench(arguments: &Arguments) -> Outcome {
         Case { name: "3 layers".into(), target: target.clone(), display: three },
         Case { name: "3 layers, bilinear".into(), target, display: between },
     ];
-    // many views are compared with few at half the resolution
+    // many views are compared with few views, at half the resolution
     let half = resolution.map(|n| n / 2);
     let others = [PAPER_VIEWS, NATIVE_VIEWS].map(|views| {
         let name = format!("{}×{}, {views}×{views} views", half[0], half[1]);
@@ -121,7 +121,7 @@ fn bench(arguments: &Arguments) -> Outcome {
             machine.measure();
             runs[0].step()?;
         }
-        // then the other solvers, the objective, a start, and the default settings
+        // then time the other solvers, the objective, a start, and the default settings
         for run in &mut runs[1..] {
             run.step()?;
         }
@@ -150,7 +150,7 @@ fn seconds<T>(work: impl FnOnce() -> T) -> (T, f64) {
     (result, begin.elapsed().as_secs_f64())
 }
 
-/// A run of one of our solvers, and the times of its updates.
+/// A run of one of Lumistack's solvers, and the times of its updates.
 struct TimedRun<'a> {
     run: Box<dyn Run + 'a>,
     row: Row,
@@ -164,7 +164,7 @@ impl TimedRun<'_> {
     }
 }
 
-/// Starts all solvers on all cases; the first is the paper's rule on its main case.
+/// Starts all solvers on all cases; the first run is the paper's rule on the main case.
 fn own_runs(cases: &[Case]) -> Outcome<Vec<TimedRun<'_>>> {
     let mut runs = Vec::new();
     for case in cases {
@@ -176,7 +176,7 @@ fn own_runs(cases: &[Case]) -> Outcome<Vec<TimedRun<'_>>> {
             let mut run = solver(name)?.start(&case.problem(), random_start(&case.display, SEED))?;
             // the first update also allocates, so it is not timed
             run.step(&Cancel::default())?;
-            // bilinear sampling needs more operations per ray than are counted
+            // bilinear sampling needs more operations per ray than the formula counts
             let counted = update.filter(|_| case.display.sampling == Default::default());
             let needs = counted.map(|update| case.needs(update, run.rays()));
             let row = Row { what: format!("{}: {name} update", case.name), times: Series::default(), needs };
@@ -205,7 +205,7 @@ fn start_peers(arguments: &Arguments, case: &Case) -> Outcome<Vec<TimedPeer>> {
     Ok(started)
 }
 
-/// Starts the peers and compares their first update with ours. A peer that does not start is
+/// Starts the peers and compares their first update with Lumistack's. A peer that does not start is
 /// reported and left out.
 fn start_peers_in(folder: &Path, peers: &[[PathBuf; 2]], case: &Case) -> Outcome<Vec<TimedPeer>> {
     let start = random_start(&case.display, SEED);
@@ -228,7 +228,7 @@ fn start_peers_in(folder: &Path, peers: &[[PathBuf; 2]], case: &Case) -> Outcome
         for variant in peer.variants.clone() {
             peer.save(&variant, &saved)?;
             let difference = peers::largest_difference(&saved, &ours)?;
-            println!("{}, {variant}: masks after one update differ from ours by at most {difference:.1e}", peer.name);
+            println!("{}, {variant}: masks after one update differ by at most {difference:.1e}", peer.name);
             if difference >= SAME_MASKS {
                 return Err(format!("{}, {variant}: expected the same masks within {SAME_MASKS:e}", peer.name).into());
             }
@@ -240,7 +240,8 @@ fn start_peers_in(folder: &Path, peers: &[[PathBuf; 2]], case: &Case) -> Outcome
     Ok(started)
 }
 
-/// Measures the PSNR of the paper's rule after 50 updates, and how the default settings reach it.
+/// Measures the PSNR of the paper's rule after 50 updates, and the iterations and time in which the
+/// default settings reach it.
 fn quality_to_reach(case: &Case) -> Outcome<Quality> {
     let begin = Instant::now();
     let mut run = solver("multiplicative")?.start(&case.problem(), random_start(&case.display, SEED))?;

@@ -1,5 +1,5 @@
-//! The same update in other libraries: child processes that answer requests of one line of JSON,
-//! which `worker.py` beside them describes.
+//! The same update in other libraries: child processes that answer each request by one line of
+//! JSON. `xtask/bench/worker.py` describes the requests.
 
 use std::error::Error;
 use std::io::{BufRead, BufReader, Write};
@@ -36,11 +36,11 @@ impl Peer {
     /// Starts a script on the problem in `folder`.
     pub fn start(python: &Path, script: &Path, folder: &Path) -> Outcome<Self> {
         let mut command = Command::new(python);
-        // errors of the child go to our own stderr
+        // errors of the child go to this program's stderr
         command.arg(script).arg(folder).stdin(Stdio::piped()).stdout(Stdio::piped());
         let mut child = command.spawn()?;
-        let requests = child.stdin.take().ok_or("no way to ask")?;
-        let answers = BufReader::new(child.stdout.take().ok_or("no way to answer")?);
+        let requests = child.stdin.take().ok_or("the child has no standard input")?;
+        let answers = BufReader::new(child.stdout.take().ok_or("the child has no standard output")?);
         let mut peer = Self { name: String::new(), threads: 0, variants: Vec::new(), child, requests, answers };
         let hello = peer.answer()?;
         let variants = hello["variants"].as_array().ok_or("no variants")?;
@@ -50,14 +50,14 @@ impl Peer {
         Ok(peer)
     }
 
-    /// Computes one update from the start and writes it to `folder`; later updates continue from
-    /// there.
+    /// Computes one update from the start and writes the masks to `folder`; later updates continue
+    /// from these masks.
     pub fn save(&mut self, variant: &str, folder: &Path) -> Outcome {
         writeln!(self.requests, "save\t{variant}\t{}", folder.display())?;
         self.answer().map(|_| ())
     }
 
-    /// Returns the seconds of one more update.
+    /// Returns the seconds of one further update.
     pub fn update(&mut self, variant: &str) -> Outcome<f64> {
         writeln!(self.requests, "update\t{variant}")?;
         let answer = self.answer()?;
@@ -117,7 +117,7 @@ pub fn largest_difference(folder: &Path, stack: &LayerStack) -> Outcome<f32> {
         }
         for (theirs, ours) in file.into_vec::<f32>()?.iter().zip(layer.data()) {
             let difference = (theirs - ours).abs();
-            // NaN counts as the largest difference
+            // NaN is taken as the largest difference
             largest = if difference.is_nan() { f32::INFINITY } else { largest.max(difference) };
         }
     }

@@ -29,9 +29,9 @@ struct Ball {
     centre: Vector,
     radius: f64,
     colour: Vector,
-    /// Share of the reflected surroundings in the colour, 0..1.
+    /// Fraction of the reflected surroundings in the colour, 0..1.
     mirror: f64,
-    /// Strength of its highlight.
+    /// Strength of the ball's highlight.
     shine: f64,
 }
 
@@ -51,7 +51,7 @@ const LIGHT: Vector = [-0.48, 0.64, 0.6];
 /// Ambient light.
 const AMBIENT: f64 = 0.25;
 
-/// Renders the views of a display, rounded to half floats, as files of light fields have them.
+/// Renders the views of a display, rounded to half floats as in files of light fields.
 pub fn light_field(display: &Display) -> Result<LightField, DisplayError> {
     let geometry = display.geometry()?;
     let mut field = LightField::black(geometry.clone())?;
@@ -79,8 +79,8 @@ pub fn light_field(display: &Display) -> Result<LightField, DisplayError> {
     Ok(field)
 }
 
-/// Rounds to the nearest half float, for values of its normal range; every colour here exceeds
-/// 0.005.
+/// Rounds to the nearest half float, for values in the normal range of half floats; every colour
+/// here exceeds 0.005.
 fn round_to_half(value: f32) -> f32 {
     const DROPPED: u32 = 13;
     let bits = value.to_bits();
@@ -88,7 +88,7 @@ fn round_to_half(value: f32) -> f32 {
     f32::from_bits((bits + nearest_even) & !((1 << DROPPED) - 1))
 }
 
-/// Colour at the front end of a ray.
+/// Colour of the hit that is nearest to the viewer.
 fn seen(origin: Vector, direction: Vector) -> Vector {
     let mut z = WALL_Z;
     let mut colour = wall(along(origin, direction, z));
@@ -127,7 +127,7 @@ fn board(origin: Vector, direction: Vector) -> Option<f64> {
     (WALL_Z < z && z < BOARD_FRONT && x.abs() < BOARD_HALF_WIDTH).then_some(z)
 }
 
-/// Squares, darker below the balls.
+/// Colour of the checkerboard: squares, darker under the balls.
 fn board_colour(at: Vector) -> Vector {
     let even = ((at[0] / SQUARE).floor() + (at[2] / SQUARE).floor()).rem_euclid(2.0) < 1.0;
     let shade: f64 = BALLS
@@ -141,7 +141,7 @@ fn board_colour(at: Vector) -> Vector {
     colour.map(|value| value * shade)
 }
 
-/// Nearest hit of a sphere to the viewer.
+/// Hit of a sphere that is nearest to the viewer.
 fn sphere(origin: Vector, direction: Vector, centre: Vector, radius: f64) -> Option<f64> {
     let from = sub(origin, centre);
     let (a, b, c) = (dot(direction, direction), dot(from, direction), dot(from, from) - radius * radius);
@@ -149,7 +149,7 @@ fn sphere(origin: Vector, direction: Vector, centre: Vector, radius: f64) -> Opt
     (discriminant > 0.0).then(|| (-b + discriminant.sqrt()) / a)
 }
 
-/// Nearest hit of an upright cylinder to the viewer.
+/// Hit of an upright cylinder that is nearest to the viewer.
 fn post(origin: Vector, direction: Vector, x: f64, z: f64, radius: f64) -> Option<f64> {
     sphere([origin[0], 0.0, 0.0], [direction[0], 0.0, 1.0], [x, 0.0, z], radius)
 }

@@ -11,7 +11,7 @@ use crate::machine::Machine;
 /// Seconds per update of the paper's Matlab solver on a Core i5: 50 updates in about half an hour.
 const PAPER_MATLAB_SECONDS: f64 = 36.0;
 const PAPER_RESOLUTION: [usize; 2] = [840, 525];
-/// On an idle machine, the median multiply-add rate exceeds this share of the best.
+/// On an idle machine, the median multiply-add rate exceeds this fraction of the best rate.
 const QUIET: f64 = 0.9;
 
 /// Times in seconds.
@@ -37,11 +37,11 @@ impl Series {
     }
 }
 
-/// Times of one kind of our updates.
+/// Times of one kind of Lumistack's updates.
 pub struct Row {
     pub what: String,
     pub times: Series,
-    /// Least operations and bytes of an update, if they are counted.
+    /// Smallest number of operations and bytes of an update, if they are counted.
     pub needs: Option<Needs>,
 }
 
@@ -50,12 +50,12 @@ pub struct PeerRow {
     pub name: String,
     pub threads: u64,
     pub variant: String,
-    /// Largest difference of its masks from ours after one update.
+    /// Largest difference between the library's masks and Lumistack's after one update.
     pub difference: f32,
     pub times: Series,
 }
 
-/// Time to the quality of the paper's 50 updates.
+/// Time until the quality of the paper's 50 updates is reached.
 #[derive(Default)]
 pub struct Quality {
     /// PSNR (dB, `psnr_view`) after 50 multiplicative updates from a random start, and their time
@@ -64,9 +64,9 @@ pub struct Quality {
     pub paper_seconds: f64,
     /// The default settings, with every automatic choice replaced by its value.
     pub settings: Settings,
-    /// Iterations in which they reach that PSNR; `None` if they do not.
+    /// Number of iterations in which the default settings reach that PSNR; `None` if they do not.
     pub reached: Option<u32>,
-    /// Time from the call until the report of the iteration that reaches it. It includes
+    /// Time from the call until the report of the iteration that reaches that PSNR. It includes
     /// preparation, start, coarser levels and all evaluations.
     pub until_reached: Series,
     /// Time of the whole call with that many iterations.
@@ -81,7 +81,7 @@ pub struct Report {
     case: String,
     resolution: [usize; 2],
     rounds: usize,
-    /// The first is the multiplicative update of the main case.
+    /// The first row is the multiplicative update of the main case.
     pub rows: Vec<Row>,
     /// Evaluation of the objective, main case.
     pub objective: Series,
@@ -123,7 +123,7 @@ impl Report {
             let _ = writeln!(text, "{what:<48}{median:>9.1} ms{fastest:>9.1} ms{rest}");
         };
         let _ = writeln!(text, "{:<48}{:>12}{:>12}{:>17}{:>9}", "", "median", "fastest", "multiply-adds", "memory");
-        // our updates, then the other steps, then the peers
+        // Lumistack's updates, then the other steps, then the peers
         for row in &self.rows {
             let rest = row.needs.map_or(String::new(), |needs| {
                 let [arithmetic, memory] = shares(&needs, &row.times, machine);
@@ -138,7 +138,8 @@ impl Report {
             let what = format!("{}, {}, {threads}", peer.name, peer.variant);
             let [medians, fastest] = self.ratios(peer);
             let difference = peer.difference;
-            let rest = format!("   {medians:.1} × ours (fastest {fastest:.1} ×); masks within {difference:.0e}");
+            let rest =
+                format!("   {medians:.1} × Lumistack's time (fastest {fastest:.1} ×); masks within {difference:.0e}");
             line(&mut text, &what, &peer.times, &rest);
         }
         if self.resolution == PAPER_RESOLUTION {
@@ -150,7 +151,7 @@ impl Report {
         text
     }
 
-    /// Time of a peer's update divided by ours: medians, and fastest times.
+    /// Time of a peer's update divided by Lumistack's: medians, and fastest times.
     fn ratios(&self, peer: &PeerRow) -> [f64; 2] {
         let ours = &self.rows[0].times;
         [peer.times.median() / ours.median(), peer.times.fastest() / ours.fastest()]
@@ -290,7 +291,7 @@ impl Report {
     }
 }
 
-/// Shares of the machine's multiply-add rate and memory rate at the fastest time.
+/// Fractions of the machine's multiply-add rate and memory rate at the fastest time.
 fn shares(needs: &Needs, times: &Series, machine: &Machine) -> [f64; 2] {
     let fastest = times.fastest();
     [needs.operations / fastest / machine.multiply_adds.best(), needs.bytes / fastest / machine.bandwidth.best()]

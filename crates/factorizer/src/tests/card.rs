@@ -1,4 +1,4 @@
-//! A textured card at the place of a layer: its texture must appear on that layer.
+//! A textured card at the position of a layer: its texture must appear on that layer.
 
 use lumistack_core::Cancel;
 use lumistack_display::LayerStack;

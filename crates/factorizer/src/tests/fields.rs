@@ -1,11 +1,11 @@
-//! Published figures of PSNR on the two light fields of the shared folder.
+//! Compares PSNR with published values on the two light fields of the shared folder.
 
 use lumistack_core::{Cancel, Collector, Task, Tensor};
 use lumistack_display::{Backlight, Display, LensletBacklight, LightField, Missing, OutsideBins, Weights};
 
 use crate::{Multiplicative, Problem, Settings, Solver, factorize, random_start};
 
-/// Tolerance for differences between starts, dB.
+/// Tolerance for differences between random starts, dB.
 const FIGURE_TOLERANCE: f64 = 0.3;
 
 /// Width of the display in millimetres at any resolution.
@@ -74,7 +74,7 @@ fn curve(display: &Display, target: &LightField, updates: &[u32]) -> Vec<f64> {
     figures
 }
 
-/// Compares a row of figures with the published ones, and prints both.
+/// Compares a row of values with the published ones, and prints both.
 fn check(what: &str, found: &[f64], published: &[f64]) {
     println!("{what}: {found:.2?} published {published:?}");
     assert!(
@@ -128,7 +128,7 @@ fn check_default(what: &str, display: &Display, rows: &[(u32, f64)]) {
     let (iterations, published): (Vec<u32>, Vec<f64>) = rows.iter().copied().unzip();
     let found = default_curve(display, &target, &iterations);
     println!("{what}, default: {found:.2?} best published {published:?}");
-    // published figures are rounded to a tenth
+    // published values are rounded to a tenth
     assert!(
         found.iter().zip(&published).all(|(found, best)| *found >= best - 0.05),
         "{what}: {found:.2?} {published:?}"
@@ -166,8 +166,8 @@ fn frames_are_worth_more_than_layers() {
 
 /// The paper's bound of 30 dB for eight static layers.
 ///
-/// It holds with 5 × 5 views, and with 3 × 3 views if every ray counts. It does not hold with 3 × 3
-/// views under the default `drop`: 33.4 dB, which an independent forward model of the written
+/// It holds with 5 × 5 views, and with 3 × 3 views if no ray is dropped. It does not hold with 3 ×
+/// 3 views under the default `drop`: 33.4 dB, which an independent forward model of the written
 /// patterns confirms. The test asserts all three.
 #[test]
 fn eight_static_layers_stay_below_30_db_except_on_dropped_3x3_views() {
@@ -178,7 +178,7 @@ fn eight_static_layers_stay_below_30_db_except_on_dropped_3x3_views() {
     let Some(dropped) = teapot(8, 1, Missing::Drop) else { return };
     check("teapot, N = 8, M = 1, dropped rays", &[dropped], &[33.4]);
     println!(
-        "N = 8, M = 1: {five_views:.2} dB with 5 × 5 views, {three_views:.2} dB with 3 × 3 views and every ray counted"
+        "N = 8, M = 1: {five_views:.2} dB with 5 × 5 views, {three_views:.2} dB with 3 × 3 views and no dropped ray"
     );
     assert!(five_views < 30.0 && three_views < 30.0);
 }

@@ -1,4 +1,4 @@
-//! Losses by hardware effects, with solvers that ignore them and solvers that model them.
+//! Measures losses by hardware effects, with solvers that ignore them and solvers that model them.
 
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{Display, EyeBox, Formation, LayerColour, LayerStack, LightField, Sampling, Weights, score};
@@ -8,10 +8,10 @@ use crate::device::Updater;
 use crate::engine::Engine;
 use crate::{Factorization, Problem, Settings, factorize};
 
-/// Iterations of every solve; PSNR differences then vary by about 0.2 dB.
+/// Number of iterations of every solve; PSNR differences then vary by about 0.2 dB.
 const ITERATIONS: u32 = 30;
 
-/// PSNR difference that counts as none after so few iterations, dB.
+/// PSNR difference that is taken as none after so few iterations, dB.
 const NEGLIGIBLE_DB: f64 = 0.2;
 
 fn solve(display: &Display, target: &LightField, levels: bool) -> Factorization {

@@ -1,4 +1,4 @@
-//! Tests of the crate against oracles, closed forms and published figures.
+//! Tests of the crate against oracles, closed forms and published values.
 
 mod behaviour;
 mod card;

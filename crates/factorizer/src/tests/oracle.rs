@@ -13,9 +13,9 @@ use crate::Problem;
 struct Entry {
     /// Pixel and channel, as an offset in one frame.
     at: usize,
-    /// Share of the value in the one that the ray reads.
+    /// Weight of the stored value in the value that the ray reads.
     share: f64,
-    /// Share in the bound of the curvature: `share` times the sum of the shares of all stored
+    /// Weight in the bound of the curvature: `share` times the sum of the shares of all stored
     /// values in the pixel that the ray hits.
     bound: f64,
 }
@@ -108,7 +108,7 @@ impl Oracle {
         (0..self.frames).map(|m| self.frame(ray, m, channel, None)).sum::<f64>() / self.frames as f64
     }
 
-    /// Derivative of frame m's emission by factor n's value: exact if linear, else by central
+    /// Derivative of frame m's emission by factor n's value: exact if linear, otherwise by central
     /// differences.
     fn slope(&self, ray: &Ray, n: usize, m: usize, channel: usize) -> f64 {
         let f = self.value(ray, n, m, channel);
@@ -253,7 +253,7 @@ fn entries(layer: &Layer, pixels: &[(usize, f64)]) -> [Vec<Entry>; 3] {
     })
 }
 
-/// All rays that count.
+/// All valid rays with a weight above 0.
 fn rays(problem: &Problem) -> Vec<Ray> {
     let (display, field) = (problem.display, problem.target.geometry());
     let mut rays = Vec::new();
@@ -306,7 +306,7 @@ fn rays(problem: &Problem) -> Vec<Ray> {
                 let entry = |channel: usize| vec![Entry { at: pixel as usize * 3 + channel, share: 1.0, bound: 1.0 }];
                 reads.push(if lit { Read::Entries([0, 1, 2].map(entry)) } else { Read::Constant(0.0) });
             }
-            // keep the rays that count
+            // keep the valid rays with a weight above 0
             let weight = f64::from(problem.weights.at([view_y, view_x], row, col));
             if counts && weight > 0.0 {
                 let at = (row * field.cols + col) * 3;

@@ -30,7 +30,7 @@ pub(crate) enum Kind {
     Perspective,
     Clear,
     MixedLayers,
-    /// A contrast floor and a peak transmittance per layer.
+    /// A black level and a peak transmittance per layer.
     Floors,
     /// Blur, crosstalk, tied channels, colour filters.
     Responses,

@@ -1,4 +1,5 @@
-//! Warm starts against fresh ones: the prediction must agree with the result of five iterations.
+//! Compares warm starts with fresh ones: the prediction must agree with the result of five
+//! iterations.
 
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{LightField, Weights};
@@ -57,7 +58,7 @@ fn plane(shift: f64, scene: f64, brightness: f64) -> Owned {
     Owned { display, target, weights: Weights::Uniform }
 }
 
-/// Greatest loss of the chosen start against the other after five iterations, dB.
+/// Largest loss of the chosen start against the other after five iterations, dB.
 const WORST_LOSS_DB: f64 = 1.5;
 
 #[test]

@@ -1,5 +1,5 @@
-//! Tiles: a tile's rays read the same values as in the whole display. With fixed borders, the whole
-//! gains as much as the tile.
+//! Tests tiles: a tile's rays read the same values as in the whole display. With fixed borders, the
+//! whole display gains as much as the tile.
 
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{LayerColour, LayerStack, RayMap, Region, Tap, Tile, Tiling, Weights};
@@ -9,7 +9,7 @@ use crate::device::Updater;
 use crate::engine::Engine;
 use crate::{FactorizeError, Problem, Settings, factorize, factorize_tile, random_start};
 
-/// Tolerance of a gain, relative to the objective before. Tile and whole sum it in f32.
+/// Tolerance of a gain, relative to the previous objective. Tile and whole sum the gain in f32.
 const GAIN_TOLERANCE: f64 = 2e-5;
 const SEEDS: [u64; 3] = [1, 2, 3];
 
@@ -41,7 +41,7 @@ fn every_pixel_is_one_tiles_own_and_all_rays_through_free_pixels_are_the_tiles()
     each(|kind, owned, tiling| {
         let (geometry, map) = (owned.target.geometry(), tiling.map());
         let tiles: Vec<Tile> = (0..tiling.count()).map(|number| tiling.tile(number)).collect();
-        // tiles partition the pixels of every part
+        // tiles partition the pixels of every layer and of the lenslets
         for (n, [rows, cols]) in tiles[0].whole.iter().copied().enumerate() {
             for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
                 let owners = tiles.iter().filter(|tile| {
@@ -51,7 +51,7 @@ fn every_pixel_is_one_tiles_own_and_all_rays_through_free_pixels_are_the_tiles()
                 assert_eq!(owners.count(), 1, "{kind:?}, part {n}, pixel {row}, {col}");
             }
         }
-        // each tile holds all that its rays read
+        // each tile holds all pixels that its rays read
         for (number, tile) in tiles.iter().enumerate() {
             let within = tile.map(map);
             for part in &tile.parts {
@@ -60,7 +60,7 @@ fn every_pixel_is_one_tiles_own_and_all_rays_through_free_pixels_are_the_tiles()
                 }
                 assert!(part.own.is_empty() || part.own.common(&part.free) == part.own, "{kind:?}");
             }
-            // naively: every ray, every layer
+            // compare naively, for every ray and every layer
             for view in geometry.grid.iter() {
                 for (row, col) in (0..geometry.rows).flat_map(|r| (0..geometry.cols).map(move |c| (r, c))) {
                     let Region { rows, cols } = &tile.field;
@@ -85,7 +85,7 @@ fn every_pixel_is_one_tiles_own_and_all_rays_through_free_pixels_are_the_tiles()
                     }
                 }
             }
-            // and the tile's own geometry equals its part of the whole
+            // and the tile's own geometry equals its section of the whole display's
             let display = tile.display(&owned.display, geometry);
             display.check().unwrap_or_else(|error| panic!("{kind:?}: {error}"));
             let anew = RayMap::new(&display, &tile.geometry(geometry));

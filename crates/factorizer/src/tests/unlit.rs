@@ -1,4 +1,4 @@
-//! Unlit values: they are dark at the end of a run, and the picture loses nothing.
+//! Tests unlit values: they are dark at the end of a run, and the picture loses nothing.
 
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{LayerStack, RayMap};
@@ -9,13 +9,13 @@ use crate::device::Updater;
 use crate::engine::Engine;
 use crate::{Settings, StartKind, factorize, random_start};
 
-/// Greatest loss by the end of a run, dB.
+/// Largest loss by the end of a run, dB.
 const COST_DB: f64 = 1e-3;
-/// Transmittance of the other layer below which a test counts a pixel as unlit: a tenth of the
+/// Transmittance of the other layer below which a test takes a pixel as unlit: a tenth of the
 /// solver's own limit.
 const UNLIT: f32 = 1e-6;
 
-/// Greatest value of an unlit pixel whose other layer was darkened at the end: the solver's own
+/// Largest value of an unlit pixel whose other layer was darkened at the end: the solver's own
 /// limit.
 const BLACK: f32 = 1e-4;
 
@@ -114,7 +114,7 @@ fn the_end_of_a_run_costs_nothing_and_is_the_same_by_every_kernel() {
             });
         }
         let before = engine.download();
-        // every kernel ends the same patterns
+        // every kernel ends a run from the same patterns
         let first = ended.first().map_or(before.clone(), |(first, _): &(LayerStack, LayerStack)| first.clone());
         let mut engine = Engine::new(&problem, first.clone(), 0.0).unwrap();
         engine.use_kernel(set, fast);

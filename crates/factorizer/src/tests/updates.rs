@@ -1,4 +1,4 @@
-//! The update against the oracle, and the guarantees of the theory.
+//! Compares the update with the oracle, and checks the guarantees of the theory.
 
 use lumistack_core::Cancel;
 use lumistack_display::score;
@@ -13,24 +13,27 @@ use crate::solvers::method;
 use crate::step::Rule;
 use crate::{FLOOR, random_start};
 
-/// Largest difference of a mask value between full updates in f32 and in f64.
+/// Largest allowed difference of a mask value between full updates in f32 and in f64.
 const MASK_TOLERANCE: f64 = 1e-5;
-/// Tolerated rise of the objective by rounding in f32: relative, and per ray and channel near 0.
+/// Tolerated relative rise of the objective by rounding in f32.
 const RISE_RELATIVE: f64 = 1e-6;
+/// Tolerated rise of an objective near 0, per ray and channel.
 const RISE_PER_VALUE: f64 = 1e-13;
-/// Relative difference of the objective that an update computes on its way.
+/// Tolerance of the objective that an update computes on its way, relative.
 const ERROR_SEEN: f64 = 1e-5;
+/// Tolerance of such an objective near 0, per ray and channel.
 const ERROR_SEEN_PER_VALUE: f64 = 1e-11;
-/// KKT residual after many iterations.
+/// Largest allowed KKT residual after many iterations.
 const SETTLED: f64 = 1e-4;
-/// Relative difference of the objective between f32 and f64, and per ray and channel near 0.
+/// Tolerance of the objective between f32 and f64, relative.
 const OBJECTIVE_TOLERANCE: f64 = 1e-5;
+/// Tolerance of an objective near 0 between f32 and f64, per ray and channel.
 const OBJECTIVE_PER_VALUE: f64 = 1e-12;
-/// Difference of PSNR values computed from the same patterns in two ways, dB.
+/// Largest allowed difference of PSNR values computed from the same patterns in two ways, dB.
 const PSNR_TOLERANCE: f64 = 1e-3;
-/// Influence on the emission from which a value counts as determined.
+/// Smallest influence of a value on the emission at which the value is taken as determined.
 const DETERMINED: f64 = 0.1;
-/// Largest change of the emission by differences between f32 and f64.
+/// Largest allowed change of the emission by differences between f32 and f64.
 const SEEN_TOLERANCE: f64 = 1e-5;
 const SEEDS: [u64; 12] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11];
 
@@ -114,7 +117,7 @@ fn the_objective_never_rises_and_falls_by_what_the_step_says_at_least() {
                 let start = random_start(&owned.display, seed);
                 let mut oracle = Oracle::new(&problem, &start, floor);
                 let mut engine = Engine::new(&problem, start, floor).unwrap();
-                // rounding may raise the objective by so much
+                // rounding may raise the objective by this much
                 let slack = RISE_PER_VALUE * 3.0 * oracle.ray_count() as f64;
                 let rounding = ERROR_SEEN_PER_VALUE * 3.0 * oracle.ray_count() as f64;
                 let scale = engine.weight_scale();

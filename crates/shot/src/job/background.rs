@@ -11,7 +11,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 /// The background of the views, where a ray misses every surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Background {
-    /// The environment that lights the scene, or black where there is none.
+    /// The environment that lights the scene, or black if there is none.
     #[default]
     Environment,
     /// A linear RGB colour, 0..1, as the display shows it: neither exposure nor tone curve change
@@ -55,7 +55,7 @@ impl JsonSchema for Background {
     }
 }
 
-/// Writes a code such as `#202028` where it is exact, else `[r, g, b]`, so that no digit is lost.
+/// Writes a code such as `#202028` if it is exact, otherwise `[r, g, b]`, so that no digit is lost.
 impl Serialize for Background {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self {

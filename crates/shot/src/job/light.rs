@@ -14,7 +14,7 @@ use crate::error::ShotError;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LightJob {
-    /// Radiance HDR or EXR environment map that replaces the scene's.
+    /// Environment map, a Radiance HDR or EXR file, that replaces the scene's environment.
     #[serde(skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub environment: Option<PathBuf>,
@@ -25,20 +25,21 @@ pub struct LightJob {
     pub environment_rotation_deg: f64,
     /// Background where a ray misses every surface; it does not light surfaces.
     pub background: Background,
-    /// Light meshes by the scene's splats instead of an environment.
+    /// Illuminate the meshes with the scene's splats instead of an environment.
     pub from_splats: bool,
-    /// Add the studio light to a scene without any light.
+    /// Add the studio light to a scene without light, or whose light leaves the visible surfaces
+    /// dark.
     pub automatic: bool,
-    /// Show the file's light sources that have a surface. Without this key the file decides, and by
-    /// default they are invisible.
+    /// Show the file's light sources that have a surface. Without this key the file decides; if it
+    /// does not, they are invisible.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub visible: Option<bool>,
-    /// Exposure in stops, added to the automatic one, or to scene radiance where
+    /// Exposure in stops. It is added to the automatic exposure, or applied to scene radiance if
     /// `automatic_exposure` is off.
     pub exposure_ev: f64,
     /// Choose the exposure from the brightness of all views together.
     pub automatic_exposure: bool,
-    /// Curve from exposed radiance to shown values; one for all views.
+    /// Curve from exposed radiance to shown values, the same for all views.
     pub tone: Tone,
 }
 
@@ -46,7 +47,7 @@ pub struct LightJob {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Tone {
-    /// `linear` where almost nothing is brighter than white, else `khronos-neutral`.
+    /// `linear` where almost nothing is brighter than white, otherwise `khronos-neutral`.
     #[default]
     Auto,
     /// Clips values above white.
@@ -99,7 +100,7 @@ impl LightJob {
             return fail("light.environment_rotation_deg", "-360 to 360", found);
         }
         if self.from_splats && self.environment.is_some() {
-            return fail("light.from_splats", "false beside an environment, or no environment", "both".into());
+            return fail("light.from_splats", "false, or no `light.environment`", "both".into());
         }
         Ok(())
     }

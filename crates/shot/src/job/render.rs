@@ -15,43 +15,45 @@ use crate::error::ShotError;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RenderJob {
-    /// Program that renders them.
+    /// Program that renders the views.
     pub engine: Engine,
-    /// Paths per pixel and view. Without it `zone_samples` are spread over the views.
+    /// Paths per pixel of each view. Without this key, `zone_samples` are divided among the views.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub samples: Option<u32>,
-    /// Paths per pixel of all views together. The solver averages all rays through a layer's pixel,
-    /// so more views need fewer paths each.
+    /// Paths per pixel, summed over all views. The solver averages all rays through a layer's
+    /// pixel, so more views need fewer paths each.
     pub zone_samples: ZoneSamples,
-    /// Memory of the light field while it is rendered and solved, MiB. `views = "auto"` chooses
-    /// fewer views to fit. A larger light field of fixed views is kept in a file.
+    /// Largest memory of the light field while it is rendered and solved, MiB. `views = "auto"`
+    /// chooses no more views than fit. A larger light field of a given number of views is kept in a
+    /// file.
     pub field_mib: u64,
-    /// Bounces after the first hit.
+    /// Largest number of bounces after the first hit.
     pub max_bounces: u32,
-    /// Largest value of a single path. Brighter paths are dimmed, which loses light. Without it all
-    /// light is kept.
+    /// Largest value of a single path. Brighter paths are dimmed, which loses light. Without this
+    /// key all light is kept.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub clamp: Option<f32>,
     /// `point`: rays at the view's slope. `bin`: rays spread over the view's bin. `display`: rays
-    /// spread over the slopes that the display cannot separate far from itself.
+    /// spread over a range of slopes that the display cannot resolve far from itself.
     pub angular_filter: AngularFilter,
-    /// Full angle of a lens that is focused on the window, as seen from the window, degrees; 0 for
-    /// a pinhole. It excludes `angular_filter`.
+    /// Aperture of a lens that is focused on the display plane: the full angle seen from there,
+    /// degrees; 0 for a pinhole. Content off the plane blurs. It excludes `angular_filter`.
     pub lens_deg: f64,
     /// Filter that removes noise from finished views, at the price of a bias that the report
     /// states.
     pub denoise: Denoise,
-    /// In-between views per axis, rendered for the report only; 0 for none.
+    /// Views per axis between the views of the light field, rendered for the report only; 0 for
+    /// none.
     pub held_out: usize,
     /// Views on either side past the outermost ones, one view spacing apart, rendered for the
     /// report only; 0 for none.
     pub outside: usize,
 }
 
-/// Paths per pixel of all views together: `"auto"` or a number in files.
+/// Paths per pixel, summed over all views: `"auto"` or a number in files.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ZoneSamples {
-    /// As many as improve the display's picture, measured on small parts of it.
+    /// As many as improve the display's picture, measured on small regions of it.
     #[default]
     Auto,
     /// A fixed number, 1 to 2²⁴.
@@ -59,7 +61,8 @@ pub enum ZoneSamples {
 }
 
 impl ZoneSamples {
-    /// Paths where nothing is measured: filters that compare halves, views by Blender, estimates.
+    /// Number of paths if it is not measured: for filters that compare halves, views by Blender,
+    /// and estimates.
     const UNMEASURED: u32 = 800;
     /// Largest allowed number of paths.
     const MOST: u32 = 1 << 24;
@@ -140,8 +143,8 @@ impl Visitor<'_> for ZoneSamplesForm {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Engine {
-    /// Lumistack's path tracer, unless the scene is a `.blend` file with content that it does not
-    /// support.
+    /// Lumistack's path tracer. Blender renders a `.blend` file with content that the path tracer
+    /// does not support.
     #[default]
     Auto,
     /// Lumistack's path tracer.
@@ -172,7 +175,7 @@ pub enum AngularFilter {
     Point,
     /// Slopes spread over the view's bin.
     Bin,
-    /// Slopes spread over the display's own prefilter,
+    /// Slopes spread over the display's prefilter,
     /// [`Display::angular_footprint`](lumistack_display::Display::angular_footprint).
     Display,
 }
@@ -181,17 +184,18 @@ pub enum AngularFilter {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Denoise {
-    /// [`Shared`](Self::Shared) where the display chooses the views and Lumistack's path tracer
-    /// renders them, else [`Off`](Self::Off).
+    /// [`Shared`](Self::Shared) if the display chooses the views and Lumistack's path tracer
+    /// renders them, otherwise [`Off`](Self::Off).
     #[default]
     Auto,
     /// No filter: views are unbiased.
     Off,
-    /// Averages light that does not depend on the view over all views that see the point.
+    /// For each surface point, averages the light that does not depend on the view over all views
+    /// that see the point.
     Shared,
     /// Lumistack's own filter, over all views together.
     Guided,
-    /// Intel's Open Image Denoise, view by view, where it is installed.
+    /// Intel's Open Image Denoise, view by view, if it is installed.
     Oidn,
 }
 
@@ -205,7 +209,8 @@ impl Denoise {
         ("oidn", Self::Oidn),
     ];
 
-    /// Returns whether a filter changes the views; [`Auto`](Self::Auto) is not resolved yet.
+    /// Returns whether a filter changes the views. [`Auto`](Self::Auto) must be resolved before; it
+    /// returns false.
     pub fn filters(self) -> bool {
         !matches!(self, Self::Auto | Self::Off)
     }
@@ -215,7 +220,7 @@ impl Denoise {
         matches!(self, Self::Guided | Self::Oidn)
     }
 
-    /// Its name in jobs.
+    /// The filter's name in jobs.
     pub fn name(self) -> &'static str {
         Self::ALL[self as usize].0
     }
@@ -249,9 +254,9 @@ impl Default for RenderJob {
 }
 
 impl RenderJob {
-    /// Memory of a ray while views are rendered, bytes: shared light and the view that receives it.
+    /// Memory per ray while views are rendered, bytes: shared light and the view that receives it.
     pub const BYTES_PER_RAY: u64 = 32;
-    /// Memory of a ray while patterns are solved, bytes: three channels as `f32`, and as half
+    /// Memory per ray while patterns are solved, bytes: three channels as `f32`, and again as half
     /// floats in the solver's own order.
     const BYTES_WHILE_SOLVING: u64 = 18;
 
@@ -261,7 +266,7 @@ impl RenderJob {
         Self::BYTES_WHILE_SOLVING * rays as u64 <= self.field_mib << 20
     }
 
-    /// Paths per pixel of one of `views` views, where nothing is measured.
+    /// Paths per pixel of each of `views` views if the number is not measured.
     pub fn samples_of_view(&self, views: usize) -> u32 {
         let spread = (f64::from(self.zone_samples.count()) / views.max(1) as f64).round().clamp(1.0, 65536.0) as u32;
         // a filter compares two halves, so it needs two paths
@@ -274,14 +279,14 @@ impl RenderJob {
         self.samples.is_none() && self.zone_samples == ZoneSamples::Auto && !self.denoise.takes_halves()
     }
 
-    /// Number of views of `pixels` pixels within the memory of a light field.
+    /// Largest number of views, each of `pixels` pixels, that fit the memory of a light field.
     pub fn affordable_views(&self, pixels: usize) -> usize {
         (self.field_mib << 20).div_ceil(Self::BYTES_PER_RAY * pixels as u64) as usize
     }
 
     /// Makes the path tracer's settings for views of `samples` paths per pixel. With `hidden` no
-    /// ray sees the environment. `footprint` is the width of slopes of the display's own prefilter
-    /// before its depth is scaled.
+    /// ray sees the environment. `footprint` is the width of the display's prefilter in slopes,
+    /// before depth is scaled.
     pub fn settings(&self, seed: u64, samples: u32, hidden: bool, depth_scale: f64, footprint: [f64; 2]) -> Settings {
         use lumistack_pathtracer::AngularFilter as Filter;
         Settings {
@@ -329,8 +334,8 @@ impl RenderJob {
         }
         if self.engine == Engine::Blender && !self.is_plain() {
             let expected =
-                "neither `angular_filter` nor `lens_deg`, `denoise` or `clamp`: the file has settings of its own";
-            return fail("render.engine", expected, "`blender` and one of them".into());
+                "`blender` without `angular_filter`, `lens_deg`, `denoise` and `clamp`: the .blend file has its own";
+            return fail("render.engine", expected, "`blender` with one of these keys".into());
         }
         if let Some(limit) = self.clamp.filter(|limit| !(*limit > 0.0 && limit.is_finite())) {
             return fail("render.clamp", "a number above 0", limit.to_string());
@@ -344,8 +349,8 @@ impl RenderJob {
     }
 }
 
-/// Derives the settings' seed for one of a job's light fields (`stream` 0 is the target), and for a
-/// part of it.
+/// Returns the settings with a seed for one of a job's light fields (`stream` 0 is the target), and
+/// one `part` of it.
 pub fn seeded(settings: Settings, stream: u64, part: &[u64]) -> Settings {
     Settings { seed: lumistack_core::seed::derive(settings.seed, &[&[stream], part].concat()), ..settings }
 }

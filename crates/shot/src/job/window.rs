@@ -11,19 +11,20 @@ use crate::error::ShotError;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct WindowJob {
-    /// `auto`: the first camera's plane of focus, or a frame around the scene without a camera;
-    /// `camera`; `bounds`; `given`.
+    /// `auto`: the plane of focus of the first camera, or the framed scene if there is no camera.
+    /// `camera`: a camera's plane of focus. `bounds`: the framed scene. `given`: `centre`,
+    /// `forward`, `up` and `width`.
     pub from: WindowFrom,
-    /// Name or number of the camera.
+    /// Name of the camera, or its number from 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub camera: Option<String>,
-    /// Azimuth and elevation of the viewer where the scene is framed, degrees. [0, 0] is the front,
-    /// +z; azimuth goes to the viewer's right, elevation up.
+    /// Azimuth and elevation of the viewer for whom the scene is framed, degrees. [0, 0] is the
+    /// front, +z; azimuth goes to the viewer's right, elevation up.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub look_from: Option<[f64; 2]>,
-    /// Nearest visible distance.
+    /// Largest distance in front of the window at which content is visible.
     pub near: Near,
-    /// Distance of the camera's plane of focus, scene units; it replaces the file's.
+    /// Distance of the camera's plane of focus, scene units; it replaces the file's value.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub focus_distance: Option<f32>,
     /// `given`: centre in the scene.
@@ -41,8 +42,8 @@ pub struct WindowJob {
     /// Move the window, or also compress depth, so that the scene lies in the display's depth of
     /// field.
     pub fit_depth: FitDepth,
-    /// Factor on the parallax between views, and so on depth: views are traced at scaled slopes.
-    /// The central view stays.
+    /// Factor on the parallax between views, and thereby on depth: views are traced at scaled
+    /// slopes. The central view stays unchanged.
     pub depth_scale: f64,
 }
 
@@ -50,30 +51,30 @@ pub struct WindowJob {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum FitDepth {
-    /// Nothing where the scene fits, else as [`Compress`](Self::Compress). A window that the user
-    /// placed stays, and depth is compressed about it. With a depth scale that the user set, the
-    /// window only moves.
+    /// Does nothing if the scene fits, otherwise acts as [`Compress`](Self::Compress). A window
+    /// that the user placed stays, and depth is compressed about it. If the user set a depth scale,
+    /// the window only moves.
     #[default]
     Auto,
     /// Neither window nor depth change.
     Off,
     /// The window moves along its normal.
     Move,
-    /// The window moves, and depth is compressed where it still does not fit.
+    /// The window moves. If the scene still does not fit, depth is compressed.
     Compress,
 }
 
-/// Nearest visible distance: content nearer to the viewer is invisible, and counts neither for
-/// framing nor for exposure.
+/// Largest distance in front of the window at which content is visible. Nearer content is ignored
+/// for framing and exposure too.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Near {
     /// The camera's near plane. For a `given` window, the distance where the display shows hardly
     /// any detail. Otherwise the whole framed scene is visible.
     #[default]
     Auto,
-    /// All content before the window is visible.
+    /// All content in front of the window is visible.
     Off,
-    /// Distance before the window, scene units; below 0 behind it.
+    /// Distance in front of the window, scene units; below 0 behind the window.
     At(f64),
 }
 
@@ -81,7 +82,7 @@ pub enum Near {
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 enum NearText {
-    /// Distance before the window, scene units; below 0 behind it.
+    /// Distance in front of the window, scene units; below 0 behind the window.
     At(f64),
     /// `auto` or `off`.
     #[schemars(extend("enum" = ["auto", "off"]))]
@@ -136,13 +137,13 @@ impl<'de> Deserialize<'de> for Near {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum WindowFrom {
-    /// A camera where the file has one, otherwise the bounds.
+    /// A camera if the file has one, otherwise the bounds.
     #[default]
     Auto,
     /// A camera.
     Camera,
-    /// The scene's bounds from `look_from`. Without that key from the front, or from another side
-    /// where the front shows hardly anything.
+    /// The scene's bounds, seen from `look_from`. Without that key they are seen from the front, or
+    /// from another side if the front shows hardly anything.
     Bounds,
     /// `centre`, `forward`, `up`, `width`.
     Given,
@@ -188,7 +189,7 @@ impl WindowJob {
                 return fail("either `look_from` or `camera`", "both".into());
             }
             if !matches!(self.from, WindowFrom::Auto | WindowFrom::Bounds) {
-                return fail("`from` \"auto\" or \"bounds\", which frame the scene", "another".into());
+                return fail("`from` \"auto\" or \"bounds\", which frame the scene", "another value".into());
             }
         }
         Ok(())

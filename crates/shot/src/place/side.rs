@@ -8,11 +8,10 @@
 //! A(direction) = pixels that hit a surface · area of a pixel
 //! ```
 //!
-//! It is the visible area in squared scene units.
-//! The cosine of the slant reduces a face's area, and a face culled from behind adds nothing, so A
-//! prefers directions that surfaces face. The front stays unless another direction shows several
-//! times as much. Then the choice is the direction nearest to the front that shows nearly the
-//! largest area.
+//! A is the visible area in squared scene units. A face adds its area times the cosine of its
+//! slant, and a face that is culled from behind adds nothing. So A prefers directions that surfaces
+//! face. The front stays unless another direction shows more than eight times as much. Then the
+//! choice is the direction nearest to the front that shows nearly the largest area.
 
 use glam::{DVec3, Vec3};
 use lumistack_core::Task;
@@ -27,18 +26,19 @@ pub(crate) const FRONT: [f64; 2] = [0.0; 2];
 /// Candidate directions in order of preference, degrees: azimuths, and the elevations at each.
 const AZIMUTHS: [f64; 8] = [0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0];
 const ELEVATIONS: [f64; 7] = [0.0, 20.0, 40.0, 55.0, -20.0, -40.0, -55.0];
-/// The front stays where it shows this share of the largest area.
+/// The front stays if it shows this fraction of the largest area.
 const FRONT_SHARE: f64 = 0.125;
-/// The same for captures. Their axes come from training, so +z counts no more than other
-/// directions. A guitar on its stand shows its edge to +z (0.69), a person in profile shows 0.79.
+/// The same for captures. Their axes come from training, so +z is not preferred. A guitar on its
+/// stand shows its edge to +z (0.69 of the largest area), a person in profile shows 0.79.
 const CAPTURE_SHARE: f64 = ENOUGH;
-/// Another direction is good enough from this share of the largest area on. A board is seen from
-/// 40° (sin 40° / sin 55° = 0.78), and a card is seen face on instead of from 45° (0.71).
+/// Another direction is good enough if it shows this fraction of the largest area. A board is seen
+/// from 40° (sin 40° / sin 55° = 0.78), and a card is seen face on instead of from 45° (0.71).
 const ENOUGH: f64 = 0.745;
 /// Columns and rows of the rays along a candidate direction.
 const PROBE: [usize; 2] = [96, 60];
 
-/// Computes forward and up of a viewer at an azimuth to the right of +z and an elevation, degrees.
+/// Computes the forward and up vectors of a viewer, from the azimuth to the right of +z and the
+/// elevation in degrees.
 pub(crate) fn directions([azimuth_deg, elevation_deg]: [f64; 2]) -> [DVec3; 2] {
     let [(sin_a, cos_a), (sin_e, cos_e)] = [azimuth_deg, elevation_deg].map(|angle| angle.to_radians().sin_cos());
     let forward = -DVec3::new(sin_a * cos_e, sin_e, cos_a * cos_e);
@@ -62,13 +62,13 @@ pub(crate) fn framed(scene: &Scene, from_deg: [f64; 2], size_mm: [f64; 2]) -> Re
     Window::framing_points(points.chain(seen_splats(scene)), forward, up, size_mm)
 }
 
-/// Centres of splats without floaters, the stray splats outside the visible bounds.
+/// Centres of the splats, except floaters: stray splats outside the visible bounds.
 fn seen_splats(scene: &Scene) -> impl Iterator<Item = DVec3> {
     let bounds = scene.seen_bounds();
     scene.splat_positions().filter(move |at| bounds.contains(*at)).map(|at| at.as_dvec3())
 }
 
-/// Chooses azimuth and elevation, degrees, that show much of the scene.
+/// Chooses an azimuth and an elevation that show much of the scene, degrees.
 ///
 /// # Errors
 /// When the scene has no extent, or when cancelled.
@@ -78,7 +78,7 @@ pub(crate) fn choose(
     size_mm: [f64; 2],
     task: Task<'_>,
 ) -> Result<[f64; 2], ShotError> {
-    // Boxes replace the meshes: the frame only has to hold them.
+    // Boxes replace the meshes, since the frame only has to hold them.
     let boxes: Vec<Bounds> = scene
         .meshes
         .iter()
@@ -117,7 +117,7 @@ pub(crate) fn choose(
     Ok(best(&tried, if is_capture { CAPTURE_SHARE } else { FRONT_SHARE }))
 }
 
-/// Returns the first direction that shows enough. The front wins where it shows `front_share` of
+/// Returns the first direction that shows enough. The front is chosen if it shows `front_share` of
 /// the largest area.
 fn best(tried: &[([f64; 2], f64)], front_share: f64) -> [f64; 2] {
     let most = tried.iter().fold(0.0f64, |most, (_, area)| most.max(*area));
@@ -128,7 +128,7 @@ fn best(tried: &[([f64; 2], f64)], front_share: f64) -> [f64; 2] {
     tried.iter().find(|(_, area)| *area >= ENOUGH * most).map_or(*front, |(from_deg, _)| *from_deg)
 }
 
-/// The visible instances; all of them where every instance is an unseen lamp.
+/// The visible instances, or all instances if each of them is an unseen lamp.
 fn seen(scene: &Scene) -> impl Iterator<Item = &Instance> {
     let none = !scene.instances.iter().any(|instance| scene.is_seen(instance));
     scene.instances.iter().filter(move |instance| none || scene.is_seen(instance))
@@ -156,7 +156,7 @@ mod tests {
         }
     }
 
-    /// A box of six cards around the origin.
+    /// A box of six cards around `at`.
     fn block(size: Vec3, at: Vec3) -> Vec<(Mesh, Affine3A)> {
         let [x, y, z] = size.to_array();
         let half_turn = std::f32::consts::PI;
@@ -208,11 +208,11 @@ mod tests {
         let turned = |turn: Quat| vec![(card(3.0, 2.0), Affine3A::from_quat(turn))];
         let quarter = std::f32::consts::FRAC_PI_2;
         for double_sided in [false, true] {
-            // one lies in xz with its front up, the other stands in yz with its front to +x
+            // one card lies in xz with its front up, the other stands in yz with its front to +x
             assert_eq!(chosen(&scene(turned(Quat::from_rotation_x(-quarter)), double_sided)), [0.0, 40.0]);
             assert_eq!(chosen(&scene(turned(Quat::from_rotation_y(quarter)), double_sided)), [90.0, 0.0]);
         }
-        // fronts to −x, down, and away from the viewer
+        // fronts face −x, down, and away from the viewer
         assert_eq!(chosen(&scene(turned(Quat::from_rotation_y(-quarter)), false)), [-90.0, 0.0]);
         assert_eq!(chosen(&scene(turned(Quat::from_rotation_x(quarter)), false)), [0.0, -40.0]);
         assert_eq!(chosen(&scene(turned(Quat::from_rotation_y(2.0 * quarter)), false)), [180.0, 0.0]);

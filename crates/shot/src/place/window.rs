@@ -11,13 +11,13 @@ use crate::error::ShotError;
 use crate::job::{Near, WindowFrom, WindowJob};
 use crate::subject::Subject;
 
-/// Free margin on each side of a framed scene, as a share of its size.
+/// Free margin on each side of a framed scene, as a fraction of the scene's size.
 const MARGIN: f64 = 0.03;
-/// Share of a camera's view that the scene should cover, where the job does not name the camera.
+/// Fraction of a camera's view that the scene should cover, if the job does not name the camera.
 const COVERAGE: f64 = 0.26;
-/// Least width of a window relative to the view of such a camera.
+/// Smallest width of a window, relative to the view of a camera that the job does not name.
 const CLOSEST: f64 = 0.58;
-/// Columns of the straight view that finds where the scene is visible.
+/// Largest number of columns of the straight view that finds where the scene is visible.
 const PROBE_COLS: usize = 336;
 
 /// A window before depth is fitted.
@@ -25,7 +25,7 @@ const PROBE_COLS: usize = 336;
 pub struct Found {
     /// The window.
     pub window: Window,
-    /// The user chose the depth of the window: by numbers or by a focus distance.
+    /// True if the user chose the depth of the window: by numbers or by a focus distance.
     pub chosen: bool,
     /// Azimuth and elevation of the viewer that framed the scene, degrees.
     pub looked_from_deg: Option<[f64; 2]>,
@@ -63,7 +63,7 @@ fn unlimited_window<S: Subject>(
     let scene = subject.scene();
     let size_mm = geometry.size_mm();
     let error = |source| ShotError::Window { name: scene.name.clone(), source };
-    // The four keys of a given window.
+    // Read the four keys of a given window.
     if job.from == WindowFrom::Given {
         let missing =
             |key: &str| ShotError::job(format!("window.{key}"), "a value, as `from = \"given\"` needs", "nothing");
@@ -73,7 +73,7 @@ fn unlimited_window<S: Subject>(
         let window = Window::given(centre, forward, up, width, size_mm).map_err(error)?;
         return Ok(Found { window, chosen: true, looked_from_deg: None });
     }
-    // The job's camera, else the first one of the file.
+    // The job's camera, otherwise the first one of the file.
     let camera = match (job.from, &job.camera) {
         (WindowFrom::Bounds, _) => None,
         (_, Some(wanted)) => Some(find_camera(scene, wanted)?),
@@ -84,7 +84,8 @@ fn unlimited_window<S: Subject>(
     if job.from == WindowFrom::Camera && camera.is_none() {
         return Err(ShotError::value(&scene.name, "window.from", "a camera in the scene", "none").into());
     }
-    // The frame: from the job's direction or the best side, then shrunk to the visible scene.
+    // The frame is seen from the job's direction or the best side, then shrunk to the visible
+    // scene.
     let framed = || -> Result<Found, S::Error> {
         let from_deg = match job.look_from {
             Some(from_deg) => from_deg,
@@ -96,7 +97,7 @@ fn unlimited_window<S: Subject>(
         let window = close_up(subject, window, geometry, true, task)?;
         Ok(Found { window, chosen: false, looked_from_deg: Some(from_deg) })
     };
-    // A camera's own plane of focus stays; one without focus may move closer.
+    // A camera's own plane of focus stays. A window of a camera without focus may move closer.
     let Some(camera) = camera else { return framed() };
     let focus_distance = job.focus_distance.or(camera.focus_distance);
     let found = |window| Found { window, chosen: focus_distance.is_some(), looked_from_deg: None };
@@ -111,9 +112,9 @@ fn unlimited_window<S: Subject>(
     }
 }
 
-/// Fits a window to the visible scene. With `recentre` it frames the scene. Otherwise it moves
-/// closer along its axis until the scene covers [`COVERAGE`] of it. All visible content stays
-/// visible.
+/// Fits a window to the visible scene. With `recentre` the window frames the scene. Otherwise the
+/// window moves closer along its axis until the scene covers [`COVERAGE`] of it. All visible
+/// content stays visible.
 fn close_up<S: Subject>(
     subject: &S,
     window: Window,
@@ -138,7 +139,7 @@ fn close_up<S: Subject>(
     Ok(window.scaled_about(place, factor))
 }
 
-/// First and end index of the rows and of the columns where the mask is set.
+/// Ranges of the rows and of the columns in which the mask is set, as first and end index.
 fn extents(mask: &Tensor<2>) -> Option<[[usize; 2]; 2]> {
     let [rows, cols] = mask.shape();
     let is_hit = |row: usize, col: usize| mask.get([row, col]) > 0.0;
@@ -152,8 +153,8 @@ fn extents(mask: &Tensor<2>) -> Option<[[usize; 2]; 2]> {
     Some([seen(0, rows)?, seen(1, cols)?])
 }
 
-/// Returns the part of a picture that holds every set pixel and a [margin](MARGIN): a factor on its
-/// size, and its centre [row, column] in pixels.
+/// Returns the region of a picture that holds every set pixel and a [margin](MARGIN). It is given
+/// by a factor on the picture's size, and by its centre [row, column] in pixels.
 fn whole(mask: &Tensor<2>) -> (f64, [f64; 2]) {
     let size = mask.shape();
     let Some(seen) = extents(mask) else { return (1.0, size.map(|count| 0.5 * count as f64)) };
@@ -163,8 +164,8 @@ fn whole(mask: &Tensor<2>) -> (f64, [f64; 2]) {
     (factor, seen.map(|[first, end]| 0.5 * (first + end) as f64))
 }
 
-/// Returns the middle part of a picture of which [`COVERAGE`] is set, or the smallest that holds
-/// every set pixel. It is no smaller than [`CLOSEST`].
+/// Returns the middle region of a picture of which [`COVERAGE`] is set, in the form of [`whole`].
+/// The region is larger if it would otherwise cut off set pixels or be smaller than [`CLOSEST`].
 fn closer(mask: &Tensor<2>) -> (f64, [f64; 2]) {
     let [rows, cols] = mask.shape();
     let middle = [rows, cols].map(|count| 0.5 * count as f64);
@@ -174,7 +175,7 @@ fn closer(mask: &Tensor<2>) -> (f64, [f64; 2]) {
         (1.0 + 2.0 * MARGIN) * first.max(end) / middle[axis]
     };
     let least = reach(0).max(reach(1)).max(CLOSEST);
-    // all set pixels stay inside, so they cover more of a smaller picture
+    // all set pixels stay inside, so they cover a larger fraction of a smaller region
     let covered = mask.data().iter().map(|&hit| f64::from(hit)).sum::<f64>() / (rows * cols) as f64;
     ((covered / COVERAGE).sqrt().max(least).min(1.0), middle)
 }
@@ -201,7 +202,7 @@ mod tests {
         mask
     }
 
-    /// Edges of a part: top, bottom, left, right.
+    /// Edges of a region: top, bottom, left, right.
     fn edges(mask: &Tensor<2>, (factor, [row, col]): (f64, [f64; 2])) -> [f64; 4] {
         let [height, width] = mask.shape().map(|count| 0.5 * factor * count as f64);
         [row - height, row + height, col - width, col + width]
@@ -234,16 +235,16 @@ mod tests {
 
     #[test]
     fn a_camera_comes_closer_but_cuts_nothing_off() {
-        // half of the height, beside the middle: at 0.7 it covers enough, but its right edge is cut
-        // off
-        let beside = mask(100, 160, |row, col| (25..75).contains(&row) && (80..150).contains(&col));
+        // two fifths of the height, right of the middle: at a factor of 0.82 it covers enough, but
+        // is cut off at the right
+        let beside = mask(100, 160, |row, col| (30..70).contains(&row) && (80..150).contains(&col));
         let (factor, centre) = closer(&beside);
         assert_eq!(centre, [50.0, 80.0], "a camera's axis stays in the middle");
         assert!(edges(&beside, (factor, centre))[3] >= 150.0, "{factor}");
-        // a small thing in the middle gets the closest view
+        // a small object in the middle gets the closest view
         let small = mask(100, 160, |row, col| row.abs_diff(50) < 5 && col.abs_diff(80) < 5);
         assert_eq!(closer(&small).0, CLOSEST);
-        // one that covers a seventh gets a view of which it covers a quarter
+        // an object that covers a seventh gets a view of which it covers a quarter
         let seventh = mask(100, 160, |row, col| row.abs_diff(50) < 24 && col.abs_diff(80) < 24);
         let factor = closer(&seventh).0;
         let covered = seventh.data().iter().sum::<f32>() / 16000.0;
