@@ -29,7 +29,7 @@ impl Distribution {
         // no number below 1 may choose an entry past the last one that has weight
         let last = weights.iter().rposition(|&w| w > 0.0)?;
         cumulative[last..].fill(1.0);
-        // the actual probability of inversion, so that sampling and density agree up to rounding
+        // differences of the rounded sums, so that sampling and density agree up to rounding
         let probabilities =
             (0..cumulative.len()).map(|i| cumulative[i] - if i == 0 { 0.0 } else { cumulative[i - 1] }).collect();
         let parts = cumulative.len() as f32;

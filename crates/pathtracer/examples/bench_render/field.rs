@@ -77,8 +77,8 @@ pub fn measure(options: &Options) -> Outcome {
 }
 
 /// Renders the views of a case one by one and filtered, at several numbers of samples, and prints a
-/// row per way. Its last column is the error of views one by one in the same time, over the error
-/// of the way.
+/// row per way of rendering. The last column compares with views that are rendered one by one in the
+/// same time: their error, divided by the error of this way.
 pub fn filters(options: &Options) -> Outcome {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);

@@ -99,8 +99,8 @@ pub(crate) fn albedo(cosine: f32, roughness: f32) -> Albedo {
     TABLE.get_or_init(tabulate).at([cosine, roughness]).into()
 }
 
-/// Albedo of a stretched lobe: linear in the root of the cosine, in cos² of the azimuth from the
-/// stretch, and in √α along and across.
+/// Albedo of a stretched lobe. It is interpolated linearly in the root of the cosine, in cos² of the
+/// azimuth from the stretch, and in √α along and across the stretch.
 pub(crate) fn stretched(o: Vec3, alpha: Vec2) -> Albedo {
     static TABLE: OnceLock<Table<4, 4>> = OnceLock::new();
     let across = o.x * o.x + o.y * o.y;
@@ -108,8 +108,8 @@ pub(crate) fn stretched(o: Vec3, alpha: Vec2) -> Albedo {
     TABLE.get_or_init(tabulate_stretched).at([o.z.max(0.0).sqrt(), azimuth, alpha.x.sqrt(), alpha.y.sqrt()]).into()
 }
 
-/// B of a dielectric of any index: linear in the root of the cosine, in √α, and in the root of (n −
-/// 1)/(n + 1).
+/// B of a dielectric of any index. It is interpolated linearly in the root of the cosine, in √α, and
+/// in the root of (n − 1)/(n + 1).
 pub(crate) fn dielectric(cosine: f32, roughness: f32, ior: f32) -> f32 {
     static TABLE: OnceLock<Table<3, 1>> = OnceLock::new();
     let root = (ior - 1.0).max(0.0) / (ior + 1.0) / LARGEST_ROOT;

@@ -1,5 +1,5 @@
-//! Share of light that an interface reflects: Schlick's approximation, Fresnel's equations, and a
-//! thin film on top.
+//! Fraction of the light that an interface reflects: Schlick's approximation, Fresnel's equations,
+//! and a thin film on top.
 //!
 //! F = f₀ + (f₉₀ − f₀) s(cos θ), where s rises from 0 to 1. Metals have s = (1 − cos θ)⁵ (Schlick
 //! 1994). Dielectrics follow Fresnel's equations F_n of their index: s = (F_n(cos θ) − F_n(1)) / (1

@@ -31,7 +31,6 @@ pub(crate) fn density(h: Vec3, alpha: Vec2) -> f32 {
 
 /// √(α_x² v_x² + α_y² v_y² + v_z²). All of Smith's terms follow from this root: 1 + 2Λ is the root
 /// over |v_z|.
-/// |v_z|.
 #[inline]
 fn smith_root(v: Vec3, alpha: Vec2) -> f32 {
     let (x, y) = (alpha.x * v.x, alpha.y * v.y);

@@ -1,4 +1,4 @@
-//! Interfaces of lobes and layers. A lobe has an albedo and a density for sampling. A layer also
+//! Traits of lobes and layers. A lobe has an albedo and a density for sampling. A layer also
 //! dims all lobes below it.
 
 use std::fmt::Debug;
@@ -12,7 +12,7 @@ use super::fresnel::{Film, Fresnel};
 use crate::texture::{Encoding, Slot};
 
 /// Below this α a lobe is treated as a perfect mirror, since light sampling would hardly hit it.
-/// The perceptual roughness is 0.032 there.
+/// It is a perceptual roughness of 0.032.
 pub(crate) const MIRROR_ALPHA: f32 = 1e-3;
 
 /// A term of the scattering function, at one point for one outgoing direction.

@@ -75,7 +75,7 @@ macro_rules! lobes {
                 Self { $($layer: $Layer::parameters(material, &slots.$layer, &texel),)* }
             }
 
-            /// Share of the light that passes from the base to a viewer at this cosine.
+            /// Fraction of the light that passes from the base to a viewer at this cosine.
             pub(crate) fn passed(&self, cosine: f32) -> f32 {
                 let mut passed = 1.0;
                 $(if let Some(own) = &self.$layer { passed *= $Layer::passed(own, cosine); })*

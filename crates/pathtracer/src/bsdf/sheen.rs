@@ -190,7 +190,7 @@ fn albedo(cosine: f32, roughness: f32) -> (f32, f32) {
     (raw.min(1.0), 1.0 / raw.max(1.0))
 }
 
-/// Bilinear in the root of the cosine and in roughness.
+/// Interpolated bilinearly in the root of the cosine and in roughness.
 fn raw_albedo(cosine: f32, roughness: f32) -> f32 {
     static TABLE: OnceLock<Table<2, 1>> = OnceLock::new();
     let rough = (roughness - LEAST_ROUGHNESS) / (1.0 - LEAST_ROUGHNESS);

@@ -7,7 +7,7 @@
 //! F_b(p) = the same with a and b exchanged
 //! L' = albedo (F_a + F_b) / 2
 //! w(p, q) = k(colour distance of patches) · k(distance of guides)
-//!         · (share of light that does not depend on the view)
+//!         · (fraction of light that does not depend on the view)
 //! ```
 //!
 //! a and b are two renders, with half of the samples each. The weights for one are computed from

@@ -34,7 +34,7 @@ use glam::{Quat, Vec3};
 /// Number of buckets per axis, between which splits are tried.
 const BUCKETS: usize = 12;
 
-/// A point that receives light: of a surface, or from all directions.
+/// A point that receives light, from one side of a surface or from all directions.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Receiver {
     pub(crate) position: Vec3,

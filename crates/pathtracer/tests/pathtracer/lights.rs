@@ -107,9 +107,10 @@ fn a_directional_light_gives_its_irradiance_times_the_cosine() {
     assert!(radiance.data().iter().all(|&v| v == 0.0));
 }
 
-/// A disc of the sky around the plane's normal has the irradiance that defines it, at any width. A
-/// disc that is tilted, but wholly above the horizon, has that irradiance times a cosine. The
-/// reason: the projected solid angle of a cone is π sin²θ times the cosine of its axis.
+/// A disc of the sky around the plane's normal gives the plane the irradiance that the light states,
+/// at any width. A disc that is tilted, but wholly above the horizon, gives that irradiance times a
+/// cosine. The reason: the projected solid angle of a cone is π sin²θ times the cosine between its
+/// axis and the normal.
 #[test]
 fn a_distant_light_gives_its_irradiance_times_the_cosine_of_its_centre() {
     for (half_angle_rad, direction) in
@@ -305,7 +306,6 @@ fn hundreds_of_lights_add_up() {
 /// It does not follow the triangles. A point P of a triangle has the interpolated normal P/|P|, so
 /// L = ρ E max(P·d, 0) / (π |P|). |P| is between the radius and the distance of the largest
 /// triangle's middle.
-/// |P|), and |P| lies between the radius and its part at the middle of the largest triangle.
 #[test]
 fn hard_light_ends_where_the_smooth_surface_turns_away() {
     let (radius, divisions, irradiance) = (0.9f64, 12usize, 2.0f64);

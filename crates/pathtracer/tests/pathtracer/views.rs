@@ -232,7 +232,7 @@ fn blended_surfaces_cast_partial_shadows() {
         let mut scene = Builder::default();
         scene.add(rectangle(Vec3::new(0.0, 0.0, -0.5), 2.0 * Vec3::X, 2.0 * Vec3::Y), diffuse(0.5));
         if let Some(alpha) = alpha {
-            // above the plane and beside the view, where it blocks the slanted light
+            // above the plane and outside of the view, where it blocks the slanted light
             let mut veil = diffuse(0.0);
             veil.base_color.w = alpha;
             veil.alpha_mode = AlphaMode::Blend;
