@@ -88,7 +88,7 @@ mod tests {
                 let u = [i as f32 / 100.0, j as f32 / 100.0];
                 let (x, y) = concentric_disc(u);
                 let (a, b) = (2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0);
-                // a square around the centre becomes a circle, whose radius is the larger coordinate
+                // a square around the centre becomes a circle whose radius is the larger coordinate
                 assert!((x.hypot(y) - a.abs().max(b.abs())).abs() < 1e-5, "{u:?}");
                 // and an eighth of the square becomes an eighth of the disc
                 let turn = |x: f32, y: f32| f64::from(y).atan2(f64::from(x));

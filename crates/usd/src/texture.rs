@@ -80,7 +80,7 @@ pub(crate) enum Channel<'s> {
     Unused,
     /// A constant value.
     Constant(f32),
-    /// A component of a shader's read.
+    /// A component of the texture that a shader reads.
     Component(&'s Source, usize),
 }
 

@@ -46,7 +46,7 @@ struct Errors {
     worst: f64,
     /// The squared error without noise, which remains at any number of samples.
     bias: f64,
-    /// Mean of the pictures over mean of the truth, minus 1.
+    /// Mean of the pictures divided by the mean of the truth, minus 1.
     change: f64,
 }
 
@@ -77,8 +77,8 @@ pub fn measure(options: &Options) -> Outcome {
 }
 
 /// Renders the views of a case one by one and filtered, at several numbers of samples, and prints a
-/// row per way of rendering. The last column compares with views that are rendered one by one in the
-/// same time: their error, divided by the error of this way.
+/// row per way of rendering. The last column compares with views that are rendered one by one in
+/// the same time: their error, divided by the error of this way.
 pub fn filters(options: &Options) -> Outcome {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);

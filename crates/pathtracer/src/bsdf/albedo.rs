@@ -99,8 +99,8 @@ pub(crate) fn albedo(cosine: f32, roughness: f32) -> Albedo {
     TABLE.get_or_init(tabulate).at([cosine, roughness]).into()
 }
 
-/// Albedo of a stretched lobe. It is interpolated linearly in the root of the cosine, in cos² of the
-/// azimuth from the stretch, and in √α along and across the stretch.
+/// Albedo of a stretched lobe. It is interpolated linearly in the root of the cosine, in cos² of
+/// the azimuth from the stretch, and in √α along and across the stretch.
 pub(crate) fn stretched(o: Vec3, alpha: Vec2) -> Albedo {
     static TABLE: OnceLock<Table<4, 4>> = OnceLock::new();
     let across = o.x * o.x + o.y * o.y;
@@ -108,8 +108,8 @@ pub(crate) fn stretched(o: Vec3, alpha: Vec2) -> Albedo {
     TABLE.get_or_init(tabulate_stretched).at([o.z.max(0.0).sqrt(), azimuth, alpha.x.sqrt(), alpha.y.sqrt()]).into()
 }
 
-/// B of a dielectric of any index. It is interpolated linearly in the root of the cosine, in √α, and
-/// in the root of (n − 1)/(n + 1).
+/// B of a dielectric of any index. It is interpolated linearly in the root of the cosine, in √α,
+/// and in the root of (n − 1)/(n + 1).
 pub(crate) fn dielectric(cosine: f32, roughness: f32, ior: f32) -> f32 {
     static TABLE: OnceLock<Table<3, 1>> = OnceLock::new();
     let root = (ior - 1.0).max(0.0) / (ior + 1.0) / LARGEST_ROOT;
@@ -252,7 +252,7 @@ mod tests {
         for (full, escape) in [(0.3f32, 0.5f32), (0.5, 0.45), (0.9, 0.95), (1.0, 1.0)] {
             let lobe = Albedo { full, metal: 0.0, dielectric: 0.0, mean: escape };
             for f0 in [0.0f32, 0.04, 0.37, 1.0] {
-                // the mean of Schlick's term, by midpoints
+                // the mean of Schlick's term, by the midpoint rule
                 let schlick = |x: f32| 2.0 * x * (f0 + (1.0 - f0) * (1.0 - x).powi(5));
                 let mean: f32 = (0..2000).map(|i| schlick((i as f32 + 0.5) / 2000.0)).sum::<f32>() / 2000.0;
                 let mut expected = full;

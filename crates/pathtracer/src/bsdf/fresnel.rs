@@ -93,8 +93,8 @@ impl Film {
         let base_ior = (Vec3::ONE + base_root) / (Vec3::ONE - base_root);
         let r23 = (base_ior / ior).map(|ratio| schlick(normal_reflectance(ratio), cos_film));
         // Both interfaces shift the phase by π where the medium behind them is less dense. In
-        // nature a denser medium shifts it. Both differ by π at both interfaces, so by nothing in
-        // sum.
+        // nature a denser medium shifts it. The two rules differ by π at each interface, so by 2π
+        // in total, which has no effect.
         let phase = base_ior.map(|base| PI + if base < ior { PI } else { 0.0 });
         let round_trip = (r12 * r23).clamp(Vec3::splat(1e-5), Vec3::splat(0.9999));
         let decay = round_trip.map(f32::sqrt);

@@ -27,9 +27,9 @@ pub(crate) struct Scatter {
     pub(crate) weight: Vec3,
     /// Density per solid angle; infinite for a mirror.
     pub(crate) pdf: f32,
-    /// True if the surface was crossed.
+    /// True if the light crosses the surface.
     pub(crate) crossed: bool,
-    /// True if it was crossed into or out of a solid, not a thin wall.
+    /// True if it crosses into or out of a solid, not through a thin wall.
     pub(crate) refracted: bool,
     /// α of the chosen lobe, 1 for diffuse; widens the ray's footprint.
     pub(crate) alpha: f32,

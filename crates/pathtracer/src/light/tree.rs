@@ -67,8 +67,8 @@ pub(crate) struct Emitter {
     pub(crate) two_sided: bool,
 }
 
-/// Number of equal parts of [0, 1), each of which holds one of the numbers that choose; 0 if
-/// nothing is known about these numbers.
+/// Number of equal parts of [0, 1), each of which holds one of the random numbers by which a
+/// pixel's samples choose a light; 0 if nothing is known about these numbers.
 pub(crate) type Parts = u32;
 
 /// The chance rounded to whole parts, and the number of parts on either side. A chance that would

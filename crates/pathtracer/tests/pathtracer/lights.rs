@@ -107,10 +107,10 @@ fn a_directional_light_gives_its_irradiance_times_the_cosine() {
     assert!(radiance.data().iter().all(|&v| v == 0.0));
 }
 
-/// A disc of the sky around the plane's normal gives the plane the irradiance that the light states,
-/// at any width. A disc that is tilted, but wholly above the horizon, gives that irradiance times a
-/// cosine. The reason: the projected solid angle of a cone is π sin²θ times the cosine between its
-/// axis and the normal.
+/// A disc of the sky around the plane's normal gives the plane the irradiance that the light
+/// states, at any width. A disc that is tilted, but wholly above the horizon, gives that irradiance
+/// times a cosine. The reason: the projected solid angle of a cone is π sin²θ times the cosine
+/// between its axis and the normal.
 #[test]
 fn a_distant_light_gives_its_irradiance_times_the_cosine_of_its_centre() {
     for (half_angle_rad, direction) in
