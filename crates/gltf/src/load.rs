@@ -27,9 +27,8 @@ use crate::{
 /// which it refers. Only objects that the default scene uses are read.
 ///
 /// # Errors
-/// [`GltfError`], with the place in the file, in these cases: a file is missing or broken, the file
-/// requires an extension that is not supported, no object in it can be rendered, or the task was
-/// cancelled.
+/// [`GltfError`] with the place in the file. A file may be missing or broken, or require an
+/// extension that is not supported. Or no object in it can be rendered, or the task was cancelled.
 pub fn load(name: &str, bytes: &[u8], resolver: &dyn AssetResolver, task: Task<'_>) -> Result<Scene, GltfError> {
     load_with(name, bytes, resolver, &LoadOptions::default(), task)
 }

@@ -6,10 +6,11 @@
 //!     FOLDER [--batches N] [--samples N] [--size N]
 //! ```
 //!
-//! Every scene gets a folder with `scene.json` (camera: orthographic, along −z, the square −1..1),
-//! `mesh_K.f32` (corners of triangles: position xyz, texture uv; 15 numbers each) and `ours.f32`:
-//! `[batch][row][col][rgb]`. Surfaces are flat, so that the renderers' interpolation of normals
-//! makes no difference. Microfacets scatter once, as in the other renderer.
+//! Every scene gets a folder with `scene.json`, `mesh_K.f32` and `ours.f32`. The camera is
+//! orthographic, looks along −z, and sees the square −1..1. A mesh has 15 numbers per triangle: xyz
+//! and texture uv of each corner. `ours.f32` is `[batch][row][col][rgb]`. Surfaces are flat, so
+//! that the renderers' interpolation of normals makes no difference. Microfacets scatter once, as
+//! in the other renderer.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};

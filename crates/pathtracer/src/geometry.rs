@@ -491,9 +491,9 @@ impl SurfacePoint<'_> {
 }
 
 /// Bends a shading normal by the smallest angle at which the mirror direction of `to_viewer` is
-/// above the surface (Keller et al. 2017, "The Iray light transport simulation and rendering
-/// system", appendix). So there are no black rims, and the normal is always on the viewer's side.
-/// Both normals are on the viewer's side of the surface.
+/// above the surface. The method is that of Keller et al. 2017, "The Iray light transport
+/// simulation and rendering system", appendix. So there are no black rims, and the normal is always
+/// on the viewer's side. `shading` and `geometric` must be on the viewer's side of the surface.
 pub(crate) fn bend_normal(shading: Vec3, geometric: Vec3, to_viewer: Vec3) -> Vec3 {
     let least = LEAST_REFLECTED_COSINE.min(0.9 * to_viewer.dot(geometric).max(0.0));
     let reflected = 2.0 * shading.dot(to_viewer) * shading - to_viewer;

@@ -12,9 +12,9 @@
 //! or at the eye if the eye is nearer to them. If the window has a near plane, no ray starts nearer
 //! to the viewer than that plane.
 //!
-//! The start and the direction of a ray are linear in two offsets of a sample: from the centre of
-//! its pixel, and from the centre of its slopes. So a pixel's central ray is computed in f64, and
-//! the rays of its samples in f32 from that.
+//! A sample has two offsets: from the centre of its pixel, and from the centre of its slopes. The
+//! start and the direction of its ray are linear in them. So a pixel's central ray is computed in
+//! f64, and the rays of its samples in f32 from that.
 
 use glam::{DVec3, Vec3};
 use lumistack_display::{FieldGeometry, Projection};

@@ -1,7 +1,7 @@
 //! The window: the display plane as a rectangle in the scene.
 //!
-//! Display space is right-handed, in millimetres: its origin is the centre of the light field's
-//! rectangle, x is right, y is up, and z is towards the viewer.
+//! Display space is right-handed, in millimetres. Its origin is the centre of the light field's
+//! rectangle. x is right, y is up, and z is towards the viewer.
 
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use thiserror::Error;

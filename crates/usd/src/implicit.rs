@@ -168,7 +168,7 @@ pub(crate) fn cone(radius: f32, height: f32, axis: Axis) -> Geometry {
 /// `UsdGeomCapsule`; the two radii differ only for `UsdGeomCapsule_1`. `height` does not include
 /// the rounded ends.
 ///
-/// The side is tangent to the caps, so the surface is smooth for any radii. The caps meet the side
+/// The side is tangent to the caps, so the surface is smooth for any radii. The caps join the side
 /// at the polar angle acos((bottom − top) / height), which is not at the equator if the radii
 /// differ.
 pub(crate) fn capsule(top_radius: f32, bottom_radius: f32, height: f32, axis: Axis) -> Geometry {

@@ -532,7 +532,7 @@ fn scenes_that_list_children_are_shown() {
     assert_eq!(corner(&under(json!([0]))), (vec![0.0], vec![alone]));
     let again = "/scenes/0/nodes/1: expected every node once, found node 1 again; it is shown once";
     assert_eq!(corner(&under(json!([1, 1]))), (vec![3.0], vec![again.into()]));
-    // of two parents the first is kept
+    // a node with two parents keeps the first
     let mut b = under(json!([1, 2]));
     b.push("nodes", json!({"children": [0, 0], "translation": [5, 0, 0]}));
     let (places, warnings) = corner(&b);

@@ -12,8 +12,8 @@
 //! F̄ = 2 ∫ F(μ) μ dμ = F₀ + (1 − F₀)/21,   Ē = 2 ∫ E(μ) μ dμ
 //! ```
 //!
-//! F̄ is computed with the s of a metal. The F̄ of a dielectric is a little greater (0.092 instead
-//! of 0.086 at n = 1.5), which would change its gloss by less than a percent.
+//! F̄ is computed with the s of a metal. The F̄ of a dielectric is a little greater: 0.092 instead
+//! of 0.086 at n = 1.5. That would change its gloss by less than a percent.
 //!
 //! With K a white metal is lossless, and a coloured metal becomes more saturated. Sources:
 //!

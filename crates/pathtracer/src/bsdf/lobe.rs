@@ -189,14 +189,13 @@ impl Surface<'_> {
         }
     }
 
-    /// Fraction of the light that reaches a dielectric without glass, of the light `below` the
-    /// layers.
+    /// Part of the light `below` the layers that reaches a dielectric base without glass.
     #[inline]
     pub(crate) fn layered(&self, below: f32) -> f32 {
         below * (1.0 - self.metallic) * (1.0 - self.glass_share)
     }
 
-    /// Fraction of the light `below` the layers that passes the reflection of that dielectric.
+    /// Part of that light which the dielectric does not reflect, so it reaches the diffuse lobe.
     #[inline]
     pub(crate) fn passed(&self, below: f32) -> f32 {
         self.layered(below) * (1.0 - self.dielectric_albedo.max_element())

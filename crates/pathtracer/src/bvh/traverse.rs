@@ -627,8 +627,8 @@ impl Shear {
 /// bit.
 pub(super) struct Corners<V>(pub(super) [[V; 3]; 3]);
 
-/// A triangle per lane as seen along the lane's ray: for each edge, twice the area between it and
-/// the ray; and a mask of the triangles that the ray passes through.
+/// A triangle per lane, as seen along the lane's ray. For each edge: twice the area between it and
+/// the ray. Also a mask of the triangles that the ray passes through.
 pub(super) struct Edges<V: Lanes> {
     pub(super) u: V,
     pub(super) v: V,

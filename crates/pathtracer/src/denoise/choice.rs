@@ -40,7 +40,7 @@ pub(super) fn choose(frame: &Frame, bands: &[Answers]) -> Tensor<3> {
 /// the noise there.
 ///
 /// (F_a − u_b)² is the error of the answer from half of the samples, plus the noise of the other
-/// half, which is equal for all answers. The second term accounts for the mean of both halves,
+/// half. That noise is equal for all answers. The second term accounts for the mean of both halves,
 /// whose error is smaller.
 fn shares(frame: &Frame, halves: &[Vec<[f32; 3]>; 2], answers: [&[Vec<[f32; 3]>; 2]; CHOICES]) -> Vec<[f32; CHOICES]> {
     let count = halves[0].len();

@@ -67,8 +67,8 @@ pub(crate) struct Emitter {
     pub(crate) two_sided: bool,
 }
 
-/// Number of equal parts of [0, 1), each of which holds one of the random numbers by which a
-/// pixel's samples choose a light; 0 if nothing is known about these numbers.
+/// Number of equal parts of [0, 1). Each part holds one of the random numbers by which a pixel's
+/// samples choose a light. 0 if nothing is known about these numbers.
 pub(crate) type Parts = u32;
 
 /// The chance rounded to whole parts, and the number of parts on either side. A chance that would
@@ -452,8 +452,8 @@ mod tests {
         }
     }
 
-    /// The exact second moment Σ E²/p of irradiance estimated from one light, compared with a
-    /// choice by power alone.
+    /// The exact mean square Σ E²/p of irradiance estimated from one light, compared with a choice
+    /// by power alone.
     #[test]
     fn the_tree_beats_a_choice_by_power() {
         let mut ratios = Vec::new();

@@ -15,8 +15,8 @@ const SIZE: usize = 64;
 const POLE: usize = 16;
 const COLOUR: usize = 44;
 
-/// A corner of a room: a back wall of two colours, a floor, and a pole in front of the wall, lit by
-/// a lamp and a dim sky.
+/// A corner of a room: a back wall of two colours, a floor, and a pole in front of the wall. A lamp
+/// and a dim sky light it.
 fn room() -> Renderer {
     let x = |col: usize| WINDOW_MM as f32 * (col as f32 / SIZE as f32 - 0.5);
     let mut builder = Builder::default();

@@ -38,7 +38,7 @@ fn depth_normal_and_reflectance_are_those_of_the_first_surface() {
             // rays are spread over the pixel, so the mean of 16 stratified rays is off the pixel's
             // centre by a small fraction of its size
             assert!((f64::from(z_mm) - z).abs() < 0.2 * geometry.pitch_mm, "{z_mm} {z}");
-            // of 16 stratified samples, one is within a quarter of a pixel of the centre along each
+            // one of 16 stratified samples is within a quarter of a pixel of the centre along each
             // axis
             let central = f64::from(central_z_mm.unwrap());
             assert!((central - z).abs() < 0.3 * geometry.pitch_mm, "{central} {z}");

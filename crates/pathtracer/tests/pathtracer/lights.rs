@@ -304,8 +304,8 @@ fn hundreds_of_lights_add_up() {
 
 /// On a sphere of few triangles, the edge between light and dark is the edge of the smooth sphere.
 /// It does not follow the triangles. A point P of a triangle has the interpolated normal P/|P|, so
-/// L = ρ E max(P·d, 0) / (π |P|). |P| is between the radius and the distance of the largest
-/// triangle's middle.
+/// L = ρ E max(P·d, 0) / (π |P|). The length |P| is between the radius and the distance of the
+/// largest triangle's middle.
 #[test]
 fn hard_light_ends_where_the_smooth_surface_turns_away() {
     let (radius, divisions, irradiance) = (0.9f64, 12usize, 2.0f64);

@@ -1,15 +1,15 @@
 //! Splats in the coordinates of a window: the work that all views share.
 //!
-//! Coordinates are pixels of the light field. x is the column and y the row, and both are whole
-//! numbers at the centres of pixels. z points from the window to the viewer. A ray of slope s =
-//! (s_x, s_y), with y downwards, is p + z s. The projection of a splat onto z = 0 along such rays
-//! is linear, so it is exact:
+//! Coordinates are pixels of the light field. The column is x and the row is y; both are whole
+//! numbers at the centres of pixels. The axis z points from the window to the viewer. A ray of
+//! slope s = (s_x, s_y), with y downwards, is p + z s. The projection of a splat onto z = 0 along
+//! such rays is linear, so it is exact:
 //!
 //! ```text
 //! p = (x − z s_x, y − z s_y),   Σ' = J Σ Jᵀ,   J = m (1 0 −s_x; 0 1 −s_y),   m = 1
 //! ```
 //!
-//! The ray from an eye at e through the centre μ has s = (e − μ)/(D − z) and m = D/(D − z), where D
+//! The ray from an eye at e through the centre μ has s = (e − μ)/(D − z) and m = D/(D − z). Here D
 //! is the distance of the eye. Within one splat rays are treated as parallel. This is the affine
 //! approximation that KHR_gaussian_splatting prescribes, for the sheared frustum of the window.
 
