@@ -13,21 +13,21 @@ use crate::document::Document;
 use crate::draco;
 use crate::error::Fault;
 
-/// Elements of an accessor without a buffer view are zeros that take no room in the file; more are
-/// refused.
+/// Largest number of elements of an accessor without a buffer view. Such elements are zeros and
+/// take no space in the file, so a small file could require any amount of memory.
 const MAX_IMPLICIT_COUNT: u64 = 1 << 24;
 
-/// Required form of an accessor at the place that uses it.
+/// The form that an accessor must have where it is used.
 pub(crate) struct Format {
     pub(crate) types: &'static [Type],
     pub(crate) components: &'static [ComponentType],
-    /// Both in glTF's words, for messages.
+    /// Types and component types in glTF's words, for messages.
     pub(crate) text: &'static str,
 }
 
 /// A checked accessor.
 pub(crate) struct Accessor<'a> {
-    /// The place that uses it.
+    /// JSON pointer to the index that refers to the accessor.
     used_at: String,
     pub(crate) count: usize,
     pub(crate) dimensions: usize,
@@ -37,7 +37,7 @@ pub(crate) struct Accessor<'a> {
     sparse: Option<Sparse<'a>>,
 }
 
-/// The elements of an accessor to read, in order.
+/// The elements of an accessor that are to be read, in order.
 pub(crate) enum Selection {
     All,
     Some(Vec<u32>),
@@ -50,7 +50,7 @@ struct Elements<'a> {
 }
 
 struct Sparse<'a> {
-    /// Strictly increasing.
+    /// Indices of the replaced elements, strictly increasing.
     indices: Vec<u32>,
     values: Elements<'a>,
 }
@@ -104,8 +104,8 @@ impl<'a> Accessor<'a> {
         Ok(Self { used_at, count, dimensions, component, normalized, dense, sparse })
     }
 
-    /// Elements that came out of a Draco stream in place of those of the accessor that the index at
-    /// `used_at` refers to.
+    /// Elements from a Draco stream, which replace the elements of an accessor. The index at
+    /// `used_at` refers to that accessor.
     pub(crate) fn decoded(
         document: &'a Document<'_>,
         index: json::Index<json::Accessor>,
@@ -126,8 +126,8 @@ impl<'a> Accessor<'a> {
         Ok(Self { used_at: used_at.to_owned(), count, dimensions, component, normalized, dense, sparse: None })
     }
 
-    /// Elements as floats. `fill` stands in for components that the accessor lacks; components past
-    /// `N` are left out.
+    /// Elements as floats. Components that the accessor lacks are set to `fill`, and components
+    /// past `N` are left out.
     pub(crate) fn floats<const N: usize>(
         &self,
         document: &Document<'_>,
@@ -147,7 +147,7 @@ impl<'a> Accessor<'a> {
         Ok(out)
     }
 
-    /// [`floats`](Self::floats), refusing NaN and infinity.
+    /// As [`floats`](Self::floats), but refuses NaN and infinity.
     pub(crate) fn finite<const N: usize>(
         &self,
         document: &Document<'_>,
@@ -168,7 +168,7 @@ impl<'a> Accessor<'a> {
         }
     }
 
-    /// Elements as integers; for unsigned component types.
+    /// Elements as integers. The component type must be unsigned.
     pub(crate) fn integers<const N: usize>(
         &self,
         document: &Document<'_>,
@@ -194,7 +194,8 @@ impl<'a> Accessor<'a> {
         }
     }
 
-    /// Visits the bytes of every selected element; none stand for zeros.
+    /// Calls `visit` with the bytes of every selected element, which are zeros if the accessor has
+    /// no data.
     fn for_each(&self, selection: &Selection, mut visit: impl FnMut(&[u8])) {
         const ZEROS: [u8; 64] = [0; 64];
         let zeros = &ZEROS[..self.component.size() * self.dimensions];
@@ -224,8 +225,8 @@ impl<'a> Accessor<'a> {
         if self.normalized { (value / largest).max(-1.0) } else { value }
     }
 
-    /// Takes integers for normalized ones; some writers forget to say so where glTF allows nothing
-    /// else.
+    /// Treats integers as normalized. Some writers do not set `normalized` although glTF allows
+    /// nothing else there.
     pub(crate) fn assume_normalized(mut self) -> Self {
         self.normalized = true;
         self
@@ -233,8 +234,8 @@ impl<'a> Accessor<'a> {
 }
 
 impl<'a> Elements<'a> {
-    /// `count` elements of `size` bytes from byte `offset` of a view. `place` holds the fields
-    /// `bufferView` and `byteOffset`.
+    /// `count` elements of `size` bytes, from byte `offset` of a view. `place` is the object with
+    /// the fields `bufferView` and `byteOffset`.
     fn open(
         document: &'a Document<'_>,
         view: json::Index<json::buffer::View>,
@@ -247,11 +248,11 @@ impl<'a> Elements<'a> {
     ) -> Result<Self, Fault> {
         let view = document.view(view, &format!("{place}/bufferView"))?;
         let length = view.bytes.len();
-        // the distance of elements
+        // the distance from one element to the next
         let mut stride = view.stride.unwrap_or(size);
         if stride != size && !may_stride {
-            // glTF has no stride here. Most readers follow one that leaves room for the elements,
-            // and so does this one; others mean nothing.
+            // glTF allows no stride here. Most readers apply a stride under which the elements fit
+            // into the view, and so does this one. Any other stride has no effect.
             let room = (length as u64).saturating_sub(offset);
             let needed = (count as u64 - 1).saturating_mul(stride as u64).saturating_add(size as u64);
             let followed = stride > size && needed <= room;
@@ -267,7 +268,7 @@ impl<'a> Elements<'a> {
             let expected = format!("at least {size}, an element of {place}");
             return Err(Fault::new(format!("{}/byteStride", view.place), expected, stride));
         }
-        // all elements lie within the view
+        // all elements are within the view
         let Some(bytes) = usize::try_from(offset).ok().and_then(|offset| view.bytes.get(offset..)) else {
             let expected = format!("at most {length}, the length of {}", view.place);
             return Err(Fault::new(format!("{place}/byteOffset"), expected, offset));
@@ -304,7 +305,7 @@ impl<'a> Sparse<'a> {
             let expected = format!("a count in 1..{accessor_count}");
             return Err(Fault::new(format!("{place}/count"), expected, sparse.count.0));
         };
-        // indices and values in views of their own
+        // indices and values are in separate views
         let elements = |view, part: &str, offset: u64, size| {
             let (part, count_place) = (format!("{place}/{part}"), format!("{place}/count"));
             Elements::open(document, view, &part, &count_place, offset, count, size, false)
@@ -313,7 +314,7 @@ impl<'a> Sparse<'a> {
         let raw = elements(indices.buffer_view, "indices", indices.byte_offset.0, index_size)?;
         let values = elements(values.buffer_view, "values", values.byte_offset.0, size)?;
         document.spend(&place, count, size_of::<u32>())?;
-        // indices increase, so the last one bounds all
+        // indices increase, so all are in range if the last one is
         let indices: Vec<u32> = (0..count).map(|i| unsigned(raw.get(i))).collect();
         let place = format!("{place}/indices");
         if let Some(at) = indices.windows(2).position(|pair| pair[0] >= pair[1]) {

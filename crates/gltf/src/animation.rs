@@ -2,15 +2,16 @@
 //!
 //! Between keys k and k+1, with u = (t − t_k) / (t_{k+1} − t_k) and Δ = t_{k+1} − t_k seconds:
 //!
-//! * STEP takes v_k.
-//! * LINEAR takes (1−u)·v_k + u·v_{k+1}, rotations along the shorter arc (slerp).
-//! * CUBICSPLINE takes the Hermite spline with in-tangents a and out-tangents b:
+//! * STEP gives v_k.
+//! * LINEAR gives (1−u)·v_k + u·v_{k+1}; rotations follow the shorter arc (slerp).
+//! * CUBICSPLINE gives the Hermite spline with in-tangents a and out-tangents b:
 //!
 //! ```text
 //! (2u³−3u²+1)·v_k + Δ(u³−2u²+u)·b_k + (3u²−2u³)·v_{k+1} + Δ(u³−u²)·a_{k+1}
 //! ```
 //!
-//! Before the first key and after the last the values hold (glTF 2.0, section 3.11 and appendix C).
+//! Before the first key and after the last key the values are constant (glTF 2.0, section 3.11 and
+//! appendix C).
 
 use std::collections::{HashMap, HashSet};
 
@@ -41,7 +42,7 @@ const WEIGHTS: Format = Format {
     text: "SCALAR of FLOAT or of normalized 8- or 16-bit integers",
 };
 
-/// Values that an animation gives a node in place of the node's own.
+/// Values that an animation gives a node, which replace the node's own values.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct NodePose {
     pub(crate) translation: Option<DVec3>,
@@ -69,7 +70,7 @@ enum Interpolation {
 struct Channel {
     node: usize,
     property: Property,
-    /// `/animations/I/samplers/J`.
+    /// JSON pointer to the sampler, `/animations/I/samplers/J`.
     sampler: String,
     input: json::Index<json::Accessor>,
     output: json::Index<json::Accessor>,
@@ -94,19 +95,19 @@ pub(crate) fn duration_s(document: &Document<'_>, number: usize) -> Result<f32, 
     Ok(end_s)
 }
 
-/// Every node that the chosen animations move, as they move it.
+/// Every node that the chosen animations move, with the values at the chosen time.
 pub(crate) fn sample(document: &Document<'_>, options: &LoadOptions) -> Result<HashMap<usize, NodePose>, Fault> {
     let names = names(document);
     let chosen = match &options.animation {
         Some(wanted) => vec![channels(document, choose("scene animation", wanted, &names)?)?],
         None if names.is_empty() => {
             if options.time_s.is_some() {
-                document.task.warn("/animations", "there are none; the time has no effect");
+                document.task.warn("/animations", "the file has no animations; the time has no effect");
             }
             Vec::new()
         }
         None if options.time_s.is_none() => {
-            let message = "the file is animated; it is shown as its nodes stand, since no time is asked for";
+            let message = "the file is animated; its nodes keep their own values, since no time is given";
             document.task.warn("/animations", message);
             Vec::new()
         }
@@ -126,7 +127,7 @@ pub(crate) fn sample(document: &Document<'_>, options: &LoadOptions) -> Result<H
     Ok(poses)
 }
 
-/// All animations where no two move the same thing, otherwise the first.
+/// All animations if no two of them move the same property of a node; otherwise the first.
 fn together(document: &Document<'_>, names: &[Option<&str>]) -> Result<Vec<Vec<Channel>>, Fault> {
     let mut all = Vec::new();
     let mut moved = HashSet::new();
@@ -145,7 +146,7 @@ fn together(document: &Document<'_>, names: &[Option<&str>]) -> Result<Vec<Vec<C
     Ok(all)
 }
 
-/// The channels of an animation that move a node; warns of others.
+/// The channels of an animation that move a node; warns of channels that are not supported.
 fn channels(document: &Document<'_>, number: usize) -> Result<Vec<Channel>, Fault> {
     let place = format!("/animations/{number}");
     let expected = |place: String, expected: &str| {
@@ -173,12 +174,12 @@ fn channels(document: &Document<'_>, number: usize) -> Result<Vec<Channel>, Faul
             Some("weights") => Property::Weights,
             _ => {
                 let path = target.place("path");
-                let message = format!("{} is not animated here; what it moves stands still", document.quote(&path));
+                let message = format!("{} is not supported; the property keeps its value", document.quote(&path));
                 document.task.warn(path, message);
                 continue;
             }
         };
-        // a target without a node is for extensions
+        // targets without a node belong to extensions
         let Some(node) = target.index::<json::Node>("node")? else { continue };
         document.get(node, &target.place("node"))?;
         if !moved.insert((node.value(), property)) {
@@ -203,7 +204,7 @@ fn channels(document: &Document<'_>, number: usize) -> Result<Vec<Channel>, Faul
     Ok(channels)
 }
 
-/// Times of the keys, increasing, at least one.
+/// Times of the keys, which increase; there is at least one.
 fn times(document: &Document<'_>, channel: &Channel) -> Result<Vec<f32>, Fault> {
     let place = format!("{}/input", channel.sampler);
     let accessor = Accessor::open(document, channel.input, &place, &TIMES)?;
@@ -214,7 +215,8 @@ fn times(document: &Document<'_>, channel: &Channel) -> Result<Vec<f32>, Fault> 
     }
 }
 
-/// The key at or before a time, the share u of the way to the next one, and that way in seconds.
+/// The key at or before a time, the fraction u of the time to the next key, and the time between
+/// both keys in seconds.
 struct KeyInterval {
     key: usize,
     share: f64,
@@ -231,15 +233,15 @@ fn key_interval(times: &[f32], time_s: f64) -> KeyInterval {
     KeyInterval { key: after - 1, share: (time_s - before_s) / gap_s, gap_s }
 }
 
-/// Values of a channel around a time, each of `group` elements of `N` numbers, and how to blend
-/// them.
+/// Values of a channel before and after a time, with the factors that blend them. Each value is a
+/// group of `group` elements of `N` numbers.
 enum Values<const N: usize> {
     Held(Vec<[f64; N]>),
     Linear {
         values: [Vec<[f64; N]>; 2],
         share: f64,
     },
-    /// v_k, b_k, a_{k+1}, v_{k+1} and their factors.
+    /// v_k, b_k, a_{k+1} and v_{k+1}, with their factors.
     Cubic {
         values: [Vec<[f64; N]>; 4],
         factors: [f64; 4],
@@ -263,7 +265,8 @@ fn values<const N: usize>(
         let expected = format!("{} × {per_key} elements, as the input has {} keys", times.len(), times.len());
         return Err(Fault::new(place, expected, accessor.count));
     }
-    // element `part` of key `key`; parts of a cubic spline are in-tangent, value, out-tangent
+    // step `part` of the values at a key; for a cubic spline these are in-tangent, value and
+    // out-tangent
     let read = |key: usize, part: usize| -> Result<Vec<[f64; N]>, Fault> {
         let first = key * per_key + part * group;
         let selection = Selection::Some((first as u32..(first + group) as u32).collect());
@@ -286,7 +289,7 @@ fn values<const N: usize>(
     })
 }
 
-/// Component by component.
+/// Blends values component by component.
 fn blend<const N: usize>(values: Values<N>) -> Vec<[f64; N]> {
     fn sum<const N: usize, const K: usize>(values: &[Vec<[f64; N]>; K], factors: [f64; K]) -> Vec<[f64; N]> {
         let element = |i: usize| std::array::from_fn(|c| (0..K).map(|k| factors[k] * values[k][i][c]).sum());
@@ -316,7 +319,7 @@ fn rotation(document: &Document<'_>, channel: &Channel, time_s: f64) -> Result<D
     }
 }
 
-/// Weights of the node's morph targets; `None`, with a warning, where it has none.
+/// Weights of the node's morph targets; `None`, with a warning, if the node has none.
 fn weights(document: &Document<'_>, channel: &Channel, time_s: f64) -> Result<Option<Vec<f32>>, Fault> {
     let node = channel.node;
     let targets = match document.root.nodes[node].mesh {
@@ -328,7 +331,7 @@ fn weights(document: &Document<'_>, channel: &Channel, time_s: f64) -> Result<Op
     };
     if targets == 0 {
         let place = format!("/nodes/{node}");
-        document.task.warn(place, "has no morph targets; animated weights have no effect");
+        document.task.warn(place, "the node has no morph targets; animated weights have no effect");
         return Ok(None);
     }
     let values = blend(values::<1>(document, channel, &WEIGHTS, targets, time_s)?);

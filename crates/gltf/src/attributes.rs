@@ -9,13 +9,13 @@ use crate::document::Document;
 use crate::draco;
 use crate::error::Fault;
 
-/// Attributes of the primitive, by meaning.
+/// Opens the vertex attributes of a primitive by their meaning.
 pub(crate) struct Attributes<'d, 'f> {
     pub(crate) document: &'d Document<'f>,
     /// `/meshes/I/primitives/J`.
     pub(crate) place: &'d str,
     pub(crate) primitive: &'d json::mesh::Primitive,
-    /// Attributes of a Draco stream, which replace accessors.
+    /// Attributes of a Draco stream, which replace those of accessors.
     pub(crate) decoded: Option<&'d draco::Decoded>,
 }
 

@@ -1,9 +1,9 @@
-//! Reasons for a file without a visible triangle: the first one in its structure, and the first
-//! defect in parts of the file that the scene does not use.
+//! Finds the reason why a file has no visible triangle. It reports the first reason in the file's
+//! structure, and the first defect of data that the scene does not use.
 //!
-//! A file that breaks off early, or whose scene lost its nodes, is sound as far as it is read. The
-//! defects of the rest help a reader who has to find out why the scene is empty. Reading them takes
-//! no more memory than any scene may.
+//! A file that ends early, or whose scene has lost its nodes, may have no defect in the data that
+//! is read. A defect of the other data helps to find out why the scene is empty. Reading that data
+//! takes no more memory than any scene may.
 
 use std::collections::HashSet;
 
@@ -23,7 +23,7 @@ use crate::{animation, lights_cameras, options};
 /// The requirement of every scene.
 const EXPECTED: &str = "at least one triangle with area";
 
-/// An accessor of any use.
+/// Format of an accessor of any use.
 const ANY: Format = Format {
     types: &[Type::Scalar, Type::Vec2, Type::Vec3, Type::Vec4, Type::Mat2, Type::Mat3, Type::Mat4],
     components: &[
@@ -37,13 +37,13 @@ const ANY: Format = Format {
     text: "a type and a component type of glTF 2.0",
 };
 
-/// The error of a file in whose scene no mesh stands.
+/// The error of a file whose scene has no mesh.
 pub(crate) fn nothing_to_show(document: &Document<'_>, nodes: &Nodes) -> Fault {
     let found = format!("none: {}", structure(document, nodes));
     let defect = match defect(document, nodes) {
         Ok(()) => String::new(),
         Err(Fault::Malformed { place, expected, found }) => {
-            format!("; the file is also broken where nothing shows it: {place}: expected {expected}, found {found}")
+            format!("; data that the scene does not use has a defect: {place}: expected {expected}, found {found}")
         }
         Err(other) => return other,
     };
@@ -60,14 +60,14 @@ pub(crate) fn no_area(document: &Document<'_>, found: &str, triangles: usize) ->
     }
 }
 
-/// The first primitive that was left out, and the number of the others.
+/// The first primitive that was left out, with the number of the others.
 fn left_out(document: &Document<'_>) -> Option<String> {
     let (first, count) = &*document.left_out.borrow();
     let first = first.as_ref()?;
     Some(if *count > 1 { format!("{first} (and {} more are left out)", count - 1) } else { first.clone() })
 }
 
-/// The reason that the scene's structure gives.
+/// The reason why the structure of the scene shows no mesh.
 fn structure(document: &Document<'_>, nodes: &Nodes) -> String {
     let root = &document.root;
     let meshes = root.meshes.len();
@@ -99,12 +99,12 @@ fn structure(document: &Document<'_>, nodes: &Nodes) -> String {
     left_out(document).unwrap_or_else(|| "no mesh has a copy to show".to_owned())
 }
 
-/// Reads everything in the file, dependencies first, up to the first defect.
+/// Reads all objects of the file, dependencies first, up to the first defect.
 fn defect(document: &Document<'_>, nodes: &Nodes) -> Result<(), Fault> {
     let root = &document.root;
     let mut dataless = None;
     let mut note = |read: Result<(), Fault>| match read {
-        // a buffer without data may be a placeholder, so any other defect is the better reason
+        // a buffer without data may be a placeholder, so any other defect is a better reason
         Err(Fault::Malformed { place, expected, found }) if found == "none" && place.starts_with("/buffers/") => {
             dataless.get_or_insert(Fault::Malformed { place, expected, found });
             Ok(())
@@ -112,7 +112,7 @@ fn defect(document: &Document<'_>, nodes: &Nodes) -> Result<(), Fault> {
         read => read,
     };
     for i in 0..root.buffers.len() {
-        // without data it may be a placeholder for an extension
+        // a buffer without a URI may be a placeholder for an extension
         if root.buffers[i].uri.is_some() {
             document.buffer(json::Index::new(i as u32), &format!("/buffers/{i}"))?;
         }

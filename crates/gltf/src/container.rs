@@ -1,4 +1,4 @@
-//! The outer shell of a glTF file: the two chunks of a `.glb`, the JSON text, its structure.
+//! The container of a glTF file: the two chunks of a `.glb`, the JSON text, and its structure.
 //!
 //! Source: glTF 2.0 specification, sections 3.2 (JSON) and 4 (GLB).
 
@@ -8,18 +8,18 @@ use serde_path_to_error::{Path, Segment};
 
 use crate::error::Fault;
 
-/// A file taken apart.
+/// The contents of a file's container.
 pub(crate) struct Container<'a> {
-    /// The JSON as written, to quote from and to read extensions that have no type.
+    /// The JSON as written, for quotations in messages and for extensions without a type.
     pub(crate) raw: Value,
-    /// The JSON as typed values; indices in it are not checked.
+    /// The JSON as typed values, whose indices are not checked yet.
     pub(crate) root: json::Root,
     /// The binary chunk of a `.glb`.
     pub(crate) bin: Option<&'a [u8]>,
 }
 
 impl<'a> Container<'a> {
-    /// Takes a `.gltf` or `.glb` apart; the first four bytes decide which it is.
+    /// Reads a `.gltf` or `.glb` file; the first four bytes decide which it is.
     pub(crate) fn open(bytes: &'a [u8]) -> Result<Self, Fault> {
         if bytes.is_empty() {
             return Err(Fault::new("byte 0", "a glTF file", "an empty file"));
@@ -52,7 +52,7 @@ impl<'a> Container<'a> {
 
 const ANIMATIONS: &str = "animations";
 const MAGIC: &[u8] = b"glTF";
-/// Must not be there, but some editors write it.
+/// glTF forbids this mark at the start of JSON, but some editors write it.
 const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
 const HEADER_BYTES: usize = 12;
 const CHUNK_HEADER_BYTES: usize = 8;
@@ -77,7 +77,7 @@ fn split_glb(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), Fault> {
     Ok((json, bin))
 }
 
-/// The content of the chunk at `start` and the start of the next one.
+/// The content of the chunk at `start`, and the start of the next chunk.
 fn chunk<'a>(file: &'a [u8], start: usize, kind: &[u8; 4], name: &str) -> Result<(&'a [u8], usize), Fault> {
     let length = word(file, start)? as usize;
     let found = file.get(start + 4..start + CHUNK_HEADER_BYTES).unwrap_or_default();
@@ -98,11 +98,12 @@ fn chunk<'a>(file: &'a [u8], start: usize, kind: &[u8; 4], name: &str) -> Result
 fn word(bytes: &[u8], at: usize) -> Result<u32, Fault> {
     match bytes.get(at..).and_then(|tail| tail.first_chunk()) {
         Some(&word) => Ok(u32::from_le_bytes(word)),
-        None => Err(Fault::new(format!("byte {at}"), "four bytes more", "the end of the file")),
+        None => Err(Fault::new(format!("byte {at}"), "four more bytes", "the end of the file")),
     }
 }
 
-/// glTF lets writers print an integer as `1.0` or `1e0`; the typed reader does not.
+/// Rewrites integers: glTF allows `1.0` or `1e0` for the integer 1, but the typed reader does not
+/// accept them.
 fn write_integers_as_integers(value: &mut Value) {
     const EXACT: f64 = 9_007_199_254_740_992.0;
     match value {
@@ -121,9 +122,8 @@ fn write_integers_as_integers(value: &mut Value) {
     }
 }
 
-/// Adds values that glTF leaves optional and the `gltf` crate's types require: the nodes of a
-/// scene, and the target node of an animation. Takes the animations out, which are read without
-/// types.
+/// Adds values that glTF leaves optional but the `gltf` crate's types require: the nodes of a
+/// scene. Removes and returns the animations, which are read without types.
 fn adapt_to_types(raw: &mut Value) -> Option<Value> {
     let scenes = raw.get_mut("scenes").and_then(Value::as_array_mut);
     for scene in scenes.into_iter().flatten().filter_map(Value::as_object_mut) {
@@ -143,7 +143,7 @@ fn syntax_fault(text: &[u8], error: &serde_json::Error) -> Fault {
     Fault::new(format!("line {} column {}", error.line(), error.column()), "valid JSON", format!("an error: {message}"))
 }
 
-/// The known start of a path as a JSON pointer.
+/// The known start of a path, as a JSON pointer.
 fn pointer(path: &Path) -> String {
     let mut pointer = String::new();
     for segment in path.iter() {
@@ -156,7 +156,7 @@ fn pointer(path: &Path) -> String {
     pointer
 }
 
-/// Splits serde's sentence into the expected and the found part.
+/// Splits serde's message into the expected and the found value.
 fn structure_fault(place: String, message: &str) -> Fault {
     if let Some(field) = message.strip_prefix("missing field `").and_then(|rest| rest.strip_suffix('`')) {
         return Fault::new(format!("{place}/{field}"), "a value", "nothing");

@@ -1,5 +1,5 @@
-//! The opened file: checked look-ups, the bytes of buffers and files, and the memory that may still
-//! be spent on it.
+//! The opened file: checked access to its objects, the bytes of its buffers and files, and the
+//! memory that is left for decoding it.
 
 use std::borrow::Cow;
 use std::cell::{Cell, OnceCell, RefCell};
@@ -23,24 +23,26 @@ use crate::{AssetResolver, LoadOptions};
 pub(crate) struct Document<'a> {
     pub(crate) root: json::Root,
     pub(crate) task: Task<'a>,
-    /// The chosen variant of materials.
+    /// Index of the chosen variant of materials.
     pub(crate) variant: Option<usize>,
     raw: Value,
     bin: Option<&'a [u8]>,
-    /// Whole content of every buffer's file or data URI, kept with the first buffer of equal URI.
+    /// Whole content of every buffer's file or data URI, stored at the first buffer with the same
+    /// URI.
     buffers: Vec<OnceCell<Cow<'a, [u8]>>>,
-    /// For every buffer, the first one with the same URI.
+    /// For every buffer, the index of the first buffer with the same URI.
     first_buffer: Vec<usize>,
-    /// For every image, the first one with the same URI.
+    /// For every image, the index of the first image with the same URI.
     pub(crate) first_image: Vec<usize>,
-    /// Content of buffer views that the file holds compressed.
+    /// Unpacked content of the buffer views that the file holds compressed.
     pub(crate) unpacked_views: Vec<OnceCell<Vec<u8>>>,
     resolver: &'a dyn AssetResolver,
     max_decoded_bytes: u64,
     decoded_bytes: Cell<u64>,
     max_picture_bytes: u64,
     picture_bytes: Cell<u64>,
-    /// Primitives that were left out: the first reason with its place, and how many there are.
+    /// Primitives that were left out: the first reason with its place, and the number of such
+    /// primitives.
     pub(crate) left_out: RefCell<(Option<String>, usize)>,
 }
 
@@ -75,12 +77,12 @@ impl<'a> Document<'a> {
         }
     }
 
-    /// The JSON at a pointer.
+    /// The JSON value at a pointer.
     pub(crate) fn json(&self, place: &str) -> Option<&Value> {
         self.raw.pointer(place)
     }
 
-    /// The JSON at a pointer, for messages.
+    /// The JSON value at a pointer, as text for messages.
     pub(crate) fn quote(&self, place: &str) -> String {
         quote(self.json(place))
     }
@@ -90,10 +92,10 @@ impl<'a> Document<'a> {
     where
         json::Root: Get<T> + AsRef<[T]>,
     {
-        // the typed reader keeps 32 bits only, so the number as written is compared too
+        // the typed reader keeps 32 bits only, so the index as written is compared too
         let written = self.json(place).and_then(Value::as_u64);
         match self.root.get(index) {
-            // a place that holds no number is that of the object itself
+            // if there is no number at `place`, then `place` is the object itself
             Some(item) if written.is_none_or(|written| written == index.value() as u64) => Ok(item),
             _ => {
                 let count = AsRef::<[T]>::as_ref(&self.root).len();
@@ -102,7 +104,8 @@ impl<'a> Document<'a> {
         }
     }
 
-    /// Counts bytes that are about to be allocated for decoded content.
+    /// Adds bytes that are about to be allocated for decoded content, and refuses more than the
+    /// limit.
     pub(crate) fn spend(&self, place: &str, elements: usize, element_bytes: usize) -> Result<(), Fault> {
         let bytes = elements as u64 * element_bytes as u64;
         let total = self.decoded_bytes.get().saturating_add(bytes);
@@ -114,7 +117,8 @@ impl<'a> Document<'a> {
         Ok(())
     }
 
-    /// Counts bytes that a picture will take when it is decoded; `size` describes it.
+    /// Adds bytes that a picture will take after decoding, and refuses more than the limit. `size`
+    /// describes the picture.
     pub(crate) fn spend_on_picture(&self, place: &str, bytes: u64, size: &str) -> Result<(), Fault> {
         let before = self.picture_bytes.get();
         let total = before.saturating_add(bytes);
@@ -128,7 +132,7 @@ impl<'a> Document<'a> {
         Ok(())
     }
 
-    /// Warns that a primitive is left out, and remembers why.
+    /// Warns that a primitive is left out, and stores the first reason.
     pub(crate) fn leave_out(&self, place: &str, reason: String) {
         let mut left_out = self.left_out.borrow_mut();
         left_out.0.get_or_insert_with(|| format!("{place}: {reason}"));
@@ -136,12 +140,12 @@ impl<'a> Document<'a> {
         self.task.warn(place, reason);
     }
 
-    /// Bytes that may still be allocated.
+    /// Number of bytes that may still be allocated.
     pub(crate) fn affordable_bytes(&self) -> u64 {
         self.max_decoded_bytes.saturating_sub(self.decoded_bytes.get())
     }
 
-    /// A part of a buffer. `place` holds the fields `buffer` and `byteLength`.
+    /// A range of a buffer. `place` is the object with the fields `buffer` and `byteLength`.
     pub(crate) fn range(
         &self,
         buffer: json::Index<json::Buffer>,
@@ -180,21 +184,21 @@ impl<'a> Document<'a> {
                 return Err(Fault::new(format!("{place}/uri"), expected, "none"));
             }
         };
-        // the binary chunk is padded, files may be longer
+        // the binary chunk is padded, and files may be longer
         usize::try_from(buffer.byte_length.0).ok().and_then(|length| bytes.get(..length)).ok_or_else(|| {
             let expected = format!("at most {} bytes, which the buffer's data has", bytes.len());
             Fault::new(format!("{place}/byteLength"), expected, buffer.byte_length.0)
         })
     }
 
-    /// Content of a URI: a data URI's own bytes, or a file beside the glTF file.
+    /// Content of a URI: the bytes of a data URI, or of a file relative to the glTF file.
     pub(crate) fn read_uri(&self, uri: &str, place: &str, max_bytes: u64) -> Result<Vec<u8>, Fault> {
         self.task.cancel.check()?;
         if let Some(data) = uri.strip_prefix("data:") {
             return decode_data_uri(data, place);
         }
         let scheme = uri.split_once(':').map(|(scheme, _)| scheme);
-        // one letter is a Windows drive, for the resolver to judge
+        // a scheme of one letter is a Windows drive, about which the resolver decides
         if scheme.is_some_and(|scheme| {
             scheme.len() > 1 && scheme.bytes().all(|b| b.is_ascii_alphanumeric() || b"+-.".contains(&b))
         }) {
@@ -207,14 +211,14 @@ impl<'a> Document<'a> {
     }
 }
 
-/// For every entry, the position of the first one with the same URI. Entries without one are their
-/// own.
+/// For every entry, the index of the first entry with the same URI; for an entry without a URI, its
+/// own index.
 fn firsts<'u>(uris: impl Iterator<Item = Option<&'u str>>) -> Vec<usize> {
     let mut known = HashMap::new();
     uris.enumerate().map(|(i, uri)| uri.map_or(i, |uri| *known.entry(uri).or_insert(i))).collect()
 }
 
-/// Padding is optional: some writers leave it out.
+/// Padding is optional, since some writers leave it out.
 const BASE64: GeneralPurpose = GeneralPurpose::new(
     &STANDARD,
     GeneralPurposeConfig::new().with_decode_padding_mode(DecodePaddingMode::Indifferent),

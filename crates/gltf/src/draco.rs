@@ -1,6 +1,6 @@
 //! `KHR_draco_mesh_compression`: a primitive whose triangles and attributes are one Draco stream.
 //!
-//! Attributes of the stream take precedence over the primitive's accessors, of which only
+//! Attributes of the stream take precedence over the primitive's accessors. Only the accessors'
 //! `normalized` is read.
 
 use std::collections::HashMap;
@@ -14,30 +14,30 @@ use crate::error::{Fault, contained};
 use crate::fields::Fields;
 use crate::quote::quote;
 
-/// Memory that the decoder may take for one primitive.
+/// Largest memory that the decoder may take for one primitive.
 const MAX_PRIMITIVE_BYTES: u64 = 2 << 30;
 
 /// A decoded primitive.
 pub(crate) struct Decoded {
     pub(crate) triangles: Vec<[u32; 3]>,
     pub(crate) vertices: usize,
-    /// By glTF's name.
+    /// Attributes by glTF's name.
     pub(crate) attributes: HashMap<String, Attribute>,
 }
 
-/// Elements of one attribute, tightly packed, one per vertex.
+/// Elements of one attribute, without gaps, one per vertex.
 pub(crate) struct Attribute {
     pub(crate) component: ComponentType,
     pub(crate) dimensions: usize,
     pub(crate) bytes: Vec<u8>,
 }
 
-/// Decodes the primitive at `place`; `None` where it is not compressed.
+/// Decodes the primitive at `place`; `None` if it is not compressed.
 pub(crate) fn decode(document: &Document<'_>, place: &str) -> Result<Option<Decoded>, Fault> {
     let Some(fields) = Fields::at(document, format!("{place}/extensions/KHR_draco_mesh_compression"))? else {
         return Ok(None);
     };
-    // decode within the memory that is left to the file
+    // decode within the memory that is left for the file
     let stream_place = fields.place("bufferView");
     let stream = document.view(fields.needed_index("bufferView")?, &stream_place)?.bytes;
     let most_bytes = document.affordable_bytes().min(MAX_PRIMITIVE_BYTES);
@@ -59,7 +59,7 @@ pub(crate) fn decode(document: &Document<'_>, place: &str) -> Result<Option<Deco
         return Err(broken(format!("a corner past its {vertices} vertices")));
     }
     let mut attributes = HashMap::new();
-    // unpack attributes to one element per vertex, as accessors have them
+    // unpack the attributes to one element per vertex, as in accessors
     let listed = document.json(&fields.place("attributes"));
     let Some(list) = listed.and_then(Value::as_object) else {
         return Err(Fault::new(fields.place("attributes"), "an object of attributes", quote(listed)));

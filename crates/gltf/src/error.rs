@@ -1,4 +1,4 @@
-//! Errors of glTF ingest: each names the file, the place in it, the expected value and the value
+//! Errors of reading glTF: each names the file, the place in it, the expected value and the value
 //! found.
 
 use std::fmt::Display;
@@ -16,7 +16,7 @@ pub enum GltfError {
     Malformed {
         /// The file as the caller named it.
         file: String,
-        /// JSON pointer (RFC 6901) such as `/accessors/3/count`, or a byte or line of the file.
+        /// JSON pointer (RFC 6901) such as `/accessors/3/count`; or a byte or line of the file.
         place: String,
         /// The expected value or range.
         expected: String,
@@ -30,9 +30,9 @@ pub enum GltfError {
         file: String,
         /// JSON pointer to the extension's name.
         place: String,
-        /// The extension.
+        /// Name of the extension.
         name: String,
-        /// Every extension that a file may require.
+        /// Names of all extensions that a file may require.
         supported: String,
         /// A hint for the user; starts with "; " or is empty.
         advice: String,
@@ -44,9 +44,9 @@ pub enum GltfError {
         file: String,
         /// "scene animation" or "material variant".
         what: &'static str,
-        /// The choice.
+        /// The name or number that the caller chose.
         wanted: String,
-        /// Numbers and names of those there are.
+        /// Numbers and names of the choices that the file has.
         known: String,
     },
     /// The task was stopped.
@@ -54,7 +54,7 @@ pub enum GltfError {
     Cancelled(#[from] Cancelled),
 }
 
-/// [`GltfError`] before it knows the file's name.
+/// A [`GltfError`] without the file's name.
 #[derive(Debug)]
 pub(crate) enum Fault {
     Malformed { place: String, expected: String, found: String },
@@ -81,10 +81,10 @@ impl Fault {
     }
 }
 
-/// Runs the decoder of a library. Its panic says that the file is broken in a way that the library
-/// does not look for; our own code has none.
+/// Runs the decoder of a library. A panic of the library is reported as a defect of the file. Code
+/// of this crate never panics.
 pub(crate) fn contained<T>(place: &str, expected: &str, decode: impl FnOnce() -> Result<T, Fault>) -> Result<T, Fault> {
-    let broken = |_| Err(Fault::new(place, expected, "bytes on which its decoder stops"));
+    let broken = |_| Err(Fault::new(place, expected, "bytes that its decoder cannot handle"));
     std::panic::catch_unwind(AssertUnwindSafe(decode)).unwrap_or_else(broken)
 }
 
@@ -108,7 +108,7 @@ mod tests {
     fn a_decoder_that_panics_means_a_broken_file() {
         let stopped = contained::<()>("/images/0", "a sound picture", || panic!("as a library might"));
         let error = stopped.unwrap_err().in_file("a.glb").to_string();
-        assert_eq!(error, "a.glb: /images/0: expected a sound picture, found bytes on which its decoder stops");
+        assert_eq!(error, "a.glb: /images/0: expected a sound picture, found bytes that its decoder cannot handle");
         assert!(matches!(contained("/images/0", "a sound picture", || Ok(3)), Ok(3)));
     }
 }

@@ -1,5 +1,5 @@
-//! The extensions that are read, and the handling of the others. `docs/GLTF.md` has the table for
-//! users; a test keeps both the same.
+//! The extensions that are read, and the handling of others. The table for users is in
+//! `docs/GLTF.md`; a test compares both.
 
 use crate::document::Document;
 use crate::error::Fault;
@@ -7,12 +7,12 @@ use crate::error::Fault;
 /// Handling of an extension.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Handling {
-    /// Read; a file may require it.
+    /// It is read, and a file may require it.
     Read,
-    /// Does not change the picture; a file may require it.
+    /// It does not change the picture, and a file may require it.
     WithoutEffect,
-    /// Not read: refused where a file requires it, left out with a warning where it uses it. Holds
-    /// a hint for the user, which starts with "; " or is empty.
+    /// It is not read. A file that requires it is refused, and a file that uses it is loaded with a
+    /// warning. Holds advice for the user, which starts with "; " or is empty.
     NotRead(&'static str),
 }
 
@@ -58,7 +58,7 @@ const EXTENSIONS: [(&str, Handling); 37] = [
     ("MSFT_texture_dds", NotRead("; `gltf-transform png IN OUT` writes pictures that can be read")),
 ];
 
-/// Refuses files that require an extension which is not read; warns of those that use one.
+/// Refuses files that require an extension which is not read; warns of files that use one.
 pub(crate) fn check(document: &Document<'_>) -> Result<(), Fault> {
     let handling =
         |name: &str| EXTENSIONS.iter().find(|(known, _)| *known == name).map_or(NotRead(""), |found| found.1);
@@ -124,7 +124,7 @@ mod tests {
             let source = &sources.iter().find(|(stem, _)| stem == file).unwrap_or_else(|| panic!("{test}")).1;
             let body = source.split(&format!("#[test]\nfn {name}()")).nth(1);
             let body = body.unwrap_or_else(|| panic!("{extension}: no test {test}")).split("\n}\n").next().unwrap();
-            // the extension is named in the test, in a list beside it, or by a helper of that file
+            // the test names the extension, or a list or helper of its file does
             let plain = extension.trim_matches('`');
             assert!(body.contains(plain) || source.contains(plain), "{extension}: {test} does not mention it");
         }

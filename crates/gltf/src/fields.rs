@@ -1,4 +1,4 @@
-//! Members of JSON objects that the `gltf` crate has no types for: extensions, animations.
+//! Members of JSON objects for which the `gltf` crate has no types: extensions and animations.
 
 use gltf::json;
 use serde_json::Value;
@@ -14,7 +14,7 @@ pub(crate) struct Fields<'d> {
 }
 
 impl<'d> Fields<'d> {
-    /// The object at a JSON pointer; `None` where there is nothing.
+    /// The object at a JSON pointer; `None` if the file has no value there.
     pub(crate) fn at(document: &'d Document<'_>, place: String) -> Result<Option<Self>, Fault> {
         match document.json(&place) {
             None => Ok(None),
@@ -60,17 +60,17 @@ impl<'d> Fields<'d> {
         self.read(key, "a whole number", Value::as_u64)
     }
 
-    /// A reference to an object of the file, which the look-up checks against the list.
+    /// Index of an object of the file; [`Document::get`] checks it when the object is read.
     pub(crate) fn index<T>(&self, key: &str) -> Result<Option<json::Index<T>>, Fault> {
         self.read(key, "an index", |value| value.as_u64().map(|index| json::Index::new(index as u32)))
     }
 
-    /// [`index`](Self::index), refusing its absence.
+    /// As [`index`](Self::index), but an error if the member is absent.
     pub(crate) fn needed_index<T>(&self, key: &str) -> Result<json::Index<T>, Fault> {
         self.index(key)?.ok_or_else(|| Fault::new(self.place(key), "an index", "nothing"))
     }
 
-    /// Number of entries of a list; 0 where it is missing.
+    /// Number of entries of a list; 0 if the list is absent.
     pub(crate) fn list(&self, key: &str) -> Result<usize, Fault> {
         Ok(self.read(key, "a list", |value| value.as_array().map(Vec::len))?.unwrap_or(0))
     }

@@ -1,13 +1,13 @@
 //! `KHR_materials_pbrSpecularGlossiness` as metallic-roughness.
 //!
 //! The material is a dielectric (metallic 0) of base colour `diffuse` whose reflection at normal
-//! incidence is `specular`. The index of refraction 0 turns the Fresnel term off, so that the
+//! incidence is `specular`. The index of refraction 0 turns off the Fresnel term, so that the
 //! specular colour alone sets the reflection (KHR_materials_specular, "Conversions", and
 //! KHR_materials_ior).
 //!
-//! Roughness is 1 − glossiness. Where a texture holds glossiness in its alpha, a picture is made
-//! whose green channel is 1 − glossinessFactor · alpha, since no factor on a roughness texture can
-//! express this.
+//! Roughness is 1 − glossiness. A texture may hold glossiness in its alpha. For it a picture is
+//! made whose green channel is 1 − glossinessFactor · alpha, since no factor on a roughness texture
+//! can express this.
 
 use glam::{Vec3, Vec4};
 use lumistack_scene::{Material, Texture};
@@ -41,7 +41,7 @@ pub(crate) fn convert(loader: &mut Loader<'_, '_>, material: &mut Material, plac
     Ok(true)
 }
 
-/// Position of a texture with the roughness that a texture with glossiness stands for.
+/// Index of a texture with the roughness that corresponds to a texture with glossiness.
 fn roughness_texture(loader: &mut Loader<'_, '_>, glossy: usize, factor: f32, place: &str) -> Result<usize, Fault> {
     let source = loader.textures[glossy];
     let key = (source.image, factor.to_bits());

@@ -1,4 +1,4 @@
-//! Pictures: textures' images, each read and decoded once, and the environment map.
+//! Pictures: the images of textures, each read and decoded once, and the environment map.
 //!
 //! The content decides the format; names and MIME types are often wrong. Colour profiles and
 //! orientation tags are ignored, as glTF requires (2.0, section 3.8.3).
@@ -15,28 +15,28 @@ use crate::error::{Fault, contained};
 use crate::ktx2;
 use crate::options::MAX_SIDE;
 
-/// Memory that a decoder may take besides the picture itself: rows, tables, and a copy in another
-/// format.
+/// Memory that a decoder may take in addition to the picture itself, for rows, tables, and a copy
+/// in another format.
 const DECODER_BYTES: u64 = 64 << 20;
 
-/// Images in the order of first use. Their headers are read at first use, and all are decoded at
-/// the end. So a scene whose pictures are too large together is refused before the first is
-/// decoded.
+/// Images in the order of first use. Their headers are read at first use, and all pictures are
+/// decoded at the end. So a scene whose pictures are too large in sum is refused before the first
+/// is decoded.
 #[derive(Default)]
 pub(crate) struct Images {
-    /// Sizes, and after [`decode`](Self::decode) pixels.
+    /// Sizes of the images; also their pixels, after [`decode`](Self::decode).
     pub(crate) decoded: Vec<Image>,
-    /// From the file's image number to a position in `decoded`.
+    /// Index into `decoded`, by the image's index in the file.
     position: HashMap<usize, usize>,
-    /// Sources of the images that have no pixels yet, in the order of `decoded`.
+    /// Sources of the images without pixels, in the order of `decoded`.
     waiting: Vec<Waiting>,
 }
 
 /// The source of an image.
 enum Waiting {
-    /// A picture in a format.
+    /// A picture file.
     Picture { content: Content, place: String, format: Format },
-    /// Roughness from the alpha of the image at a position, which holds glossiness, times a factor.
+    /// Roughness, 1 − `factor` · alpha of the image `from` in `decoded`, whose alpha is glossiness.
     Roughness { from: usize, factor: f32 },
 }
 
@@ -54,7 +54,7 @@ enum Format {
 }
 
 impl Images {
-    /// Position of an image of the file, whose header is read on first use.
+    /// Index of an image of the file, whose header is read at first use.
     pub(crate) fn texture(
         &mut self,
         document: &Document<'_>,
@@ -90,7 +90,7 @@ impl Images {
         Ok(self.decoded.len() - 1)
     }
 
-    /// Reads the header of the environment map at a URI and returns its position.
+    /// Reads the header of the environment map at a URI, and returns its index.
     pub(crate) fn environment(&mut self, document: &Document<'_>, uri: &str, place: &str) -> Result<usize, Fault> {
         let bytes = read(document, uri, place)?;
         let (_, decoder) = open(document, &bytes, place, &[ImageFormat::Hdr])?;
@@ -102,8 +102,7 @@ impl Images {
         Ok(self.decoded.len() - 1)
     }
 
-    /// Position of an image that has 1 − `factor` · alpha of the image at `from` in its green
-    /// channel.
+    /// Index of an image whose green channel is 1 − `factor` · alpha of the image `from`.
     pub(crate) fn roughness(
         &mut self,
         document: &Document<'_>,
@@ -154,14 +153,14 @@ impl Content {
     }
 }
 
-/// The bytes of a file or data URI, which are held until its picture is decoded.
+/// The bytes of a file or data URI, which stay in memory until its picture is decoded.
 fn read(document: &Document<'_>, uri: &str, place: &str) -> Result<Vec<u8>, Fault> {
     let bytes = document.read_uri(uri, place, document.affordable_bytes())?;
     document.spend(place, bytes.len(), 1)?;
     Ok(bytes)
 }
 
-/// Counts the memory of a picture before it is decoded.
+/// Adds the memory of a picture to the budget before it is decoded.
 fn spend(document: &Document<'_>, place: &str, size: [usize; 2], texel_bytes: usize) -> Result<(), Fault> {
     let [width, height] = size;
     let bytes = width as u64 * height as u64 * texel_bytes as u64;
@@ -170,7 +169,7 @@ fn spend(document: &Document<'_>, place: &str, size: [usize; 2], texel_bytes: us
 
 const TEXTURE_FORMATS: [ImageFormat; 3] = [ImageFormat::Png, ImageFormat::Jpeg, ImageFormat::WebP];
 
-/// Opens a picture of one of the formats, within the limits.
+/// Opens a picture that must have one of the formats and keep within the limits.
 fn open<'b>(
     document: &Document<'_>,
     bytes: &'b [u8],
@@ -199,7 +198,7 @@ fn open<'b>(
         let expected = format!("at most {MAX_SIDE} texels a side");
         return Err(Fault::new(place, expected, format!("{width} × {height} texels of {:?}", decoder.color_type())));
     }
-    // the picture itself is in the budget before it is decoded
+    // the picture itself was added to its budget before
     limits.max_alloc = Some(decoder.total_bytes().saturating_mul(2).saturating_add(DECODER_BYTES));
     decoder.set_limits(limits).map_err(|error| unreadable(place, format, error))?;
     Ok((format, decoder))
@@ -209,13 +208,13 @@ fn unreadable(place: &str, format: ImageFormat, error: ImageError) -> Fault {
     Fault::new(place, format!("a readable {format:?} picture of at most {MAX_SIDE} texels a side"), error)
 }
 
-/// True if the codes have 16 bits.
+/// True if the codes of the picture have 16 bits.
 fn is_deep(decoder: &impl ImageDecoder) -> bool {
     let color = decoder.color_type();
     color.bytes_per_pixel() / color.channel_count() > 1
 }
 
-/// Size of a picture of codes, whose texels are counted.
+/// Size of a picture of codes; its texels are added to the budget.
 fn codes_size(document: &Document<'_>, bytes: &[u8], place: &str) -> Result<[usize; 2], Fault> {
     let (_, decoder) = open(document, bytes, place, &TEXTURE_FORMATS)?;
     let (width, height) = decoder.dimensions();
@@ -224,7 +223,7 @@ fn codes_size(document: &Document<'_>, bytes: &[u8], place: &str) -> Result<[usi
     Ok(size)
 }
 
-/// Codes with four channels; 16 bits where the file has them.
+/// Codes with four channels, of 16 bits if the file has them.
 fn codes(document: &Document<'_>, bytes: &[u8], place: &str) -> Result<Pixels, Fault> {
     let (format, decoder) = open(document, bytes, place, &TEXTURE_FORMATS)?;
     let (width, height) = decoder.dimensions();
@@ -233,8 +232,8 @@ fn codes(document: &Document<'_>, bytes: &[u8], place: &str) -> Result<Pixels, F
         let decoded = DynamicImage::from_decoder(decoder).map_err(fault)?;
         return Ok(Pixels::Rgba16(decoded.into_rgba16().into_raw().as_chunks::<4>().0.to_vec()));
     }
-    // large pictures are not held twice: decoded at the end of their texels, then spread out from
-    // the start, which never catches up
+    // A large picture must not be in memory twice. So it is decoded into the end of its texels, and
+    // spread from their start. The spread values never overtake the decoded ones.
     let (count, channels) = (width as usize * height as usize, usize::from(decoder.color_type().channel_count()));
     let mut texels = vec![[0; 4]; count];
     let start = (4 - channels) * count;

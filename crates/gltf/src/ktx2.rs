@@ -19,25 +19,25 @@ use crate::options::MAX_SIDE;
 /// First bytes of a KTX2 file.
 pub(crate) const MAGIC: &[u8] = b"\xABKTX 20\xBB\r\n\x1A\n";
 
-/// Bytes of the header before the list of levels, and of one level's entry there.
+/// Bytes of the header before the list of levels, and of one level's entry in the list.
 const HEADER_BYTES: usize = 80;
 const LEVEL_BYTES: usize = 24;
-/// Where the header has offset and length of the key/value data.
+/// Bytes of the header that hold offset and length of the key/value data.
 #[cfg(feature = "ktx2")]
 const NOTES: Range<usize> = 56..64;
 /// Colour models of the data format descriptor.
 const ETC1S: u32 = 163;
 const UASTC: u32 = 166;
 
-/// The decoded channels that hold glTF's red, green, blue and alpha.
+/// The decoded channels from which glTF's red, green, blue and alpha are taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Channels {
     Rgba,
-    /// Red alone.
+    /// Only red, from the colour.
     Red,
-    /// Red in the colour, green in alpha.
+    /// Red from the colour, green from alpha.
     RedAndAlpha,
-    /// Red and green where they belong.
+    /// Red and green from the same channels.
     RedGreen,
 }
 
@@ -48,7 +48,7 @@ struct Header {
     channels: Channels,
 }
 
-/// Width and height of the largest level, whose texels are counted.
+/// Width and height of the largest level; its texels are added to the budget.
 pub(crate) fn size(document: &Document<'_>, bytes: &[u8], place: &str) -> Result<[usize; 2], Fault> {
     let Header { width, height, .. } = Header::read(bytes, place)?;
     let texels = format!("{width} × {height} texels");
@@ -56,7 +56,7 @@ pub(crate) fn size(document: &Document<'_>, bytes: &[u8], place: &str) -> Result
     Ok([width as usize, height as usize])
 }
 
-/// Decodes the largest level.
+/// Refuses the picture, since this build has no decoder.
 #[cfg(not(feature = "ktx2"))]
 pub(crate) fn decode(bytes: &[u8], place: &str) -> Result<Pixels, Fault> {
     Header::read(bytes, place)?;
@@ -68,8 +68,8 @@ pub(crate) fn decode(bytes: &[u8], place: &str) -> Result<Pixels, Fault> {
 pub(crate) fn decode(bytes: &[u8], place: &str) -> Result<Pixels, Fault> {
     let Header { width, height, channels } = Header::read(bytes, place)?;
     let broken = |error| Fault::new(place, "a sound Basis Universal picture", format!("{error:?}"));
-    // notes on the file say nothing about its texels, and the decoder trusts the length of the last
-    // one
+    // the key/value data is irrelevant for texels, and the decoder trusts the length of its last
+    // entry
     let mut noteless = bytes.to_vec();
     noteless[NOTES].fill(0);
     let transcoder = Transcoder::new(&noteless).map_err(broken)?;
@@ -87,7 +87,7 @@ pub(crate) fn decode(bytes: &[u8], place: &str) -> Result<Pixels, Fault> {
 }
 
 impl Header {
-    /// Reads the header's fields that matter and checks every range in it.
+    /// Reads the fields of the header that are used, and checks every range in it.
     fn read(bytes: &[u8], place: &str) -> Result<Self, Fault> {
         let fault =
             |expected: &str, found: String| Err(Fault::new(place, format!("a KTX2 picture with {expected}"), found));
@@ -114,7 +114,7 @@ impl Header {
             let found = format!("depth {depth}, {layers} layers, {faces} faces and {levels} levels");
             return fault("one face, no layers and 1 to 16 levels", found);
         }
-        // offsets and lengths lie within the file
+        // offsets and lengths are within the file
         let descriptor = word(48)? as usize;
         for (offset, length) in [(word(48)?, word(52)?), (word(56)?, word(60)?)] {
             inside(offset.into(), length.into())?;
@@ -126,7 +126,7 @@ impl Header {
             let found = format!("colour model {model} with supercompression {scheme}");
             return fault("ETC1S in BasisLZ, or UASTC plain or in Zstandard", found);
         }
-        // levels have the size that their texels need
+        // every level has as many bytes as its texels need
         for level in 0..levels {
             let entry = HEADER_BYTES + LEVEL_BYTES * level as usize;
             inside(long(entry)?, long(entry + 8)?)?;
@@ -137,7 +137,7 @@ impl Header {
                 return fault(&format!("{needed} bytes in level {level}"), unpacked.to_string());
             }
         }
-        // channel ids of the samples in the data format descriptor
+        // channel numbers of the samples in the data format descriptor
         let sample = |at: usize| -> Result<u32, Fault> { Ok((word(at)? >> 24) & 15) };
         let first = sample(descriptor + 28)?;
         let two_samples = word(52)? >= 60;

@@ -1,12 +1,12 @@
-//! glTF 2.0 to [`Scene`](lumistack_scene::Scene).
+//! Reads glTF 2.0 files into a [`Scene`](lumistack_scene::Scene).
 //!
-//! [`load`] takes the bytes of a `.gltf` or `.glb` file and an [`AssetResolver`] that reads the
-//! files it refers to; the crate itself uses no file system. The `gltf` crate gives the JSON its
-//! types. This crate checks every index, count and offset before its use. So no file can cause a
-//! panic, and memory is bounded.
+//! [`load`] takes the bytes of a `.gltf` or `.glb` file, and an [`AssetResolver`] that reads the
+//! files to which it refers. The crate itself uses no file system. The `gltf` crate gives the JSON
+//! its types. This crate checks every index, count and offset before its use. So no file can cause
+//! a panic, and memory is bounded.
 //!
-//! [`load_with`] takes a time of an animation and a variant of materials. `docs/GLTF.md` lists the
-//! supported extensions.
+//! [`load_with`] also takes a time of an animation, and a variant of materials. `docs/GLTF.md`
+//! lists the supported extensions.
 //!
 //! Meshopt, Draco and Basis Universal streams are decoded by libraries in pure Rust, within the
 //! limits of this crate.
@@ -69,18 +69,17 @@ pub use error::GltfError;
 pub use load::{Contents, contents, load, load_with};
 pub use options::LoadOptions;
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that
-/// this code has a part in.
+/// Hash of this crate's sources, made at build. It is part of the key of every kept result that
+/// this code contributes to.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
-/// Reads the files that a glTF file refers to.
+/// Reads the files to which a glTF file refers.
 pub trait AssetResolver {
     /// The content of the file at `uri`, which is relative to the glTF file and already
-    /// percent-decoded. The file is not trusted: `uri` may lead anywhere (`../../secret`,
-    /// `/dev/zero`), and the resolver decides where it may.
+    /// percent-decoded. The glTF file is not trusted: `uri` may name any file (`../../secret`,
+    /// `/dev/zero`), so the resolver decides which ones it reads.
     ///
-    /// # Errors
-    /// The reason in a few words, for the user ("No such file"); also where the file is larger than
-    /// `max_bytes`, which is to be known before it is read.
+    /// The reason in a few words, for the user ("No such file"). A file larger than `max_bytes` is
+    /// an error too, and must be found before the file is read.
     fn read(&self, uri: &str, max_bytes: u64) -> Result<Vec<u8>, String>;
 }

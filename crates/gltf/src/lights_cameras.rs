@@ -1,8 +1,8 @@
-//! Light sources other than surfaces, and cameras.
+//! Light sources other than surfaces; cameras.
 //!
 //! Sources: KHR_lights_punctual (candela and lux, light along −z of the node), and glTF 2.0,
-//! section 3.10 (cameras). Two extras are our own: `extras.lumistack.focus_distance` on a camera,
-//! and `extras.lumistack.environment` on a scene.
+//! section 3.10 (cameras). Two extras belong to Lumistack: `extras.lumistack.focus_distance` on a
+//! camera, and `extras.lumistack.environment` on a scene.
 
 use std::f32::consts::{FRAC_PI_2, PI};
 
@@ -45,7 +45,7 @@ pub(crate) fn lights(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<Light
             (None, _) => {
                 document
                     .task
-                    .warn(format!("/nodes/{node}"), "a scale of zero leaves its light without direction; left out");
+                    .warn(format!("/nodes/{node}"), "left out: with a scale of zero the light has no direction");
                 continue;
             }
         };
@@ -101,7 +101,7 @@ pub(crate) fn cameras(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<Came
     Ok(cameras.into_iter().map(|(_, camera)| camera).collect())
 }
 
-/// Distance of the near plane.
+/// Distance of the near plane, in scene units.
 fn near(source: &json::Camera) -> Option<f32> {
     match (&source.perspective, &source.orthographic) {
         (Some(perspective), _) => Some(perspective.znear),
@@ -150,8 +150,7 @@ pub(crate) fn projection(document: &Document<'_>, source: &json::Camera, place: 
     }
 }
 
-/// The environment of the scene's extras:
-/// `{"environment": {"image": "sky.hdr", "strength": 1.0, "rotation": [0, 0, 0, 1]}}`.
+/// The environment in the scene's extras:
 pub(crate) fn environment(
     document: &Document<'_>,
     nodes: &Nodes,
@@ -200,7 +199,7 @@ pub(crate) fn environment(
     Ok(Some(Environment { image, strength, scene_from_environment }))
 }
 
-/// To the scene's precision.
+/// The placement with 32-bit numbers, as scenes have them.
 pub(crate) fn affine(placement: &DAffine3) -> Affine3A {
     placement.as_affine3a()
 }

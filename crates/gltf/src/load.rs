@@ -1,4 +1,4 @@
-//! From an opened file to the parts of a scene.
+//! Makes the parts of a scene from an opened file.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -23,18 +23,17 @@ use crate::{
 
 /// Loads a `.gltf` or `.glb` file.
 ///
-/// `name` stands for the file in messages, `bytes` is its content, and `resolver` reads the files
-/// it refers to. Only parts that the default scene uses are read.
+/// `name` is the file's name in messages, `bytes` is its content, and `resolver` reads the files to
+/// which it refers. Only objects that the default scene uses are read.
 ///
 /// # Errors
-/// [`GltfError`] with the place in the file. The file or one it refers to is missing or broken. It
-/// requires an extension that is not supported. Nothing in it can be rendered. The task was
-/// cancelled.
+/// [`GltfError`] with the place in the file. A file may be missing or broken, or require an
+/// extension that is not supported. Or no object in it can be rendered, or the task was cancelled.
 pub fn load(name: &str, bytes: &[u8], resolver: &dyn AssetResolver, task: Task<'_>) -> Result<Scene, GltfError> {
     load_with(name, bytes, resolver, &LoadOptions::default(), task)
 }
 
-/// [`load`] at a time of an animation, and in a variant of materials.
+/// As [`load`], at a time of an animation, and in a variant of materials.
 ///
 /// # Errors
 /// As [`load`], and when the file does not have the animation or the variant.
@@ -62,7 +61,7 @@ pub struct Contents {
 /// Lists the animations and variants of a file.
 ///
 /// # Errors
-/// As [`load`], for the parts that have to be read for the list.
+/// As [`load`], for the objects that have to be read for the list.
 pub fn contents(name: &str, bytes: &[u8], resolver: &dyn AssetResolver, task: Task<'_>) -> Result<Contents, GltfError> {
     let warnings = InFile { name, inner: task.warnings };
     let task = Task { warnings: &warnings, ..task };
@@ -80,7 +79,7 @@ pub fn contents(name: &str, bytes: &[u8], resolver: &dyn AssetResolver, task: Ta
     list().map_err(|fault| fault.in_file(name))
 }
 
-/// Puts the file's name before the place of every warning.
+/// Adds the file's name in front of the place of every warning.
 struct InFile<'a> {
     name: &'a str,
     inner: &'a dyn Warnings,
@@ -105,7 +104,7 @@ fn load_scene(
         document.variant = Some(choose("material variant", variant, &variants::names(&document))?);
     }
     let document = document;
-    // only shown nodes, and the materials of their meshes, are read
+    // read only nodes that are shown, and the materials of their meshes
     let nodes = nodes::load(&document, animation::sample(&document, options)?)?;
     let mut materials = material::load(&document, &used_materials(&document, &nodes)?)?;
     let environment = lights_cameras::environment(&document, &nodes, &mut materials.images)?;
@@ -118,7 +117,7 @@ fn load_scene(
     };
     place_meshes(&document, &nodes, &mut materials, &mut parts)?;
     if parts.instances.is_empty() && parts.placed_clouds.is_empty() {
-        // there is nothing to validate, and more to say
+        // there is nothing to validate; [`cause`] finds the reason
         return Err(cause::nothing_to_show(&document, &nodes));
     }
     materials.images.decode(&document)?;
@@ -127,7 +126,8 @@ fn load_scene(
     task.cancel.check()?;
     let triangles: usize = parts.meshes.iter().map(|mesh| mesh.triangles.len()).sum();
     parts.validate(task).map_err(|mut error| {
-        // the validator speaks of the whole scene by its name, which the message begins with anyway
+        // at an error of the whole scene, the validator names the file, with which the message
+        // begins anyway
         if error.place == name {
             error.place = nodes.place();
             error.found = cause::no_area(&document, &error.found, triangles);
@@ -139,7 +139,7 @@ fn load_scene(
 /// Marks the materials that the meshes of the scene use.
 fn used_materials(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<bool>, Fault> {
     let mut used = vec![false; document.root.materials.len()];
-    // thousands of nodes may share a mesh of thousands of primitives
+    // a flag per mesh, since thousands of nodes may share a mesh of thousands of primitives
     let mut seen = vec![false; document.root.meshes.len()];
     for &node in &nodes.shown {
         let Some(index) = document.root.nodes[node].mesh else { continue };
@@ -157,14 +157,14 @@ fn used_materials(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<bool>, F
     Ok(used)
 }
 
-/// Reads every mesh that the scene shows once, and places it wherever a node does.
+/// Reads every mesh that the scene shows once, and places it wherever a node shows it.
 fn place_meshes(
     document: &Document<'_>,
     nodes: &Nodes,
     materials: &mut Materials,
     parts: &mut SceneParts,
 ) -> Result<(), Fault> {
-    // a skin or weights of its own give a node its own shape of the mesh
+    // a skin, or a node's weights, give a mesh another shape
     let mut loaded: HashMap<(usize, Option<usize>), Range<usize>> = HashMap::new();
     let mut loaded_splats: HashMap<usize, Vec<(usize, DAffine3)>> = HashMap::new();
     let mut default_material = None;
@@ -172,7 +172,7 @@ fn place_meshes(
         let node = &document.root.nodes[number];
         let Some(index) = node.mesh else { continue };
         let mesh = document.get(index, &format!("/nodes/{number}/mesh"))?;
-        // a skin places its mesh by itself
+        // a skinned mesh is placed by its skin, not by its node
         let mut scene_from_node = nodes.scene_from_node[number];
         let mut pose = None;
         if let Some(skin) = node.skin {
@@ -202,7 +202,7 @@ fn place_meshes(
                 entry.insert(first..parts.meshes.len())
             }
         };
-        // place it once, or once per instance of EXT_mesh_gpu_instancing
+        // place the mesh once, or once per instance of EXT_mesh_gpu_instancing
         let copies = nodes::copies(document, number)?.unwrap_or_else(|| vec![DAffine3::IDENTITY]);
         let placed = (positions.len() + clouds.len()) * copies.len();
         document.spend(&format!("/nodes/{number}"), placed, size_of::<Instance>())?;
@@ -218,8 +218,8 @@ fn place_meshes(
     Ok(())
 }
 
-/// The primitives of a mesh that are splats: numbers of their clouds, and where they stand in the
-/// mesh.
+/// The primitives of a mesh that are splats: indices of their clouds, and the clouds' placements in
+/// the mesh.
 fn read_splats(
     document: &Document<'_>,
     mesh: &json::Mesh,
@@ -238,16 +238,16 @@ fn read_splats(
     Ok(found)
 }
 
-/// A mesh as one node, or all nodes that share it, show it.
+/// A mesh in the shape in which one node, or all nodes that share it, show it.
 struct Shape<'a> {
-    /// The node's own weights of morph targets.
+    /// The node's weights of morph targets, if it has any.
     weights: Option<&'a [f32]>,
     mesh: &'a json::Mesh,
     number: usize,
     pose: Option<Pose>,
 }
 
-/// The primitives of a mesh that make triangles.
+/// Reads the primitives of a mesh that make triangles.
 fn read_mesh(
     document: &Document<'_>,
     shape: &Shape<'_>,

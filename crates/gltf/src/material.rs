@@ -1,8 +1,8 @@
-//! Materials and their textures: the metallic-roughness model with the extensions that change how a
-//! path tracer shades.
+//! Materials and their textures: the metallic-roughness model, with the extensions that change the
+//! shading of a path tracer.
 //!
 //! Source: glTF 2.0, section 3.9, and the KHR_materials_* extensions. Occlusion textures are left
-//! out: a path tracer finds occlusion itself.
+//! out, since a path tracer computes occlusion.
 
 use glam::{Vec3, Vec4};
 use gltf::json;
@@ -21,15 +21,14 @@ use crate::{glossiness, material_extensions};
 /// Materials in the file's order, with their textures and images.
 pub(crate) struct Materials {
     pub(crate) materials: Vec<Material>,
-    /// Per material, the texture coordinate sets of the file that the mesh's sets 0 and 1 are to
-    /// hold.
+    /// Per material, the texture coordinate sets of the file that become sets 0 and 1 of the mesh.
     pub(crate) uv_sets: Vec<[u32; 2]>,
     pub(crate) textures: Vec<Texture>,
     pub(crate) images: Images,
 }
 
-/// Reads the materials of the file. Unused ones keep their place but get no textures, so that a
-/// picture which is never seen cannot be missing.
+/// Reads the materials of the file. Unused materials keep their index but get no textures. So a
+/// missing picture that is never seen is no error.
 pub(crate) fn load(document: &Document<'_>, used: &[bool]) -> Result<Materials, Fault> {
     let mut loader = Loader::new(document);
     let (mut materials, mut uv_sets) = (Vec::new(), Vec::new());
@@ -102,13 +101,14 @@ impl Loader<'_, '_> {
             material.transmission_texture = self.texture_use(texture)?;
         }
         material_extensions::read(self, &mut material, place)?;
-        // goes before all that says how light is reflected
+        // KHR_materials_pbrSpecularGlossiness takes precedence, so it replaces the reflection
+        // values read above
         glossiness::convert(self, &mut material, place)?;
         let sets = fit_uv_sets(&mut material, place, self.document.task);
         Ok((material, sets))
     }
 
-    /// Our own note on a surface that stands for a light source: `extras.lumistack.lamp`.
+    /// Lumistack's mark of a surface that represents a light source: `extras.lumistack.lamp`.
     fn lamp(&self, place: &str) -> Result<Lamp, Fault> {
         let Some(lamp) = extras(self.document, place, &["lamp"]).and_then(|extras| extras.get("lamp")) else {
             return Ok(Lamp::No);
@@ -135,8 +135,8 @@ impl Loader<'_, '_> {
     }
 }
 
-/// Assigns the texture coordinate sets of the file that a material uses to the two that a mesh can
-/// hold. Returns the file's sets in the mesh's order: 0 and 1 unless another is used.
+/// Assigns the texture coordinate sets that a material uses to the two sets of a mesh. Returns the
+/// file's sets in the mesh's order: 0 and 1 unless another one is used.
 fn fit_uv_sets(material: &mut Material, place: &str, task: Task<'_>) -> [u32; 2] {
     let mut used: Vec<usize> = material.textures().map(|(_, texture)| texture.uv_set).collect();
     used.sort_unstable();

@@ -1,4 +1,4 @@
-//! Material extensions that the `gltf` crate has no types for.
+//! Material extensions for which the `gltf` crate has no types.
 //!
 //! Source: the texts of KHR_materials_specular, _clearcoat, _sheen, _iridescence, _anisotropy and
 //! _dispersion. Factors out of range are clamped by the scene's validator.

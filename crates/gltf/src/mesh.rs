@@ -1,4 +1,4 @@
-//! Primitives to triangle meshes: indices, topology, attributes, morph targets.
+//! Makes triangle meshes from primitives: indices, topology, attributes, morph targets.
 //!
 //! Source: glTF 2.0, section 3.7.2, and KHR_mesh_quantization.
 
@@ -49,23 +49,23 @@ const COLOR: Format = Format {
     text: "VEC3 or VEC4 of FLOAT, UNSIGNED_BYTE or UNSIGNED_SHORT",
 };
 
-/// The primitive that is read, and all that decides its shape.
+/// The primitive to read, with everything that determines its mesh.
 pub(crate) struct Request<'a> {
     /// `/meshes/I/primitives/J`.
     pub(crate) place: String,
     pub(crate) primitive: &'a json::mesh::Primitive,
-    /// Position in the scene's materials.
+    /// Index into the scene's materials.
     pub(crate) material: usize,
     pub(crate) appearance: &'a Material,
-    /// The file's texture coordinate sets for the mesh's sets 0 and 1.
+    /// The texture coordinate sets of the file that become sets 0 and 1 of the mesh.
     pub(crate) uv_sets: [u32; 2],
-    /// Morph target weights.
+    /// Weights of the morph targets.
     pub(crate) weights: &'a [f32],
     /// Joint matrices of a skinned mesh.
     pub(crate) pose: Option<&'a Pose>,
 }
 
-/// Reads a primitive. `None`, with a warning, when it makes no triangles.
+/// Reads a primitive. `None`, with a warning, if it makes no triangles.
 pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Option<Mesh>, Fault> {
     document.task.cancel.check()?;
     let Request { place, primitive, .. } = request;
@@ -84,7 +84,7 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
         document.leave_out(place, "a primitive without POSITION is left out".into());
         return Ok(None);
     };
-    // triangles: those of the Draco stream, or by the mode from indices
+    // triangles, from the Draco stream, or from indices by the mode
     let count = positions.count;
     let (mut triangles, left_over) = match &decoded {
         Some(decoded) if decoded.vertices == count => {
@@ -105,7 +105,7 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
     if left_over > 0 {
         document.task.warn(place, format!("{left_over} vertices at the end make no triangle and are left out"));
     }
-    // read the attributes of used vertices alone
+    // read the attributes of used vertices only
     let selection = select_used_vertices(&mut triangles, count);
 
     let mut mesh = Mesh {
@@ -115,8 +115,8 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
         material: request.material,
         ..Mesh::default()
     };
-    // normals and tangents may be broken: the scene's validator and `mend_tangents` replace those
-    // without a direction
+    // normals and tangents may lack a direction; the scene's validator and `mend_tangents` replace
+    // them then
     if let Some(normals) = attributes.open(Semantic::Normals, &NORMAL, Some(count))? {
         mesh.normals = vec3s(normals.assume_normalized().floats::<3>(document, &selection, 0.0)?);
         if let Some(tangents) = attributes.open(Semantic::Tangents, &TANGENT, Some(count))? {
@@ -132,7 +132,7 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
     for (slot, texture) in request.appearance.textures() {
         if mesh.uvs.get(texture.uv_set).is_some_and(Vec::is_empty) {
             let set = request.uv_sets[texture.uv_set];
-            let message = format!("the material's {slot} asks for TEXCOORD_{set}, which is missing; it reads (0, 0)");
+            let message = format!("the material's {slot} uses TEXCOORD_{set}, which is missing; it reads (0, 0)");
             document.task.warn(place, message);
         }
     }
@@ -149,7 +149,7 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
     Ok(Some(mesh))
 }
 
-/// Vertex numbers in drawing order, all below `count`.
+/// Vertex indices in drawing order, all below `count`.
 fn indices(document: &Document<'_>, request: &Request<'_>, count: usize) -> Result<Vec<u32>, Fault> {
     let Some(index) = request.primitive.indices else {
         document.spend(&request.place, count, size_of::<u32>())?;
@@ -167,8 +167,8 @@ fn indices(document: &Document<'_>, request: &Request<'_>, count: usize) -> Resu
     }
 }
 
-/// Triangles of a list, strip or fan, all of one orientation, and the number of vertices that are
-/// too many.
+/// Triangles of a list, strip or fan, all with the same orientation; and the number of vertices
+/// that are left over.
 fn triangles(mode: Mode, v: &[u32]) -> (Vec<[u32; 3]>, usize) {
     match mode {
         Mode::TriangleStrip => {
@@ -188,7 +188,8 @@ fn triangles(mode: Mode, v: &[u32]) -> (Vec<[u32; 3]>, usize) {
     }
 }
 
-/// Primitives often share one long vertex list, of which each uses a part; only that part is kept.
+/// The vertices that the triangles use; renumbers the triangles' corners. Primitives often share
+/// one long list of vertices, of which each uses only a few.
 fn select_used_vertices(triangles: &mut [[u32; 3]], count: usize) -> Selection {
     let corners = triangles.as_flattened_mut();
     let used: Vec<u32> = if corners.len() < count / 16 {
@@ -205,13 +206,13 @@ fn select_used_vertices(triangles: &mut [[u32; 3]], count: usize) -> Selection {
         return Selection::All;
     }
     for vertex in corners {
-        // present, since `used` was made of the same numbers
+        // found, since `used` holds all of the corners
         *vertex = used.binary_search(vertex).unwrap_or_default() as u32;
     }
     Selection::Some(used)
 }
 
-/// Adds the morph targets at their weights in the file: the shape that it has before any animation.
+/// Adds the morph targets with the given weights.
 fn morph(
     attributes: &Attributes<'_, '_>,
     weights: &[f32],
@@ -262,8 +263,8 @@ fn clamp_colors(document: &Document<'_>, place: &str, colors: Vec<[f32; 4]>) -> 
     clamped
 }
 
-/// Makes tangents unit vectors with handedness ±1. If any has no direction all are dropped and
-/// generated anew.
+/// Makes tangents unit vectors with handedness ±1. If any tangent has no direction, all tangents
+/// are dropped and generated anew.
 fn mend_tangents(document: &Document<'_>, mesh: &mut Mesh) {
     let mended: Option<Vec<Vec4>> = mesh
         .tangents

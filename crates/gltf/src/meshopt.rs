@@ -1,9 +1,9 @@
 //! `EXT_meshopt_compression` and `KHR_meshopt_compression`: buffer views that the file holds
-//! packed.
+//! compressed.
 //!
-//! A view's bytes are `count` elements of `byteStride` bytes, packed by one of three codecs and,
-//! for attributes, passed through a filter after unpacking. Its own `buffer` is for readers without
-//! the extension.
+//! A view's bytes are `count` elements of `byteStride` bytes, compressed by one of three codecs.
+//! Attributes may also go through a filter after decompression. The view's own `buffer` is for
+//! readers without the extension.
 
 use gltf::json;
 use meshoptimizer_rs::codec::{
@@ -18,11 +18,11 @@ use crate::fields::Fields;
 
 const NAMES: [&str; 2] = ["KHR_meshopt_compression", "EXT_meshopt_compression"];
 
-/// No codec packs tighter than this: a block of 256 vertices takes at least a byte for every four
+/// Largest ratio of compression: a block of 256 vertices takes at least a byte for every four
 /// columns of bytes.
 const MAX_RATIO: u64 = 1024;
 
-/// Largest unpacked view.
+/// Size of the largest unpacked view, in bytes.
 const MAX_VIEW_BYTES: u64 = 2 << 30;
 
 /// A packed view.
@@ -34,7 +34,7 @@ pub(crate) struct Packed<'d> {
 }
 
 impl<'d> Packed<'d> {
-    /// `None` where the view at `place` is not packed.
+    /// The compressed data of the view at `place`; `None` if the view is not compressed.
     pub(crate) fn of(
         document: &'d Document<'_>,
         view: &json::buffer::View,
@@ -54,7 +54,7 @@ impl<'d> Packed<'d> {
         let fields = &self.fields;
         let number =
             |key: &str| fields.count(key)?.ok_or_else(|| Fault::new(fields.place(key), "a whole number", "nothing"));
-        // the extension's numbers have to agree with the view's, and bound the memory
+        // the extension's numbers must agree with the view's, and they bound the memory
         let (count, stride, length) = (number("count")?, number("byteStride")?, number("byteLength")?);
         let offset = fields.count("byteOffset")?.unwrap_or_default();
         let source = document.range(fields.needed_index("buffer")?, offset, length, fields.here())?;
@@ -72,7 +72,7 @@ impl<'d> Packed<'d> {
         }
         let (count, stride) = (count as usize, stride as usize);
         document.spend(&fields.place("count"), count, stride)?;
-        // packed and unpacked; more than there are addresses on 32 bits
+        // memory for the packed and the unpacked data; limited to the addresses of a 32-bit machine
         let most_held = usize::try_from(2 * MAX_VIEW_BYTES).unwrap_or(usize::MAX);
         let mut workspace = Workspace::new(Limits { max_bytes: most_held, ..Limits::default() });
         let broken = |error| Fault::new(fields.place("buffer"), "a sound meshopt stream", error);

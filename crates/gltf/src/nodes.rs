@@ -1,7 +1,7 @@
-//! The node hierarchy: which nodes the scene shows and where they stand.
+//! The node hierarchy: the nodes that the scene shows, and their placements.
 //!
 //! scene_from_node = scene_from_parent · parent_from_node, with parent_from_node a matrix or
-//! translation · rotation · scale (glTF 2.0, section 3.5). Products are taken in f64.
+//! translation · rotation · scale (glTF 2.0, section 3.5). Products are computed in f64.
 
 use std::collections::HashMap;
 
@@ -20,11 +20,11 @@ use ComponentType::{F32, I8, I16};
 
 /// The nodes of the scene that is loaded.
 pub(crate) struct Nodes {
-    /// JSON pointer to the scene, where the file has one.
+    /// JSON pointer to the scene, if the file has one.
     pub(crate) scene_place: Option<String>,
     /// Nodes of the scene, parents before children, without those that `KHR_node_visibility` hides.
     pub(crate) shown: Vec<usize>,
-    /// Placement of every node of the file.
+    /// Placement of every node of the file in the scene.
     pub(crate) scene_from_node: Vec<DAffine3>,
     /// Animated values of nodes.
     pub(crate) poses: HashMap<usize, NodePose>,
@@ -37,8 +37,8 @@ impl Nodes {
     }
 }
 
-/// Reads the hierarchy of the default scene: the file's choice, or its first scene, or, without
-/// scenes, all nodes.
+/// Reads the hierarchy of the default scene. That is the scene that the file chooses, or its first
+/// scene. Without scenes it consists of all nodes.
 pub(crate) fn load(document: &Document<'_>, poses: HashMap<usize, NodePose>) -> Result<Nodes, Fault> {
     let mut parents = parents(document)?;
     let root = &document.root;
@@ -46,7 +46,7 @@ pub(crate) fn load(document: &Document<'_>, poses: HashMap<usize, NodePose>) -> 
         Some(scene) => Some((document.get(scene, "/scene")?, scene.value())),
         None => root.scenes.first().map(|scene| (scene, 0)),
     };
-    // roots: those of the scene, or all nodes without a parent if the file has no scene
+    // the roots: of the scene, or all nodes without a parent if the file has no scene
     let mut roots = Vec::new();
     match scene {
         Some((scene, number)) => {
@@ -70,7 +70,7 @@ pub(crate) fn load(document: &Document<'_>, poses: HashMap<usize, NodePose>) -> 
             roots.extend(orphans.map(|node| (node, String::new())));
         }
     }
-    // walk the visible nodes below the roots, in the file's order
+    // walk through the visible nodes under the roots, in the file's order
     let scene_from_node = placements(document, &parents, &poses)?;
     let mut shown = Vec::new();
     let mut seen = vec![false; root.nodes.len()];
@@ -88,9 +88,10 @@ pub(crate) fn load(document: &Document<'_>, poses: HashMap<usize, NodePose>) -> 
     Ok(Nodes { scene_place, shown, scene_from_node, poses })
 }
 
-/// True if a node that the scene lists is a root of the scene. A child should not be listed, but
-/// many readers show it. Where the scene shows an ancestor too, the child stays there; otherwise it
-/// stands alone, without its parents. `known` caches the findings about ancestors.
+/// True if a node that the scene lists becomes a root of the scene. A scene should not list a node
+/// that has a parent, but many readers show it. If the scene shows an ancestor too, the node stays
+/// with its parent. Otherwise it is shown without its parents. `known` caches the results for
+/// ancestors.
 fn adopt(
     document: &Document<'_>,
     node: usize,
@@ -103,7 +104,7 @@ fn adopt(
     let found = format!("expected a node without a parent, found node {node}, a child of node {parent}");
     let (mut path, mut at, mut shown) = (Vec::new(), Some(parent), false);
     while let Some(ancestor) = at {
-        // a path longer than the number of nodes is a circle, which is refused later
+        // a path longer than the number of nodes is a cycle, which is refused later
         if listed[ancestor] || path.len() > parents.len() {
             shown = true;
             break;
@@ -129,7 +130,7 @@ fn children(node: &json::Node) -> &[json::Index<json::Node>] {
     node.children.as_deref().unwrap_or_default()
 }
 
-/// The parent of every node; of several parents the first, with a warning.
+/// The parent of every node. A node with several parents gets the first, with a warning.
 fn parents(document: &Document<'_>) -> Result<Vec<Option<usize>>, Fault> {
     let mut parents = vec![None; document.root.nodes.len()];
     for (parent, node) in document.root.nodes.iter().enumerate() {
@@ -148,7 +149,7 @@ fn parents(document: &Document<'_>) -> Result<Vec<Option<usize>>, Fault> {
     Ok(parents)
 }
 
-/// The placement of every node; refuses cycles.
+/// The placement of every node in the scene; refuses cycles.
 fn placements(
     document: &Document<'_>,
     parents: &[Option<usize>],
@@ -157,7 +158,7 @@ fn placements(
     let nodes = &document.root.nodes;
     let mut placements: Vec<Option<DAffine3>> = vec![None; nodes.len()];
     for start in 0..nodes.len() {
-        // up to the nearest ancestor that is placed already, then down again
+        // go up to the nearest ancestor that is placed already, then down again
         let mut path = Vec::new();
         let mut at = Some(start);
         while let Some(node) = at.filter(|&node| placements[node].is_none()) {
@@ -190,7 +191,7 @@ fn parent_from_node(
                 return Err(Fault::new(place, "a last row of 0 0 0 1", matrix.row(3)));
             }
             if node.translation.is_some() || node.rotation.is_some() || node.scale.is_some() {
-                document.task.warn(place, "has a matrix; its translation, rotation and scale have no effect");
+                document.task.warn(place, "the node has a matrix; its translation, rotation and scale have no effect");
             }
             DAffine3::from_mat4(matrix)
         }
@@ -202,14 +203,15 @@ fn parent_from_node(
         }
     };
     let placement = match pose {
-        // not allowed, but clear: the matrix gives the values that are not animated
+        // glTF forbids to animate a node with a matrix, but the meaning is clear: the matrix gives
+        // the values that are not animated
         Some(_) if node.matrix.is_some() => posed(pose, at_rest.to_scale_rotation_translation()),
         _ => at_rest,
     };
     if placement.is_finite() { Ok(placement) } else { Err(Fault::new(place, "a finite placement", placement)) }
 }
 
-/// A placement from scale, rotation and translation, each the animation's where it has one.
+/// A placement from scale, rotation and translation; animated values replace these.
 fn posed(pose: Option<&NodePose>, (scale, rotation, translation): (DVec3, DQuat, DVec3)) -> DAffine3 {
     let moved = pose.cloned().unwrap_or_default();
     DAffine3::from_scale_rotation_translation(
@@ -219,7 +221,7 @@ fn posed(pose: Option<&NodePose>, (scale, rotation, translation): (DVec3, DQuat,
     )
 }
 
-/// A unit quaternion from four numbers that need not have length one.
+/// A unit quaternion from four numbers of any length.
 pub(crate) fn rotation(xyzw: [f32; 4], place: impl FnOnce() -> String) -> Result<DQuat, Fault> {
     let quaternion = DQuat::from_array(xyzw.map(f64::from));
     let length = quaternion.length();
@@ -233,8 +235,8 @@ const TRANSLATION: Format = Format { types: &[Type::Vec3], components: &[F32], t
 const ROTATION: Format =
     Format { types: &[Type::Vec4], components: &[F32, I8, I16], text: "VEC4 of FLOAT, BYTE or SHORT" };
 
-/// `EXT_mesh_gpu_instancing`: the copies of the node's mesh, in the node's space. `None` without
-/// the extension.
+/// `EXT_mesh_gpu_instancing`: placements of the copies of the node's mesh, in the node's space.
+/// `None` without the extension.
 pub(crate) fn copies(document: &Document<'_>, node: usize) -> Result<Option<Vec<DAffine3>>, Fault> {
     let place = format!("/nodes/{node}/extensions/EXT_mesh_gpu_instancing");
     if document.json(&place).is_none() {
@@ -247,7 +249,7 @@ pub(crate) fn copies(document: &Document<'_>, node: usize) -> Result<Option<Vec<
         let index = index.ok_or_else(|| Fault::new(&place, "an accessor's index", quote(Some(value))))?;
         Accessor::open(document, json::Index::new(index), &place, format).map(Some)
     };
-    // attributes that are absent have their defaults, and the others one count
+    // absent attributes have their defaults, and all others the same count
     let translations = open("TRANSLATION", &TRANSLATION)?;
     let rotations = open("ROTATION", &ROTATION)?.map(Accessor::assume_normalized);
     let scales = open("SCALE", &TRANSLATION)?;
@@ -284,7 +286,7 @@ fn vectors(document: &Document<'_>, accessor: Option<Accessor<'_>>) -> Result<Op
     accessor.map(|accessor| accessor.finite::<3>(document, &Selection::All, 0.0)).transpose()
 }
 
-/// Our own notes `extras.lumistack` of the object at `owner`; warns of those that are not in
+/// Lumistack's extras `extras.lumistack` of the object at `owner`; warns of members that are not in
 /// `known`.
 pub(crate) fn extras<'a>(document: &'a Document<'_>, owner: &str, known: &[&str]) -> Option<&'a Value> {
     let place = format!("{owner}/extras/lumistack");

@@ -2,29 +2,30 @@
 
 use crate::error::Fault;
 
-/// Largest side of a picture in texels.
+/// Largest width or height of a picture, in texels.
 pub(crate) const MAX_SIDE: u32 = 1 << 15;
 
-/// Choices of [`load_with`](crate::load_with). The default is the scene as its nodes stand, with
-/// its default materials.
+/// Choices of [`load_with`](crate::load_with). By default animations have no effect, and the file's
+/// default materials are used.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LoadOptions {
-    /// Time at which animations are sampled, seconds; they hold their first and last values outside
-    /// of their range. `None`: the scene as its nodes stand, or, with
-    /// [`animation`](Self::animation), time 0.
+    /// Time at which animations are sampled, in seconds. Outside of their range animations keep
+    /// their first and last values. `None`: time 0 with an [`animation`](Self::animation),
+    /// otherwise the nodes' own values.
     pub time_s: Option<f64>,
-    /// Name or number of the animation. `None`: all of them together where no two move the same
-    /// thing, otherwise the first.
+    /// Name or number of the animation. `None`: all animations together if no two move the same
+    /// property of a node, otherwise the first.
     pub animation: Option<String>,
     /// Name or number of the material variant (`KHR_materials_variants`). `None`: the default
     /// materials.
     pub variant: Option<String>,
-    /// Bytes that the scene without its pictures may decode to. Small files can require any amount
-    /// (many primitives over one accessor, pictures of one colour). Files that exceed this are
-    /// refused instead of exhausting the machine. 8 GiB.
+    /// Largest number of bytes that the scene without its pictures may decode to. Small files can
+    /// require any amount (many primitives over one accessor, pictures of one colour). Files that
+    /// exceed this are refused, so that they cannot exhaust the machine. Default 8 GiB.
     pub max_decoded_bytes: u64,
-    /// Bytes that the decoded pictures of the scene may take together, beside `max_decoded_bytes`.
-    /// The sizes in all headers are added up before the first picture is decoded. 8 GiB.
+    /// Largest number of bytes that all decoded pictures of the scene may take, in addition to
+    /// `max_decoded_bytes`. The sizes in all headers are added up before the first picture is
+    /// decoded. Default 8 GiB.
     pub max_picture_bytes: u64,
 }
 
@@ -34,7 +35,7 @@ impl Default for LoadOptions {
     }
 }
 
-/// Number of the entry that `wanted` names; a name goes before a number.
+/// Index of the entry that `wanted` names; a name takes precedence over a number.
 pub(crate) fn choose(what: &'static str, wanted: &str, names: &[Option<&str>]) -> Result<usize, Fault> {
     let by_name = names.iter().position(|name| *name == Some(wanted));
     let by_number = || wanted.parse().ok().filter(|&number: &usize| number < names.len());
@@ -44,7 +45,7 @@ pub(crate) fn choose(what: &'static str, wanted: &str, names: &[Option<&str>]) -
     })
 }
 
-/// Name of an entry in messages.
+/// Number and name of an entry, for messages.
 pub(crate) fn label(number: usize, name: Option<&str>) -> String {
     name.map_or_else(|| number.to_string(), |name| format!("{number} ({name})"))
 }

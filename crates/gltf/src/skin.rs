@@ -1,8 +1,7 @@
-//! Skins at rest: linear blend skinning in the pose that the nodes have in the file.
+//! Skins: linear blend skinning, in the pose that the nodes have.
 //!
 //! p' = Σ w_j · G_j · B_j · p, with G_j the joint's global transform and B_j its inverse bind
-//! matrix (glTF 2.0, section 3.7.3). The placement of the node that carries the mesh does not
-//! count.
+//! matrix (glTF 2.0, section 3.7.3). The placement of the node that has the mesh is ignored.
 
 use glam::{Affine3A, DAffine3, DMat4, Mat3A, Vec3A};
 use gltf::json;
@@ -63,7 +62,7 @@ impl Pose {
         Ok(Self { scene_from_bind })
     }
 
-    /// Moves the mesh to the scene's space.
+    /// Deforms the mesh, and moves it to the scene's space.
     pub(crate) fn apply(
         &self,
         document: &Document<'_>,
@@ -97,7 +96,7 @@ impl Pose {
             }
         }
         for (i, (matrix, weight)) in sums.into_iter().enumerate() {
-            // weights need not add up to one; where there are none the first joint holds the vertex
+            // weights may have any sum; a vertex whose weights are all 0 follows its first joint
             let matrix = if weight > 0.0 {
                 Affine3A { matrix3: matrix.matrix3 * weight.recip(), translation: matrix.translation / weight }
             } else {
@@ -122,7 +121,7 @@ fn cofactors(m: &Mat3A) -> Mat3A {
     Mat3A::from_cols(y.cross(z), z.cross(x), x.cross(y))
 }
 
-/// True if a skin can move the mesh; otherwise it stands where its node stands.
+/// True if a skin can deform the mesh; otherwise the node places it.
 pub(crate) fn has_joints(mesh: &json::Mesh) -> bool {
     let joints = gltf::json::validation::Checked::Valid(Semantic::Joints(0));
     mesh.primitives.iter().any(|primitive| primitive.attributes.contains_key(&joints))

@@ -35,13 +35,13 @@ const OPACITY: Format = Format {
 };
 const HARMONIC: Format = Format { types: &[Type::Vec3], components: &[F32], text: "VEC3 of FLOAT" };
 
-/// Splats of a primitive, and where they stand in its mesh.
+/// Splats of a primitive, with their placement in the mesh.
 pub(crate) struct Splats {
     pub(crate) cloud: Cloud,
     pub(crate) mesh_from_cloud: DAffine3,
 }
 
-/// True if a primitive is splats.
+/// True if the primitive at `place` has splats.
 pub(crate) fn is_splats(document: &Document<'_>, place: &str) -> bool {
     document.json(&format!("{place}/extensions/{NAME}")).is_some()
 }
@@ -54,7 +54,7 @@ pub(crate) fn load(document: &Document<'_>, place: &str) -> Result<Splats, Fault
     if mode != 0 {
         return Err(Fault::new(format!("{place}/mode"), "0 (POINTS), as splats have", mode));
     }
-    // unknown values fall back to the only known ones
+    // unknown values are treated as the only known ones
     let text = |key: &str| document.json(&format!("{here}/{key}")).and_then(serde_json::Value::as_str);
     let encoding = match text("colorSpace") {
         Some("srgb_rec709_display") => Encoding::Srgb,
@@ -80,7 +80,7 @@ pub(crate) fn load(document: &Document<'_>, place: &str) -> Result<Splats, Fault
         document.spend(place, found.cloud.bytes(), 1)?;
         found.left_out.into_iter().for_each(|message| document.task.warn(place, message));
         let cloud = Cloud { place: place.to_owned(), encoding, ..found.cloud };
-        // SPZ has x right and z back, where glTF has x left and z front
+        // SPZ has x to the right and z to the back, glTF has x to the left and z to the front
         let mesh_from_cloud = DAffine3::from_quat(DQuat::from_xyzw(0.0, 1.0, 0.0, 0.0));
         return Ok(Splats { cloud, mesh_from_cloud });
     }
@@ -109,12 +109,12 @@ fn from_accessors(document: &Document<'_>, place: &str, encoding: Encoding) -> R
     let positions = needed("POSITION", &POSITION, None)?;
     let count = Some(positions.count);
     let all = &Selection::All;
-    // the validator drops splats with values that are no number or out of range
+    // the validator drops splats with values that are not finite or out of range
     let positions = positions.floats::<3>(document, all, 0.0)?;
     let rotations = needed(&own("ROTATION"), &ROTATION, count)?.assume_normalized().floats::<4>(document, all, 0.0)?;
     let scales = needed(&own("SCALE"), &SCALE, count)?.floats::<3>(document, all, 0.0)?;
     let opacities = needed(&own("OPACITY"), &OPACITY, count)?.assume_normalized().floats::<1>(document, all, 0.0)?;
-    // harmonics up to the first degree that is absent; a degree has all of its coefficients
+    // harmonics up to the first absent degree; each degree has all of its coefficients
     let mut harmonics = Vec::new();
     for degree in 0..=lumistack_scene::MAX_DEGREE {
         let mut of_degree = Vec::new();

@@ -1,4 +1,4 @@
-//! Textures of materials: references of every kind that glTF has, samplers, and the transform of
+//! Textures of materials: all kinds of references that glTF has, samplers, and the transform of
 //! texture coordinates.
 //!
 //! Source: glTF 2.0, sections 3.8 and 3.9, and KHR_texture_transform.
@@ -23,13 +23,14 @@ pub(crate) struct Loader<'d, 'f> {
     pub(crate) document: &'d Document<'f>,
     pub(crate) textures: Vec<Texture>,
     pub(crate) images: Images,
-    /// From the file's texture number to a position in `textures`.
+    /// Index into `textures`, by the texture's index in the file.
     position: HashMap<usize, usize>,
-    /// From an image with glossiness and the bits of the factor on it to the image with roughness.
+    /// Index of the image with roughness, by an image with glossiness and the bits of the factor on
+    /// it.
     pub(crate) roughness_images: HashMap<(usize, u32), usize>,
 }
 
-/// A texture reference of any of glTF's kinds.
+/// A reference to a texture, of any of glTF's kinds.
 pub(crate) struct Reference {
     pub(crate) index: json::Index<json::Texture>,
     pub(crate) uv_set: u32,
@@ -43,7 +44,7 @@ impl<'d, 'f> Loader<'d, 'f> {
         Self { document, textures: Vec::new(), images: Images::default(), position, roughness_images }
     }
 
-    /// The texture that the member of an extension refers to.
+    /// The texture to which a member of an extension refers.
     pub(crate) fn untyped_texture(&mut self, fields: &Fields<'_>, key: &str) -> Result<Option<TextureUse>, Fault> {
         let place = fields.place(key);
         let Some(info) = Fields::at(self.document, place.clone())? else { return Ok(None) };
@@ -63,7 +64,7 @@ impl<'d, 'f> Loader<'d, 'f> {
         Ok(Some(TextureUse { texture, uv_set, texture_from_mesh }))
     }
 
-    /// Position of a texture of the file, with its image decoded.
+    /// Index of a texture of the file, whose image is read.
     fn texture(&mut self, index: json::Index<json::Texture>, used_at: &str) -> Result<usize, Fault> {
         let document = self.document;
         let texture = document.get(index, used_at)?;
@@ -72,7 +73,8 @@ impl<'d, 'f> Loader<'d, 'f> {
         }
         let place = format!("/textures/{}", index.value());
         let better = ["KHR_texture_basisu", "EXT_texture_webp"].map(|name| format!("{place}/extensions/{name}/source"));
-        // the picture in the better format; `source` is there for readers without the extension
+        // the picture of the extension if there is one; `source` is for readers without the
+        // extension
         let image = match better.iter().find_map(|place| Some((document.json(place)?.as_u64()?, place))) {
             Some((source, place)) => self.images.texture(document, json::Index::new(source as u32), place)?,
             None => self.images.texture(document, texture.source, &format!("{place}/source"))?,
@@ -116,13 +118,14 @@ impl<'d, 'f> Loader<'d, 'f> {
     }
 }
 
-/// A reference that the `gltf` crate has a type for, in the slot of the object at `parent`.
+/// A reference for which the `gltf` crate has a type. It is the member `slot` of the object at
+/// `parent`.
 pub(crate) fn plain(info: &json::texture::Info, parent: &str, slot: &str) -> Reference {
     let transform = info.extensions.as_ref().and_then(|extensions| extensions.texture_transform.clone());
     Reference { index: info.index, uv_set: info.tex_coord, transform, place: format!("{parent}/{slot}") }
 }
 
-/// The `gltf` crate has no type for extensions of a normal texture.
+/// The transform of a normal texture: the `gltf` crate has no type for its extensions.
 pub(crate) fn untyped_transform(value: &Value, place: &str) -> Result<TextureTransform, Fault> {
     serde_json::from_value(value.clone()).map_err(|_| {
         let place = format!("{place}/extensions/KHR_texture_transform");
@@ -130,9 +133,9 @@ pub(crate) fn untyped_transform(value: &Value, place: &str) -> Result<TextureTra
     })
 }
 
-/// `KHR_texture_transform`: scale, then rotation, then offset. Positive angles turn u towards −v,
-/// which is counter-clockwise to the eye, since v points down. The extension's text leaves the
-/// sense open; its test scene and all common viewers agree.
+/// `KHR_texture_transform`: scale, then rotation, then offset. Positive angles turn u towards −v.
+/// That is counter-clockwise as seen, since v points down. The extension's text does not define the
+/// sense, but its test scene and all common viewers agree.
 fn affine(transform: &TextureTransform) -> Affine2 {
     let (scale, offset) = (Vec2::from(transform.scale.0), Vec2::from(transform.offset.0));
     Affine2::from_scale_angle_translation(scale, -transform.rotation.0, offset)

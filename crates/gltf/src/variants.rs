@@ -14,8 +14,8 @@ pub(crate) fn names<'d>(document: &'d Document<'_>) -> Vec<Option<&'d str>> {
     list.into_iter().flatten().map(|variant| variant.get("name").and_then(Value::as_str)).collect()
 }
 
-/// The material of the primitive at `place` in the chosen variant; outside of its mappings, and
-/// without a choice, its default.
+/// The material of the primitive at `place` in the chosen variant. It is the primitive's default
+/// material if no variant is chosen, or if the primitive has no mapping for it.
 pub(crate) fn material(
     document: &Document<'_>,
     primitive: &json::mesh::Primitive,

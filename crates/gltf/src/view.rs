@@ -1,4 +1,4 @@
-//! Buffer views: parts of buffers, unpacked where they are packed.
+//! Buffer views: ranges of buffers, unpacked if they are compressed.
 
 use gltf::json;
 

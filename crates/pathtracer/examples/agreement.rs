@@ -1,15 +1,16 @@
-//! Renders the scenes of `cargo xtask bench agreement` in independent batches, and writes them with
-//! the pictures for another renderer.
+//! Renders the scenes of `cargo xtask bench agreement` in independent batches. Writes the pictures,
+//! and the scenes for another renderer.
 //!
 //! ```text
 //! cargo run --release -p lumistack-pathtracer --example agreement --
 //!     FOLDER [--batches N] [--samples N] [--size N]
 //! ```
 //!
-//! Per scene a folder with `scene.json` (camera: orthographic, along −z, the square −1..1),
-//! `mesh_K.f32` (corners of triangles: position xyz, texture uv; 15 numbers each) and `ours.f32`:
-//! `[batch][row][col][rgb]`. Surfaces are flat, so that no renderer interpolates normals in its own
-//! way; microfacets scatter once, as they do there.
+//! Every scene gets a folder with `scene.json`, `mesh_K.f32` and `ours.f32`. The camera is
+//! orthographic, looks along −z, and sees the square −1..1. A mesh has 15 numbers per triangle: xyz
+//! and texture uv of each corner. `ours.f32` is `[batch][row][col][rgb]`. Surfaces are flat, so
+//! that the renderers' interpolation of normals makes no difference. Microfacets scatter once, as
+//! in the other renderer.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -24,25 +25,25 @@ use lumistack_scene::{
     Environment, Filter, Image, Instance, Material, Mesh, Pixels, SceneParts, Texture, TextureUse, Window, Wrap,
 };
 
-/// Size of an environment map whose bilinear interpolation error does not matter.
+/// Size of an environment map at which the error of bilinear interpolation is negligible.
 const SKY: [usize; 2] = [1024, 512];
-/// Scattering events after the first hit.
+/// Largest number of scattering events after the first hit.
 const MAX_BOUNCES: u32 = 6;
-/// Texels per edge of the floor's texture. Each is several pixels wide, so that no renderer
-/// filters.
+/// Texels per edge of the floor's texture. Each is several pixels wide, so that no renderer filters
+/// the texture.
 const TEXELS: usize = 6;
 
-/// A surface, in terms that several renderers share.
+/// A surface, in terms that all renderers have.
 #[derive(Clone, Copy)]
 enum Surface {
     Diffuse(Vec3),
-    /// The picture of [`floor_texels`].
+    /// Diffuse, with the picture of [`floor_texels`].
     Textured,
     /// A white metal of this GGX α.
     Conductor(f32),
     /// Clear glass of index 1.5 and this GGX α.
     Dielectric(f32),
-    /// Black, radiates from its front.
+    /// Black; it emits from its front.
     Light(Vec3),
 }
 
@@ -117,11 +118,11 @@ fn floor_texels() -> Vec<[f32; 3]> {
 
 fn scenes() -> Vec<SceneSpec> {
     let white = Vec3::splat(0.8);
-    // seen from +z; the floor leans back by 50°
+    // seen from +z; the floor is a panel that leans back by 40°
     let lean = Mat3::from_rotation_x(-0.7);
     let floor = |surface| (panel(Vec3::new(0.0, 0.0, -0.6), lean * Vec3::X * 2.5, lean * Vec3::Y * 2.5), surface);
-    // its front, u × v, looks down and away from the camera; a black panel right behind it hides
-    // its back, which renderers treat differently
+    // the lamp's front, u × v, faces down and away from the camera; a black panel right behind it
+    // hides its back, which renderers treat differently
     let (lamp_u, lamp_v) = (Vec3::X * 0.6, Vec3::new(0.0, -0.42, 0.42));
     let lamp_at = Vec3::new(0.3, 1.1, 1.2);
     let lamp = |radiance| (panel(lamp_at, lamp_u, lamp_v), Surface::Light(radiance));
@@ -188,7 +189,7 @@ fn scenes() -> Vec<SceneSpec> {
     ]
 }
 
-/// Rectangle with corners centre ± u ± v; its front faces u × v.
+/// A rectangle with the corners centre ± u ± v, whose front faces u × v.
 fn panel(centre: Vec3, u: Vec3, v: Vec3) -> Mesh {
     Mesh {
         positions: vec![centre - u - v, centre + u - v, centre + u + v, centre - u + v],
@@ -199,7 +200,7 @@ fn panel(centre: Vec3, u: Vec3, v: Vec3) -> Mesh {
     }
 }
 
-/// A closed cube; fronts face outwards.
+/// A closed cube whose fronts face outwards.
 fn block(centre: Vec3, half: f32, turn: Mat3) -> Mesh {
     let axes = [turn.x_axis, turn.y_axis, turn.z_axis];
     let mut all = Mesh::default();
@@ -328,8 +329,8 @@ fn describe(spec: &SceneSpec, arguments: &Arguments, folder: &Path) -> Result<()
         Sky::Constant(value) => write!(text, "], \"sky\": {value}}}")?,
         Sky::Map => {
             text += "], \"sky\": \"sky.f32\"}";
-            // rows from +y to −y, both ends included; columns of equal angles from −z over −x... as
-            // the script says
+            // rows from +y to −y, both ends included; columns of equal angles from −z over −x, as
+            // in the script that reads them
             let [width, height] = SKY;
             let texel = |k: usize| {
                 let phi = std::f32::consts::TAU * ((k % width) as f32 + 0.5) / width as f32;

@@ -1,13 +1,13 @@
-//! Renders views of a glTF file to PNG and prints how long that took.
+//! Renders views of a glTF file to PNG, and prints how long it took.
 //!
 //! ```text
 //! cargo run --release -p lumistack-pathtracer --example render_gltf --
 //!     SCENE [-o FOLDER] [--size COLSxROWS] [--samples N] [--views N]
 //! ```
 //!
-//! The window comes from the file's first camera or is framed on the scene; a scene without light
-//! gets a white sky. Views are the N × N of a 20° × 20° oblique grid on a window 474 mm wide; only
-//! the corners and the centre are written, all are timed.
+//! The window comes from the file's first camera, or is framed on the scene. A scene without light
+//! gets a white sky. The views are an N × N grid over 20° × 20°, oblique, on a window 474 mm wide.
+//! Only the corners and the centre are written, but all views are timed.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -25,7 +25,7 @@ use lumistack_scene::{Environment, Image, Pixels, Scene, Window};
 /// Width of the window in millimetres: 420 pixels of 1.128 mm, the paper's panel at half
 /// resolution.
 const WIDTH_MM: f64 = 473.76;
-/// Full angle of the views.
+/// Full angle of the grid of views, in degrees.
 const FOV_DEG: f64 = 20.0;
 
 struct Folder(PathBuf);
@@ -115,7 +115,7 @@ fn render(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Adds a white sky to a scene in which nothing shines.
+/// Adds a white sky to a scene in which nothing emits light.
 fn with_light(scene: Scene, task: Task<'_>) -> Result<Scene, Box<dyn std::error::Error>> {
     if scene.is_lit() {
         return Ok(scene);

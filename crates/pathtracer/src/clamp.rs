@@ -1,4 +1,4 @@
-//! Dims samples that are brighter than a limit, and counts the light that is removed.
+//! Dims samples that are brighter than a limit, and adds up the light that is removed.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -7,19 +7,20 @@ use lumistack_core::colour::luminance;
 
 use crate::settings::Settings;
 
-/// Sums are kept in so many parts of the limit: whole numbers add up the same in any order.
+/// Sums are whole numbers of the limit over this number, since whole numbers add up to the same sum
+/// in any order.
 const PARTS: f64 = 65536.0;
 
 /// Light that a limit removed from one view.
 #[derive(Default)]
 pub(crate) struct Clamped {
     samples: AtomicU64,
-    /// Luminance removed, in parts of the limit.
+    /// Removed luminance, in units of the limit over [`PARTS`].
     removed: AtomicU64,
 }
 
 impl Clamped {
-    /// The sample with no channel above the limit, of the same colour.
+    /// The sample, scaled so that no channel exceeds the limit.
     pub(crate) fn dim(&self, radiance: Vec3, limit: f32) -> Vec3 {
         let largest = radiance.max_element();
         if largest <= limit || !radiance.is_finite() {

@@ -6,13 +6,13 @@ pub(crate) struct Distribution {
     /// Cumulative probability up to and including each entry; the last is 1.
     cumulative: Vec<f32>,
     probabilities: Vec<f32>,
-    /// First entry for a number in each of n equal parts of [0, 1). The search continues from
-    /// there, in constant time on average (Chen, Asau 1974).
+    /// First entry for each of n equal intervals of [0, 1). The search starts at it and takes
+    /// constant time on average (Chen, Asau 1974).
     guide: Vec<u32>,
 }
 
 impl Distribution {
-    /// From weights ≥ 0; `None` when their sum is zero or not finite.
+    /// A distribution in proportion to weights ≥ 0; `None` when their sum is zero or not finite.
     pub(crate) fn new(weights: &[f64]) -> Option<Self> {
         let sum: f64 = weights.iter().sum();
         if !(sum > 0.0 && sum.is_finite()) {
@@ -26,11 +26,10 @@ impl Distribution {
                 running as f32
             })
             .collect();
-        // no number below 1 may fall behind the last entry that has weight
+        // no number below 1 may choose an entry past the last one that has weight
         let last = weights.iter().rposition(|&w| w > 0.0)?;
         cumulative[last..].fill(1.0);
-        // the probability that inversion really gives, so that sampling and density agree to
-        // rounding
+        // differences of the rounded sums, so that sampling and density agree up to rounding
         let probabilities =
             (0..cumulative.len()).map(|i| cumulative[i] - if i == 0 { 0.0 } else { cumulative[i - 1] }).collect();
         let parts = cumulative.len() as f32;
@@ -40,13 +39,13 @@ impl Distribution {
         Some(Self { cumulative, probabilities, guide })
     }
 
-    /// Entry for `u` in [0, 1), and `u` rescaled to [0, 1) inside it.
+    /// Entry for `u` in [0, 1), and `u` rescaled from the entry's interval to [0, 1).
     #[inline]
     pub(crate) fn sample(&self, u: f32) -> (usize, f32) {
         let last = self.cumulative.len() - 1;
         let part = (u * self.cumulative.len() as f32) as usize;
         let mut index = self.guide[part.min(last)] as usize;
-        // rounding may put u one part too far
+        // rounding may start the search one entry too far
         while index > 0 && self.cumulative[index - 1] > u {
             index -= 1;
         }

@@ -1,12 +1,12 @@
 //! The scene's triangles, and the surface data at a hit.
 //!
 //! Triangles of meshes that are placed once are kept in render space, as if the scene were one
-//! mesh. A mesh that is placed often is kept once, in a space of its own around its centre, with a
+//! mesh. A mesh that is placed often is kept once, in its own space around its centre, with a
 //! transform per instance. So memory grows with unique geometry only.
 //!
 //! Render space is the scene moved to the centre of its bounds and scaled by a power of two to a
-//! half diagonal of 1 to 2. So 32-bit rounding is the same for a scene of a micrometre and of a
-//! kilometre, at any place.
+//! half diagonal of 1 to 2. So 32-bit rounding is relatively the same for scenes of any size and
+//! position.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -18,15 +18,15 @@ use lumistack_simd::prefetch;
 
 use crate::bvh::{Hit, NO_INSTANCE, Placement};
 
-/// Rays leave a surface at this share of the largest coordinate of its triangle: about 16 times the
-/// rounding error of a point interpolated from three vertices.
+/// Rays start off a surface by this fraction of the largest coordinate of its triangle. It is about
+/// 16 times the rounding error of a point interpolated from three vertices.
 const OFFSET_SHARE: f32 = 4e-6;
-/// Scenes of up to this many triangles with instances counted share nothing (see
-/// [`Sharing::Auto`]): some 150 MB.
+/// Scenes of up to this number of triangles, with all instances included, share no meshes (see
+/// [`Sharing::Auto`]). They need some 150 MB.
 const FLATTENED: usize = 1 << 20;
-/// Smaller meshes are not worth a tree of their own.
+/// Meshes of fewer triangles than this get no separate tree.
 const LEAST_SHARED: usize = 16;
-/// Least cosine between the reflected direction and the geometric normal; see [`bend_normal`].
+/// Smallest cosine between the reflected direction and the geometric normal; see [`bend_normal`].
 const LEAST_REFLECTED_COSINE: f32 = 0.01;
 
 /// Maps the scene to render space: `scale · (point − centre)`.
@@ -40,23 +40,24 @@ pub(crate) struct RenderSpace {
     pub(crate) half_size: Vec3,
 }
 
-/// When meshes that are placed more than once share their triangles.
+/// Rule by which meshes that are placed more than once share their triangles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Sharing {
-    /// In scenes of more than [`FLATTENED`] triangles with instances counted: rays are faster
-    /// through one tree.
+    /// Meshes share triangles in scenes of more than [`FLATTENED`] triangles, with instances
+    /// included. In smaller scenes one tree makes rays faster.
     Auto,
-    /// Whenever it can be.
+    /// Meshes share triangles wherever possible.
     #[cfg(test)]
     Always,
 }
 
-/// All triangles, each once.
+/// All triangles, each kept once.
 pub(crate) struct Geometry {
     scene: Arc<Scene>,
     pub(crate) space: RenderSpace,
-    /// First the `loose` triangles, in render space, wound counter-clockwise seen from the front;
-    /// then those of shared meshes in the spaces of their trees, wound as the mesh is.
+    /// First the `loose` triangles, in render space, wound counter-clockwise seen from the front.
+    /// After them come the triangles of shared meshes, each in the space of its tree, with the
+    /// winding of the mesh.
     records: Vec<Record>,
     pub(crate) loose: Range<usize>,
     /// Triangles of each shared mesh.
@@ -65,14 +66,14 @@ pub(crate) struct Geometry {
     instances: Vec<PlacedInstance>,
 }
 
-/// Data of a triangle for its hits, side by side in two cache lines. Collecting it from the mesh's
-/// arrays takes a dozen.
+/// Data of a triangle for its hits, in two cache lines. Collecting it from the mesh's arrays would
+/// read a dozen lines.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
 struct Record {
     corners: [Vec3; 3],
-    /// In render space for loose triangles, in the mesh's space for shared ones; interpolated, then
-    /// normalized.
+    /// Normals of the corners, in render space for loose triangles and in the mesh's space for
+    /// shared triangles. They are interpolated, then normalized.
     normals: [Vec3; 3],
     /// Texture coordinates of set 0; zeros where the mesh has none.
     uvs: [Vec2; 3],
@@ -80,20 +81,20 @@ struct Record {
     /// Length in texture space (set 0) per length in the space of the corners: √(area / area).
     uv_per_length: f32,
     material: u32,
-    /// For shared triangles any instance.
+    /// Index of the instance; for shared triangles the first instance of their mesh.
     instance: u32,
     triangle_in_mesh: u32,
     /// [`SWAPPED`], [`COLORED`], [`FLAT`].
     flags: u32,
 }
 
-/// Two corners have changed places: the instance mirrors.
+/// Two corners are exchanged, since the instance mirrors.
 const SWAPPED: u32 = 1;
 /// The mesh has vertex colours.
 const COLORED: u32 = 2;
-/// The vertex normals are the geometric normal.
+/// All vertex normals equal the geometric normal.
 const FLAT: u32 = 4;
-/// Cosine from which on two normals are one.
+/// Cosine from which on two normals are treated as equal.
 const SAME_NORMAL: f32 = 1.0 - 1e-6;
 
 struct PlacedInstance {
@@ -109,15 +110,15 @@ struct PlacedInstance {
 pub(crate) struct SurfacePoint<'a> {
     geometry: &'a Geometry,
     record: &'a Record,
-    /// Instance of a shared triangle.
+    /// The instance, for a shared triangle.
     placed: Option<&'a PlacedInstance>,
     weights: [f32; 3],
     pub(crate) position: Vec3,
-    /// On the front side.
+    /// Geometric normal on the front side.
     pub(crate) geometric_normal: Vec3,
-    /// Length in the space of the triangle's corners over length in render space.
+    /// Length in the space of the triangle's corners, over the same length in render space.
     shrinking: f32,
-    /// Distance by which a ray must start off the surface.
+    /// Distance from the surface at which a ray must start.
     pub(crate) offset: f32,
 }
 
@@ -129,7 +130,7 @@ impl RenderSpace {
     fn around(bounds: Bounds) -> Self {
         let (min, max) = (bounds.min.as_dvec3(), bounds.max.as_dvec3());
         let half_size = 0.5 * (max - min);
-        // a scene of one point cannot be: the validator keeps only triangles with area
+        // the scene is larger than a point, since the validator keeps only triangles with area
         let scale = (-half_size.length().max(f64::MIN_POSITIVE).log2().floor()).exp2();
         Self {
             centre: 0.5 * (min + max),
@@ -139,7 +140,7 @@ impl RenderSpace {
         }
     }
 
-    /// Maps a point of the scene.
+    /// Maps a point of the scene to render space.
     pub(crate) fn point(&self, point: DVec3) -> DVec3 {
         self.scale * (point - self.centre)
     }
@@ -253,17 +254,17 @@ impl Geometry {
             + size_of_val(self.placements.as_slice())
     }
 
-    /// Number of triangles that are kept.
+    /// Number of triangles that are kept in memory.
     pub(crate) fn triangle_count(&self) -> usize {
         self.records.len()
     }
 
-    /// Area of a triangle; of a shared one in the space of its tree.
+    /// Area of a triangle. For a shared triangle it is measured in the space of its tree.
     pub(crate) fn area(&self, triangle: u32) -> f32 {
         0.5 * normal_and_doubled_area(self.corners(triangle)).1
     }
 
-    /// Corners of a triangle; of a shared one in the space of its tree.
+    /// Corners of a triangle. For a shared triangle they are in the space of its tree.
     pub(crate) fn corners(&self, triangle: u32) -> [Vec3; 3] {
         self.records[triangle as usize].corners
     }
@@ -287,8 +288,7 @@ impl Geometry {
         prefetch(record.wrapping_add(64));
     }
 
-    /// The point of a triangle of no shared mesh with these vertex weights (in render-space
-    /// winding).
+    /// The point of a loose triangle with these vertex weights (in the winding of render space).
     #[inline]
     pub(crate) fn point(&self, triangle: u32, barycentric: [f32; 3]) -> SurfacePoint<'_> {
         let record = &self.records[triangle as usize];
@@ -317,7 +317,7 @@ impl Geometry {
         let record = &self.records[hit.triangle as usize];
         let instance = &self.instances[hit.instance as usize];
         let placement = &self.placements[instance.placement as usize];
-        // positions are rounded as sums of this and of the instance's place
+        // positions are rounded as sums of these corners and the instance's translation
         let turned = record.corners.map(|corner| placement.render_from_tree * corner);
         let corners = turned.map(|corner| corner + placement.translation);
         let (normal, doubled_area) = normal_and_doubled_area(corners);
@@ -327,7 +327,7 @@ impl Geometry {
             placed: Some(instance),
             weights: hit.barycentric,
             position: weighted(hit.barycentric, corners),
-            // a mirrored triangle winds the other way
+            // a mirrored triangle has the opposite winding
             geometric_normal: if instance.mirrored { -normal } else { normal },
             shrinking: (normal_and_doubled_area(record.corners).1 / doubled_area.max(f32::MIN_POSITIVE)).sqrt(),
             offset: OFFSET_SHARE * (largest_coordinate(corners) + largest_coordinate(turned)),
@@ -362,8 +362,8 @@ fn linear(instance: &Instance) -> DMat3 {
     DMat3::from_cols(m.x_axis.as_dvec3(), m.y_axis.as_dvec3(), m.z_axis.as_dvec3())
 }
 
-/// The meshes that are kept once for any number of placements. Emitting meshes are not: each
-/// triangle that emits is a light of its own.
+/// Which meshes are kept once for any number of placements. Emitting meshes are not shared, since
+/// every placed triangle that emits is a separate light.
 fn shared_meshes(scene: &Scene, sharing: Sharing) -> Vec<bool> {
     if sharing == Sharing::Auto && scene.triangle_count() <= FLATTENED {
         return vec![false; scene.meshes.len()];
@@ -392,7 +392,7 @@ impl SurfacePoint<'_> {
         &self.geometry.scene.meshes[self.geometry.scene.instances[self.record.instance as usize].mesh]
     }
 
-    /// Interpolates three corners of a mesh's array by this point's barycentrics.
+    /// Interpolates an array of the mesh at this point, from the values at the triangle's corners.
     fn interpolated<T>(&self, values: &[T]) -> T
     where
         T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>,
@@ -414,7 +414,7 @@ impl SurfacePoint<'_> {
         if uvs.is_empty() { Vec2::ZERO } else { self.interpolated(uvs) }
     }
 
-    /// Length in texture space per length in render space.
+    /// Length in texture space over length in render space.
     #[inline]
     pub(crate) fn uv_per_length(&self, set: usize) -> f32 {
         if set == 0 {
@@ -426,7 +426,7 @@ impl SurfacePoint<'_> {
         uv_per_length(uvs, normal_and_doubled_area(self.record.corners).1) * self.shrinking
     }
 
-    /// True if vertex normals equal the geometric normal.
+    /// True if all vertex normals equal the geometric normal.
     #[inline]
     pub(crate) fn is_flat(&self) -> bool {
         self.record.flags & FLAT != 0
@@ -443,8 +443,8 @@ impl SurfacePoint<'_> {
         if self.is_colored() { self.interpolated(&self.mesh().colors) } else { Vec4::ONE }
     }
 
-    /// Interpolated normal on the front side; the geometric normal where interpolation fails or
-    /// contradicts the winding.
+    /// Interpolated normal on the front side. It is the geometric normal if interpolation fails or
+    /// the result contradicts the winding.
     #[inline]
     pub(crate) fn shading_normal(&self) -> Vec3 {
         let sum = weighted(self.weights, self.record.normals);
@@ -453,10 +453,10 @@ impl SurfacePoint<'_> {
         if normal.dot(self.geometric_normal) > 0.0 { normal } else { self.geometric_normal }
     }
 
-    /// The place on a smooth surface through the corners with their normals, on the side of the
-    /// normal; `side` is 1 on the front and −1 on the back. Each corner's tangent plane is where
-    /// the surface may bulge to (Hanika 2021, "Hacking the shadow terminator", Ray Tracing Gems
-    /// II).
+    /// The point's position on a smooth surface through the corners with their normals, moved to
+    /// the side of the normal. `side` is 1 on the front and −1 on the back. The surface may bulge
+    /// as far as each corner's tangent plane (Hanika 2021, "Hacking the shadow terminator", Ray
+    /// Tracing Gems II).
     pub(crate) fn smooth_position(&self, side: f32) -> Vec3 {
         let bulge = |k: usize| {
             let (corner, normal) = match self.placed {
@@ -473,7 +473,7 @@ impl SurfacePoint<'_> {
         self.position + bulge(0) + bulge(1) + bulge(2)
     }
 
-    /// `normal` turned by a tangent-space normal (glTF: x along u, y up in the picture). `None`
+    /// `normal`, turned by a tangent-space normal (glTF: x along u, y up in the picture). `None`
     /// without tangents.
     pub(crate) fn mapped_normal(&self, normal: Vec3, mapped: Vec3) -> Option<Vec3> {
         let tangents = &self.mesh().tangents;
@@ -490,10 +490,10 @@ impl SurfacePoint<'_> {
     }
 }
 
-/// Bends a shading normal just so far that the mirror direction of `to_viewer` stays above the
-/// surface (Keller et al. 2017, "The Iray light transport simulation and rendering system",
-/// appendix). So there are no black rims, and the normal is always on the viewer's side. Both
-/// normals are on the viewer's side of the surface.
+/// Bends a shading normal by the smallest angle at which the mirror direction of `to_viewer` is
+/// above the surface. The method is that of Keller et al. 2017, "The Iray light transport
+/// simulation and rendering system", appendix. So there are no black rims, and the normal is always
+/// on the viewer's side. `shading` and `geometric` must be on the viewer's side of the surface.
 pub(crate) fn bend_normal(shading: Vec3, geometric: Vec3, to_viewer: Vec3) -> Vec3 {
     let least = LEAST_REFLECTED_COSINE.min(0.9 * to_viewer.dot(geometric).max(0.0));
     let reflected = 2.0 * shading.dot(to_viewer) * shading - to_viewer;

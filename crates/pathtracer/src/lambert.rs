@@ -17,7 +17,7 @@ pub(crate) struct Lambert {
     normals: Normals,
 }
 
-/// True if a material scatters by Lambert's law alone, with any texels of its textures.
+/// True if a material scatters by Lambert's law alone, for all texels of its textures.
 pub(crate) fn is_lambertian(material: &Material) -> bool {
     let no_gloss = material.ior == 1.0 || material.specular == 0.0 && material.specular_texture.is_none();
     let no_layers = !Layers::are_named(material) && material.iridescence.is_none();
@@ -30,25 +30,25 @@ impl Lambert {
         Self { albedo, geometric, normals }
     }
 
-    /// Its reflectance.
+    /// The surface's reflectance.
     #[inline]
     pub(crate) fn albedo(&self) -> Vec3 {
         self.albedo
     }
 
-    /// Its shading normal on the viewer's side.
+    /// The shading normal on the viewer's side.
     #[inline]
     pub(crate) fn normal(&self) -> Vec3 {
         self.normals.mapped
     }
 
-    /// The same point with another horizon than that of the geometric normal.
+    /// The same point with `horizon` in place of its geometric normal.
     #[inline]
     pub(crate) fn above(&self, horizon: Vec3) -> Self {
         Self { geometric: horizon, ..*self }
     }
 
-    /// f |cos| and density.
+    /// f |cos|, and the density with which [`sample`](Self::sample) finds the direction.
     #[inline]
     pub(crate) fn evaluate(&self, direction: Vec3) -> (Vec3, f32) {
         let density = direction.dot(self.normals.mapped) * FRAC_1_PI;
@@ -59,8 +59,9 @@ impl Lambert {
         }
     }
 
-    /// A scattered direction, from one of [`cosine_directions`](crate::bsdf::cosine_directions)
-    /// around the z axis; `None` when it is below the surface or nothing is reflected.
+    /// A scattered direction, rotated from one around the z axis
+    /// ([`cosine_directions`](crate::bsdf::cosine_directions)). `None` when it is below the surface
+    /// or nothing is reflected.
     #[inline]
     pub(crate) fn sample(&self, local: Vec3) -> Option<Scatter> {
         let (tangent, bitangent) = self.normals.mapped.any_orthonormal_pair();

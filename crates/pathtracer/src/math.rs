@@ -1,9 +1,9 @@
-//! Elementary functions without library calls: quicker, and the same on every platform.
+//! Elementary functions without library calls: faster, and with equal results on every platform.
 
 /// Sine and cosine of an angle in turns, −1..1; absolute error below 1e-6.
 #[inline]
 pub(crate) fn sin_cos_turns(turns: f32) -> (f32, f32) {
-    // nearest quarter and the remainder, at most an eighth of a turn
+    // nearest quarter turn, and the remainder of at most an eighth of a turn
     let quarters = (4.0 * turns + if turns < 0.0 { -0.5 } else { 0.5 }) as i32;
     let x = (turns - 0.25 * quarters as f32) * std::f32::consts::TAU;
     let x2 = x * x;
@@ -25,7 +25,7 @@ pub(crate) fn angle_turns(y: f32, x: f32) -> f32 {
     let (across, up) = (x.abs(), y.abs());
     let steep = up > across;
     let ratio = if steep { across / up } else { up / across.max(f32::MIN_POSITIVE) };
-    // least squares over Chebyshev nodes of atan(√s)/√s
+    // least-squares fit of atan(√s)/√s at Chebyshev nodes
     let s = ratio * ratio;
     let sum = 0.015_766_043 + s * (-0.009_448_567 + s * (0.003_846_168_5 + s * -0.000_743_058_34));
     let turns = ratio * (0.159_154_92 + s * (-0.053_049_46 + s * (0.031_782_024 + s * (-0.022_308_089 + s * sum))));
@@ -34,9 +34,9 @@ pub(crate) fn angle_turns(y: f32, x: f32) -> f32 {
     turns.copysign(y)
 }
 
-/// The unit disc from the unit square, area for area (concentric map of Shirley, Chiu 1997). Both
-/// halves of the map are evaluated alike and exchanged at the end: which one it is, is a coin toss
-/// that no branch predictor wins.
+/// Maps the unit square to the unit disc, equal areas to equal areas (concentric map of Shirley,
+/// Chiu 1997). Both halves of the map are computed alike and exchanged at the end, since no branch
+/// predictor can guess the half.
 #[inline]
 pub(crate) fn concentric_disc(u: [f32; 2]) -> (f32, f32) {
     let (a, b) = (2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0);
@@ -44,7 +44,7 @@ pub(crate) fn concentric_disc(u: [f32; 2]) -> (f32, f32) {
     let (radius, other) = if across { (a, b) } else { (b, a) };
     let x = std::f32::consts::FRAC_PI_4 * if radius == 0.0 { 0.0 } else { other / radius };
     let x2 = x * x;
-    // Taylor series as below, |x| ≤ π/4
+    // Taylor series as in `sin_cos_turns`, |x| ≤ π/4
     let sin = x * (1.0 + x2 * (-1.0 / 6.0 + x2 * (1.0 / 120.0 + x2 * (-1.0 / 5040.0))));
     let cos = 1.0 + x2 * (-0.5 + x2 * (1.0 / 24.0 + x2 * (-1.0 / 720.0 + x2 * (1.0 / 40_320.0))));
     let (along, aside) = (radius * cos, radius * sin);
@@ -88,9 +88,9 @@ mod tests {
                 let u = [i as f32 / 100.0, j as f32 / 100.0];
                 let (x, y) = concentric_disc(u);
                 let (a, b) = (2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0);
-                // squares around the centre become circles
+                // a square around the centre becomes a circle whose radius is the larger coordinate
                 assert!((x.hypot(y) - a.abs().max(b.abs())).abs() < 1e-5, "{u:?}");
-                // and an eighth of the square an eighth of the disc
+                // and an eighth of the square becomes an eighth of the disc
                 let turn = |x: f32, y: f32| f64::from(y).atan2(f64::from(x));
                 let expected = if a.abs() > b.abs() {
                     std::f64::consts::FRAC_PI_4 * f64::from(b / a) + if a < 0.0 { std::f64::consts::PI } else { 0.0 }

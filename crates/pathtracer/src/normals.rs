@@ -1,21 +1,21 @@
-//! Normals of diffuse scattering, and the shadows of the bumps that a normal map stands for.
+//! Normals of diffuse scattering, and the shadows of the bumps that a normal map represents.
 
 use glam::Vec3;
 
 /// Normals of diffuse scattering, unit vectors on the viewer's side.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Normals {
-    /// That of the vertices, turned by a normal map.
+    /// Normal interpolated from the vertices, then turned by a normal map.
     pub(crate) mapped: Vec3,
-    /// That of the vertices.
+    /// Normal interpolated from the vertices.
     smooth: Vec3,
-    /// α² of the bumps that the normal map stands for, 0 without one.
+    /// α² of the bumps that the normal map represents; 0 without a normal map.
     alpha2: f32,
 }
 
 impl Normals {
-    /// Normals of a point with a normal map. The bumps have α² = tan² ∠(mapped, smooth) / 8, 1 at
-    /// most.
+    /// Normals of a point with a normal map. The bumps have α² = tan² ∠(mapped, smooth) / 8, at
+    /// most 1.
     #[inline]
     pub(crate) fn new(mapped: Vec3, smooth: Vec3) -> Self {
         if mapped == smooth {
@@ -25,30 +25,30 @@ impl Normals {
         Self { mapped, smooth, alpha2: ((1.0 - cosine2) / (8.0 * cosine2).max(f32::MIN_POSITIVE)).clamp(0.0, 1.0) }
     }
 
-    /// Without a normal map.
+    /// Normals of a point without a normal map.
     #[inline]
     pub(crate) fn smooth(normal: Vec3) -> Self {
         Self { mapped: normal, smooth: normal, alpha2: 0.0 }
     }
 
-    /// The same in another frame.
+    /// The same normals in another frame.
     pub(crate) fn turned(&self, turn: impl Fn(Vec3) -> Vec3) -> Self {
         let mapped = turn(self.mapped);
         Self { mapped, smooth: if self.alpha2 == 0.0 { mapped } else { turn(self.smooth) }, alpha2: self.alpha2 }
     }
 
-    /// Share of the light from `direction` that bumps do not shadow, with the angle θ to the smooth
-    /// normal:
+    /// Fraction of the light from `direction` that the bumps do not shadow; θ is its angle to the
+    /// smooth normal:
     ///
     /// ```text
     /// 2 cos θ / (cos θ + √(cos² θ + α² sin² θ))
-    /// This is Smith's shadowing of a GGX surface of the same roughness. With the cosine to the
-    /// mapped normal alone, light ends in a hard edge where the smooth surface turns away, and
-    /// slopes are lit through their neighbours. Source: Estevez, Lecocq, Stein 2019, "A
+    /// ```
+    ///
+    /// This is Smith's shadowing of a GGX surface of the same roughness. With only the cosine to
+    /// the mapped normal, light would end in a hard edge where the smooth surface turns away. It
+    /// would also light slopes through their neighbours. Source: Estevez, Lecocq, Stein 2019, "A
     /// microfacet-based shadowing function to solve the bump terminator problem", Ray Tracing Gems;
-    /// Cycles has it too.
-    /// a hard edge where the smooth surface turns away, and slopes are lit through their
-    /// neighbours.
+    /// Cycles uses it too.
     #[inline]
     pub(crate) fn unshadowed(&self, direction: Vec3) -> f32 {
         if self.alpha2 == 0.0 {
@@ -64,8 +64,9 @@ impl Normals {
 mod tests {
     use super::*;
 
-    /// Bumps shadow all light at the smooth surface's horizon and none from straight above. In
-    /// between they shadow more, without a step, the steeper they are and the lower the light is.
+    /// Bumps shadow all light at the smooth surface's horizon, and none from straight above. At
+    /// other angles they shadow more, without a step, the steeper they are and the lower the light
+    /// is.
     #[test]
     fn the_shadow_of_bumps_ends_softly() {
         let from = |degrees: f32| Vec3::new(degrees.to_radians().sin(), 0.0, degrees.to_radians().cos());

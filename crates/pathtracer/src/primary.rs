@@ -7,12 +7,14 @@
 //! (x, y, 0) − τ (s_x, s_y, 1),   τ from τ₀ in millimetres
 //! ```
 //!
-//! from a start τ₀. In oblique views it lies in front of the scene's bounds, so that objects in
-//! front of the display plane are seen too. In perspective views it is no nearer than the eye.
-//! Where the window has a near plane, it is no nearer than that.
+//! from a start τ₀. In oblique views the start is in front of the scene's bounds, so that objects
+//! in front of the display plane are seen too. In perspective views it is in front of the bounds,
+//! or at the eye if the eye is nearer to them. If the window has a near plane, no ray starts nearer
+//! to the viewer than that plane.
 //!
-//! Start and direction are linear in the offsets of a sample from the centre of its pixel and of
-//! its slopes. So a pixel's central ray is computed in f64, and its samples in f32 from that.
+//! A sample has two offsets: from the centre of its pixel, and from the centre of its slopes. The
+//! start and the direction of its ray are linear in them. So a pixel's central ray is computed in
+//! f64, and the rays of its samples in f32 from that.
 
 use glam::{DVec3, Vec3};
 use lumistack_display::{FieldGeometry, Projection};
@@ -22,13 +24,13 @@ use crate::bvh::{BEAM, Ray};
 use crate::geometry::RenderSpace;
 use crate::tracer::Cone;
 
-/// Bounds are entered this much outside themselves, relative to the radius of the scene.
+/// Width by which the scene's bounds are enlarged, relative to the scene's radius.
 const BOUNDS_MARGIN: f64 = 1e-5;
-/// Width of the texture footprint over that of a pixel. Samples are spread over the pixel, so each
-/// needs to cover only a part: each of 16 samples a quarter of its width. Half of it dims small
-/// letters, and trades variance (up to 3 %) for blur. A display shows the dimmer target better
-/// (still life: 36.8 dB instead of 36.2 dB), but with less detail: its gradients have 12 % less
-/// energy.
+/// Width of the texture footprint, as a fraction of the pixel's width. Samples are spread over the
+/// pixel, so each needs to cover only a fraction of it: each of 16 samples covers a quarter of its
+/// width. Half the pixel's width dims small letters, and trades variance (up to 3 %) for blur. A
+/// display shows that dimmer target better (still life: 36.8 dB instead of 36.2 dB), but with less
+/// detail: its gradients have 12 % less energy.
 const FOOTPRINT_SHARE: f64 = 0.25;
 
 /// The rays of one view.
@@ -37,15 +39,16 @@ pub(crate) struct PrimaryRays<'a> {
     view: [usize; 2],
     /// Full width of the range of slopes per axis, 0 for a point.
     slope_width: [f64; 2],
-    /// True if the range is the ellipse of those widths instead of the rectangle.
+    /// True if the range is the ellipse of those widths, not the rectangle.
     round: bool,
-    /// Display space in render space: the origin and one millimetre along each axis.
+    /// Display space in render space: its origin, one millimetre along each axis, and the length of
+    /// a millimetre.
     origin: DVec3,
     axes: [DVec3; 3],
     millimetre: f64,
-    /// Half the size of the scene's bounds with a margin.
+    /// Half the size of the scene's bounds, with a margin.
     half_size: DVec3,
-    /// τ at the start of all rays, and the largest |τ| inside the bounds from there on.
+    /// τ at the start of all rays, and the largest |τ| from the start to the far end of the bounds.
     start: f64,
     deepest: f64,
 }
@@ -56,13 +59,13 @@ pub(crate) struct PixelRays {
     /// Start and direction of the central ray.
     origin: Vec3,
     direction: Vec3,
-    /// A pixel to the right and one up on the plane z = 0.
+    /// Vectors of one pixel to the right and one pixel up, on the plane z = 0.
     pixel: [Vec3; 2],
-    /// Unit vectors to the right and up, and the way they are followed to the start, τ₀ in render
-    /// space.
+    /// Unit vectors to the right and up, and τ₀ in render space, by which a change of slope moves
+    /// the start along them.
     axes: [Vec3; 2],
     start: f32,
-    /// Change of slope across the pixel, and full width of the range of slopes.
+    /// Change of the slope across the pixel, and full width of the range of slopes.
     turn: [f32; 2],
     slope_width: [f32; 2],
     round: bool,
@@ -71,8 +74,8 @@ pub(crate) struct PixelRays {
     pub(crate) in_bounds: bool,
 }
 
-/// The square −0.5..0.5 to the disc of diameter 1, equal areas to equal areas and neighbours to
-/// neighbours (Shirley, Chiu 1997).
+/// Maps the square −0.5..0.5 to the disc of diameter 1, equal areas to equal areas and neighbours
+/// to neighbours (Shirley, Chiu 1997).
 fn in_disc([x, y]: [f32; 2]) -> [f32; 2] {
     use std::f32::consts::{FRAC_PI_2, FRAC_PI_4};
     if x == 0.0 && y == 0.0 {
@@ -96,7 +99,7 @@ impl<'a> PrimaryRays<'a> {
         let axes = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| space.scale * map.vector(axis));
         let millimetre = map.scale * space.scale;
         let half_size = space.half_size.as_dvec3() + BOUNDS_MARGIN * f64::from(space.radius);
-        // τ of the nearest and of the farthest corner of the bounds, which lie around the origin of
+        // τ at the nearest and at the farthest corner of the bounds, whose centre is the origin of
         // render space
         let toward = axes[2] / (millimetre * millimetre);
         let (centre, reach) = (origin.dot(toward), half_size.dot(toward.abs()));
@@ -121,15 +124,16 @@ impl<'a> PrimaryRays<'a> {
         let [x, y, z] = self.axes;
         let on_plane = self.origin + point[0] * x + point[1] * y;
         let along = -(slope[0] * x + slope[1] * y + z);
-        // the texture footprint: constant in parallel projections, growing from the eye in others
+        // the texture footprint: constant in parallel projections, growing with the distance from
+        // the eye in perspective
         let (start, spread) = match grid.projection {
             Projection::Oblique => (1.0, 0.0),
             Projection::Perspective { distance_mm } => {
                 (1.0 + self.start / distance_mm, pitch * self.millimetre / (distance_mm * along.length()))
             }
         };
-        // how far the pixel's rays are from the central one inside the bounds, along both axes
-        // together
+        // largest distance of the pixel's rays from the central ray inside the bounds, summed over
+        // both axes
         let spreading: f64 =
             [0, 1].map(|axis| pitch + self.deepest * (turn[axis].abs() + self.slope_width[axis])).into_iter().sum();
         let half_size = self.half_size + 0.5 * spreading * self.millimetre;
@@ -153,12 +157,12 @@ impl<'a> PrimaryRays<'a> {
 }
 
 impl PixelRays {
-    /// Fills at most [`BEAM`] rays. The offsets are in −0.5..0.5, x to the right and y up. The
-    /// first are from the centre of the pixel, in pixels; the second are from the centre of the
-    /// slopes, in widths.
+    /// Fills at most [`BEAM`] rays. Each gets two offsets in −0.5..0.5, x to the right and y up.
+    /// The first is from the centre of the pixel, in pixels. The second is from the centre of the
+    /// range of slopes, in widths of that range.
     #[inline]
     pub(crate) fn fill(&self, rays: &mut [Ray], offsets: impl Fn(usize) -> [[f32; 2]; 2]) {
-        // numbers of the same kind side by side: their roots and quotients become vectors
+        // one array per coordinate, so that roots and quotients are computed as vectors
         let mut origins = [[0.0f32; BEAM]; 3];
         let mut directions = [[0.0f32; BEAM]; 3];
         let mut turns = [[0.0f32; BEAM]; 2];
@@ -192,7 +196,7 @@ impl PixelRays {
         }
     }
 
-    /// The ray at an offset as [`fill`](Self::fill) has them.
+    /// The ray at two offsets, which [`fill`](Self::fill) describes.
     pub(crate) fn ray(&self, in_pixel: [f32; 2], in_bin: [f32; 2]) -> Ray {
         let mut ray = [Ray::ANY];
         self.fill(&mut ray, |_| [in_pixel, in_bin]);
@@ -207,7 +211,7 @@ impl PixelRays {
 
 /// True if a line intersects the box −`half`..`half`.
 fn passes_through(origin: DVec3, direction: DVec3, half: DVec3) -> bool {
-    // no 0 · ∞: along an axis that the line runs across, it is inside all the way or never
+    // without 0 · ∞: a line parallel to a pair of planes is between them all the way, or never
     let across = direction.cmpeq(DVec3::ZERO);
     if (across & origin.abs().cmpgt(half)).any() {
         return false;
@@ -228,7 +232,8 @@ mod tests {
 
     use super::*;
 
-    /// Along each axis the disc has ⟨x²⟩ = r²/4; every ring holds its share of the area.
+    /// Along each axis the disc has ⟨x²⟩ = r²/4, and every ring holds samples in proportion to its
+    /// area.
     #[test]
     fn the_disc_is_filled_evenly() {
         let n = 400i16;
@@ -253,9 +258,9 @@ mod tests {
         assert_eq!(in_disc([0.0, 0.0]), [0.0, 0.0]);
     }
 
-    /// Rays of random windows far from the scene, near it and inside it. Each is the line through
-    /// its point of the display plane with its slope, and starts before the bounds or at the eye.
-    /// Where it intersects the bounds, its pixel is `in_bounds`.
+    /// Rays of random windows that are far from the scene, near it or inside it. Each ray is the
+    /// line through its point of the display plane with its slope, and starts in front of the
+    /// bounds or at the eye. If it intersects the bounds, its pixel is `in_bounds`.
     #[test]
     fn rays_are_lines_of_the_display() {
         let mut stream = Stream::new(4);
@@ -300,7 +305,7 @@ mod tests {
                 let aside = (origin - on_plane).cross(direction).length();
                 let size = origin.length() + on_plane.length();
                 assert!(aside < 1e-6 * size, "{aside} of {size}");
-                // where it starts, seen along the display's axis
+                // position of the start along the display's axis
                 let z = map.inverse_point(space.centre + origin / space.scale).z;
                 let rounded = 1e-6 * size / (space.scale * map.scale);
                 if let Projection::Perspective { distance_mm } = projection {

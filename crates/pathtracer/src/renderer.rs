@@ -1,4 +1,4 @@
-//! The renderer: a scene prepared once, views rendered tile by tile.
+//! The renderer: prepares a scene once, and renders views tile by tile.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -38,7 +38,7 @@ pub(crate) use first::FEATURES;
 use first::{DisplayAxes, FirstSums};
 pub use split::{GuidedSplit, SplitView};
 
-/// Edge of a tile in pixels: the unit of work and of progress.
+/// Edge of a tile in pixels. A tile is the unit of work and of progress.
 const TILE: usize = 16;
 
 /// A scene prepared for rendering. Shared by all views and threads.
@@ -83,9 +83,9 @@ pub struct Renderer {
 /// Sizes of a prepared scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Memory {
-    /// Triangles with instances counted.
+    /// Number of triangles, including the copies that instances make.
     pub triangles: usize,
-    /// Triangles that are kept; those of a mesh that is placed often count once in large scenes.
+    /// Number of triangles that are kept. In large scenes a mesh that is placed often is kept once.
     pub unique_triangles: usize,
     /// Bytes of the tree's nodes, leaves and instances.
     pub tree_bytes: usize,
@@ -101,9 +101,9 @@ pub struct Memory {
 struct PixelMean {
     /// Mean radiance.
     mean: Vec3,
-    /// Variance of the mean, from independent samples; NaN of fewer than two.
+    /// Variance of the mean, as if samples were independent; NaN with fewer than two samples.
     variance: Vec3,
-    /// Samples that were no finite numbers.
+    /// Number of samples that are not finite numbers.
     not_finite: u32,
 }
 
@@ -113,7 +113,7 @@ pub enum RenderError {
     /// A setting is out of its range.
     #[error("render settings: {0}")]
     Settings(#[from] SettingsError),
-    /// The light field's geometry makes no sense.
+    /// The light field's geometry is not possible.
     #[error(transparent)]
     Geometry(#[from] GridError),
     /// The view is not in the grid.
@@ -124,30 +124,30 @@ pub enum RenderError {
         /// The requested view, [y, x].
         view: [usize; 2],
     },
-    /// The tree cannot hold so many triangles.
+    /// The tree cannot hold as many triangles as the scene has.
     #[error(
-        "scene: expected at most {} triangles, those of a mesh that is placed often counted once, found {found}",
+        "scene: expected at most {} triangles, where a mesh that is placed often is counted once, found {found}",
         bvh::MAX_TRIANGLES
     )]
     TooManyTriangles {
         /// Number of triangles.
         found: usize,
     },
-    /// The tree cannot hold so many instances.
+    /// The tree cannot hold as many instances as the scene has.
     #[error("scene: expected at most {} instances, found {found}", bvh::MAX_INSTANCES)]
     TooManyInstances {
         /// Number of instances.
         found: usize,
     },
-    /// Stopped from outside.
+    /// The render was cancelled.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
 }
 
 impl Renderer {
     /// Prepares a scene: image pyramids, tree, lights. Takes time and memory in proportion to the
-    /// scene, not to the views; in scenes of more than a million triangles, a mesh that is placed
-    /// often counts once.
+    /// scene, not to the views. In scenes of more than a million triangles, a mesh that is placed
+    /// often is kept only once.
     ///
     /// # Errors
     /// If the scene has more than 2²⁹ − 1 triangles or 2³⁰ − 1 instances, or when cancelled.
@@ -156,7 +156,7 @@ impl Renderer {
     }
 
     fn with_sharing(scene: Arc<Scene>, sharing: Sharing, task: Task<'_>) -> Result<Self, RenderError> {
-        // the tree's references bound the scene's size
+        // the references of the tree limit the scene's size
         let found = geometry::unique_triangles(&scene, sharing);
         if found > bvh::MAX_TRIANGLES {
             return Err(RenderError::TooManyTriangles { found });
@@ -168,7 +168,7 @@ impl Renderer {
         task.cancel.check()?;
         let materials = Materials::new(scene.clone());
         task.cancel.check()?;
-        // the tree, from corners and flags that only its build needs
+        // build the tree; only the build needs its input of corners and flags
         let flags: Vec<u32> = (0..found as u32).map(|t| materials.flags(geometry.material_index(t))).collect();
         let corners: Vec<_> = (0..found as u32).map(|t| geometry.corners(t)).collect();
         let bvh = Bvh::new(&bvh::Input {
@@ -196,29 +196,29 @@ impl Renderer {
         Ok(Self { geometry, bvh, materials, lights, traits, backdrop: scene.backdrop, memory })
     }
 
-    /// Memory of the prepared scene.
+    /// Sizes of the prepared scene.
     pub fn memory(&self) -> Memory {
         self.memory
     }
 
     /// Leaves out the light that microfacets scatter more than once, for comparisons with renderers
-    /// that leave it out too. Rough metals and rough glass are then darker than they should be.
+    /// that leave it out too. Rough metals and rough glass are then too dark.
     #[must_use]
     pub fn single_scattering(mut self) -> Self {
         self.materials.without_compensation();
         self
     }
 
-    /// Shows the environment past the scene even if the scene has a backdrop, for comparisons with
-    /// renderers without backdrops.
+    /// Rays that miss the scene see the environment, even if the scene has a backdrop. This is for
+    /// comparisons with renderers without backdrops.
     #[must_use]
     pub fn without_backdrop(mut self) -> Self {
         self.backdrop = None;
         self
     }
 
-    /// Steps by which one call of [`render_view`](Self::render_view) advances the progress: its
-    /// tiles.
+    /// Steps by which one call of [`render_view`](Self::render_view) advances the progress: the
+    /// number of its tiles.
     pub fn steps_per_view(geometry: &FieldGeometry) -> u64 {
         Tiles::new(geometry).count() as u64
     }
@@ -246,8 +246,9 @@ impl Renderer {
         self.view_of::<false, 3>(window, geometry, view, settings, task, mean, rgb)
     }
 
-    /// `K` values of every pixel of a view, `[row][col][k]`, from which `radiance` takes their
-    /// radiance; with `FIRST` also from the first surfaces of its paths.
+    /// `K` values of every pixel of a view, `[row][col][k]`. `radiance` returns the radiance that
+    /// the values of a pixel contain. With `FIRST` the values also depend on the first surfaces of
+    /// the paths.
     fn view_of<const FIRST: bool, const K: usize>(
         &self,
         window: &Window,
@@ -306,7 +307,7 @@ impl Renderer {
         Ok(flat)
     }
 
-    /// Share of the window, 0..1, where the central rays of a view hit a surface.
+    /// Fraction of the window, 0..1, in which the central rays of a view hit a surface.
     ///
     /// # Errors
     /// As [`hit_mask`](Self::hit_mask).
@@ -344,7 +345,7 @@ impl Renderer {
         Ok(PrimaryRays::new(window, geometry, view, self.geometry.space, slope_width, round))
     }
 
-    /// Samples of a view, `view` = [view_y, view_x], once the settings are checked.
+    /// Samples of a view, `view` = [view_y, view_x], after a check of the settings.
     fn samples_of<'a>(
         &self,
         window: &Window,
@@ -368,7 +369,7 @@ impl Renderer {
         }
     }
 
-    /// Renders a pixel; with `FIRST` also adds up the first surfaces of its paths.
+    /// Renders a pixel; with `FIRST` also adds up data of the first surfaces of its paths.
     fn pixel<const FIRST: bool>(
         &self,
         samples: &ViewSamples<'_>,
@@ -401,7 +402,7 @@ impl Renderer {
                 }
                 if sample.is_finite() {
                     if FIRST {
-                        // a limit dims both parts alike
+                        // a limit dims diffuse and other light by the same factor
                         let kept = if sample == traced { 1.0 } else { sample.max_element() / traced.max_element() };
                         sums.add_diffuse(kept * first[index].diffuse);
                     }
@@ -418,7 +419,7 @@ impl Renderer {
         let count = f64::from(finite.max(1));
         let variance = |c: usize| match finite {
             0 | 1 => f32::NAN,
-            // rounding may leave a little less than nothing of equal samples
+            // equal samples may give a sum slightly below 0, by rounding
             _ => ((squares[c] - sum[c] * sum[c] / count).max(0.0) / (count * (count - 1.0))) as f32,
         };
         let pixel = PixelMean {
@@ -429,8 +430,8 @@ impl Renderer {
         (pixel, if FIRST { sums.turned(&samples.axes) } else { sums })
     }
 
-    /// Fills `[row][col][k]` tile by tile. Values depend only on the pixel, so threads do not
-    /// matter.
+    /// Computes `[row][col][k]` tile by tile. The values of a pixel depend only on the pixel, so
+    /// the result is the same for any number of threads.
     fn by_tiles<const K: usize>(
         &self,
         geometry: &FieldGeometry,
@@ -442,7 +443,7 @@ impl Renderer {
         let fill = |tile: usize| -> Result<Vec<[f32; K]>, Cancelled> {
             let mut stack = self.bvh.stack();
             let one = |(row, col)| {
-                // a pixel of very many samples takes as long as one should wait
+                // checked per pixel, since a pixel of very many samples takes long enough
                 task.cancel.check()?;
                 Ok(pixel(row, col, &mut stack))
             };
@@ -464,12 +465,13 @@ impl Renderer {
     }
 }
 
-/// Radiance of values that begin with it.
+/// Radiance of a pixel whose first three values are the radiance.
 fn rgb(values: &[f32]) -> [f32; 3] {
     [values[0], values[1], values[2]]
 }
 
-/// Values of pixels, `[row][col][k]`, in ranges that follow one another: name and length of each.
+/// Divides the values of pixels, `[row][col][k]`, into successive ranges of k with a name and a
+/// length each.
 fn ranges<const N: usize>(values: &Tensor<3>, lengths: [(&'static str, usize); N]) -> [Tensor<3>; N] {
     let [rows, cols, all] = values.shape();
     let mut first = 0;
@@ -501,7 +503,7 @@ fn scene_bytes(scene: &Scene) -> usize {
 }
 
 impl Memory {
-    /// All bytes that are counted.
+    /// Sum of all bytes.
     pub fn bytes(&self) -> usize {
         self.tree_bytes + self.geometry_bytes + self.scene_bytes + self.texture_bytes
     }
@@ -539,8 +541,8 @@ mod tests {
 
     use super::*;
 
-    /// A bowl with texture coordinates, placed often: turned, stretched, mirrored; transparent in
-    /// one material.
+    /// A bowl with texture coordinates that is placed often: turned, stretched, mirrored. One of
+    /// its materials is transparent.
     fn bowls(alpha_mode: AlphaMode) -> Arc<Scene> {
         let size = 7;
         let mut mesh = Mesh::default();
@@ -596,9 +598,10 @@ mod tests {
         Arc::new(parts.validate(Task::quiet(&warnings, &cancel)).unwrap())
     }
 
-    /// Instances that share a tree and copies in one tree are the same scene. The same random
-    /// numbers make the same paths except where rounding decides, so the pictures agree far below
-    /// their noise; transparency draws other numbers and agrees within it.
+    /// Instances that share a tree show the same scene as copies in one tree. The same random
+    /// numbers make the same paths except where rounding decides, so the pictures differ far less
+    /// than by noise. Transparent surfaces draw other numbers, so those pictures differ by the
+    /// noise.
     #[test]
     fn shared_and_copied_meshes_look_the_same() {
         let (warnings, cancel) = (Collector::default(), Cancel::default());
@@ -629,8 +632,8 @@ mod tests {
             let noise = square(&copied, &other_noise);
             let share = if alpha_mode == AlphaMode::Opaque { 0.05 } else { 1.3 };
             assert!(square(&copied, &shared) < share * noise, "{} against noise {noise}", square(&copied, &shared));
-            // the noise of the difference of two means, five standard errors (one pixel in three
-            // channels is one sample)
+            // the noise of the difference of two means, five standard errors; the three channels of
+            // a pixel are one sample
             let bound = 5.0 * (noise / (copied.data().len() / 3) as f64).sqrt();
             assert!((mean(&copied) - mean(&shared)).abs() < bound, "{} and {}", mean(&copied), mean(&shared));
             assert!(mean(&copied) > 0.1);

@@ -1,21 +1,21 @@
-//! Sample points: (0,2)-sequences, padded to any dimension, decorrelated per view, pixel and pair
-//! of dimensions.
+//! Sample points: (0,2)-sequences, padded to any dimension, decorrelated between views, pixels and
+//! pairs of dimensions.
 //!
 //! Each pair of dimensions takes the first two dimensions of Sobol's sequence. Owen's nested
 //! uniform scrambling permutes its values and its order (Owen 1995; shuffling as in Burley 2020,
 //! "Practical Hash-based Owen Scrambling").
 //!
 //! Scrambling at every draw costs more than tracing, so a bank of [`PATTERNS`] scrambled sequences
-//! is made once. A draw picks a pattern and flips bits of the sample's index and of the values by a
-//! hash of (pixel, pair). So it costs one hash and one load. Flipping keeps every sequence's
+//! is made once. Each draw picks a pattern and flips bits of the sample's index and of the values
+//! by a hash of (pixel, pair). So it costs one hash and one load. Flipping keeps every sequence's
 //! stratification (Kollig, Keller 2002) and makes each point uniform, hence the estimate unbiased.
 
 use lumistack_core::seed;
 
-/// Scrambled sequences in the bank; pairs of one path that are less than this apart use different
-/// ones.
+/// Number of scrambled sequences in the bank. Two pairs of a path use different sequences if they
+/// are less than this apart.
 const PATTERNS: usize = 64;
-/// Longest sequence in the bank; more samples start over with other hashes.
+/// Length of the longest sequence in the bank; further samples start over with another hash.
 const LONGEST: u32 = 4096;
 /// Odd step that spreads pairs over hashes (2⁶⁴ / golden ratio).
 const PAIR_STEP: u64 = 0x9e37_79b9_7f4a_7c15;
@@ -29,7 +29,7 @@ pub(crate) struct SampleBank {
     parts: u32,
 }
 
-/// Draws the random numbers of consecutive samples of one pixel. All samples share the hash of
+/// Draws the random numbers of consecutive samples of one pixel. All samples share the hash of the
 /// pixel and pair.
 #[derive(Clone, Copy)]
 pub(crate) struct Draws<'a> {
@@ -42,7 +42,7 @@ pub(crate) struct Draws<'a> {
 #[derive(Clone, Copy)]
 pub(crate) struct Pair<'a> {
     points: &'a [[u32; 2]],
-    /// Bits of the index and of the values that change.
+    /// Bits that are flipped in the index, and in the two values.
     flip: u32,
     flips: [u32; 2],
 }
@@ -55,7 +55,7 @@ impl SampleBank {
         let mut points = Vec::with_capacity(PATTERNS * length as usize);
         for pattern in 0..PATTERNS as u64 {
             let key = |what: u64| seed::derive(BANK_SEED, &[pattern, what]);
-            // a nested uniform scramble of the index needs its bits at the top
+            // nested uniform scrambling of the index requires the index in the high bits
             let order = |i: u32| {
                 let bits = length.trailing_zeros();
                 if bits == 0 { 0 } else { owen_scramble(i << (32 - bits), key(0)) >> (32 - bits) }
@@ -68,9 +68,9 @@ impl SampleBank {
         Self { points, length, parts }
     }
 
-    /// The numbers of the pixel with this hash for sample `first` and those that follow. Those of
-    /// one object must be in one stretch of the longest sequence, as they are from multiples of any
-    /// power of two up to it.
+    /// The numbers for sample `first` and the following samples of the pixel with this hash. The
+    /// samples of one object must be within one run of the longest sequence. They are if `first` is
+    /// a multiple of a power of two and no more samples than that follow.
     pub(crate) fn draws(&self, pixel: u64, first: u32) -> Draws<'_> {
         let pixel = if first < self.length { pixel } else { seed::derive(pixel, &[u64::from(first / self.length)]) };
         Draws { bank: self, pixel, first: first & (self.length - 1) }
@@ -78,18 +78,19 @@ impl SampleBank {
 }
 
 impl<'a> Draws<'a> {
-    /// Number of equal parts of [0, 1) that hold one number each of the pixel's samples, in both
-    /// numbers of every pair. If the number of samples is no power of two, a part holds one or two.
+    /// Number of equal parts of [0, 1), each of which holds one of the numbers that a pixel's
+    /// samples draw. This holds for both numbers of every pair. If the number of samples is no
+    /// power of two, a part holds one or two.
     #[inline]
     pub(crate) fn parts(&self) -> u32 {
         self.bank.parts
     }
 
-    /// Any pair of dimensions.
+    /// The pair of dimensions with this index.
     #[inline]
     pub(crate) fn pair(&self, pair: u64) -> Pair<'a> {
         let hash = seed::mix(self.pixel.wrapping_add(pair.wrapping_mul(PAIR_STEP)));
-        // a different pattern for each of 64 pairs in a row, starting at random
+        // a different pattern for each of 64 successive pairs, from a random one on
         let pattern = (self.pixel.wrapping_add(pair.wrapping_mul(37)) as usize) % PATTERNS;
         let length = self.bank.length as usize;
         let flip = (hash ^ (hash >> 27)) as u32 ^ self.first;
@@ -102,16 +103,17 @@ impl<'a> Draws<'a> {
 }
 
 impl Pair<'_> {
-    /// The two numbers, each in [0, 1), of a sample, counted from the first.
+    /// The two numbers of a sample, each in [0, 1). Samples are counted from the first of these
+    /// draws.
     #[inline]
     pub(crate) fn of(&self, sample: usize) -> [f32; 2] {
-        // the sequence is a power of two long
+        // the length of the sequence is a power of two
         let [x, y] = self.points[(sample as u32 ^ self.flip) as usize & (self.points.len() - 1)];
         [unit(x ^ self.flips[0]), unit(y ^ self.flips[1])]
     }
 }
 
-/// 24 high bits as a number in [0, 1).
+/// The 24 high bits as a number in [0, 1).
 #[inline]
 fn unit(bits: u32) -> f32 {
     (bits >> 8) as f32 * (1.0 / (1u32 << 24) as f32)
@@ -175,9 +177,9 @@ mod tests {
         }
     }
 
-    /// Over pixels, every sample of every pair is uniform over its square. Numbers of different
-    /// pairs are independent. Chi-square over 12 × 12 cells, false-alarm rate [`FALSE_ALARM_RATE`]
-    /// for each of 36 tests.
+    /// Over all pixels, every sample of every pair is uniform over its square, and the numbers of
+    /// different pairs are independent. Chi-square over 12 × 12 cells, with the false-alarm rate
+    /// [`FALSE_ALARM_RATE`] for each of 36 tests.
     #[test]
     fn numbers_are_uniform_over_pixels() {
         const EDGE: usize = 12;
@@ -199,8 +201,8 @@ mod tests {
         }
     }
 
-    /// For powers of two n, both numbers of every pair put one sample into each of n equal parts.
-    /// For other n, no part of the next smaller power is empty or holds more than two.
+    /// If n is a power of two, both numbers of every pair put one sample into each of n equal
+    /// parts. For other n, each part of the next smaller power holds one or two.
     #[test]
     fn every_number_is_stratified() {
         for samples in [16u32, 48, 64] {
@@ -224,8 +226,8 @@ mod tests {
 
     #[test]
     fn pairs_and_pixels_are_independent() {
-        // correlation of products between pairs, between pixels and between samples, over many
-        // pixels
+        // correlations between pairs, between pixels and between samples, as means of products over
+        // many pixels
         let bank = SampleBank::new(16);
         let pixels = 20_000u64;
         let mut sums = [0.0f64; 4];
@@ -239,7 +241,8 @@ mod tests {
             sums[2] += a[0] * draw(pixel + 1, 3, 2)[0];
             sums[3] += a[1];
         }
-        // the products have standard deviation 1/12, the value 0.289; five standard errors
+        // a product has the standard deviation 1/12, a value 0.289; the bound is five standard
+        // errors
         let bound = 5.0 / (pixels as f64).sqrt();
         for (sum, deviation) in sums.iter().zip([1.0 / 12.0, 1.0 / 12.0, 1.0 / 12.0, 0.289]) {
             assert!((sum / pixels as f64).abs() < bound * deviation, "{sums:?}");
@@ -248,8 +251,8 @@ mod tests {
 
     #[test]
     fn a_smooth_integral_converges_faster_than_random() {
-        // ∫∫ over a disc of radius 1 around the origin is π/4; random points have a standard
-        // deviation of 0.41/√n
+        // the integral of a disc of radius 1 around the origin is π/4; its standard deviation with
+        // random points is 0.41/√n
         let samples = 256;
         let bank = SampleBank::new(samples);
         let mean_square: f64 = (0..200)
@@ -268,7 +271,7 @@ mod tests {
         assert!(mean_square < random / 10.0, "{mean_square} against {random}");
     }
 
-    /// The numbers of a sample do not depend on how many are drawn with it.
+    /// The numbers of a sample do not depend on how many samples are drawn together.
     #[test]
     fn samples_are_the_same_in_any_company() {
         for samples in [1, 16, 48, LONGEST + 40] {

@@ -7,21 +7,21 @@ use thiserror::Error;
 pub struct Settings {
     /// Paths per pixel and view, 1..=65536. Powers of two stratify best. Default 32.
     pub samples: u32,
-    /// Scattering events after the first hit, 0..=1024; 0 shows emission only. Longer paths are cut
-    /// off, which is the only systematic error of the renderer. Default 8.
+    /// Largest number of scattering events after the first hit, 0..=1024; 0 shows emission only.
+    /// Longer paths are cut off, which is the renderer's only systematic error. Default 8.
     pub max_bounces: u32,
     /// Bounce after which Russian roulette may end a path, 0..=1024; the estimate stays unbiased.
     /// Default 3.
     pub roulette_start: u32,
-    /// Every random number derives from this. Default 0.
+    /// Seed of all random numbers. Default 0.
     pub seed: u64,
     /// Range of slopes that a view averages. Default [`AngularFilter::Point`].
     pub angular_filter: AngularFilter,
-    /// Largest value, > 0, of any channel of a single path; brighter ones are dimmed to it, which
+    /// Largest value of any channel of a single path, > 0. Brighter paths are dimmed to it, which
     /// loses light and is reported as a warning. Default `None`: the estimate stays unbiased.
     pub clamp: Option<f32>,
-    /// Primary rays that miss all surfaces see black instead of the environment, which lights the
-    /// scene all the same. Default false.
+    /// True if primary rays that miss all surfaces see black instead of the environment. The
+    /// environment lights the scene in either case. Default false.
     pub hide_environment: bool,
 }
 
@@ -31,15 +31,15 @@ pub enum AngularFilter {
     /// Only the slope of the view itself.
     #[default]
     Point,
-    /// All slopes of the view's bin: a box as wide as the spacing of the grid, centred on the view.
-    /// An axis with a single view has no spacing and stays a point.
+    /// All slopes of the view's bin: a box as wide as the distance of neighbouring views, centred
+    /// on the view. An axis with a single view stays a point.
     Bin,
-    /// A box of so wide slopes (x, y), each ≥ 0, centred on the view: for views between the views
-    /// of a grid or outside of it.
+    /// A box of slopes with these widths (x, y), each ≥ 0, centred on the view. It is for views
+    /// between or outside the views of a grid.
     Width([f64; 2]),
     /// A thin lens focused on z = 0: a disc of slopes of this diameter, ≥ 0, centred on the view.
-    /// At an eye at distance D the lens has D times this diameter. In parallel projections a point
-    /// at depth z blurs to a disc of z times the diameter, in millimetres of z = 0.
+    /// For an eye at distance D, the lens has D times this diameter. In parallel projections a
+    /// point at depth z blurs to a disc on z = 0, whose diameter is |z| times this one.
     Lens(f64),
 }
 
@@ -49,7 +49,7 @@ pub enum AngularFilter {
 pub struct SettingsError {
     /// Name of the setting.
     pub name: &'static str,
-    /// Its range.
+    /// Range of the setting.
     pub expected: &'static str,
     /// The value found.
     pub found: String,

@@ -11,8 +11,8 @@ use crate::geometry::{SurfacePoint, bend_normal};
 use crate::normals::Normals;
 use crate::texture::{Encoding, Slot, Textures};
 
-/// Footprint of lookups that must not be filtered: alpha, whose average is not the alpha of an
-/// average once it is thresholded.
+/// Footprint for textures that must not be filtered, such as alpha: it is compared with a
+/// threshold, and a mean of alphas would change the result.
 const FINEST: f32 = 0.0;
 
 /// All materials, ready for shading.
@@ -29,7 +29,7 @@ struct Slots {
     normal: Option<Slot>,
     emission: Option<Slot>,
     transmission: Option<Slot>,
-    /// `None` where the material has none of the [`Extras`].
+    /// Textures of the [`Extras`]; `None` for a material without any of them.
     extras: Option<Box<ExtraSlots>>,
 }
 
@@ -82,7 +82,7 @@ impl Materials {
         Self { scene, textures, slots, compensated: true }
     }
 
-    /// Leaves out the light that single scattering loses and compensation returns.
+    /// Leaves out the light that compensation returns.
     pub(crate) fn without_compensation(&mut self) {
         self.compensated = false;
     }
@@ -94,7 +94,7 @@ impl Materials {
         if !(material.double_sided || is_solid(material)) {
             flags |= bvh::CULL_BACK;
         }
-        // lamps that are not seen are asked about by first hits
+        // the flag of unseen lamps makes it possible for first hits to pass through them
         if material.alpha_mode != AlphaMode::Opaque || material.lamp == Lamp::Unseen {
             flags |= bvh::ALPHA;
         }
@@ -104,7 +104,7 @@ impl Materials {
         flags
     }
 
-    /// Share of the surface that is there, 0..1.
+    /// Fraction of the surface that exists, 0..1.
     pub(crate) fn coverage(&self, index: usize, point: &SurfacePoint<'_>) -> f32 {
         match self.scene.materials[index].alpha_mode {
             AlphaMode::Opaque => 1.0,
@@ -113,7 +113,7 @@ impl Materials {
         }
     }
 
-    /// Radiance that the surface emits towards a viewer on its front or back side, at a direction
+    /// Radiance that the surface emits towards a viewer on its front or back side, in a direction
     /// with this cosine to the normal.
     pub(crate) fn emission(
         &self,
@@ -144,7 +144,7 @@ impl Materials {
         emission
     }
 
-    /// Everything but emission and normals; `width` is the footprint in render space.
+    /// All properties except emission and normals; `width` is the footprint in render space.
     pub(crate) fn appearance(&self, index: usize, point: &SurfacePoint<'_>, width: f32) -> Appearance {
         let material = &self.scene.materials[index];
         let slots = &self.slots[index];
@@ -187,7 +187,7 @@ impl Materials {
             thickness_nm: film.thickness_nm[0]
                 + (film.thickness_nm[1] - film.thickness_nm[0]) * texel(&slots.film_thickness).y,
         });
-        // the blue channel of a texture that is not there is 1 too
+        // the blue channel is 1 too if there is no texture
         let anisotropy = material.anisotropy.map_or(0.0, |stretch| stretch.strength * texel(&slots.anisotropy).z);
         Extras {
             specular: material.specular * texel(&slots.specular).w,
@@ -205,7 +205,7 @@ impl Materials {
         Layers::new(material, &slots.layers, texel)
     }
 
-    /// Normals and tangent on the viewer's side, which is that of `geometric`.
+    /// Normals and tangent on the viewer's side; `geometric` is on that side.
     pub(crate) fn frame(
         &self,
         index: usize,
@@ -268,7 +268,7 @@ impl Materials {
         point.mapped_normal(normal, Vec3::new(scale * texel.x, scale * texel.y, texel.z)).unwrap_or(normal)
     }
 
-    /// Colour of white light after the given distance (scene units) inside the solid.
+    /// Colour of white light after a distance inside the solid, and that distance in scene units.
     pub(crate) fn attenuation(&self, index: usize) -> (Vec3, f32) {
         let material = &self.scene.materials[index];
         (material.attenuation_color, material.attenuation_distance)
@@ -291,7 +291,7 @@ impl Materials {
     }
 }
 
-/// True if a material has any of the [`Extras`].
+/// True if the material has any of the [`Extras`].
 fn has_extras(material: &Material) -> bool {
     material.specular != 1.0
         || material.specular_color != Vec3::ONE
@@ -303,12 +303,13 @@ fn has_extras(material: &Material) -> bool {
         || (is_solid(material) && material.dispersion > 0.0)
 }
 
-/// True if light can enter a solid behind this surface.
+/// True if light can enter a solid behind the surface.
 fn is_solid(material: &Material) -> bool {
     material.solid && material.transmission > 0.0
 }
 
-/// A thin wall as smooth as a mirror: light passes straight, so light sampling may look through it.
+/// True for a thin wall as smooth as a mirror. Light passes it without a change of direction, so
+/// light sampling may look through it.
 fn is_clear_wall(material: &Material) -> bool {
     !material.solid && material.transmission > 0.0 && material.roughness * material.roughness < MIRROR_ALPHA
 }

@@ -1,8 +1,8 @@
-//! Filtered texture lookups: image pyramids, trilinear.
+//! Filtered texture lookups: trilinear, in image pyramids.
 //!
-//! The finest level is the scene's own image; only the coarser ones are made here, by averaging 2 ×
-//! 2 texels (fewer at odd edges) in linear light. Colours keep the storage of their image: 8-bit
-//! codes stay 8-bit codes, 16-bit codes become linear 16-bit.
+//! The finest level is the scene's own image. The coarser levels are made here, by averaging 2 × 2
+//! texels (fewer at odd edges) in linear light. Colours keep the depth of their image: 8-bit codes
+//! stay 8-bit codes, and 16-bit codes become linear 16-bit values.
 
 use std::collections::HashMap;
 use std::sync::{Arc, OnceLock};
@@ -11,7 +11,7 @@ use glam::{Vec2, Vec4};
 use lumistack_core::colour::{srgb_code, srgb_decode};
 use lumistack_scene::{Filter, Image, Pixels, Scene, Texture, TextureUse, Wrap};
 
-/// Meaning of an image's codes in one slot.
+/// Encoding of an image's codes in one slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Encoding {
     /// RGB is sRGB-encoded, alpha linear.
@@ -23,9 +23,9 @@ pub(crate) enum Encoding {
 /// The pyramids of all images that the scene's materials use.
 pub(crate) struct Textures {
     scene: Arc<Scene>,
-    /// Coarser levels per image and encoding, level 1 first.
+    /// Coarser levels of each pyramid, level 1 first.
     pyramids: Vec<Vec<Level>>,
-    /// Pyramid by [image, encoding].
+    /// Index of the pyramid of an image with an encoding.
     by_image: HashMap<(usize, Encoding), usize>,
 }
 
@@ -33,7 +33,7 @@ pub(crate) struct Textures {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Slot {
     pub(crate) source: TextureUse,
-    /// Texels of the finest level per length in the mesh's texture space, √ of the ratio of areas.
+    /// Texels of the finest level per length in the mesh's texture space: √ of the ratio of areas.
     pub(crate) texels_per_uv: f32,
     texture: Texture,
     pyramid: usize,
@@ -53,7 +53,7 @@ enum Texels {
 }
 
 impl Textures {
-    /// Starts without pyramids; [`slot`](Self::slot) builds them on first use.
+    /// Textures without pyramids; [`slot`](Self::slot) builds them at first use.
     pub(crate) fn new(scene: Arc<Scene>) -> Self {
         Self { scene, pyramids: Vec::new(), by_image: HashMap::new() }
     }
@@ -81,8 +81,8 @@ impl Textures {
         self.pyramids.iter().flatten().map(level).sum()
     }
 
-    /// The texture at mesh coordinates `uv`, averaged over a footprint `texels_wide` texels of the
-    /// finest level wide.
+    /// The texture at the mesh coordinates `uv`, averaged over a footprint whose width is
+    /// `texels_wide` texels of the finest level.
     pub(crate) fn lookup(&self, slot: &Slot, uv: Vec2, texels_wide: f32) -> Vec4 {
         let uv = slot.source.texture_from_mesh.transform_point2(uv);
         let coarser = &self.pyramids[slot.pyramid];
@@ -117,7 +117,7 @@ impl Level {
     }
 }
 
-/// One texel of an image, linear.
+/// One texel of an image, in linear values.
 #[inline]
 fn fetch(image: &Image, index: usize, encoding: Encoding) -> Vec4 {
     match &image.pixels {
@@ -153,7 +153,7 @@ fn srgb_table() -> &'static [f32; 256] {
     TABLE.get_or_init(|| std::array::from_fn(|code| srgb_decode(code as f32 / 255.0)))
 }
 
-/// Bilinear or nearest; texel centres stand at half-integers.
+/// Bilinear or nearest lookup; the centres of texels are at half-integers.
 #[inline]
 fn interpolate(
     texture: &Texture,
@@ -173,11 +173,12 @@ fn interpolate(
     fetch(left, top).lerp(fetch(right, top), fx).lerp(fetch(left, bottom).lerp(fetch(right, bottom), fx), fy)
 }
 
-/// The two texels beside a coordinate, `shift` texels before it, and the share of the second.
+/// The two texels next to `coordinate` (0..1 over the texture, then moved back by `shift` texels),
+/// and the weight of the second.
 #[inline]
 fn neighbours(coordinate: f32, size: usize, wrap: Wrap, shift: f32) -> (usize, usize, f32) {
-    // folded to one period (two when mirrored) before scaling, so that texels are found by
-    // comparisons, not divisions
+    // folded into one period (two if mirrored) before scaling, so that comparisons replace
+    // divisions when texels are found
     let folded = match wrap {
         Wrap::Repeat => coordinate - floor(coordinate),
         Wrap::MirroredRepeat => {
@@ -199,8 +200,8 @@ fn neighbours(coordinate: f32, size: usize, wrap: Wrap, shift: f32) -> (usize, u
     (first as usize, second as usize, share)
 }
 
-/// Floor without a library call, for |x| < 2³¹; larger values keep their sign and become texel 0 or
-/// the last one.
+/// Floor without a library call, for |x| < 2³¹. Larger values keep their sign, so that they become
+/// texel 0 or the last texel.
 #[inline]
 fn floor(x: f32) -> f32 {
     let whole = x as i32 as f32;
@@ -290,7 +291,7 @@ mod tests {
                 assert!(first < 4 && second < 4, "{x} {wrap:?}");
             }
         }
-        // left of the first texel's centre lies the last texel, when repeated
+        // with repetition, the last texel is to the left of the first texel
         assert_eq!(neighbours(0.0, 4, Wrap::Repeat, 0.5), (3, 0, 0.5));
         assert_eq!(neighbours(1.0, 4, Wrap::MirroredRepeat, 0.5), (3, 3, 0.5));
     }

@@ -5,30 +5,30 @@
 //! w = p² / (p_b² + p_l²)
 //! ```
 //!
-//! T is the throughput, E the emission of the hit surface, and the second term one sampled light.
-//! In the power heuristic w the density of the technique that made the sample is on top. Alpha of
-//! mode `Blend` is decided by chance along scattered rays and multiplied along shadow rays, so both
-//! have the right mean.
+//! T is the throughput, E the emission of the hit surface, and the second term is one sampled
+//! light. In the power heuristic w, the numerator is the density of the technique that made the
+//! sample. Alpha of mode `Blend` is decided by chance along scattered rays, and multiplied along
+//! shadow rays. Both have the right mean.
 //!
-//! The samples of a pixel are traced together, a vertex of all paths at a time. First rays lie
+//! The samples of a pixel are traced together, one vertex of all paths at a time. First rays are
 //! close together and traverse the tree as a beam. Random numbers of a vertex share their hash.
-//! While one path waits for memory, the next goes on.
+//! While one path waits for memory, the next is computed.
 //!
 //! Measured on FlightHelmet with 16 samples per pixel:
 //!
-//! * Half of the time goes into rays. The rest waits for memory and for branches rather than for
-//!   arithmetic: the whole program compiled for AVX2 with FMA was no faster.
+//! * Rays take half of the time. The rest is spent on waiting for memory and on branches rather
+//!   than on arithmetic: the whole program compiled for AVX2 with FMA was no faster.
 //! * Nearly all variance of a diffuse scene comes from the first scattered direction. Four jointly
 //!   stratified points of lights at the first hit instead of one lowered the squared error by 7 %
 //!   and cost 80 % more time.
 //! * Between rays, paths wait for chains of roots and quotients, and for results that are read in
 //!   larger pieces than they were written in. So directions around normals and primary rays are
-//!   computed for all paths at once, as vectors. Hits are written where they are read, and a
+//!   computed for all paths together, as vectors. Hits are written where they are read, and a
 //!   light's density is kept as its inverse. Together this gave 9 % more samples.
-//! * A loop over the paths for each part of a vertex (surface, light, scattered direction) cost 3
-//!   %, since the parts' results have to be stored.
-//! * The shadow rays of first hits as a beam took 1.6 times as long as alone, with a test of every
-//!   block's bounds against eight rays at once.
+//! * A loop over the paths for each step of a vertex (surface, light, scattered direction) cost 3
+//!   %, since the steps' results have to be stored.
+//! * The shadow rays of first hits took 1.6 times as long as a beam as one by one. The beam tested
+//!   the bounds of every block with eight rays together.
 
 use glam::Vec3;
 use lumistack_scene::{Lamp, Material};
@@ -44,21 +44,21 @@ use crate::shading::Materials;
 
 /// Pairs of random numbers that the primary ray uses: position in the pixel, slope in the bin.
 pub(crate) const PRIMARY_PAIRS: u64 = 2;
-/// Pairs per vertex of a path: scattered direction, point of a light, roulette and choice between
-/// reflection and refraction.
+/// Pairs of random numbers per vertex of a path: the scattered direction; the point of a light;
+/// roulette, and the choice between reflection and refraction.
 const VERTEX_PAIRS: u64 = 3;
-/// First of the pairs that decide about surfaces with alpha: one for each bounce and triangle, so
-/// that surfaces behind one another decide independently.
+/// First of the pairs that decide whether a surface with alpha is there. There is one pair for each
+/// bounce and triangle, so that successive surfaces decide independently.
 const ALPHA_PAIRS: u64 = 1 << 62;
-/// Odd step that spreads instances over these pairs.
+/// Odd step that spreads the instances over these pairs.
 const INSTANCE_STEP: u64 = 0x2545_f491_4f6c_dd1d;
 /// The pair that chooses a wavelength.
 const WAVE_PAIR: u64 = ALPHA_PAIRS - 1;
-/// Paths survive roulette with no more than this chance, so that lossless scenes end too.
+/// Largest chance of a path to survive roulette, so that paths in lossless scenes end too.
 const MOST_SURVIVAL: f32 = 0.95;
-/// Footprints widen by this share of the distance after a scattering lobe of α = 1.
+/// Footprints widen by this fraction of the distance after a scattering lobe of α = 1.
 const SCATTER_SPREAD: f32 = 0.1;
-/// Reflectance of a dielectric at normal incidence, about.
+/// Approximate reflectance of a dielectric at normal incidence.
 const DIELECTRIC_SHARE: f32 = 0.04;
 
 /// Footprint of a ray: `width + spread · t`, in render space (Akenine-Möller et al. 2019, "Texture
@@ -69,13 +69,13 @@ pub(crate) struct Cone {
     pub(crate) spread: f32,
 }
 
-/// A material is nothing but Lambert's law, as [`is_lambertian`] says.
+/// The material scatters by Lambert's law alone, see [`is_lambertian`].
 const LAMBERTIAN: u8 = 1;
-/// It may emit light.
+/// The material may emit light.
 const EMISSIVE: u8 = 2;
-/// It shows its colour and scatters nothing.
+/// The material shows its colour and scatters nothing.
 const UNLIT: u8 = 4;
-/// It stands for a light source, which first hits pass.
+/// The material represents a light source that viewers do not see, so first hits pass through it.
 const UNSEEN: u8 = 8;
 
 /// Properties of a material that the path loop reads at every hit, in one byte.
@@ -87,7 +87,7 @@ pub(crate) fn traits(material: &Material) -> u8 {
         | flag(material.lamp == Lamp::Unseen, UNSEEN)
 }
 
-/// The scene that rays are traced in.
+/// The scene in which rays are traced.
 #[derive(Clone, Copy)]
 pub(crate) struct Tracer<'a> {
     pub(crate) geometry: &'a Geometry,
@@ -96,91 +96,92 @@ pub(crate) struct Tracer<'a> {
     pub(crate) lights: &'a Lights,
     /// Properties of every material: [`LAMBERTIAN`], [`EMISSIVE`], [`UNLIT`], [`UNSEEN`].
     pub(crate) traits: &'a [u8],
-    /// Radiance past the scene instead of the environment, for straight paths from the viewer.
+    /// Radiance that straight paths from the viewer see past the scene, instead of the environment.
     pub(crate) backdrop: Option<Vec3>,
 }
 
-/// How a point scatters.
+/// The scattering function of a point.
 #[expect(clippy::large_enum_variant, reason = "on the stack and never moved; a box would allocate at every hit")]
 enum Surface {
     Lambert(Lambert),
     General(Bsdf),
 }
 
-/// A path on its way.
+/// The state of a path.
 #[derive(Clone, Copy)]
 struct Path {
     radiance: Vec3,
     throughput: Vec3,
     cone: Cone,
-    /// The last vertex that scattered other than straight through: its place and density, for the
+    /// The last vertex that changed the path's direction: its receiver, and its density for the
     /// heuristic.
     scattered_at: Receiver,
     scattered_pdf: f32,
-    /// True if no event has turned the path aside since the viewer.
+    /// True if no event has changed the path's direction since the viewer.
     straight: bool,
     /// Material of the solid that the path is in.
     inside: Option<usize>,
     /// Wavelength of a path that has entered dispersing glass.
     wave_nm: Option<f32>,
-    /// With `FIRST`, the share of the incident light that the first surface scatters by Lambert's
-    /// law.
+    /// With `FIRST`, the fraction of the light from the next direction that the first surface
+    /// scatters by Lambert's law.
     diffuse: Vec3,
 }
 
-/// The first surface of a path, and its light that is alike for all viewers.
+/// The first surface of a path, and the light that it scatters alike to all viewers.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct First {
     /// True if the path hits a surface.
     pub(crate) is_there: bool,
-    /// Radiance that it scatters by Lambert's law.
+    /// Radiance that the surface scatters by Lambert's law.
     pub(crate) diffuse: Vec3,
-    /// Reflectance of that.
+    /// Reflectance of the diffuse lobe.
     pub(crate) reflectance: Vec3,
-    /// Where it is, in render space, and its geometric normal on the viewer's side.
+    /// Position of the surface in render space, and its geometric normal on the viewer's side.
     pub(crate) position: Vec3,
     pub(crate) normal: Vec3,
     pub(crate) guide: Guide,
 }
 
-/// Properties of a surface that show a filter where light may differ.
+/// Properties of a surface by which a filter recognizes where light may differ.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct Guide {
-    /// Reflectance, 0..1: base colour plus a dielectric's few percent.
+    /// Reflectance, 0..1: base colour plus the few percent that a dielectric reflects.
     pub(crate) albedo: Vec3,
     /// Shading normal on the viewer's side, in render space.
     pub(crate) normal: Vec3,
-    /// Share of the reflectance that goes with the viewer's direction, 0..1.
+    /// Fraction of the reflectance that depends on the viewer's direction, 0..1.
     pub(crate) gloss: f32,
-    /// Squared roughness of that.
+    /// Squared roughness of the lobe of that reflectance.
     pub(crate) alpha: f32,
 }
 
-/// Unshadowed contributions of sampled lights, for as many paths as `count`.
+/// Unshadowed contributions of sampled lights, for `count` paths.
 struct Shadows {
     count: usize,
     rays: [Ray; BEAM],
-    /// Path, direction towards the light, contribution.
+    /// Index of the path, direction to the light, contribution.
     lights: [(usize, Vec3, Vec3); BEAM],
-    /// With `FIRST`, the share of the contribution that a first surface scatters by Lambert's law.
+    /// With `FIRST`, the fraction of the contribution that a first surface scatters by Lambert's
+    /// law.
     diffuse: [Vec3; BEAM],
 }
 
-/// A hit with its data for shading.
+/// A hit with the data for its shading.
 struct Vertex<'a> {
     point: SurfacePoint<'a>,
     material: usize,
     front: bool,
-    /// Geometric normal on the side that the ray came from.
+    /// Geometric normal on the side from which the ray came.
     normal: Vec3,
     width: f32,
 }
 
 impl Tracer<'_> {
-    /// Radiance that arrives along at most [`BEAM`] rays of a pixel, which draw their numbers from
-    /// `draws` one after another. Rays that are not `in_bounds` hit nothing. The contents of `rays`
-    /// afterwards are of no use. With `FIRST` every path's first surface is written to `first`,
-    /// which then has a place per ray; the radiance is the same to the bit.
+    /// Radiance along at most [`BEAM`] rays of a pixel, which draw their numbers from `draws` one
+    /// after another. Rays that are not `in_bounds` hit nothing. The call overwrites `rays`. With
+    /// `FIRST` it writes the first surface of every path to `first`, which needs an element per
+    /// ray. The radiance is the same to the bit with and without `FIRST`.
     pub(crate) fn radiance<const FIRST: bool>(
         &self,
         rays: &mut [Ray],
@@ -206,14 +207,14 @@ impl Tracer<'_> {
             diffuse: Vec3::ZERO,
         };
         let mut paths = [start; BEAM];
-        // filled by every vertex, traced once all paths have scattered
+        // every vertex adds its shadow ray; the rays are traced after all paths have scattered
         let mut shadows = Shadows {
             count: 0,
             rays: [rays[0]; BEAM],
             lights: [(0, Vec3::ZERO, Vec3::ZERO); BEAM],
             diffuse: [Vec3::ZERO; BEAM],
         };
-        // a bit per path that goes on
+        // a bit per path that continues
         let mut going = (1u32 << rays.len()) - 1;
         for bounce in 0..=settings.max_bounces {
             let pairs = PRIMARY_PAIRS + VERTEX_PAIRS * u64::from(bounce);
@@ -253,7 +254,8 @@ impl Tracer<'_> {
                     }
                 };
                 if FIRST && bounce > 0 {
-                    // scattering has changed no share but that of first surfaces
+                    // the light is multiplied by the fraction that the path's first surface
+                    // scatters diffusely
                     first[index].diffuse += (path.radiance - before) * path.diffuse;
                 }
                 match next {
@@ -271,7 +273,7 @@ impl Tracer<'_> {
                     first[*index].diffuse += *light * passed * shadows.diffuse[place];
                 }
             }
-            // trace the next ray of every path that goes on
+            // trace the next ray of every path that continues
             if going == 0 {
                 break;
             }
@@ -286,7 +288,7 @@ impl Tracer<'_> {
         paths.map(|path| path.radiance)
     }
 
-    /// The surfaces that the rays of [`radiance`](Self::radiance) hit first, without their light
+    /// The first surfaces that the rays of [`radiance`](Self::radiance) hit, without their light
     /// and without the reflectance of their diffuse lobe.
     pub(crate) fn first(
         &self,
@@ -308,7 +310,7 @@ impl Tracer<'_> {
         first
     }
 
-    /// Number of rays among those of [`radiance`](Self::radiance) that miss all surfaces.
+    /// Number of the rays of [`radiance`](Self::radiance) that miss all surfaces.
     pub(crate) fn misses(&self, rays: &mut [Ray], in_bounds: bool, draws: &Draws<'_>, stack: &mut Stack) -> usize {
         let mut hits = [None; BEAM];
         self.first_hits(rays, in_bounds, draws, stack, &mut hits);
@@ -330,8 +332,8 @@ impl Tracer<'_> {
         }
     }
 
-    /// Directions around a normal for the paths that go on, in their order. Computed together, they
-    /// become vectors.
+    /// Directions around a normal for the paths that continue, in their order. They are computed
+    /// together, as vectors.
     #[inline]
     fn cosine_directions(&self, going: u32, pair: &Pair<'_>) -> [[f32; BEAM]; 3] {
         let mut u = [[0.0; BEAM]; 2];
@@ -367,7 +369,7 @@ impl Tracer<'_> {
         let traits = self.traits[vertex.material];
         if traits & EMISSIVE != 0 {
             let emission = self.materials.emission(vertex.material, &vertex.point, vertex.width, vertex.front, cosine);
-            // a mirror's light is found no other way
+            // no other technique finds the light that a mirror reflects
             let light_pdf = if emission == Vec3::ZERO || path.scattered_pdf.is_infinite() {
                 0.0
             } else {
@@ -403,7 +405,8 @@ impl Tracer<'_> {
         // next-event estimation: one sampled light, whose shadow ray is traced later
         let [u_roulette, u_fresnel] = pairs[2].of(index);
         if surface.is_smooth() && self.lights.can_be_sampled() {
-            // the roulette's number may serve twice: this term and the rest of the path only add up
+            // the roulette's number may be used twice, since this term is only added to the rest of
+            // the path
             self.direct(
                 &vertex,
                 &surface,
@@ -429,7 +432,7 @@ impl Tracer<'_> {
         // Russian roulette: a path survives with a chance in proportion to its throughput
         if bounce >= settings.roulette_start {
             let survival = path.throughput.max_element().min(MOST_SURVIVAL);
-            // also ends paths whose throughput is zero
+            // this also ends paths whose throughput is zero
             if u_roulette >= survival {
                 return None;
             }
@@ -455,14 +458,14 @@ impl Tracer<'_> {
         self.first_surface(ray, stack).is_some()
     }
 
-    /// Distance along a ray, in render space, to the first surface that is there at all.
+    /// Distance along a ray, in render space, to the first visible surface whose alpha is not 0.
     pub(crate) fn first_surface(&self, ray: Ray, stack: &mut Stack) -> Option<f32> {
         let is_there = |hit: &Hit| hit.flags & ALPHA == 0 || (!self.is_unseen(hit) && self.coverage(hit) > 0.0);
         let hit = self.bvh.nearest(&ray, stack, is_there);
         hit.map(|hit| hit.t)
     }
 
-    /// The guide of a first hit that scatters no light further.
+    /// The guide of a first surface, for a path that ends there.
     fn guide(&self, vertex: &Vertex<'_>, to_viewer: Vec3) -> Guide {
         if self.traits[vertex.material] & LAMBERTIAN != 0 {
             return Guide::of_lambert(&self.lambert(vertex));
@@ -499,7 +502,7 @@ impl Tracer<'_> {
         Lambert::new(self.materials.base_color(*material, point, *width), *normal, normals)
     }
 
-    /// Adds light from one sampled light, which has yet to find its way.
+    /// Adds the contribution of one sampled light, whose shadow ray is still to be traced.
     #[inline]
     fn direct(
         &self,
@@ -517,8 +520,8 @@ impl Tracer<'_> {
         let Some(light) = self.lights.sample(self.geometry, self.materials, &receiver, u, u_fine, parts) else {
             return;
         };
-        // hard light ends where the smooth surface turns away, not its triangles: no other
-        // technique finds it, so the weights stay right
+        // hard light ends where the smooth surface turns away, not where its triangles do; no other
+        // technique finds this light, so the weights stay right
         let is_hard = light.inverse_pdf == 0.0 && vertex.may_bulge(surface);
         let (value, scatter_pdf) = if is_hard {
             surface.evaluate_above(vertex.smooth_normal(), light.direction)
@@ -542,13 +545,13 @@ impl Tracer<'_> {
         shadows.count += 1;
     }
 
-    /// True if first hits pass the surface.
+    /// True if the hit surface is one that first hits pass through.
     fn is_unseen(&self, hit: &Hit) -> bool {
         self.traits[self.geometry.material_index(hit.triangle)] & UNSEEN != 0
     }
 
-    /// Decides whether a surface is there: one with alpha by chance, a lamp that is not seen for
-    /// all but first hits.
+    /// Decides whether a surface is there. Surfaces with alpha are there by chance. A lamp that
+    /// viewers do not see is there for all hits except first hits.
     fn is_there(&self, hit: &Hit, bounce: u32, draws: &Draws<'_>, index: usize) -> bool {
         if hit.flags & ALPHA == 0 {
             return true;
@@ -560,7 +563,7 @@ impl Tracer<'_> {
         if coverage <= 0.0 || coverage >= 1.0 {
             return coverage > 0.0;
         }
-        // no instance adds nothing
+        // the number is 0 without an instance
         let instance = u64::from(hit.instance.wrapping_add(1)).wrapping_mul(INSTANCE_STEP);
         let pair = (u64::from(bounce) << 32) + u64::from(hit.triangle);
         draws.pair((ALPHA_PAIRS + pair) ^ instance).of(index)[0] < coverage
@@ -570,7 +573,8 @@ impl Tracer<'_> {
         self.materials.coverage(self.geometry.material_index(hit.triangle), &self.geometry.hit_point(hit))
     }
 
-    /// Share of light that goes straight through a surface with [`ALPHA`] or [`TINT`].
+    /// Fraction of light that passes a surface with [`ALPHA`] or [`TINT`] without a change of
+    /// direction.
     fn passed(&self, hit: &Hit, direction: Vec3) -> Vec3 {
         let coverage = if hit.flags & ALPHA == 0 { 1.0 } else { self.coverage(hit) };
         let open = Vec3::splat(1.0 - coverage);
@@ -583,7 +587,7 @@ impl Tracer<'_> {
         open + coverage * self.bsdf(&vertex, &appearance, -direction).straight()
     }
 
-    /// Share of light that is left after `distance` in a solid: attenuation_color^(distance /
+    /// Fraction of light that is left after `distance` in a solid: attenuation_color^(distance /
     /// attenuation_distance).
     fn absorption(&self, material: usize, distance: f32) -> Vec3 {
         let (color, reference) = self.materials.attenuation(material);
@@ -624,14 +628,13 @@ impl Surface {
         }
     }
 
-    /// The share of the light that is scattered alike to all viewers in `value` = f |cos| of a
-    /// direction, 0..1 by channel.
+    /// The fraction of `value` = f |cos| that the diffuse lobe contributes to it, 0..1 per channel.
     fn diffuse_share(&self, value: Vec3, direction: Vec3) -> Vec3 {
         match self {
             Self::Lambert(_) => Vec3::ONE,
             Self::General(bsdf) => {
                 let share = bsdf.evaluate_diffuse(direction) / value;
-                // where nothing is scattered nothing is shared
+                // 0 where nothing is scattered
                 Vec3::select(value.cmpgt(Vec3::ZERO), share.min(Vec3::ONE), Vec3::ZERO)
             }
         }
@@ -663,15 +666,15 @@ impl Guide {
 }
 
 impl Vertex<'_> {
-    /// The vertex as the first surface of a path.
+    /// Data of the vertex as the first surface of a path.
     #[inline]
     fn first(&self, reflectance: Vec3, guide: Guide) -> First {
         let (position, normal) = (self.point.position, self.normal);
         First { is_there: true, diffuse: Vec3::ZERO, reflectance, position, normal, guide }
     }
 
-    /// The receiver for choosing a light. With `horizon` it accounts for a surface that is smoother
-    /// than its triangles.
+    /// The receiver for choosing a light. With `horizon` it takes into account that a surface may
+    /// be smoother than its triangles.
     #[inline(always)]
     fn receiver(&self, surface: &Surface, horizon: bool) -> Receiver {
         let tilt = if horizon && self.may_bulge(surface) {
@@ -683,8 +686,8 @@ impl Vertex<'_> {
         Receiver { position: self.point.position, normal: (!surface.transmits()).then_some(self.normal), tilt }
     }
 
-    /// True if light may arrive from below the triangle's horizon: where the triangle stands for a
-    /// smooth opaque surface.
+    /// True if light may arrive from below the triangle's horizon, since the triangle approximates
+    /// a smooth opaque surface.
     fn may_bulge(&self, surface: &Surface) -> bool {
         !self.point.is_flat() && !surface.transmits()
     }
@@ -694,12 +697,12 @@ impl Vertex<'_> {
         self.normal.dot(self.point.geometric_normal).signum()
     }
 
-    /// Vertex normals between the corners, on the viewer's side.
+    /// Normal interpolated from the vertices, on the viewer's side.
     fn smooth_normal(&self) -> Vec3 {
         self.side() * self.point.shading_normal()
     }
 
-    /// A ray from this point, started off the surface on the side it goes to.
+    /// A ray from this point, whose start is moved off the surface to the side of `direction`.
     fn leave(&self, direction: Vec3) -> Ray {
         let side = self.normal.dot(direction).signum();
         let origin = self.point.position + side * self.point.offset * self.normal;
@@ -707,20 +710,21 @@ impl Vertex<'_> {
     }
 }
 
-/// The power heuristic for a sample that another technique finds with so many times its density.
+/// The power heuristic for a sample. `ratio` is the density with which another technique finds it,
+/// over the density of its own technique.
 #[inline]
 fn heuristic(ratio: f32) -> f32 {
     1.0 / (1.0 + ratio * ratio)
 }
 
-/// A density over that of the technique that made the sample, which is infinite where no other
-/// could have.
+/// The density of another technique over that of the sample's own technique. The own density is
+/// infinite if no other technique can find the sample.
 #[inline]
 fn ratio(other: f32, own: f32) -> f32 {
     if other == 0.0 { 0.0 } else { other / own }
 }
 
-/// Places of the bits that are set.
+/// Indices of the bits that are set.
 #[inline]
 fn ones(mut bits: u32) -> impl Iterator<Item = usize> {
     std::iter::from_fn(move || {

@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-/// Axis-aligned box; empty while `min > max`.
+/// Axis-aligned box; empty if `min > max` on any axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
     /// Smallest corner.
@@ -12,7 +12,7 @@ pub struct Bounds {
 }
 
 impl Bounds {
-    /// The box that holds nothing.
+    /// The empty box.
     pub const EMPTY: Self = Self { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY };
 
     /// Grows the box to hold a point.
@@ -21,18 +21,18 @@ impl Bounds {
         self.max = self.max.max(point);
     }
 
-    /// Grows the box to hold another.
+    /// Grows the box to hold another box.
     pub fn join(&mut self, other: Self) {
         self.min = self.min.min(other.min);
         self.max = self.max.max(other.max);
     }
 
-    /// True if the box holds nothing.
+    /// True if the box is empty.
     pub fn is_empty(&self) -> bool {
         !(self.min.cmple(self.max)).all()
     }
 
-    /// True if a point lies in the box or on its border.
+    /// True if a point is in the box or on its surface.
     pub fn contains(&self, point: Vec3) -> bool {
         point.cmpge(self.min).all() && point.cmple(self.max).all()
     }

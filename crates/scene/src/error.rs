@@ -1,4 +1,4 @@
-//! Why a scene is refused.
+//! The error of a scene that is refused.
 
 use thiserror::Error;
 
@@ -6,7 +6,7 @@ use thiserror::Error;
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("{place}: expected {expected}, found {found}")]
 pub struct SceneError {
-    /// Place in the file.
+    /// Place in the file, or name of the object.
     pub place: String,
     /// The expected value or range.
     pub expected: String,

@@ -1,9 +1,9 @@
-//! The scene as every stage after ingest reads it, and the window: the rectangle of the scene that
-//! a display shows.
+//! The scene, as all stages after ingest read it; and the window, the rectangle of the scene that a
+//! display shows.
 //!
 //! Importers fill [`SceneParts`] and call [`SceneParts::validate`], which returns a [`Scene`]. Its
-//! indices, numbers and transforms are sound, so renderers need no checks of their own. Lengths are
-//! in scene units, angles in radians, light in linear sRGB.
+//! indices, numbers and transforms are valid, so renderers need no checks. Lengths are in scene
+//! units, angles in radians, and light is in linear sRGB.
 
 mod bounds;
 mod error;
@@ -24,6 +24,6 @@ pub use splats::{Cloud, Encoding, MAX_DEGREE, PlacedCloud};
 pub use validate::Scene;
 pub use window::{Similarity, Window, WindowError};
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that
-/// this code has a part in.
+/// Hash of this crate's sources, made at build. It is part of the key of every kept result that
+/// this code contributes to.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

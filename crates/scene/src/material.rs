@@ -1,57 +1,58 @@
-//! Surface appearance: glTF's metallic-roughness model and the textures that feed it.
+//! Surface appearance: glTF's metallic-roughness model, and the textures of its parameters.
 
 use glam::{Affine2, Vec3, Vec4};
 
-/// Metallic-roughness material (glTF 2.0, section 3.9), with the extensions named at each field.
-/// Every texture multiplies the factor beside it.
+/// Metallic-roughness material (glTF 2.0, section 3.9), with the extensions that the fields name.
+/// Every texture multiplies the factor with which it is listed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Material {
     /// Name in the file, for messages.
     pub name: String,
-    /// Linear RGB reflectance (or metal reflectance) and alpha, each 0..1.
+    /// Linear RGB reflectance of a dielectric or metal, and alpha, each 0..1.
     pub base_color: Vec4,
-    /// RGB sRGB-encoded, alpha linear.
+    /// Texture of the base colour: RGB is sRGB-encoded, alpha is linear.
     pub base_color_texture: Option<TextureUse>,
-    /// 0 dielectric, 1 metal.
+    /// 0 for a dielectric, 1 for a metal.
     pub metallic: f32,
     /// Perceptual roughness 0..1; GGX α = roughness².
     pub roughness: f32,
-    /// Green: roughness, blue: metallic; linear.
+    /// Texture whose green channel is roughness and whose blue channel is metallic; linear.
     pub metallic_roughness_texture: Option<TextureUse>,
-    /// Tangent-space normals, linear, xyz = 2·rgb − 1.
+    /// Texture of normals in tangent space: xyz = 2·rgb − 1; linear.
     pub normal_texture: Option<TextureUse>,
     /// Factor on the x and y of the normal map.
     pub normal_scale: f32,
-    /// Linear RGB radiance (W/(sr·m²) up to the file's unit), `KHR_materials_emissive_strength`
-    /// included.
+    /// Linear RGB radiance (W/(sr·m²) up to the file's unit), with the factor of
+    /// `KHR_materials_emissive_strength`.
     pub emission: Vec3,
-    /// RGB sRGB-encoded.
+    /// Texture of the emission: RGB is sRGB-encoded.
     pub emission_texture: Option<TextureUse>,
     /// Meaning of alpha.
     pub alpha_mode: AlphaMode,
     /// True if back faces are shaded; otherwise they are invisible.
     pub double_sided: bool,
-    /// Shown with its base colour under any light (`KHR_materials_unlit`).
+    /// True if the surface shows its base colour under any light (`KHR_materials_unlit`).
     pub unlit: bool,
-    /// Marks a surface that stands for a light source of the file, seen or unseen by the viewer.
+    /// Marks a surface that represents a light source of the file, visible or invisible to the
+    /// viewer.
     pub lamp: Lamp,
-    /// Index of refraction (`KHR_materials_ior`), ≥ 1; or 0, which says that dielectric reflection
-    /// has no angular dependence and [`specular_color`](Self::specular_color) alone sets its colour
-    /// (the specular-glossiness workflow).
+    /// Index of refraction (`KHR_materials_ior`), ≥ 1. If it is 0, dielectric reflection does not
+    /// depend on the angle, and [`specular_color`](Self::specular_color) alone sets its colour (the
+    /// specular-glossiness workflow).
     pub ior: f32,
     /// Factor on the dielectric reflection (`KHR_materials_specular`), 0..1.
     pub specular: f32,
-    /// Alpha channel, linear.
+    /// Texture of `specular`, in the alpha channel; linear.
     pub specular_texture: Option<TextureUse>,
     /// Linear RGB factor on the dielectric reflection at normal incidence
-    /// (`KHR_materials_specular`), ≥ 0; the product is at most 1.
+    /// (`KHR_materials_specular`), ≥ 0. The reflectance, after multiplication, is at most 1.
     pub specular_color: Vec3,
-    /// RGB sRGB-encoded.
+    /// Texture of `specular_color`: RGB is sRGB-encoded.
     pub specular_color_texture: Option<TextureUse>,
-    /// Share of light that enters a dielectric and passes through (`KHR_materials_transmission`),
-    /// 0..1.
+    /// Fraction of the light that a dielectric does not reflect and that passes through it
+    /// (`KHR_materials_transmission`), 0..1.
     pub transmission: f32,
-    /// Red channel, linear.
+    /// Texture of `transmission`, in the red channel; linear.
     pub transmission_texture: Option<TextureUse>,
     /// True if the surface bounds a solid (`KHR_materials_volume`) and so refracts; otherwise it is
     /// an infinitely thin wall.
@@ -59,64 +60,66 @@ pub struct Material {
     /// Colour of white light after [`attenuation_distance`](Self::attenuation_distance) inside a
     /// solid, 0..1.
     pub attenuation_color: Vec3,
-    /// Scene units; infinite when the solid does not absorb.
+    /// Distance at which white light has `attenuation_color`, in scene units; infinite if the solid
+    /// does not absorb.
     pub attenuation_distance: f32,
-    /// 20 / Abbe number of a solid (`KHR_materials_dispersion`), ≥ 0; 0 does not disperse.
+    /// 20 / Abbe number of a solid (`KHR_materials_dispersion`), ≥ 0; a solid with 0 does not
+    /// disperse.
     pub dispersion: f32,
     /// A clear layer on top.
     pub clearcoat: Option<Clearcoat>,
-    /// Fibres on top, as of cloth.
+    /// Fibres on top, as on cloth.
     pub sheen: Option<Sheen>,
     /// A thin film on the base.
     pub iridescence: Option<Iridescence>,
-    /// Stretch of the reflection of the base.
+    /// Stretch of the base's reflection.
     pub anisotropy: Option<Anisotropy>,
 }
 
 /// `KHR_materials_clearcoat`: a dielectric layer with index 1.5.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Clearcoat {
-    /// Share of the surface that is coated, 0..1.
+    /// Fraction of the surface that is coated, 0..1.
     pub factor: f32,
-    /// Red channel, linear.
+    /// Texture of the factor, in the red channel; linear.
     pub texture: Option<TextureUse>,
     /// Perceptual roughness 0..1.
     pub roughness: f32,
-    /// Green channel, linear.
+    /// Texture of the roughness, in the green channel; linear.
     pub roughness_texture: Option<TextureUse>,
-    /// Normals of the coat, as [`Material::normal_texture`]; without it the coat has the
-    /// geometry's.
+    /// Normals of the coat, as [`Material::normal_texture`]; without this texture the coat has the
+    /// geometry's normals.
     pub normal_texture: Option<TextureUse>,
     /// Factor on the x and y of the coat's normal map.
     pub normal_scale: f32,
 }
 
-/// `KHR_materials_sheen`.
+/// Fibres on a surface (`KHR_materials_sheen`).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sheen {
-    /// Linear RGB, 0..1.
+    /// Colour of the fibres, linear RGB, 0..1.
     pub color: Vec3,
-    /// RGB sRGB-encoded.
+    /// Texture of the colour: RGB is sRGB-encoded.
     pub color_texture: Option<TextureUse>,
     /// Perceptual roughness 0..1.
     pub roughness: f32,
-    /// Alpha channel, linear.
+    /// Texture of the roughness, in the alpha channel; linear.
     pub roughness_texture: Option<TextureUse>,
 }
 
 /// `KHR_materials_iridescence`: interference in a thin film.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Iridescence {
-    /// 0..1.
+    /// Fraction of the surface that has the film, 0..1.
     pub factor: f32,
-    /// Red channel, linear.
+    /// Texture of the factor, in the red channel; linear.
     pub texture: Option<TextureUse>,
     /// Index of refraction of the film, ≥ 1.
     pub ior: f32,
-    /// Thickness where the texture reads 0 and 1, nanometres; without a texture the film is as
-    /// thick as at 1.
+    /// Thickness where the texture is 0 and where it is 1, in nanometres. Without a texture the
+    /// second thickness holds.
     pub thickness_nm: [f32; 2],
-    /// Green channel, linear.
+    /// Texture of the thickness, in the green channel; linear.
     pub thickness_texture: Option<TextureUse>,
 }
 
@@ -126,28 +129,30 @@ impl Default for Iridescence {
     }
 }
 
-/// `KHR_materials_anisotropy`.
+/// Stretched reflection (`KHR_materials_anisotropy`).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Anisotropy {
-    /// 0..1: GGX α along the direction is mix(α, 1, strength²), across it α.
+    /// Strength, 0..1: GGX α along the direction of stretch is mix(α, 1, strength²), and α across
+    /// it.
     pub strength: f32,
-    /// Angle of the direction of stretch from the tangent, counter-clockwise in tangent space.
+    /// Angle from the tangent to the direction of stretch, counter-clockwise in tangent space.
     pub rotation_rad: f32,
-    /// RG: direction in tangent space, 2·rg − 1, turned by the rotation; B: factor on the strength.
-    /// Linear.
+    /// Texture whose red and green channels are a direction in tangent space, 2·rg − 1, which the
+    /// angle then rotates. Its blue channel is a factor on the strength. Linear.
     pub texture: Option<TextureUse>,
 }
 
-/// Marks a surface that stands for a light source. Glowing objects are no lamps: they are geometry.
+/// Marks a surface that represents a light source of the file. Glowing objects are not lamps but
+/// geometry.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Lamp {
-    /// A surface like any other.
+    /// An ordinary surface.
     #[default]
     No,
-    /// A light source that first hits pass as if it were not there. Mirrors, panes and shadows know
-    /// it.
+    /// A light source that the viewer does not see: first hits pass through it. Mirrors, panes and
+    /// shadows still show it.
     Unseen,
-    /// A light source that is seen.
+    /// A light source that the viewer sees.
     Seen,
 }
 
@@ -189,7 +194,7 @@ impl Default for Material {
 }
 
 impl Material {
-    /// Every texture use with the glTF name of its slot.
+    /// Every use of a texture, with glTF's name of its slot.
     pub fn textures(&self) -> impl Iterator<Item = (&'static str, &TextureUse)> {
         let clearcoat = self.clearcoat.as_ref();
         let sheen = self.sheen.as_ref();
@@ -215,8 +220,9 @@ impl Material {
         .filter_map(|(slot, texture)| texture.map(|texture| (slot, texture)))
     }
 
-    /// The coordinate set that tangents must follow: that of the first of normal map, coat's normal
-    /// map and anisotropy; `None` where the material needs no tangents.
+    /// The coordinate set that tangents must follow: the set of the normal map, or else of the
+    /// coat's normal map, or else of the anisotropy texture. `None` if the material needs no
+    /// tangents.
     pub fn tangent_uv_set(&self) -> Option<usize> {
         let coat = self.clearcoat.as_ref().and_then(|coat| coat.normal_texture.as_ref());
         let mapped = self.normal_texture.as_ref().or(coat).map(|texture| texture.uv_set);
@@ -235,52 +241,52 @@ impl Material {
 pub enum AlphaMode {
     /// Alpha is ignored.
     Opaque,
-    /// Present where alpha reaches the cutoff, absent elsewhere.
+    /// The surface exists where alpha reaches the cutoff, and is absent elsewhere.
     Mask {
         /// Threshold, 0..1.
         cutoff: f32,
     },
-    /// Covers the share alpha of the surface.
+    /// The surface covers the fraction alpha of its area.
     Blend,
 }
 
-/// A texture as one material slot uses it.
+/// Use of a texture in one slot of a material.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TextureUse {
     /// Index into [`SceneParts::textures`](crate::SceneParts::textures).
     pub texture: usize,
     /// Texture coordinate set, 0 or 1.
     pub uv_set: usize,
-    /// `KHR_texture_transform`: applied to the mesh's coordinates.
+    /// Transform of the mesh's texture coordinates (`KHR_texture_transform`).
     pub texture_from_mesh: Affine2,
 }
 
-/// An image with its sampling rules.
+/// An image with rules for sampling it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Texture {
     /// Index into [`SceneParts::images`](crate::SceneParts::images).
     pub image: usize,
-    /// Outside 0..1 in u.
+    /// Rule for texture coordinates u outside 0..1.
     pub wrap_u: Wrap,
-    /// Outside 0..1 in v.
+    /// Rule for texture coordinates v outside 0..1.
     pub wrap_v: Wrap,
-    /// Between texels.
+    /// Interpolation between texels.
     pub filter: Filter,
 }
 
-/// Content outside the unit square of a texture.
+/// Content of a texture outside its unit square.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Wrap {
-    /// Tiles.
+    /// The texture repeats.
     #[default]
     Repeat,
-    /// Tiles, every other one flipped.
+    /// The texture repeats, and every other copy is flipped.
     MirroredRepeat,
-    /// The edge texel.
+    /// The texels of the edge continue.
     ClampToEdge,
 }
 
-/// How a magnified texture is interpolated; minification always uses the image pyramid.
+/// Interpolation of a magnified texture; minification always uses the image pyramid.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Filter {
     /// Bilinear.
@@ -290,7 +296,8 @@ pub enum Filter {
     Nearest,
 }
 
-/// A decoded picture. Row 0 is the top row; texture coordinate v = 0 is its upper edge (glTF).
+/// A decoded picture. Row 0 is the top row, and the texture coordinate v = 0 is its upper edge
+/// (glTF).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Image {
     /// Name or path, for messages.
@@ -303,14 +310,15 @@ pub struct Image {
     pub pixels: Pixels,
 }
 
-/// Texels of an [`Image`]. The slot that uses them decides if codes are sRGB-encoded or linear.
+/// Texels of an [`Image`]. The slot that uses the image decides if its codes are sRGB-encoded or
+/// linear.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Pixels {
     /// 8-bit codes.
     Rgba8(Vec<[u8; 4]>),
     /// 16-bit codes.
     Rgba16(Vec<[u16; 4]>),
-    /// Linear radiance; environment maps.
+    /// Linear radiance, for environment maps.
     RgbF32(Vec<[f32; 3]>),
 }
 

@@ -4,7 +4,7 @@ use glam::{Affine3A, Quat, Vec2, Vec3, Vec4};
 
 use crate::{Cloud, Image, Material, PlacedCloud, Texture};
 
-/// A scene before its check; see [`SceneParts::validate`].
+/// A scene that is not checked yet; see [`SceneParts::validate`].
 #[derive(Clone, Debug, Default)]
 pub struct SceneParts {
     /// Name or path, for messages.
@@ -17,39 +17,38 @@ pub struct SceneParts {
     pub clouds: Vec<Cloud>,
     /// Placed clouds.
     pub placed_clouds: Vec<PlacedCloud>,
-    /// Materials; meshes index them.
+    /// Materials, to which meshes refer by index.
     pub materials: Vec<Material>,
-    /// Textures; materials index them.
+    /// Textures, to which materials refer by index.
     pub textures: Vec<Texture>,
-    /// Images; textures and the environment index them.
+    /// Images, to which textures and the environment refer by index.
     pub images: Vec<Image>,
     /// Punctual lights. Area lights are emissive meshes.
     pub lights: Vec<Light>,
-    /// Cameras, the file's preferred one first.
+    /// Cameras, the file's preferred camera first.
     pub cameras: Vec<Camera>,
-    /// Light from infinity; `None` is black.
+    /// Light from infinity; without it the scene is surrounded by black.
     pub environment: Option<Environment>,
-    /// Linear radiance ≥ 0 that the viewer sees past the scene instead of the environment. Mirrors
-    /// and bent light show the environment.
+    /// Linear radiance ≥ 0 that the viewer sees past the scene, instead of the environment. Mirrors
+    /// and refracting surfaces show the environment.
     pub backdrop: Option<Vec3>,
 }
 
-/// An indexed triangle mesh. Front faces wind counter-clockwise.
+/// An indexed triangle mesh. The corners of front faces are counter-clockwise.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
     /// Place in the file ("/meshes/3/primitives/0"), for messages.
     pub place: String,
     /// Vertex positions in mesh space.
     pub positions: Vec<Vec3>,
-    /// Unit normals, one per vertex. The validator generates flat ones when empty.
+    /// Unit normals, one per vertex. If there are none, the validator generates flat ones.
     pub normals: Vec<Vec3>,
-    /// Unit tangents, w = ±1 the handedness of the bitangent `w · normal × tangent`; may be empty.
-    /// The validator generates them when the material has a normal map or anisotropy and the mesh
-    /// has none.
+    /// Unit tangents. Their w = ±1 is the handedness of the bitangent `w · normal × tangent`. May
+    /// be empty: the validator generates tangents if the material has a normal map or anisotropy.
     pub tangents: Vec<Vec4>,
-    /// Texture coordinates of set 0 and 1; each may be empty, which reads (0, 0).
+    /// Texture coordinates of sets 0 and 1. Each may be empty; the mesh then has (0, 0) everywhere.
     pub uvs: [Vec<Vec2>; 2],
-    /// Linear RGBA that multiplies the base colour; may be empty.
+    /// Linear RGBA per vertex, which multiplies the base colour; may be empty.
     pub colors: Vec<Vec4>,
     /// Vertex indices.
     pub triangles: Vec<[u32; 3]>,
@@ -62,19 +61,19 @@ pub struct Mesh {
 pub struct Instance {
     /// Index into [`SceneParts::meshes`].
     pub mesh: usize,
-    /// Any invertible affine map; a negative determinant flips the winding.
+    /// Any invertible affine map. A negative determinant reverses the winding.
     pub scene_from_mesh: Affine3A,
 }
 
-/// A light without a surface: those of `KHR_lights_punctual`, and the sun.
+/// A light without a surface: a light of `KHR_lights_punctual`, or the sun.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Light {
     /// Position in the scene; unused by directional lights.
     pub position: Vec3,
     /// Unit direction in which light travels; unused by point lights.
     pub direction: Vec3,
-    /// Point and spot: radiant intensity (candela scale); directional: irradiance (lux scale).
-    /// Linear RGB.
+    /// Linear RGB. For points and spots it is the radiant intensity (scale of candela), for
+    /// directional lights the irradiance (scale of lux).
     pub intensity: Vec3,
     /// Shape of the emission.
     pub kind: LightKind,
@@ -83,53 +82,53 @@ pub struct Light {
 /// Shape of a punctual light's emission.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum LightKind {
-    /// The same in all directions.
+    /// Equal in all directions.
     Point,
     /// A cone.
     Spot {
-        /// Half angle of full intensity.
+        /// Half angle within which the intensity is full.
         inner_cone_rad: f32,
-        /// Half angle where intensity reaches zero.
+        /// Half angle at which the intensity reaches zero.
         outer_cone_rad: f32,
     },
     /// Parallel light.
     Directional,
-    /// Light from a disc of the sky with one radiance, such as the sun; `intensity` is the
-    /// irradiance on a surface that faces its centre. Seen by surfaces alone, not by cameras or
-    /// mirrors.
+    /// Light from a disc of the sky with one radiance, such as the sun. `intensity` is the
+    /// irradiance of a surface that faces the disc's centre. It lights surfaces, but cameras and
+    /// mirrors do not show it.
     Distant {
         /// Angle from the centre to the edge, 0..=π/2.
         half_angle_rad: f32,
     },
 }
 
-/// A camera that looks along −z of its own space, y up (glTF's convention).
+/// A camera that looks along −z of its space, with y up (glTF's convention).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
     /// Name in the file, or its number.
     pub name: String,
-    /// Placement. Scale is removed by the validator.
+    /// Placement. The validator removes its scale.
     pub scene_from_camera: Affine3A,
     /// Kind of projection.
     pub projection: Projection,
-    /// Distance of the plane of focus, scene units, where the file gives one.
+    /// Distance of the plane of focus, in scene units, if the file gives one.
     pub focus_distance: Option<f32>,
-    /// Distance of the near plane ≥ 0, scene units, where the file gives one: nothing before it is
-    /// seen.
+    /// Distance of the near plane, ≥ 0, in scene units, if the file gives one. Objects in front of
+    /// the plane are not seen.
     pub near: Option<f32>,
 }
 
 /// Projection of a [`Camera`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Projection {
-    /// Pinhole.
+    /// Projection through a point.
     Perspective {
         /// Full vertical angle of view.
         vertical_fov_rad: f32,
-        /// Width over height; `None` adapts to the display.
+        /// Width over height; `None` takes the display's.
         aspect: Option<f32>,
     },
-    /// Parallel.
+    /// Parallel projection.
     Orthographic {
         /// Half width of the view, scene units.
         half_width: f32,
@@ -138,11 +137,11 @@ pub enum Projection {
     },
 }
 
-/// Light from infinity: an equirectangular map. Its top row is the environment's +y; the column at
-/// the centre of the picture is its −z, and columns to the right turn towards +x.
+/// Light from infinity: an equirectangular map. Its top row shows the environment's +y, and the
+/// middle of its columns shows −z. Columns to the right of the middle turn towards +x.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Environment {
-    /// Index into [`SceneParts::images`]; an `RgbF32` image of linear radiance.
+    /// Index into [`SceneParts::images`], of an `RgbF32` image with linear radiance.
     pub image: usize,
     /// Factor on the map.
     pub strength: Vec3,

@@ -1,4 +1,4 @@
-//! Clouds of 3D Gaussians ("splats"), the format of captures of the real world.
+//! Clouds of 3D Gaussians ("splats"), in which captures of the real world are stored.
 //!
 //! ```text
 //! G(x) = exp(−½ (x − μ)ᵀ Σ⁻¹ (x − μ)),   Σ = M R diag(s²) Rᵀ Mᵀ
@@ -17,34 +17,34 @@ use crate::{Bounds, SceneError};
 /// The highest degree of spherical harmonics that a cloud may have.
 pub const MAX_DEGREE: usize = 3;
 
-/// Splats in a space of their own. All arrays have one entry per splat; the validator may change
-/// their order.
+/// Splats in the cloud's own space. All arrays have one entry per splat. The validator may change
+/// the order of the splats.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cloud {
     /// Place in the file ("/meshes/3/primitives/0"), for messages.
     pub place: String,
     /// Centres μ.
     pub positions: Vec<Vec3>,
-    /// From a splat's own axes to those of the cloud; the validator makes them unit quaternions.
+    /// Rotations from a splat's axes to the cloud's; the validator makes them unit quaternions.
     pub rotations: Vec<Quat>,
-    /// Standard deviations along a splat's own axes, ≥ 0.
+    /// Standard deviations along a splat's axes, ≥ 0.
     pub scales: Vec<Vec3>,
     /// Opacity at the centre, 0..1.
     pub opacities: Vec<f32>,
     /// Degree of the harmonics, 0..=[`MAX_DEGREE`].
     pub degree: usize,
-    /// Coefficients c_lm, `[splat][coefficient][rgb]` with (degree + 1)² coefficients by degree l,
-    /// then order m, in the cloud's axes.
+    /// Coefficients c_lm, `[splat][coefficient][rgb]`, in the cloud's axes. There are (degree + 1)²
+    /// coefficients, in the order of degree l, then of order m.
     pub harmonics: Vec<f32>,
-    /// Meaning of the colours, and the space in which they are blended.
+    /// Space of the colours, in which they are also blended.
     pub encoding: Encoding,
 }
 
-/// The space of a cloud's colours. Both are display-referred with the primaries of BT.709: 1 is
-/// white.
+/// The space of a cloud's colours. Both spaces are display-referred and have the primaries of
+/// BT.709; 1 is white.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Encoding {
-    /// sRGB code values, as captures are trained.
+    /// sRGB code values, in which captures are trained.
     #[default]
     Srgb,
     /// Linear light.
@@ -60,13 +60,13 @@ pub struct PlacedCloud {
     pub scene_from_cloud: Affine3A,
 }
 
-/// Larger clouds are sorted by place, since renderers read splats that are seen together.
+/// Clouds of more splats are sorted by position, since renderers read neighbouring splats together.
 const UNSORTED: usize = 1 << 13;
-/// Weighted quantiles between which the bulk of a cloud lies.
+/// Weighted quantiles that bound the bulk of a cloud on each axis.
 const BULK: [f64; 2] = [0.02, 0.98];
-/// A splat further from the bulk than this share of its size is a floater.
+/// A splat is a floater if its distance from the bulk exceeds this fraction of the bulk's size.
 const REACH: f32 = 0.5;
-/// Splats of less opacity do not widen the bounds.
+/// Splats of smaller opacity do not extend the bounds.
 const LEAST_OPACITY: f32 = 0.1;
 
 impl Cloud {
@@ -80,12 +80,12 @@ impl Cloud {
         self.positions.is_empty()
     }
 
-    /// Coefficients per splat and channel.
+    /// Number of coefficients per splat and channel.
     pub fn coefficients(&self) -> usize {
         (self.degree + 1).pow(2)
     }
 
-    /// Bytes of its arrays.
+    /// Size of the cloud's arrays in bytes.
     pub fn bytes(&self) -> usize {
         self.len() * (size_of::<Vec3>() * 2 + size_of::<Quat>() + size_of::<f32>() * (1 + 3 * self.coefficients()))
     }
@@ -113,7 +113,7 @@ impl Cloud {
         chosen(&mut self.harmonics, values, kept);
     }
 
-    /// Why a splat is no Gaussian.
+    /// The reason why a splat is not a Gaussian; `None` if it is one.
     fn fault(&self, i: usize) -> Option<&'static str> {
         let (scale, rotation, values) = (self.scales[i], self.rotations[i], 3 * self.coefficients());
         if !self.positions[i].is_finite() {
@@ -131,8 +131,8 @@ impl Cloud {
         }
     }
 
-    /// Checks lengths, normalizes rotations, and drops splats that are no Gaussians: trainers write
-    /// some.
+    /// Checks lengths, normalizes rotations, and drops splats that are not Gaussians, since
+    /// trainers write some.
     pub(crate) fn check(&mut self, task: Task<'_>) -> Result<(), SceneError> {
         if self.degree > MAX_DEGREE {
             let expected = format!("a degree of harmonics up to {MAX_DEGREE}");
@@ -149,7 +149,7 @@ impl Cloud {
         if let Some((name, found, expected)) = lengths.into_iter().find(|(_, found, expected)| found != expected) {
             return Err(SceneError::new(&self.place, format!("{expected} values of {name}"), found.to_string()));
         }
-        // leave out splats that are no Gaussians, with one warning for all
+        // leave out splats that are not Gaussians, with one warning for all
         let mut first_fault = None;
         let kept: Vec<bool> = (0..count)
             .map(|i| {
@@ -167,19 +167,20 @@ impl Cloud {
             task.warn(&self.place, message);
         }
         self.rotations.iter_mut().for_each(|rotation| *rotation = rotation.normalize());
-        // splats that lie close together lie close in memory
+        // splats that are close in space become close in memory
         if self.len() > UNSORTED {
             self.sort_by_place();
         }
         Ok(())
     }
 
-    /// Puts splats that lie together next to one another: along Morton's curve through the cloud.
+    /// Sorts splats along Morton's curve through the cloud, so that neighbours in space follow one
+    /// another.
     fn sort_by_place(&mut self) {
         let mut bounds = Bounds::EMPTY;
         self.positions.iter().for_each(|at| bounds.include(*at));
         let steps = (1u32 << 21) as f32 / bounds.size().max_element().max(f32::MIN_POSITIVE);
-        // the bits of a number, two places apart
+        // the bits of a number, with two zeros between neighbouring bits
         let spread = |value: f32| {
             let mut bits = u64::from((value * steps) as u32).min((1 << 21) - 1);
             for (shift, mask) in [
@@ -193,7 +194,7 @@ impl Cloud {
             }
             bits
         };
-        // Morton code of the place
+        // Morton code of a position
         let key = |at: Vec3| {
             let [x, y, z] = (at - bounds.min).to_array();
             spread(x) | spread(y) << 1 | spread(z) << 2
@@ -212,12 +213,12 @@ impl Cloud {
         turned(&mut self.harmonics, values, &order);
     }
 
-    /// Bounds of the placed cloud without its floaters: the bulk by opacity times size on every
-    /// axis, and the splats near it.
+    /// Bounds of the placed cloud without its floaters: of the bulk of its splats on every axis,
+    /// and of splats near it. For the bulk, splats are weighted by opacity × area.
     pub(crate) fn seen_bounds(&self, scene_from_cloud: Affine3A) -> Bounds {
         let points: Vec<Vec3> = self.positions.iter().map(|p| scene_from_cloud.transform_point3(*p)).collect();
-        // area that a splat covers; the largest splats, which are sky and haze, count no more than
-        // the large ones
+        // area that a splat covers; the largest tenth of splats, which are sky and haze, has no
+        // more weight than the next ones
         let mut areas: Vec<f32> = self.scales.iter().map(|s| (s.x * s.y).max(s.y * s.z).max(s.z * s.x)).collect();
         let mut sorted = areas.clone();
         sorted.sort_by(f32::total_cmp);
@@ -249,7 +250,7 @@ impl Cloud {
             }
         }
         if bounds.is_empty() {
-            // all of them are faint
+            // all splats near the bulk are faint
             points.iter().filter(|point| fence.contains(**point)).for_each(|point| bounds.include(*point));
         }
         bounds
@@ -276,7 +277,8 @@ mod tests {
         }
     }
 
-    /// The scene of a cloud that is placed by these maps, and its warnings.
+    /// Validates a scene of a cloud that is placed by these maps; returns the scene and its
+    /// warnings.
     fn validated(cloud: Cloud, maps: &[Affine3A]) -> (Result<Scene, SceneError>, Vec<String>) {
         let placed_clouds = maps.iter().map(|map| PlacedCloud { cloud: 0, scene_from_cloud: *map }).collect();
         let parts = SceneParts { name: "a".into(), clouds: vec![cloud], placed_clouds, ..SceneParts::default() };

@@ -1,5 +1,5 @@
-//! From [`SceneParts`] to [`Scene`]: defects that prevent rendering are errors, others are repaired
-//! and reported.
+//! Validates [`SceneParts`] to a [`Scene`]: defects that prevent rendering are errors; other
+//! defects are repaired and reported.
 
 use std::f32::consts::FRAC_PI_2;
 use std::ops::Deref;
@@ -9,11 +9,11 @@ use lumistack_core::Task;
 
 use crate::{AlphaMode, Bounds, Instance, Lamp, LightKind, Material, Mesh, Pixels, SceneError, SceneParts, TextureUse};
 
-/// Splats that a scene may have, copies counted: a small file can reach any number by placing a
-/// cloud often.
+/// Largest number of splats of a scene, copies included. A small file can reach any number by
+/// placing a cloud often.
 const MOST_SPLATS: usize = 1 << 27;
 
-/// A scene whose indices, numbers and transforms have been checked. Read it like [`SceneParts`].
+/// A scene whose indices, numbers and transforms are valid. It dereferences to [`SceneParts`].
 #[derive(Clone, Debug)]
 pub struct Scene {
     parts: SceneParts,
@@ -30,33 +30,34 @@ impl Deref for Scene {
 }
 
 impl Scene {
-    /// Bounds of all placed triangles, and of all splats but floaters; never empty.
+    /// Bounds of all placed triangles, and of all splats except floaters; never empty.
     pub fn bounds(&self) -> Bounds {
         self.bounds
     }
 
-    /// Bounds of all that the viewer sees: everything but [unseen lamps](Lamp::Unseen) and floating
-    /// splats. If nothing else is in the scene, the bounds of everything.
+    /// Bounds of everything that the viewer sees: of all objects except [unseen
+    /// lamps](Lamp::Unseen) and floating splats. They are the bounds of all objects if the scene
+    /// has no others.
     pub fn seen_bounds(&self) -> Bounds {
         self.seen_bounds
     }
 
-    /// True if the viewer can see an instance: it is no [unseen lamp](Lamp::Unseen).
+    /// True if the viewer can see an instance, which is not an [unseen lamp](Lamp::Unseen).
     pub fn is_seen(&self, instance: &crate::Instance) -> bool {
         self.materials[self.meshes[instance.mesh].material].lamp != Lamp::Unseen
     }
 
-    /// Number of triangles with instances counted.
+    /// Number of triangles, including the copies that instances make.
     pub fn triangle_count(&self) -> usize {
         self.instances.iter().map(|instance| self.meshes[instance.mesh].triangles.len()).sum()
     }
 
-    /// Number of splats, those of clouds that are placed often counted as often.
+    /// Number of splats, including the copies that placements make.
     pub fn splat_count(&self) -> usize {
         self.placed_clouds.iter().map(|placed| self.clouds[placed.cloud].len()).sum()
     }
 
-    /// Centres of all placed splats.
+    /// Centres of all placed splats, in scene space.
     pub fn splat_positions(&self) -> impl Iterator<Item = Vec3> {
         self.placed_clouds.iter().flat_map(|placed| {
             self.clouds[placed.cloud].positions.iter().map(|at| placed.scene_from_cloud.transform_point3(*at))
@@ -65,9 +66,9 @@ impl Scene {
 
     /// True if something lights the scene: an environment, a punctual light, or a surface that
     /// emits more than white (radiance 1). A dimmer surface, such as a label or a display in the
-    /// scene, is seen but leaves the rest black.
+    /// scene, is visible but does not light other objects.
     pub fn is_lit(&self) -> bool {
-        // a picture of light has values of its own; codes reach 1
+        // a floating-point picture may exceed 1; codes reach 1 at most
         let brightest = |texture: &TextureUse| match &self.images[self.textures[texture.texture].image].pixels {
             Pixels::RgbF32(texels) => texels.iter().flatten().copied().fold(0.0, f32::max),
             _ => 1.0,
@@ -76,26 +77,26 @@ impl Scene {
             let factor = material.emission.max_element();
             factor > 0.0 && factor * material.emission_texture.as_ref().map_or(1.0, brightest) > 1.0
         };
-        // once for every material: instances may be millions
+        // per material, since there may be millions of instances
         let lamps: Vec<bool> = self.materials.iter().map(is_lamp).collect();
         let shows_lamp = |instance: &Instance| lamps[self.meshes[instance.mesh].material];
         self.environment.is_some() || !self.lights.is_empty() || self.instances.iter().any(shows_lamp)
     }
 
-    /// Takes the parts out again, to change and revalidate them.
+    /// Returns the parts, for changes and another validation.
     pub fn into_parts(self) -> SceneParts {
         self.parts
     }
 }
 
 impl SceneParts {
-    /// Checks everything that later stages rely on, generates missing normals and tangents, drops
-    /// triangles without area, splats that are no Gaussians and instances without volume (with a
-    /// warning).
+    /// Checks everything on which later stages rely, and generates missing normals and tangents.
+    /// Drops triangles without area, splats that are not Gaussians, and instances without volume,
+    /// with warnings.
     ///
     /// # Errors
     /// On the first index out of range, number that is not finite, or attribute of the wrong
-    /// length; and when nothing is left to render.
+    /// length. Also if there is nothing left to render.
     pub fn validate(mut self, task: Task<'_>) -> Result<Scene, SceneError> {
         self.check_images()?;
         self.check_materials(task)?;
@@ -123,7 +124,7 @@ impl SceneParts {
             [(place, dropped, before)] => {
                 task.warn(place, format!("{dropped} of {before} triangles have no area and are left out"));
             }
-            // files from CAD have them everywhere: one line for all
+            // files from CAD often have such triangles in many meshes, so they share one warning
             many => {
                 let dropped: usize = many.iter().map(|(_, dropped, _)| dropped).sum();
                 let message = format!("{dropped} triangles in {} meshes have no area and are left out", many.len());
@@ -132,7 +133,7 @@ impl SceneParts {
         }
         self.check_instances(task)?;
         self.check_lights_and_cameras()?;
-        // bounds of all instances and clouds, and of those that the viewer sees
+        // bounds of all instances and clouds, and of the objects that the viewer sees
         let (mut bounds, mut seen_bounds) = (Bounds::EMPTY, Bounds::EMPTY);
         for instance in &self.instances {
             let mesh = &self.meshes[instance.mesh];
@@ -188,7 +189,7 @@ impl SceneParts {
         let count =
             self.placed_clouds.iter().try_fold(0usize, |sum, placed| sum.checked_add(clouds[placed.cloud].len()));
         if count.is_none_or(|count| count > MOST_SPLATS) {
-            let found = format!("{} copies of clouds that make more", self.placed_clouds.len());
+            let found = format!("more, by {} placed clouds", self.placed_clouds.len());
             return Err(SceneError::new(&self.name, format!("at most {MOST_SPLATS} placed splats"), found));
         }
         Ok(())
@@ -235,7 +236,7 @@ impl SceneParts {
     fn check_materials(&mut self, task: Task<'_>) -> Result<(), SceneError> {
         for (i, material) in self.materials.iter_mut().enumerate() {
             let place = format!("/materials/{i} ({})", material.name);
-            // references
+            // indices of textures
             for (slot, texture) in material.textures() {
                 index(&format!("{place} {slot}"), texture.texture, self.textures.len(), "texture")?;
                 index(&format!("{place} {slot} texCoord"), texture.uv_set, 2, "texture coordinate set (0 or 1)")?;
@@ -247,8 +248,8 @@ impl SceneParts {
                     ));
                 }
             }
-            // parameters outside of their range are clamped with a warning, since files often
-            // exceed it
+            // parameters outside of their range are clamped with a warning, since many files exceed
+            // the ranges
             let clamp = |name: &str, value: &mut f32, low: f32, high: f32| -> Result<(), SceneError> {
                 if value.is_nan() {
                     return Err(SceneError::new(
@@ -340,7 +341,7 @@ impl SceneParts {
             if let LightKind::Distant { half_angle_rad } = light.kind
                 && !(0.0..=FRAC_PI_2).contains(&half_angle_rad)
             {
-                return Err(SceneError::new(place, "half an angle in 0..π/2", half_angle_rad.to_string()));
+                return Err(SceneError::new(place, "a half angle in 0..π/2", half_angle_rad.to_string()));
             }
             light.direction = light
                 .direction
@@ -355,7 +356,7 @@ impl SceneParts {
             let (Some(x), Some(z), true) = (x, z, camera.scene_from_camera.is_finite()) else {
                 return Err(SceneError::new(place, "a placement with three independent axes", format!("{axes:?}")));
             };
-            // remove scale and shear from the placement
+            // remove scale and shear from the camera's placement
             camera.scene_from_camera = Affine3A {
                 matrix3: Mat3A::from_cols(x, Vec3A::cross(z, x), z),
                 translation: camera.scene_from_camera.translation,
@@ -365,7 +366,7 @@ impl SceneParts {
             {
                 return Err(SceneError::new(place, "a focus distance above 0", distance.to_string()));
             }
-            // a near plane that makes no sense limits nothing
+            // an invalid near plane is ignored
             camera.near = camera.near.filter(|near| near.is_finite() && *near >= 0.0);
         }
         Ok(())
@@ -385,7 +386,7 @@ fn index(place: &str, value: usize, count: usize, what: &str) -> Result<(), Scen
     Err(SceneError::new(place, format!("a {what} below {count}"), value.to_string()))
 }
 
-/// Returns how many triangles without area it left out.
+/// Checks and repairs a mesh; returns the number of triangles without area, which it leaves out.
 fn check_mesh(mesh: &mut Mesh, material_count: usize, task: Task<'_>) -> Result<usize, SceneError> {
     let count = mesh.positions.len();
     index(&format!("{} material", mesh.place), mesh.material, material_count, "material")?;
@@ -430,7 +431,7 @@ fn check_mesh(mesh: &mut Mesh, material_count: usize, task: Task<'_>) -> Result<
     Ok(before - mesh.triangles.len())
 }
 
-/// Unit normal of a triangle; `None` without area.
+/// Unit normal of a triangle; `None` for a triangle without area.
 fn face_normal(positions: &[Vec3], triangle: [u32; 3]) -> Option<Vec3> {
     // in f64 and scaled to the longest edge, so that tiny and huge triangles keep their normals
     let [a, b, c] = triangle.map(|i| positions[i as usize].as_dvec3());
@@ -442,7 +443,7 @@ fn face_normal(positions: &[Vec3], triangle: [u32; 3]) -> Option<Vec3> {
     (u / scale).cross(v / scale).try_normalize().map(|n| n.as_vec3())
 }
 
-/// Replaces normals that have no direction by the mean of the faces around the vertex.
+/// Replaces normals without a direction by the mean normal of the faces around the vertex.
 fn mend_normals(mesh: &mut Mesh, task: Task<'_>) {
     let broken: Vec<usize> = (0..mesh.normals.len()).filter(|&i| mesh.normals[i].try_normalize().is_none()).collect();
     for normal in &mut mesh.normals {
@@ -486,9 +487,9 @@ fn generate_flat_normals(mesh: &mut Mesh) {
     mesh.triangles = (0..mesh.triangles.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
 }
 
-/// Tangents along increasing u, averaged over the triangles around a vertex and made perpendicular
-/// to its normal. The bitangent points up in the texture, which is along decreasing v (glTF's
-/// normal maps have green up and v down).
+/// Generates tangents along increasing u, averaged over the triangles around a vertex and made
+/// perpendicular to its normal. The bitangent points up in the texture, along decreasing v, since
+/// green is up and v is down in glTF's normal maps.
 fn generate_tangents(mesh: &mut Mesh, uv_set: usize) {
     let count = mesh.positions.len();
     let uvs = &mesh.uvs[uv_set];
@@ -510,7 +511,7 @@ fn generate_tangents(mesh: &mut Mesh, uv_set: usize) {
             }
         }
     }
-    // make tangents perpendicular to the normal; any will do without texture coordinates
+    // make tangents perpendicular to the normal; without texture coordinates any direction serves
     mesh.tangents = sums
         .iter()
         .zip(&mesh.normals)
@@ -639,8 +640,8 @@ mod tests {
             filter: crate::Filter::Linear,
         });
         parts.images.push(crate::Image { name: "n".into(), width: 1, height: 1, pixels: Pixels::Rgba8(vec![[0; 4]]) });
-        // u along x and v along −y, as in an unmirrored picture: up in the texture is +y = normal ×
-        // tangent
+        // u is along x and v along −y, as in a picture that is not mirrored: up in the texture is
+        // +y = normal × tangent
         parts.meshes[0].uvs[0] = vec![Vec2::new(0.0, 1.0), Vec2::new(1.0, 1.0), Vec2::new(0.0, 0.0)];
         let scene = validate(parts).0.unwrap();
         assert_eq!(scene.meshes[0].tangents[0], Vec3::X.extend(1.0));

@@ -1,21 +1,21 @@
-//! The display's zero-parallax plane as a rectangle in the scene.
+//! The window: the display plane as a rectangle in the scene.
 //!
-//! Display space is right-handed millimetres: origin at the centre of the light field's rectangle,
-//! x right, y up, z to the viewer (design document, section 3).
+//! Display space is right-handed, in millimetres. Its origin is the centre of the light field's
+//! rectangle. x is right, y is up, and z is towards the viewer.
 
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use thiserror::Error;
 
 use crate::{Bounds, Camera, Projection};
 
-/// A map x ↦ translation + scale · rotation · x, scale > 0: no reflection.
+/// A map x ↦ translation + scale · rotation · x without reflection: scale > 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Similarity {
     /// Unit quaternion.
     pub rotation: DQuat,
     /// Scale factor, > 0.
     pub scale: f64,
-    /// Image of the origin.
+    /// The point to which the origin is mapped.
     pub translation: DVec3,
 }
 
@@ -25,43 +25,43 @@ impl Similarity {
         self.translation + self.scale * (self.rotation * point)
     }
 
-    /// Maps a direction; its length scales.
+    /// Maps a vector: rotates and scales it.
     pub fn vector(&self, vector: DVec3) -> DVec3 {
         self.scale * (self.rotation * vector)
     }
 
-    /// Maps a point back.
+    /// The inverse of [`point`](Self::point).
     pub fn inverse_point(&self, point: DVec3) -> DVec3 {
         (self.rotation.inverse() * (point - self.translation)) / self.scale
     }
 }
 
-/// Where the display stands in the scene.
+/// The position and size of the display in the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Window {
-    /// Millimetres of display space to scene units.
+    /// Map from display space, in millimetres, to the scene.
     pub scene_from_display: Similarity,
     /// Width and height of the light field's rectangle in millimetres, both > 0.
     pub size_mm: [f64; 2],
-    /// z in display space of the plane, before which nothing is seen: first rays start there.
-    /// `None` sees all that stands before the window.
+    /// Near plane: z in display space, in millimetres, at which first rays start, so that objects
+    /// in front of it are not seen. With `None` all objects in front of the window are seen.
     pub near_mm: Option<f64>,
 }
 
 /// A window that cannot be placed.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum WindowError {
-    /// The camera gives no plane of finite size.
+    /// The camera defines no plane of finite size.
     #[error(
         "camera {name}: expected a focus distance and a field of view that make a window of finite size, found {found}"
     )]
     Camera {
-        /// The camera.
+        /// Name of the camera.
         name: String,
-        /// Distance and width of its window, in scene units.
+        /// Distance and width of the camera's window, in scene units.
         found: String,
     },
-    /// Numbers that make no rectangle.
+    /// The given numbers define no rectangle.
     #[error("window: expected {expected}, found {found}")]
     Given {
         /// The expected value or range.
@@ -71,16 +71,16 @@ pub enum WindowError {
     },
 }
 
-/// Share of the window that automatic framing leaves free around the scene's bounds.
+/// Fraction of the window that automatic framing adds around the scene's bounds.
 const FRAMING_MARGIN: f64 = 0.02;
 
 impl Window {
-    /// The camera's plane of focus, as wide as its frustum there. Without a focus distance the
-    /// plane goes through the centre of the scene's bounds. Nothing before the camera's near plane
-    /// is seen.
+    /// The camera's plane of focus, as wide as the camera's frustum there. Without a focus distance
+    /// the plane passes through the centre of the scene's bounds. Objects in front of the camera's
+    /// near plane are not seen.
     ///
     /// # Errors
-    /// If that rectangle is empty, infinite or behind the camera.
+    /// If the rectangle is empty, infinite or behind the camera.
     pub fn from_camera(camera: &Camera, bounds: Bounds, size_mm: [f64; 2]) -> Result<Self, WindowError> {
         let position = camera.scene_from_camera.translation.as_dvec3();
         let rotation = DQuat::from_mat3(&DMat3::from_cols(
@@ -112,8 +112,8 @@ impl Window {
         Ok(Self { scene_from_display: Similarity { rotation, scale, translation }, size_mm, near_mm })
     }
 
-    /// A window at `centre` that looks along `forward` with `up` upwards and is `width` scene units
-    /// wide.
+    /// A window with its centre at `centre`, seen along `forward` with `up` upwards, and `width`
+    /// scene units wide.
     ///
     /// # Errors
     /// If the vectors are zero or parallel, or the width is not a positive number.
@@ -137,7 +137,7 @@ impl Window {
         })
     }
 
-    /// The same plane, narrower or wider by `factor` around the point (x, y) of it.
+    /// The same plane, scaled by `factor` around the point (x, y) of the window, in millimetres.
     #[must_use]
     pub fn scaled_about(&self, point_mm: [f64; 2], factor: f64) -> Self {
         let map = self.scene_from_display;
@@ -146,24 +146,25 @@ impl Window {
         Self { scene_from_display, size_mm: self.size_mm, near_mm: self.near_mm.map(|near| near / factor) }
     }
 
-    /// The window moved back along its normal by `by_mm`, so that depth −`by_mm` becomes its plane.
-    /// The view from straight ahead stays. A window for parallel projections keeps its size. One
-    /// before an eye at `eye_mm` grows with the distance, while eye and frustum stay.
+    /// The window, moved back along its normal by `by_mm`, so that depth −`by_mm` becomes its
+    /// plane. The view from straight ahead stays the same. For parallel projections the window
+    /// keeps its size. For an eye at distance `eye_mm` it grows with the distance, and eye and
+    /// frustum stay the same.
     #[must_use]
     pub fn moved_back(&self, by_mm: f64, eye_mm: Option<f64>) -> Self {
         let map = self.scene_from_display;
         let factor = eye_mm.map_or(1.0, |eye| (eye + by_mm) / eye);
         let translation = map.point(DVec3::new(0.0, 0.0, -by_mm));
         let scene_from_display = Similarity { scale: map.scale * factor, translation, ..map };
-        // the near plane stays where it is in the scene
+        // the near plane keeps its position in the scene
         Self { scene_from_display, size_mm: self.size_mm, near_mm: self.near_mm.map(|near| (near + by_mm) / factor) }
     }
 
-    /// Frames points as seen along `forward`: the plane goes through the centre of their extents
-    /// and just holds their width and height.
+    /// Frames points as seen along `forward`: the plane passes through the centre of their extents,
+    /// and the window just holds their width and height.
     ///
     /// # Errors
-    /// If there are no points, they are one point, or the directions are zero or parallel.
+    /// If there are no points, if all points are equal, or if the directions are zero or parallel.
     pub fn framing_points(
         points: impl Iterator<Item = DVec3>,
         forward: DVec3,
@@ -183,15 +184,15 @@ impl Window {
         Self::given(turned * (0.5 * (min + max)), forward, up, scale * size_mm[0], size_mm)
     }
 
-    /// Frames the bounds from the front (looking along −z, glTF's front of an asset): the plane
-    /// goes through their centre and just holds their width and height.
+    /// Frames the bounds from the front, seen along −z (glTF assets face +z). The plane passes
+    /// through their centre, and the window just holds their width and height.
     ///
     /// # Errors
     /// If the bounds are empty or a single point.
     pub fn framing(bounds: Bounds, size_mm: [f64; 2]) -> Result<Self, WindowError> {
         let size = if bounds.is_empty() { Vec3::ZERO } else { bounds.size() }.as_dvec3();
         let fit = (size.x / size_mm[0]).max(size.y / size_mm[1]) * (1.0 + FRAMING_MARGIN);
-        // a scene that is a line towards the viewer still gets a window
+        // a scene that is a line towards the viewer gets a window too
         let scale = if fit > 0.0 { fit } else { size.z / size_mm[0] };
         Self::given(bounds.centre().as_dvec3(), DVec3::NEG_Z, DVec3::Y, scale * size_mm[0], size_mm)
     }
@@ -218,12 +219,13 @@ mod tests {
         };
         let window = Window::from_camera(&camera, Bounds::EMPTY, SIZE_MM).unwrap();
         let map = window.scene_from_display;
-        // the camera at (3, 1, 0) looks along −x; half the frustum's width at distance 2 is 3.2
+        // the camera at (3, 1, 0) looks along −x; half the width of its frustum at distance 2 is
+        // 3.2
         assert!((map.point(DVec3::ZERO) - DVec3::new(1.0, 1.0, 0.0)).length() < 1e-6);
         assert!((map.point(DVec3::new(200.0, 0.0, 0.0)) - DVec3::new(1.0, 1.0, -3.2)).length() < 1e-6);
         assert!((map.point(DVec3::new(0.0, 0.0, 1.0)) - DVec3::new(1.016, 1.0, 0.0)).length() < 1e-6);
-        // a near plane half a unit before the camera lies 1.5 units before the window, 16
-        // thousandths of a unit per millimetre
+        // a near plane half a unit in front of the camera is 1.5 units in front of the window, at
+        // 0.016 units per millimetre
         assert!((window.near_mm.unwrap() - 1.5 / 0.016).abs() < 1e-3);
         assert!(
             (map.inverse_point(map.point(DVec3::new(1.0, -2.0, 3.0))) - DVec3::new(1.0, -2.0, 3.0)).length() < 1e-9
@@ -244,7 +246,7 @@ mod tests {
         let along = (map.point(corner) - map.point(eye)).normalize();
         assert!((perspective.point(corner) - map.point(eye)).normalize().distance(along) < 1e-12);
         assert!((perspective.inverse_point(map.point(-30.0 * DVec3::Z))).length() < 1e-9);
-        // the near plane stays in the scene
+        // the near plane keeps its position in the scene
         let near = map.point(120.0 * DVec3::Z);
         for moved in
             [window.moved_back(30.0, None), window.moved_back(30.0, Some(600.0)), window.scaled_about([0.0; 2], 0.5)]
@@ -261,12 +263,12 @@ mod tests {
         let top = window.scene_from_display.inverse_point(DVec3::new(0.0, 4.0, 0.0));
         assert!(top.y > 0.95 * 125.0 && top.y < 125.0, "{top}");
         assert!(Window::framing(Bounds::EMPTY, SIZE_MM).is_err());
-        // its corners, seen from the front, make the same window
+        // the corners of the bounds, framed from the front, give the same window
         let corners = || bounds.corners().into_iter().map(|corner| corner.as_dvec3());
         let framed = Window::framing_points(corners(), DVec3::NEG_Z, DVec3::Y, SIZE_MM).unwrap();
         assert!((framed.scene_from_display.scale / window.scene_from_display.scale - 1.0).abs() < 1e-6);
         assert!((framed.scene_from_display.translation - window.scene_from_display.translation).length() < 1e-6);
-        // from above the depth of 10 units stands upright
+        // seen from above, the depth of 10 units becomes the height
         let above = Window::framing_points(corners(), DVec3::NEG_Y, DVec3::NEG_Z, SIZE_MM).unwrap();
         let edge = above.scene_from_display.inverse_point(DVec3::new(1.0, 4.0, -5.0));
         assert!((edge.y - 125.0 / 1.02).abs() < 1e-6 && edge.x > 0.0 && edge.z > 0.0, "{edge}");

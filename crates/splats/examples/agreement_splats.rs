@@ -1,13 +1,13 @@
-//! Writes clouds and views for `xtask/bench/splats_mitsuba.py`, which traces the same rays through
-//! the same Gaussians with Mitsuba 3.
+//! Writes clouds and views for `xtask/bench/splats_mitsuba.py`. That script traces the same rays
+//! through the same Gaussians with Mitsuba 3.
 //!
 //! ```text
 //! cargo run --release -p lumistack-splats --example agreement_splats FOLDER
 //! ```
 //!
-//! Lengths are in millimetres of display space. `apart` has few wide splats one behind another; all
-//! orders of them are alike, and none is narrower than a pixel. `capture` has thousands of
-//! overlapping splats, as captures do.
+//! Lengths are in millimetres of display space. `apart` has few wide splats behind one another:
+//! every order of distance is the same, and no splat is narrower than a pixel. `capture` has
+//! thousands of overlapping splats, as captures do.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -37,7 +37,7 @@ fn main() {
     std::fs::write(folder.join("cases.json"), Value::from(cases).to_string()).expect("a file");
 }
 
-/// Renders the views of a cloud, and writes both to files.
+/// Renders the views of a cloud, and writes cloud and views to files.
 fn write(folder: &Path, name: &str, cloud: &Cloud, projection: Projection) -> Value {
     let geometry = FieldGeometry { rows: 100, cols: 150, pitch_mm: 1.0, grid: ViewGrid::single(projection, [0.0; 2]) };
     let map = Similarity { rotation: DQuat::IDENTITY, scale: 1.0, translation: DVec3::ZERO };
@@ -78,7 +78,7 @@ fn write(folder: &Path, name: &str, cloud: &Cloud, projection: Projection) -> Va
     })
 }
 
-/// Numbers from 0 to 1.
+/// Random numbers from 0 to 1.
 fn random(mut state: u64) -> impl FnMut() -> f32 {
     move || {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -94,7 +94,7 @@ fn push(cloud: &mut Cloud, at: Vec3, turn: Quat, scale: Vec3, opacity: f32, harm
     cloud.harmonics.extend(harmonics);
 }
 
-/// Discs that face the viewer, with distances of 6 mm.
+/// Discs that face the viewer, 6 mm behind one another.
 fn apart() -> Cloud {
     let mut next = random(3);
     let mut cloud = Cloud { degree: 1, ..Cloud::default() };
@@ -108,7 +108,7 @@ fn apart() -> Cloud {
     cloud
 }
 
-/// Flat splats on three bumpy shells, about as large as their spacing.
+/// Flat splats on three bumpy shells; their size is about their distance.
 fn capture(count: usize) -> Cloud {
     let mut next = random(7);
     let mut cloud = Cloud { degree: 1, ..Cloud::default() };

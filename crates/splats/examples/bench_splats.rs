@@ -1,5 +1,5 @@
-//! Time and memory of many views of a million splats: all at once, one by one, and by a naive
-//! renderer.
+//! Measures time and memory of many views of a million splats: rendered together, one by one, and
+//! by a naive renderer.
 //!
 //! ```text
 //! cargo run --release -p lumistack-splats --example bench_splats \
@@ -16,7 +16,7 @@ use lumistack_scene::{Cloud, PlacedCloud, Scene, SceneParts, Similarity, Window}
 use lumistack_splats::{Renderer, SplatView, Wanted};
 use rayon::prelude::*;
 
-/// Views that are rendered one by one; times of all views are extrapolated from them.
+/// Number of views that are rendered one by one; the times of all views are extrapolated from them.
 const SAMPLED: usize = 5;
 
 fn main() {
@@ -50,7 +50,8 @@ fn main() {
         renderer.render(&window, &geometry, slopes, &none, wanted, task, done).expect("views");
         (start.elapsed().as_secs_f64(), processor_s() - used, sum)
     };
-    // One render to warm up, then all views together, some of them alone, and the naive renderer.
+    // Render once to warm up, then all views together, then some of them one by one, and those with
+    // the naive renderer.
     render(&slopes[..1], Wanted::Light);
     let (together, of_together, _) = render(&slopes, Wanted::Light);
     let (depth, of_depth, _) = render(&slopes, Wanted::Depth);
@@ -79,7 +80,7 @@ fn main() {
     let all = slopes.len() as f64;
     let row = |name: &str, time: f64, processor: f64| {
         println!(
-            "{name:24} {time:8.2} s {processor:8.2} s of processors {:7.1} ms of them a view",
+            "{name:24} {time:8.2} s {processor:8.2} s of processor time, {:7.1} ms of it per view",
             1e3 * processor / all
         );
     };
@@ -88,12 +89,12 @@ fn main() {
     row("one view, times all", alone * all, of_alone * all);
     row("naive, view by view", plain * all, of_plain * all);
     let (by_clock, by_processors) = (plain * all / together, of_plain * all / of_together);
-    println!("naive / together: {by_clock:.2} by the clock, {by_processors:.2} by processors");
+    println!("naive / together: {by_clock:.2} by the clock, {by_processors:.2} by processor time");
     println!("peak memory {peak:.0} MB, agreement {:.1} dB", -10.0 * error.log10());
 }
 
-/// Splats on bumpy closed surfaces, similar to captures: flat, about as large as their spacing,
-/// with faint ones in between.
+/// Splats on bumpy closed surfaces, similar to captures: flat, about as large as their distance,
+/// and some of them faint.
 fn scene(count: usize, degree: usize) -> Arc<Scene> {
     let mut state = 7u64;
     let mut next = || {
@@ -124,10 +125,10 @@ fn scene(count: usize, degree: usize) -> Arc<Scene> {
     Arc::new(parts.validate(Task::quiet(&warnings, &cancel)).expect("a scene"))
 }
 
-/// A renderer as written for a single picture, on all threads.
+/// A renderer for a single picture, on all threads.
 ///
-/// It projects, shades and sorts all splats. Then each tile blends the splats that touch it, until
-/// its pixels are opaque.
+/// It projects, shades and sorts all splats. Then each tile blends the splats that overlap it,
+/// until its pixels are opaque.
 fn naive(scene: &Scene, window: &Window, geometry: &FieldGeometry, slope: [f64; 2]) -> Vec<[f32; 3]> {
     const TILE: usize = 16;
     struct Flat {
@@ -251,16 +252,16 @@ fn basis(d: Vec3) -> [f32; 16] {
     ]
 }
 
-/// Processor time of all threads so far, in seconds; less disturbed by other programs than the
-/// clock.
+/// Processor time of all threads since the start, in seconds. Other programs disturb it less than
+/// they disturb the clock.
 fn processor_s() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let fields = stat.rsplit(')').next().unwrap_or("").split_whitespace().skip(11).take(2);
-    // the unit is 1/100 s
+    // the unit is 1/100 of a second
     fields.flat_map(str::parse::<f64>).sum::<f64>() / 100.0
 }
 
-/// Peak resident memory so far, in MB; 0 if the system does not report it.
+/// Peak resident memory since the start, in MB; 0 if the system does not report it.
 fn peak_mb() -> f64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find(|line| line.starts_with("VmHWM"));

@@ -1,4 +1,4 @@
-//! Clouds as a binary glTF document, by `KHR_gaussian_splatting`.
+//! Writes a cloud as a binary glTF file with `KHR_gaussian_splatting`.
 
 use lumistack_scene::{Cloud, Encoding};
 use serde_json::{Map, Value, json};
@@ -6,9 +6,9 @@ use serde_json::{Map, Value, json};
 const FLOAT: u32 = 5126;
 const POINTS: u32 = 0;
 
-/// A `.glb` file with one cloud in a node that has `rotation` (x, y, z, w) and a uniform `scale`.
+/// A `.glb` file with one cloud. Its node has `rotation` (x, y, z, w) and a uniform `scale`.
 ///
-/// `None` if the cloud exceeds the container's 32-bit lengths.
+/// `None` if the cloud exceeds the 32-bit lengths of the container.
 pub fn glb(cloud: &Cloud, rotation: [f32; 4], scale: f64) -> Option<Vec<u8>> {
     let coefficients = cloud.coefficients();
     let size = 4 * cloud.len() * (3 + 4 + 3 + 1 + 3 * coefficients);
@@ -38,7 +38,7 @@ pub fn glb(cloud: &Cloud, rotation: [f32; 4], scale: f64) -> Option<Vec<u8>> {
             add(&own(&format!("SH_DEGREE_{degree}_COEF_{order}")), "VEC3", &mut values);
         }
     }
-    // glTF demands the bounds of positions.
+    // glTF requires the bounds of positions.
     let (mut least, mut most) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
     for position in &cloud.positions {
         for axis in 0..3 {

@@ -1,4 +1,4 @@
-//! Gaussian splats: readers of capture files, and a renderer of many views at once.
+//! Gaussian splats: readers of capture files, and a renderer that renders many views together.
 //!
 //! ```text
 //! .ply .spz SOG ──read──▶ Cloud ──Scene──▶ Renderer (window, slopes) ──▶ light and depth per view

@@ -15,11 +15,12 @@ mod spz;
 pub use found::{Axes, Found, MAX_BYTES, ReadError};
 pub use spz::read_spz;
 
-/// Reads a file of splats. Its first bytes select the format, not its name.
+/// Reads a file of splats. The file's first bytes decide its format, not its name.
 ///
-/// `beside` reads a file that a SOG's `meta.json` names.
+/// `beside` returns the content of a file that a SOG's `meta.json` names.
 ///
-/// If the bytes are of no known format, or a value in the file is not valid.
+/// # Errors
+/// If the format of the bytes is unknown, or a value in the file is not valid.
 pub fn read(bytes: &[u8], beside: &dyn Fn(&str) -> Result<Vec<u8>, String>) -> Result<Found, ReadError> {
     match bytes {
         [b'p', b'l', b'y', b'\n' | b'\r', ..] => ply::read(bytes),

@@ -1,10 +1,11 @@
-//! Views of splats, sorted and binned once for many views and blended in each view's exact order.
+//! Renders views of splats. They are sorted and binned once for many views, and blended in each
+//! view's exact order.
 //!
 //! ```text
 //! C = Σ_i c_i α_i Π_{j<i} (1 − α_j)
 //! α_i = o_i √(|Σ'| / |Σ' + P|) exp(−½ dᵀ (Σ' + P)⁻¹ d)
 //!
-//! i, j    splats in rising distance of their centres from the viewer
+//! i, j    splats by increasing distance of their centres from the viewer
 //! c, o    colour, in the colour space that is blended in, and opacity
 //! Σ'      covariance of the splat, projected onto z = 0
 //! P       variance of a pixel's box
@@ -12,9 +13,9 @@
 //! ```
 //!
 //! A naive renderer projects, shades and sorts all splats for every view. This one transforms and
-//! sorts them by depth once per window. Blocks of views share lists of splats per tile. Each view
-//! corrects a list to its own order, by an insertion sort of nearly sorted keys. A splat is
-//! projected and shaded only where no nearer splats hide it.
+//! sorts them by depth once per window. Blocks of views share lists of splats per tile. For each
+//! view a list is corrected to the view's order, by an insertion sort of nearly sorted keys. A
+//! splat is projected and shaded only if nearer splats do not hide it.
 //!
 //! The filter P with its lowered peak is the 2D filter of mip-splatting (Yu et al., CVPR 2024).
 
@@ -44,22 +45,22 @@ pub struct Renderer {
     space: Space,
 }
 
-/// The splats as one view shows them.
+/// The picture of the splats in one view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SplatView {
-    /// `[row][col][r, g, b, T]`: colour, blended in the scene's [`Space`] over black, and the
+    /// `[row][col][r, g, b, T]`: the colour, blended in the scene's [`Space`] over black, and the
     /// transmittance T of all splats, 0..1.
     pub light: Tensor<3>,
-    /// `[row][col]`: z in display space, mm, of the splat at which T falls below one half; NaN if
-    /// it does not.
+    /// `[row][col]`: z in display space, in millimetres, of the splat at which T falls below one
+    /// half; NaN if T does not.
     pub z_mm: Tensor<2>,
 }
 
 /// Depths of the surfaces of meshes in a scene that also has splats.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Surfaces {
-    /// `[row][col][sample]`: z in display space, mm, of the first hit of each of a pixel's rays;
-    /// NaN for a miss.
+    /// `[row][col][sample]`: z in display space, in millimetres, of the first hit of each of a
+    /// pixel's rays; NaN for a miss.
     pub z_mm: Tensor<3>,
 }
 
@@ -73,23 +74,24 @@ pub enum Wanted {
 }
 
 impl Renderer {
-    /// A renderer of the scene's splats; `None` if it has none.
+    /// A renderer of the scene's splats; `None` if the scene has none.
     pub fn new(scene: Arc<Scene>) -> Option<Self> {
         let space = Space::of(&scene)?;
         Some(Self { scene, space })
     }
 
-    /// Memory of the splats of a window during a render, in bytes.
+    /// Memory that the splats of a window need during a render, in bytes.
     pub fn bytes(&self) -> usize {
         self.scene.splat_count() * size_of::<Splat>()
     }
 
-    /// Renders a view per slope and passes each to `done` with its index, in order.
+    /// Renders a view per slope, and calls `done` with each view's index and the view, in order.
     ///
-    /// `slopes` replace those of `geometry`'s grid. `surfaces` returns the depths of surfaces in a
-    /// view, or `None`. The result's bytes do not depend on the views that are rendered together,
-    /// nor on the number of threads.
+    /// `slopes` replace the slopes of `geometry`'s grid. `surfaces` returns the depths of surfaces
+    /// in a view, or `None`. The bytes of a view do not depend on the other views of the call, nor
+    /// on the number of threads.
     ///
+    /// # Errors
     /// If the task is cancelled, or if `surfaces` or `done` returns an error.
     pub fn render<E: From<Cancelled>>(
         &self,
@@ -101,7 +103,7 @@ impl Renderer {
         task: Task<'_>,
         mut done: impl FnMut(usize, SplatView) -> Result<(), E>,
     ) -> Result<(), E> {
-        // The window's splats are transformed and sorted once for all views.
+        // The window's splats are transformed and sorted once, for all views.
         let prepared = Prepared::new(&self.scene, window, geometry);
         let shared = Shared::new(&self.scene, &prepared, self.space.0, wanted == Wanted::Light);
         for (number, block) in slopes.chunks(VIEWS).enumerate() {
@@ -109,7 +111,7 @@ impl Renderer {
             let first = number * VIEWS;
             let surfaces: Vec<Option<Surfaces>> =
                 (0..block.len()).map(|i| surfaces(first + i)).collect::<Result<_, E>>()?;
-            // Depths in pixels; a miss lies behind all splats.
+            // Depths in pixels; a miss is farther than all splats.
             let cuts: Vec<Option<Vec<f32>>> = surfaces
                 .iter()
                 .map(|surfaces| {
@@ -143,7 +145,7 @@ fn block_of(
 ) -> Result<Vec<SplatView>, Cancelled> {
     let (rows, cols) = (geometry.rows, geometry.cols);
     let tiles = [cols.div_ceil(TILE), rows.div_ceil(TILE)];
-    // Tiles are independent: each renders its list for all views, on any thread.
+    // Tiles are independent: any thread renders the splats of a tile for all views of the block.
     let (starts, lists) = bin(prepared, &views.ends, tiles);
     let of_tile = |number: usize| {
         if task.cancel.is_cancelled() {
@@ -192,7 +194,7 @@ fn block_of(
     Ok(all)
 }
 
-/// Lists the splats that any view may show in each tile, nearest first.
+/// Lists the splats that may be visible in each tile in any of the views, nearest first.
 ///
 /// Returns the start of each tile's list, and all lists one after another.
 fn bin(prepared: &Prepared, ends: &[Eye], tiles: [usize; 2]) -> (Vec<usize>, Vec<u32>) {
@@ -208,7 +210,8 @@ fn bin(prepared: &Prepared, ends: &[Eye], tiles: [usize; 2]) -> (Vec<usize>, Vec
             row + usize::from(left)..row + usize::from(end)
         })
     };
-    // A counting sort: count the splats per tile, sum the counts to starts, then fill by depth.
+    // A counting sort: count the splats per tile, sum the counts to starts, then fill the lists in
+    // order of depth.
     let mut starts = vec![0usize; count + 1];
     for reach in &reaches {
         for range in each_row(*reach) {
@@ -232,7 +235,7 @@ fn bin(prepared: &Prepared, ends: &[Eye], tiles: [usize; 2]) -> (Vec<usize>, Vec
 }
 
 /// The tiles in which a splat may be visible: first column, end of columns, first row, end of rows.
-/// All are 0 if there is none.
+/// All four are 0 if there is no such tile.
 fn tiles_of(splat: &Splat, ends: &[Eye], tiles: [usize; 2]) -> [u16; 4] {
     let (mut low, mut high) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
     for eye in ends {

@@ -15,25 +15,26 @@ pub enum LoadError {
     Read {
         /// The file as the caller named it.
         name: String,
-        /// Place and reason.
+        /// Place in the file, and reason.
         source: ReadError,
     },
-    /// It has no splats, or no splat that can be rendered.
+    /// The file has no splats, or none that can be rendered.
     #[error("{name}: {source}")]
     Scene {
         /// The file as the caller named it.
         name: String,
-        /// Place and reason.
+        /// Place in the file, and reason.
         source: SceneError,
     },
 }
 
-/// Reads a `.ply`, `.spz` or SOG file into a scene, with the format's up direction along y.
+/// Reads a `.ply`, `.spz` or SOG file into a scene; the format's up direction becomes y.
 ///
-/// `beside` reads a file that a SOG's `meta.json` names. `task` receives a warning for each part of
-/// the file that was not read.
+/// `beside` returns the content of a file that a SOG's `meta.json` names. `task` receives a warning
+/// for each kind of data that was not read.
 ///
-/// If the file is not valid, or it contains no splat that can be rendered.
+/// # Errors
+/// If the file is not valid, or has no splat that can be rendered.
 pub fn scene(
     name: &str,
     bytes: &[u8],

@@ -1,5 +1,5 @@
-//! Writers of clouds: `.ply` as trainers write it, `.spz` and SOG. All store sRGB, also for clouds
-//! with linear colours.
+//! Writers of clouds: `.ply` as trainers write it, `.spz`, and SOG. All of them store sRGB colours,
+//! also for clouds with linear colours.
 
 mod sog;
 
@@ -42,19 +42,20 @@ pub fn ply(cloud: &Cloud) -> Vec<u8> {
 /// Fractional bits of positions in an `.spz` file.
 const FRACTION: u32 = 12;
 
-/// An `.spz` file of version 3: quantized, compressed by gzip.
+/// An `.spz` file of version 3: quantized, and compressed with gzip.
 ///
-/// Positions have steps of 2⁻¹² and lie within ±2048; the caller scales clouds that need other
+/// Positions have steps of 2⁻¹² and are within ±2048. The caller scales clouds that need other
 /// steps or bounds.
 ///
-/// If the compressor fails; writes into memory give it no reason to.
+/// # Errors
+/// If the compressor fails, which does not happen when it writes into memory.
 pub fn spz(cloud: &Cloud) -> std::io::Result<Vec<u8>> {
     let mut file = GzEncoder::new(Vec::new(), Compression::best());
     file.write_all(b"NGSP")?;
     file.write_all(&3u32.to_le_bytes())?;
     file.write_all(&(cloud.len() as u32).to_le_bytes())?;
     file.write_all(&[cloud.degree as u8, FRACTION as u8, 0, 0])?;
-    // Attributes follow one another, each for all splats, quantized as `read/spz.rs` lists.
+    // Attributes follow one another, each for all splats. `read/spz.rs` lists their quantization.
     let byte = |value: f32| value.round().clamp(0.0, 255.0) as u8;
     for value in cloud.positions.iter().flat_map(|at| at.to_array()) {
         let most = (1 << 23) as f32 - 1.0;
@@ -81,8 +82,8 @@ pub fn spz(cloud: &Cloud) -> std::io::Result<Vec<u8>> {
     file.finish()
 }
 
-/// Packs a rotation: ten bits, sign first, for each component but the largest, below the largest's
-/// index.
+/// Packs a rotation. The upper two bits are the index of the largest component; then ten bits
+/// follow for each other component, with the sign first.
 fn smallest_three(rotation: Quat) -> u32 {
     let parts = rotation.to_array();
     let largest = (0..4).fold(0, |best, i| if parts[i].abs() > parts[best].abs() { i } else { best });

@@ -1,4 +1,4 @@
-//! Files of one cloud in every format, and files that are not valid.
+//! Reads files of one cloud in every format, and files that are not valid.
 
 use std::io::Cursor;
 use std::io::Write as _;
@@ -27,8 +27,8 @@ fn cloud(count: usize, degree: usize) -> Cloud {
     cloud
 }
 
-/// Largest differences of positions, logarithms of scales, directions of axes, opacities, constant
-/// harmonics and higher harmonics.
+/// Largest differences between two clouds, of positions, logarithms of scales, directions of axes,
+/// opacities, constant harmonics and higher harmonics.
 fn differences(a: &Cloud, b: &Cloud) -> [f32; 6] {
     assert_eq!((a.len(), a.degree), (b.len(), b.degree));
     let most = |values: &mut dyn Iterator<Item = f32>| values.fold(0.0, f32::max);
@@ -93,7 +93,7 @@ fn spz_of_every_version_is_read() {
     }
 }
 
-/// Decompressed data of a file of version 3.
+/// Decompressed data of an `.spz` file of version 3.
 fn unpacked(packed: &[u8]) -> Vec<u8> {
     let mut bytes = Vec::new();
     std::io::Read::read_to_end(&mut flate2::read::GzDecoder::new(packed), &mut bytes).unwrap();
@@ -167,7 +167,7 @@ fn older(cloud: &Cloud, version: u32) -> Vec<u8> {
     gzip(&file)
 }
 
-/// PlayCanvas' compressed form.
+/// A `.ply` file in PlayCanvas' compressed form.
 fn packed_ply(cloud: &Cloud) -> Vec<u8> {
     let rest = 3 * (cloud.coefficients() - 1);
     let mut names = Vec::new();
@@ -316,11 +316,11 @@ fn broken_files_are_refused_with_their_place() {
     refused(&changed(19, 255), "tocByteOffset");
     refused(&changed(8, 41), "stream 0");
     refused(&changed(32 + 96, 0), "zstd");
-    // readers accept positions that are not finite, since the scene's validation refuses them
+    // readers accept positions that are not finite, which the scene's validation then refuses
     assert!(read(&with("end_header\n", "end_header\n"), NONE).is_ok());
 }
 
-/// No change of a single byte causes a panic.
+/// A change of any single byte causes no panic.
 #[test]
 fn no_change_of_a_byte_makes_a_reader_panic() {
     let original = cloud(20, 1);

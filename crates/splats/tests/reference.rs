@@ -8,11 +8,11 @@ use lumistack_display::{FieldGeometry, Projection, ViewGrid};
 use lumistack_scene::{Cloud, PlacedCloud, Scene, SceneParts, Similarity, Window};
 use lumistack_splats::{Renderer, SplatView, Surfaces, Wanted};
 
-/// Least PSNR of every view against the reference, dB.
+/// Smallest PSNR of every view against the reference, in dB.
 const LEAST_PSNR: f64 = 40.0;
 const PERSPECTIVE: Projection = Projection::Perspective { distance_mm: 300.0 };
 
-/// Numbers from 0 to 1.
+/// Random numbers from 0 to 1.
 struct Random(u64);
 
 impl Random {
@@ -26,8 +26,8 @@ impl Random {
     }
 }
 
-/// Splats in and around the cube −1..1, from needles to spheres, thinner than a pixel and wider
-/// than a tile.
+/// Splats in and around the cube −1..1: from needles to spheres, and from thinner than a pixel to
+/// wider than a tile.
 fn cloud(count: usize, degree: usize, seed: u64) -> Cloud {
     let mut random = Random(seed);
     let mut cloud = Cloud { degree, ..Cloud::default() };
@@ -124,12 +124,12 @@ fn harmonics(d: DVec3) -> [f64; 16] {
     ]
 }
 
-/// A splat in one view: distance, centre and covariance on z = 0 in mm, opacity, colour, depth in
-/// mm.
+/// A splat in one view: distance, centre and covariance on z = 0 in millimetres, opacity, colour,
+/// depth in millimetres.
 type Projected = (f64, DVec2, DMat2, f64, DVec3, f64);
 
-/// All splats of a view, nearest first, by the Jacobian of the projection onto z = 0 along its
-/// rays.
+/// All splats of a view, nearest first, projected onto z = 0 by the Jacobian of the projection
+/// along the view's rays.
 fn project(scene: &Scene, window: &Window, projection: Projection, slope: [f64; 2]) -> Vec<Projected> {
     let map = window.scene_from_display;
     let mut all = Vec::new();
@@ -177,7 +177,8 @@ fn project(scene: &Scene, window: &Window, projection: Projection, slope: [f64; 
     all
 }
 
-/// A pixel's colour and transmittance; a surface at `cut` mm hides the splats behind it.
+/// A pixel's colour and transmittance. A surface at depth `cut`, in millimetres, hides the splats
+/// behind it.
 fn pixel(splats: &[Projected], at: DVec2, pitch: f64, cut: f64) -> [f64; 4] {
     let (mut sum, mut through) = (DVec3::ZERO, 1.0);
     for (_, centre, covariance, opacity, colour, z) in splats {
@@ -221,17 +222,17 @@ fn views_are_those_of_the_equations() {
             let quality = psnr(&view.light, |row, col| {
                 pixel(&splats, DVec2::new(geometry.x_mm(col), geometry.y_mm(row)), 3.0, f64::NEG_INFINITY)
             });
-            // measured: 90 dB and more
+            // measured values are 90 dB and more
             assert!(quality > LEAST_PSNR + 20.0, "{projection:?} {slope:?}: {quality} dB");
         }
     }
 }
 
-/// Rays without projection: the largest value of each Gaussian along a ray, averaged over the
-/// pixel's area.
+/// Rays without a projection of splats: the largest value of each Gaussian along a ray, averaged
+/// over the pixel's area.
 ///
-/// The splats are not thinner than a pixel: for thinner ones a mean of products of transmittances
-/// differs from the product of means.
+/// The splats are not thinner than a pixel. For thinner splats, the mean of the product of
+/// transmittances would differ from the product of their means.
 #[test]
 fn views_are_means_of_rays_through_the_gaussians() {
     const RAYS: usize = 6;
@@ -291,7 +292,7 @@ fn surfaces_hide_the_splats_behind_them() {
     let scene = two_clouds();
     let geometry = geometry(PERSPECTIVE, 1);
     let (rows, cols) = (geometry.rows, geometry.cols);
-    // a surface that tilts from left to right, and a miss at the right
+    // a surface that tilts from left to right, and no surface at the right
     let z = |col: usize| if col < 40 { col as f32 * 2.0 - 40.0 } else { f32::NAN };
     let values = (0..rows * cols).flat_map(|i| [z(i % cols); 2]).collect();
     let surfaces = Surfaces { z_mm: Tensor::from_vec(["row", "col", "sample"], [rows, cols, 2], values).unwrap() };
@@ -331,7 +332,7 @@ fn the_same_bytes_come_out_of_any_block_of_views_and_any_number_of_threads() {
     }
 }
 
-/// Depth is that of the splat at which the transmittance falls below one half.
+/// The depth is that of the splat at which the transmittance falls below one half.
 #[test]
 fn depth_is_where_half_of_the_light_is_gone() {
     let mut wall = Cloud::default();

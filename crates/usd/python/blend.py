@@ -4,8 +4,8 @@ it.
     blender -b --python-exit-code 1 --python blend.py -- FOLDER
     python blend.py -- FOLDER
 
-FOLDER contains request.json. The result is scene.glb, and then answer.json. The modules that do the
-work are those of the Python package `lumistack.blender`; the request contains their source.
+FOLDER contains request.json. The results are scene.glb and then answer.json. The modules of the
+Python package `lumistack.blender` do the work; the request contains their source.
 """
 
 import json
@@ -13,7 +13,7 @@ import os
 import sys
 import types
 
-#: The oldest Blender for which this is written.
+#: The oldest Blender in which this script runs.
 OLDEST = (4, 2, 0)
 
 
@@ -21,7 +21,7 @@ def main():
     folder = sys.argv[sys.argv.index("--") + 1]
     with open(os.path.join(folder, "request.json"), encoding="utf-8") as file:
         request = json.load(file)
-    # Report every failure in answer.json, with its kind: another Blender may help, or nothing can.
+    # Report every failure in answer.json. Its kind states if another Blender may read the file.
     answer = {"warnings": [], "files": []}
     try:
         import bpy
@@ -40,14 +40,14 @@ def main():
     except Exception as error:
         text = str(error).strip().replace("Error: ", "", 1)
         answer["error"] = {"kind": "other", "message": "%s: %s" % (type(error).__name__, text)}
-    # Write under another name first, so that an incomplete answer is never read.
+    # Write the answer under another name first, so that an incomplete answer is never read.
     written = os.path.join(folder, "answer.json.new")
     with open(written, "w", encoding="utf-8") as file:
         json.dump(answer, file)
     os.replace(written, os.path.join(folder, "answer.json"))
     sys.stdout.flush()
     sys.stderr.flush()
-    # As a module, Blender may hang or crash when Python ends.
+    # Exit at once: as a module, Blender may hang or crash when Python ends.
     if "bpy" not in sys.modules or sys.modules["bpy"].app.module:
         os._exit(0)
 
@@ -69,7 +69,7 @@ def work(bpy, request, folder, answer):
         raise Refused(str(error).replace("Error: ", "", 1).strip().splitlines()[0]) from error
     scene = bpy.context.scene
     rate = scene.render.fps / scene.render.fps_base
-    # List the choices and the content that an export loses.
+    # List the choices that the file offers, and the content that an export loses.
     answer["contents"] = {
         "scenes": [each.name for each in bpy.data.scenes],
         "frames": [scene.frame_start, scene.frame_end],
@@ -82,13 +82,13 @@ def work(bpy, request, folder, answer):
     if request["contents_only"]:
         return
     if lost and request["views"] is None:
-        # The caller may request a render here instead, so check that the engine can render.
+        # The caller may request a render by Blender instead, so check that the engine can render.
         try:
             modules["rig"].check_engine(bpy, scene)
         except modules["rig"].NoOpenGL as error:
             answer["contents"]["unfit"] = str(error)
     modules["rig"].remove_leftovers(bpy)
-    # Set the time: the requested one, or that of the saved frame.
+    # Set the time: the requested time, or the time of the saved frame.
     if request["time_s"] is not None:
         frame = scene.frame_start + request["time_s"] * rate
         whole = int(frame // 1)
@@ -110,7 +110,7 @@ def work(bpy, request, folder, answer):
 
 
 def render(bpy, scene, modules, asked, folder):
-    """Renders the requested views: one picture each, renamed when it is complete."""
+    """Renders one picture per requested view; a picture is renamed when it is complete."""
     cameras, rig = modules["cameras"], modules["rig"]
     try:
         rig.check_engine(bpy, scene)

@@ -1,5 +1,5 @@
-# The script that a child runs by `python -c`. Every Python, old ones too, must be able to parse it
-# and to report the missing package.
+# The script that a child runs by `python -c`. Every Python, also an old one, must be able to parse
+# it and to report the missing package.
 import sys
 
 sys.path[:] = [place for place in sys.path if place]  # modules in the working folder must not shadow Python's
@@ -57,6 +57,6 @@ except Exception:
     fail("walker", traceback.format_exc())
 with os.fdopen(out, "wb") as package_file:
     writer.write(package_file)
-# Exit without destructors: those of a large stage take longer than the work itself.
+# Exit without destructors: the destructors of a large stage take longer than the work itself.
 sys.stderr.flush()
 os._exit(0)

@@ -1,4 +1,4 @@
-"""Meshes at a time, as references to arrays."""
+"""Entries of meshes at a time, with references to arrays."""
 
 from pxr import UsdGeom, Vt
 
@@ -65,13 +65,13 @@ def mesh(prim, writer, time, pose=None):
 
 def one_sided(gprim, time):
     """True if the file declares that only the front is visible. Without a declaration both sides
-    are, as in USD's renderers."""
+    are visible, as in USD's renderers."""
     attribute = gprim.GetDoubleSidedAttr()
     return attribute.HasAuthoredValue() and not attribute.Get(time)
 
 
 def primvars(prim, writer, time):
-    """The primvars that affect the shading of surfaces, with inherited ones."""
+    """The primvars that affect the shading of surfaces; inherited primvars are included."""
     found = []
     for primvar in UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance():
         name, kind = str(primvar.GetPrimvarName()), str(primvar.GetTypeName())

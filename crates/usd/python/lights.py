@@ -1,4 +1,4 @@
-"""Lights (UsdLux) at a time; colour and brightness are combined to one radiance.
+"""Lights (UsdLux) at a time; colour and brightness are combined into one radiance.
 
 `radiance` is colour · colour temperature · intensity · 2^exposure, before any normalization. Sizes
 are in the light's space.
@@ -31,7 +31,7 @@ SHAPING = {"shaping:cone:angle": 90.0, "shaping:cone:softness": 0.0, "shaping:fo
 
 
 def light(prim, writer, time):
-    """The entry of a light, or None if the prim is none."""
+    """The entry of a light, or None if the prim is not a light."""
     if not prim.HasAPI(UsdLux.LightAPI):
         return None
     name = str(prim.GetTypeName())
@@ -44,7 +44,7 @@ def light(prim, writer, time):
         return None
     entry = dict(emission(prim, writer, time), kind=kind)
     if kind == "distant":
-        # The schema has a different default for distant lights.
+        # For distant lights the schema has a different default of the intensity.
         entry["radiance"] = brightness(prim, time, 50000.0)
     for size, default in SIZES[kind].items():
         entry[size] = number(prim, size, time, default)
@@ -53,7 +53,7 @@ def light(prim, writer, time):
         if shaping["cone:angle"] < 90.0 or shaping["focus"] > 0.0:
             entry["shaping"] = shaping
         if asset(prim, "shaping:ies:file", time):
-            writer.warn(prim.GetPath(), "its IES profile is not read")
+            writer.warn(prim.GetPath(), "the light's IES profile is not read")
     if kind in ("rect", "dome"):
         entry["image"] = picture(prim, writer, time)
     if kind == "dome":
@@ -63,14 +63,14 @@ def light(prim, writer, time):
 
 
 def emission(prim, writer, time):
-    """The parts of an entry that all kinds of lights share."""
+    """The values of an entry that all kinds of lights have."""
     for collection in ("lightLink", "shadowLink"):
         roots = prim.GetRelationship("collection:%s:includes" % collection), prim.GetRelationship("collection:%s:excludes" % collection)
         if any(targets and targets.GetTargets() for targets in roots):
-            writer.warn(prim.GetPath(), "its %s is not supported: it lights everything, and everything casts shadows" % collection)
+            writer.warn(prim.GetPath(), "the light's %s is not supported: the light lights all objects, and all objects cast shadows" % collection)
     filters = prim.GetRelationship("light:filters")
     if filters and filters.GetTargets():
-        writer.warn(prim.GetPath(), "its light filters are not applied")
+        writer.warn(prim.GetPath(), "the light's filters are not applied")
     return {
         "place": str(prim.GetPath()),
         "radiance": brightness(prim, time, 1.0),
@@ -100,7 +100,7 @@ def brightness(prim, time, default):
 
 
 def value(prim, name, time):
-    """An input; the names in files from before 2021 lack the prefix."""
+    """An input; in files from before 2021 its name has no prefix."""
     for full in ("inputs:" + name, name):
         attribute = prim.GetAttribute(full)
         if attribute and attribute.HasValue():
@@ -138,7 +138,7 @@ def picture(prim, writer, time):
 
 
 def pole_is_z(prim, name):
-    """True if the top of a dome's picture is its +z instead of its +y."""
+    """True if the top of a dome's picture is at +z of the light's space instead of +y."""
     if name != "DomeLight_1":
         return False
     axis = prim.GetAttribute("poleAxis").Get()

@@ -1,9 +1,9 @@
-"""Materials: the surface shader of each, with inputs reduced to constants, textures and primvars.
+"""Materials: their surface shaders, with inputs reduced to constants, textures and primvars.
 
 An input is `{"value": [..]}`, `{"primvar": name}`, or `{"texture": t}`. Component k of a texture is
 scale[k] · texel[channels[k]] + bias[k]. Its coordinates are the primvar `primvar` after
-`transform`: u' = t0 u + t2 v + t4, v' = t1 u + t3 v + t5, v up. Other operations of the graph cause
-a warning and are replaced by the nearest constant.
+`transform`: u' = t0 u + t2 v + t4, v' = t1 u + t3 v + t5, where v points up. Other operations of
+the graph cause a warning and are replaced by the nearest constant.
 """
 
 import math
@@ -32,7 +32,7 @@ SIZES = {"float": 1, "integer": 1, "boolean": 1, "vector2": 2, "color3": 3, "vec
 OUTPUT_CHANNELS = {"r": [0], "g": [1], "b": [2], "a": [3], "rgb": [0, 1, 2], "rgba": [0, 1, 2, 3]}
 ADDRESS_MODES = {"constant": "black", "clamp": "clamp", "periodic": "repeat", "mirror": "mirror"}
 SRGB = ("srgb_texture", "sRGB", "srgb_rec709_scene", "srgb_rec709_display", "g22_rec709")
-# Linear Rec. 709 from the primaries of ACES AP1, with Bradford adaptation from its white to D65.
+# Converts the primaries of ACES AP1 to linear Rec. 709, with Bradford adaptation of white to D65.
 ACESCG = ((1.70505, -0.62179, -0.08326), (-0.13026, 1.14080, -0.01055), (-0.02400, -0.12897, 1.15297))
 
 
@@ -42,7 +42,7 @@ def material(prim, writer, time):
     entry = {"place": str(prim.GetPath()), "name": prim.GetName(), "model": None, "inputs": {}}
     source = UsdShade.Material(prim)
     unknown = []
-    # Take the first surface shader that is known, MaterialX before universal ones.
+    # Take the first surface shader that is known; MaterialX shaders precede universal ones.
     for context in ("mtlx", ""):
         shader = source.ComputeSurfaceSource(context)[0]
         if not shader:
@@ -65,12 +65,12 @@ def material(prim, writer, time):
     entry["place"] = str(prim.GetPath())
     if unknown:
         shown = ", ".join(kind or "one without an id" for kind in unknown)
-        writer.warn(prim.GetPath(), "its surface shader (%s) is not supported; the display colour is used" % shown)
+        writer.warn(prim.GetPath(), "the material's surface shader (%s) is not supported; the display colour is used" % shown)
     elif needs_materialx(prim):
-        missing = "is in a MaterialX file, which this OpenUSD cannot open: the package usd-exchange can (`pip install usd-exchange` instead of usd-core)"
+        missing = "the material is in a MaterialX file, which this OpenUSD cannot open: the package usd-exchange can (`pip install usd-exchange` instead of usd-core)"
         writer.warn(prim.GetPath(), missing + "; the display colour is used")
     elif any(output.GetAttr().GetConnections() for output in source.GetSurfaceOutputs()):
-        writer.warn(prim.GetPath(), "its surface output leads to no shader; the display colour is used")
+        writer.warn(prim.GetPath(), "the material's surface output leads to no shader; the display colour is used")
     return entry
 
 
@@ -98,7 +98,7 @@ def numbers(value):
 
 
 def linear(values, space):
-    """A constant colour in linear Rec. 709."""
+    """Converts a constant colour to linear Rec. 709."""
     if space in SRGB:
         return [v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4 for v in values[:3]] + values[3:]
     if space in ("acescg", "lin_ap1", "lin_ap1_scene") and len(values) >= 3:
@@ -111,12 +111,12 @@ def constant(values):
 
 
 def widened(values, count):
-    """Returns `count` numbers: repeats a single one, or pads or cuts the list."""
+    """Returns `count` numbers: repeats a single number; pads or cuts a longer list."""
     return (list(values) * count)[:count] if len(values) == 1 else (list(values) + [0.0] * count)[:count]
 
 
 def fallback(found, count):
-    """The replacement for an unknown calculation: its input, if constant."""
+    """The replacement for an unknown calculation: its input, if that is constant."""
     return None if found is None or "value" not in found else constant(widened(found["value"], count))
 
 
@@ -131,7 +131,7 @@ class Graph:
     # Inputs
 
     def producer(self, given):
-        """(constant attribute, None, None) or (None, shader, output name) of an input."""
+        """Source of an input: (constant attribute, None, None) or (None, shader, output name)."""
         if not given:
             return None, None, None
         found = UsdShade.Utils.GetValueProducingAttributes(given)
@@ -151,7 +151,7 @@ class Graph:
                 value = attribute.Get(self.time)
                 return {"text": str(value)} if isinstance(value, str) else None
             if not all(math.isfinite(value) for value in values):
-                self.writer.warn(attribute.GetPath(), "is not finite and is left out")
+                self.writer.warn(attribute.GetPath(), "the value is not finite and is left out")
                 return None
             if "color" in str(attribute.GetTypeName()):
                 values = linear(values, attribute.GetColorSpace())
@@ -159,7 +159,7 @@ class Graph:
         if not shader:
             return None
         if self.depth > 50:
-            self.writer.warn(shader.GetPath(), "is connected in a circle")
+            self.writer.warn(shader.GetPath(), "the shader is connected in a circle")
             return None
         self.depth += 1
         found = self.node(shader, output)
@@ -171,12 +171,12 @@ class Graph:
         return self.input(shader.GetInput(name))
 
     def value(self, shader, name, default):
-        """The value of a constant input; a texture in its place causes a warning."""
+        """The value of a constant input; a texture instead of a constant causes a warning."""
         found = self.get(shader, name)
         if found is None:
             return default
         if "value" not in found:
-            self.writer.warn(shader.GetPath(), "its input %s is not a constant; %s is used" % (name, default))
+            self.writer.warn(shader.GetPath(), "the shader's input %s is not a constant; %s is used" % (name, default))
             return default
         return widened(found["value"], len(default)) if isinstance(default, list) else found["value"][0]
 
@@ -237,7 +237,7 @@ class Graph:
         return {"texture": texture}
 
     def image(self, shader, kind):
-        """MaterialX image and tiledimage."""
+        """The texture of a MaterialX node image or tiledimage."""
         count = SIZES.get(kind.split("_")[2], 3)
         back = self.value(shader, "default", [0.0] * count)
         image = self.picture(shader)
@@ -273,7 +273,7 @@ class Graph:
         # A decoded vector in tangent space is the result of decoding "in object space", so
         # UsdPreviewSurface accepts both.
         if self.text(shader, "space", "tangent") != "tangent" and self.model != "UsdPreviewSurface":
-            self.writer.warn(shader.GetPath(), "normal maps in object space are not supported; it is left out")
+            self.writer.warn(shader.GetPath(), "normal maps in object space are not supported; this one is left out")
             return None
         scale = self.value(shader, "scale", [1.0, 1.0])
         texture = rescaled(found["texture"], [2.0] * 3, [-1.0] * 3)
@@ -291,7 +291,7 @@ class Graph:
             found = self.get(shader, "value") if name == "constant" else self.get(shader, "in")
             return found
         if name in FRAME:
-            # The surface's own frame; normals are relative to it anyway.
+            # These are the surface's own frame, to which normals are relative anyway.
             return None
         if name in OPERATIONS:
             count = SIZES.get(parts[1].replace("FA", ""), 3)
@@ -315,7 +315,7 @@ class Graph:
         return found
 
     def both(self, shader, count):
-        """Two operands as (texture or None, constant, constant): a texture, if any, is first."""
+        """The values of two operands."""
         first, second = self.get(shader, "in1"), self.get(shader, "in2")
         return first, second
 
@@ -370,7 +370,7 @@ class Graph:
         front, back = front or zero, back or zero
         if share and "value" in share:
             share = share["value"][0]
-            # A texture and a constant result in a scale and a bias.
+            # A mix of a texture and a constant is a scale and a bias of the texture.
             for texture, other, weight in ((front, back, share), (back, front, 1.0 - share)):
                 if "texture" in texture and "value" in other:
                     rest = [(1.0 - weight) * value for value in widened(other["value"], count)]
@@ -393,7 +393,7 @@ class Graph:
         return found
 
     def do_transformnormal(self, shader, count, output):
-        """Converts between spaces; a normal map is relative to the surface in all of them."""
+        """Returns the input unchanged: a normal map is relative to the surface in all spaces."""
         return self.get(shader, "in")
 
     do_transformvector = do_transformnormal
@@ -446,8 +446,8 @@ class Graph:
         textures = [found["texture"] for found in parts if "texture" in found]
         if not textures:
             return constant([found["value"][0] for found in parts]) if all("value" in found for found in parts) else None
-        # Join channels of one picture that are read at one place, as in a normal map with inverted
-        # green.
+        # Join channels of one picture with the same texture coordinates, as in a normal map with
+        # inverted green.
         first = textures[0]
         shared = ("image", "wrap", "color_space", "primvar", "transform")
         if any(texture[key] != first[key] for texture in textures for key in shared):
@@ -457,7 +457,7 @@ class Graph:
             if "texture" in found:
                 picked_part = {key: found["texture"][key][0] for key in ("channels", "scale", "bias", "fallback")}
             elif "value" in found:
-                # A constant is a channel with scale 0 and the constant as bias.
+                # A constant becomes a channel with scale 0 and the constant as bias.
                 value = found["value"][0]
                 picked_part = {"channels": first["channels"][0], "scale": 0.0, "bias": value, "fallback": value}
             else:
@@ -498,7 +498,7 @@ class Graph:
     # Texture coordinates
 
     def coordinates(self, given, depth):
-        """The primvar of texture coordinates, and the affine map that is applied to it."""
+        """The primvar of texture coordinates, and the affine map that is applied to its values."""
         attribute, shader, _ = self.producer(given)
         if not shader or depth > 50:
             return "st", IDENTITY
@@ -511,7 +511,7 @@ class Graph:
         if kind.startswith("ND_texcoord"):
             index = int(self.value(shader, "index", 0.0))
             return "st" if index == 0 else "st%d" % index, IDENTITY
-        # Transform nodes add an affine map to that of their input.
+        # Transform nodes apply an affine map after the map of their input.
         if "UsdTransform2d" in kind:
             name, before = self.coordinates(shader.GetInput("in"), depth + 1)
             scale, shift = self.value(shader, "scale", [1.0, 1.0]), self.value(shader, "translation", [0.0, 0.0])

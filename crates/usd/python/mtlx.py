@@ -1,7 +1,7 @@
 """Definitions of MaterialX's surface shaders, for an OpenUSD whose MaterialX library lacks them.
 
 OpenUSD drops shaders of a .mtlx file without a known definition, and the wheel usd-exchange
-contains the definition of OpenPBR alone. This module adds the inputs (names, types, defaults) of
+contains only the definition of OpenPBR. This module adds the inputs (names, types, defaults) of
 the other surface shaders. It also adds those nodes of UsdPreviewSurface that `materials` reads.
 """
 
@@ -13,7 +13,7 @@ import tempfile
 from pxr import Plug, Sdf
 
 SEARCHED = "PXR_MTLX_PLUGIN_SEARCH_PATHS"
-# type: name=default, ...; one number stands for all components of a colour or vector
+# type: name=default, ...; a number is the default of all components of a colour or vector
 SHADERS = {
     ("ND_standard_surface_surfaceshader", "standard_surface"): """
         float: base=1 diffuse_roughness=0 metalness=0 specular=1 specular_roughness=0.2 specular_IOR=1.5 specular_anisotropy=0 specular_rotation=0
@@ -81,7 +81,7 @@ def document():
 
 @contextlib.contextmanager
 def definitions():
-    """Makes the definitions known to OpenUSD, which searches them when it first uses MaterialX."""
+    """Makes the definitions known to OpenUSD, which searches them at its first use of MaterialX."""
     if not Sdf.FileFormat.FindByExtension("mtlx") or complete():
         yield
         return

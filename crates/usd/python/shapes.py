@@ -1,11 +1,11 @@
-"""Shapes other than meshes: implicit ones, curves and points."""
+"""Shapes other than meshes: implicit shapes, curves and points."""
 
 from pxr import UsdGeom
 
 from lumistack_usd import geometry
 
 AXIS = {"X": "x", "Y": "y", "Z": "z"}
-# type: the attributes that define its size
+# type of an implicit shape: the attributes that define its size
 SOLIDS = {
     "Sphere": ("radius",),
     "Cube": ("size",),
@@ -19,7 +19,7 @@ SOLIDS = {
 
 
 def is_shape(prim, writer):
-    """True if `shape` can read the prim; unknown types of shapes cause a warning."""
+    """True if `shape` can read the prim; a shape of an unknown type causes a warning."""
     name = str(prim.GetTypeName())
     if name in SOLIDS or prim.IsA(UsdGeom.BasisCurves) or prim.IsA(UsdGeom.Points):
         return True

@@ -1,4 +1,4 @@
-"""Skinned shapes and blend shapes of UsdSkel, posed by its own queries."""
+"""Skinned shapes and blend shapes of UsdSkel, posed by UsdSkel's own queries."""
 
 from pxr import Gf, Tf, Usd, UsdGeom, UsdSkel, Vt
 
@@ -11,7 +11,7 @@ def source(prim):
 
 
 class Skeletons:
-    """All skeletons of the roots so far."""
+    """All skeletons of the roots that were added."""
 
     def __init__(self, time):
         self.time = time
@@ -19,7 +19,7 @@ class Skeletons:
         self.skinned = {}
 
     def add(self, root, writer):
-        """Collects the shapes that a `UsdSkelRoot` poses; after an error they keep their rest pose.
+        """Collects the shapes that a `UsdSkelRoot` poses. After an error they keep their rest pose.
         """
         try:
             root = UsdSkel.Root(root)
@@ -30,10 +30,10 @@ class Skeletons:
                 for target in binding.GetSkinningTargets():
                     self.skinned[target.GetPrim().GetPath()] = (query, target)
         except Exception as error:
-            writer.warn(root.GetPath(), "its skeletons cannot be read, so its shapes keep their rest pose: %s" % said(error))
+            writer.warn(root.GetPath(), "the root's skeletons cannot be read, so its shapes keep their rest pose: %s" % said(error))
 
     def key(self, prim):
-        """A key that differs where the poses of a shape differ."""
+        """A key that is different for different poses of a shape."""
         found = self.skinned.get(prim.GetPath())
         if found is None:
             return None
@@ -44,17 +44,17 @@ class Skeletons:
         )
 
     def pose(self, prim, writer):
-        """(points, normals as (interpolation, values) or None) of a posed mesh in its own space;
-        None without a pose."""
+        """(points, normals) of a posed mesh, in the mesh's own space; None without a pose. Normals
+        are (interpolation, values), or None."""
         found = self.skinned.get(prim.GetPath())
         if found is None:
             return None
-        # Python bindings differ between versions of OpenUSD; an error there must not remove the
+        # Python bindings differ between versions of OpenUSD. An error in them must not remove the
         # mesh.
         try:
             return self.posed(prim, writer, *found)
         except Exception as error:
-            writer.warn(prim.GetPath(), "cannot be posed and keeps its rest pose: %s" % said(error))
+            writer.warn(prim.GetPath(), "the shape cannot be posed and keeps its rest pose: %s" % said(error))
             return None
 
     def posed(self, prim, writer, query, target):
@@ -73,7 +73,7 @@ class Skeletons:
         if not joints:
             raise ValueError("its skeleton has no transforms of joints")
         to_world = UsdGeom.XformCache(self.time)
-        # The skeleton's transforms are in its own space.
+        # The joints' transforms are in the skeleton's space, so convert them to the mesh's space.
         back = to_world.GetLocalToWorldTransform(query.GetPrim()) * to_world.GetLocalToWorldTransform(prim).GetInverse()
         joints = Vt.Matrix4dArray([joint * back for joint in joints])
         own = self.of_mesh(query, target, joints, writer)
@@ -85,12 +85,12 @@ class Skeletons:
         try:
             return points, self.normals(mesh, target, own, len(points))
         except Exception as error:
-            writer.warn(prim.GetPath(), "its normals cannot be posed, so those of its polygons are used: %s" % said(error))
+            writer.warn(prim.GetPath(), "the normals of the shape cannot be posed, so normals of its polygons are used: %s" % said(error))
             return points, None
 
     def of_mesh(self, query, target, joints, writer):
-        """Transforms of the joints that a mesh lists, in its order. Joints that the skeleton lacks
-        do not move, as in UsdSkel."""
+        """Transforms of the joints that a mesh lists, in the mesh's order. Joints that the skeleton
+        lacks do not move, as in UsdSkel."""
         # AnimMapper.RemapTransforms does the same, but its arguments changed several times.
         order = target.GetJointOrder()
         if not order:
@@ -99,7 +99,7 @@ class Skeletons:
         strangers = [str(name) for name in order if str(name) not in place]
         if strangers:
             named = ", ".join(strangers[:4]) + (" and %d more" % (len(strangers) - 4) if len(strangers) > 4 else "")
-            writer.warn(target.GetPrim().GetPath(), "names joints that its skeleton lacks, which do not move: %s" % named)
+            writer.warn(target.GetPrim().GetPath(), "the shape names joints that its skeleton lacks; these do not move: %s" % named)
         return [joints[place[str(name)]] if str(name) in place else Gf.Matrix4d(1) for name in order]
 
     def blend(self, query, target, points):
@@ -117,7 +117,7 @@ class Skeletons:
             shapes.ComputeDeformedPoints(*parts, indices, offsets, points)
 
     def normals(self, mesh, target, joints, point_count):
-        """Authored normals, rotated with the points."""
+        """The file's normals, rotated with the points."""
         normals, interpolation = mesh.GetNormalsAttr().Get(self.time), mesh.GetNormalsInterpolation()
         primvar = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("normals")
         if primvar and primvar.HasValue():
@@ -142,13 +142,13 @@ class Skeletons:
 
 
 def said(error):
-    """The reason in an exception, on one line."""
+    """The reason that an exception states, on one line."""
     texts = [str(error)] if not isinstance(error, Tf.ErrorException) else [getattr(part, "commentary", None) or str(part) for part in error.args]
     text = " ".join(" ".join(texts).split())
     return (text if len(text) <= 300 else text[:300] + " ...") or type(error).__name__
 
 
 def inverse_transpose(matrix):
-    """The transform of normals."""
+    """The transform of normals under a matrix."""
     linear = matrix.ExtractRotationMatrix()
     return linear.GetInverse().GetTranspose() if abs(linear.GetDeterminant()) > 1e-30 else Gf.Matrix3d(1)

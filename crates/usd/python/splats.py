@@ -1,7 +1,7 @@
 """Particle fields: Gaussian splats, as in UsdVol since OpenUSD 26.03.
 
-An older OpenUSD does not know the types. It reports a prim without a type, but its attributes can
-be read by name.
+An older OpenUSD does not know their types. It reports prims without a type, but the attributes of
+these prims can be read by name.
 """
 
 from pxr import Usd
@@ -25,8 +25,8 @@ def known_bases(prim):
 
 
 def is_shown(prim, writer):
-    """True if a particle field consists of splats that are rendered; other kernels cause a warning.
-    """
+    """True if a particle field consists of splats, which are rendered. A field with another kernel
+    causes a warning."""
     purpose = prim.GetAttribute("purpose")
     if purpose and purpose.Get() in ("proxy", "guide"):
         # An older OpenUSD does not compute the purpose of unknown types.
@@ -40,7 +40,7 @@ def is_shown(prim, writer):
 
 
 def schemas(prim):
-    """Applied schemas, also those that this OpenUSD does not know."""
+    """Names of the applied schemas, also of schemas that this OpenUSD does not know."""
     authored = prim.GetMetadata("apiSchemas")
     return list(prim.GetAppliedSchemas()) + (list(authored.GetAppliedItems()) if authored else [])
 
@@ -66,8 +66,8 @@ def field(prim, writer, time):
 
 
 def values(prim, name, writer, time):
-    """The array of an attribute in float precision, otherwise in half precision; that name ends
-    with h."""
+    """The array of an attribute in float precision, or else in half precision, whose name ends with
+    h."""
     for name in (name, name + "h"):
         found = geometry.value(prim.GetAttribute(name), time, writer)
         if found is not None and found["shape"][0]:
@@ -76,8 +76,8 @@ def values(prim, name, writer, time):
 
 
 def colour_space(prim):
-    """Name of the colour space: the attribute's, or that of the nearest ancestor that has one;
-    empty without any."""
+    """Name of the colour space of the attribute, or else of the nearest ancestor that has one;
+    empty if none has one."""
     for name in (HARMONICS, HARMONICS + "h"):
         attribute = prim.GetAttribute(name)
         if attribute and attribute.GetColorSpace():

@@ -1,4 +1,4 @@
-"""From a stage to a scene package: the visible prims at a time, their transforms and materials.
+"""Converts a stage to a scene package: visible prims at a time, their transforms and materials.
 
 Prototypes of native instancing and of point instancers are read once. A placement is a chain of
 links, innermost first: a point is transformed by the links from left to right (`p' = p · M`, row
@@ -16,7 +16,7 @@ from lumistack_usd.writer import Refused, Writer
 
 IDENTITY = Gf.Matrix4d(1)
 SHOWN = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
-# Prototypes may be below an `over` or a `class`, which hides them in their own place.
+# Prototypes may be inside an `over` or a `class`, which hides them where they are defined.
 IN_PROTOTYPE = Usd.TraverseInstanceProxies(Usd.PrimIsActive & Usd.PrimIsLoaded & Usd.PrimHasDefiningSpecifier)
 ANYWHERE = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
 INHERITED_PRIMVARS = ("primvars:displayColor", "primvars:displayOpacity")
@@ -36,7 +36,7 @@ def open_stage(path):
 
 
 def errors(error):
-    """The messages of an exception of pxr, without places in its source code."""
+    """The messages of an exception of pxr, without positions in the source code of pxr."""
     texts = [getattr(part, "commentary", None) or str(part) for part in error.args] or [str(error)]
     # The last message repeats the first.
     texts = [text for text in texts if not text.startswith("Failed to open layer")] or texts
@@ -63,15 +63,15 @@ def walk_stage(stage, request):
 
 
 def meters_per_unit(stage):
-    """The stage's unit. Some programs store it as a 32-bit number, which UsdGeom's own function
-    refuses."""
+    """The stage's unit, in metres. Some programs store it as a 32-bit number, which UsdGeom's own
+    function refuses."""
     value = stage.GetMetadata("metersPerUnit")
     return float(value) if isinstance(value, (int, float)) and value > 0 else UsdGeom.LinearUnits.centimeters
 
 
 def composition_errors(stage):
-    """Parts that OpenUSD could not compose, as (place, message)."""
-    # 24.08 and newer list them per stage; older versions list them per prim and layer.
+    """Layers and references that OpenUSD could not compose, as (place, message)."""
+    # OpenUSD 24.08 and newer list them per stage, older versions per prim and layer.
     if hasattr(stage, "GetCompositionErrors"):
         for error in stage.GetCompositionErrors():
             site = getattr(error, "rootSite", None)
@@ -87,8 +87,8 @@ def composition_errors(stage):
 
 
 def warn_of_composition(stage, writer):
-    """Warns of parts that OpenUSD could not compose: the scene is shown without them, as in every
-    USD program."""
+    """Warns of layers and references that OpenUSD could not compose. The scene is shown without
+    them, as in every USD program."""
     without_materialx = 0
     for place, message in composition_errors(stage):
         if ".mtlx" in message and "Could not open" in message and not Sdf.FileFormat.FindByExtension("mtlx"):
@@ -142,7 +142,7 @@ def choose_variants(stage, wanted, writer):
                 found = True
                 if selection != variant:
                     if prim.IsInstanceProxy():
-                        writer.warn(place, "is inside an instance, whose variants cannot be chosen one by one")
+                        writer.warn(place, "the variant set is inside an instance, whose variants cannot be chosen one by one")
                         continue
                     prim.GetVariantSet(name).SetVariantSelection(variant)
                     changed = True
@@ -230,8 +230,8 @@ class Walker:
     # Prims
 
     def frame(self, root, predicate, children_only=False):
-        """All visible content at or below a prim: (kind, payload, links), relative to the prim's
-        parent space."""
+        """All visible content of a prim and its descendants: (kind, payload, links). The links lead
+        to the space of the prim's parent."""
         placed = []
         info = UsdGeom.Imageable(root).ComputePurposeInfo() if not root.IsPseudoRoot() else None
         todo = [(root, IDENTITY, info)]
@@ -241,7 +241,7 @@ class Walker:
             prim, above, parent = todo.pop()
             imageable = UsdGeom.Imageable(prim)
             if not imageable and not splats.is_field(prim):
-                # A prim without a type, or a scope of materials: its children may be visible.
+                # A prim without a type, or a scope of materials: only its children may be visible.
                 todo.extend((child, above, parent) for child in reversed(prim.GetFilteredChildren(predicate)))
                 continue
             if imageable.GetVisibilityAttr().Get(self.time) == UsdGeom.Tokens.invisible:
@@ -268,12 +268,12 @@ class Walker:
         return placed
 
     def attempt(self, read, prim, *rest):
-        """The result of `read` for a prim. A prim with values of a wrong type does not remove the
-        others."""
+        """The result of `read` for a prim. A prim with values of a wrong type is left out with a
+        warning, and does not remove other prims."""
         try:
             return read(prim, *rest)
         except (Tf.ErrorException, TypeError, ValueError, OverflowError) as error:
-            self.writer.warn(prim.GetPath(), "cannot be read and is left out: %s" % errors(error))
+            self.writer.warn(prim.GetPath(), "the prim cannot be read and is left out: %s" % errors(error))
             return None
 
     def matrix(self, prim, above):
@@ -283,7 +283,7 @@ class Walker:
         local = xformable.GetLocalTransformation(self.time)
         if xformable.GetResetXformStack():
             if self.open_frames:
-                self.writer.warn(prim.GetPath(), "resets its transform inside a prototype; it starts from the prototype's")
+                self.writer.warn(prim.GetPath(), "the prim resets its transform inside a prototype; it starts from the prototype's transform")
             return local
         return local * above
 
@@ -301,7 +301,7 @@ class Walker:
         return ("light", light) if light else None
 
     def geometry(self, prim):
-        """Index and material subsets of a shape; shapes in prototypes are read once."""
+        """Index of a shape, and its subsets with materials; a shape in a prototype is read once."""
         key = (source(prim).GetPath(), self.inherited_primvars(prim), self.skeletons.key(prim))
         if key not in self.geometries:
             if prim.IsA(UsdGeom.Mesh):
@@ -323,7 +323,7 @@ class Walker:
         return index, [prim.GetChild(name) for name in names]
 
     def inherited_primvars(self, prim):
-        """The primvars that a prim inherits, as a key."""
+        """The primvars that a prim inherits, as a key for its shape."""
         found = UsdGeom.PrimvarsAPI(prim.GetParent()).FindInheritablePrimvars()
         return tuple(
             (primvar.GetName(), str(primvar.Get(self.time))) for primvar in found if primvar.GetName() in INHERITED_PRIMVARS
@@ -375,8 +375,8 @@ class Walker:
         return self.frames[key]
 
     def is_unlike_others(self, prim):
-        """True if instances of one prototype may differ inside: by collection bindings above or a
-        skeleton outside."""
+        """True if instances of one prototype may have different content: by collection bindings of
+        an ancestor, or by a skeleton outside of the prototype."""
         while prim and not prim.IsPseudoRoot():
             if prim.IsA(UsdSkel.Root) or any("material:binding:collection" in name for name in prim.GetPropertyNames()):
                 return True
@@ -384,11 +384,11 @@ class Walker:
         return False
 
     def point_instancer(self, prim, matrix):
-        """The prototypes of a point instancer, each with a link that holds its copies."""
+        """The prototypes of a point instancer, each with a link that contains its copies."""
         instancer = UsdGeom.PointInstancer(prim)
         place = prim.GetPath()
         if place in self.open_frames:
-            self.writer.warn(place, "is its own prototype; left out")
+            self.writer.warn(place, "the instancer is its own prototype; it is left out")
             return []
         # Compute the matrix of every copy.
         indices = instancer.GetProtoIndicesAttr().Get(self.time)
@@ -414,7 +414,7 @@ class Walker:
         for number, target in enumerate(instancer.GetPrototypesRel().GetForwardedTargets()):
             root = self.stage.GetPrimAtPath(target)
             if not root:
-                self.writer.warn(place, "has no prototype at %s" % target)
+                self.writer.warn(place, "the instancer has no prototype at %s" % target)
                 continue
             link = dict(shared, prototype=number)
             for kind, payload, links in self.frame(root, IN_PROTOTYPE):
@@ -423,7 +423,7 @@ class Walker:
         return placed
 
     def put_preferred_camera_first(self):
-        """Some programs record the camera that the scene is meant to be seen through."""
+        """Moves the camera that some programs record as preferred to the start of the list."""
         settings = self.stage.GetRootLayer().customLayerData.get("cameraSettings")
         preferred = settings.get("boundCamera") if isinstance(settings, dict) else None
         self.writer.cameras.sort(key=lambda entry: entry["place"] != preferred)
@@ -437,7 +437,7 @@ def extended(links, matrix):
 
 
 def camera(prim, time):
-    """The entry of a camera; apertures and focal length share a unit: a tenth of the scene's."""
+    """The entry of a camera; the unit of apertures and focal length is a tenth of the scene's."""
     source = UsdGeom.Camera(prim)
     values = source.GetCamera(time)
     return {
@@ -447,6 +447,6 @@ def camera(prim, time):
         "aperture": [values.horizontalAperture, values.verticalAperture],
         "aperture_offset": [values.horizontalApertureOffset, values.verticalApertureOffset],
         "focus_distance": values.focusDistance,
-        # The schema's default of one unit is no choice of the author.
+        # The schema's default, one unit, is left out, since the file does not set it.
         "near": values.clippingRange.min if source.GetClippingRangeAttr().HasAuthoredValue() else None,
     }

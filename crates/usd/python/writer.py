@@ -1,9 +1,9 @@
-"""Collects a scene package: a JSON header and the arrays that it refers to.
+"""Collects a scene package: a JSON header, and the arrays to which it refers.
 
 A file consists of the magic `LUMIPKG1`, the header's length as a little-endian u64, the header, and
 the arrays. Each array starts at a multiple of 64 bytes from the start of the file. The header
-refers to an array as `{"buffer": k, "type": "f32", "shape": [n, 3]}`. `buffers` lists offset and
-length of each, from the first multiple of 64 after the header.
+refers to an array as `{"buffer": k, "type": "f32", "shape": [n, 3]}`. `buffers` lists their
+offsets, from the first multiple of 64 after the header, and their lengths.
 """
 
 import json
@@ -11,12 +11,12 @@ import math
 import os
 
 ALIGNMENT = 64
-# codes of the buffer protocol, in native size and byte order
+# type codes of the buffer protocol, for native size and byte order
 TYPES = {"f": "f32", "d": "f64", "e": "f16", "i": "i32", "I": "u32", "b": "i8", "B": "u8", "h": "i16", "H": "u16", "?": "u8"}
 
 
 def finite(value):
-    """Replaces NaN and infinity, which JSON lacks, by null. The reader refuses null where it
+    """Replaces NaN and infinity, which JSON lacks, with null. The reader refuses null where it
     expects a number."""
     if isinstance(value, dict):
         return {key: finite(inner) for key, inner in value.items()}
@@ -47,7 +47,7 @@ class Writer:
         self._images = {}
 
     def array(self, values):
-        """A reference to an array with the buffer protocol; the array is kept, not copied."""
+        """A reference to an array with the buffer protocol. The array is kept, not copied."""
         view = memoryview(values)
         code = view.format
         if code in ("l", "L", "q", "Q"):
@@ -58,19 +58,19 @@ class Writer:
         return {"buffer": len(self.buffers) - 1, "type": kind, "shape": list(view.shape)}
 
     def warn(self, place, message):
-        """Adds a warning for the user; each text once."""
+        """Adds a warning for the user, unless the same warning was added before."""
         entry = (str(place), message)
         if entry not in self._warned:
             self._warned.add(entry)
             self.warnings.append({"place": entry[0], "message": entry[1]})
 
     def file(self, path):
-        """Adds a file on disk that the scene depends on."""
+        """Adds a file on disk on which the scene depends."""
         if path and os.path.isfile(path):
             self._files[os.path.abspath(path)] = True
 
     def image(self, key, make):
-        """The index of an image; `make` creates the entry of a new key."""
+        """The index of the image of a key; `make` creates the entry for a new key."""
         if key not in self._images:
             self.images.append(make())
             self._images[key] = len(self.images) - 1

@@ -4,9 +4,9 @@
 //! .blend file ─▶ child: Blender, or a Python with bpy ─▶ scene.glb ─▶ the glTF reader
 //! ```
 //!
-//! Blender itself opens the file, so every file that it can open is read. `scene.glb` contains
-//! lights, cameras and the world too. Blender runs `python/blend.py` and the modules of the Python
-//! package that the Blender extension uses too. `docs/BLENDER.md` lists what the export contains.
+//! Blender itself opens the file, so every file that it can open is read. `scene.glb` also contains
+//! lights, cameras and the world. Blender runs `python/blend.py` and modules of the Python package
+//! that the Blender extension also uses. `docs/BLENDER.md` lists the contents of an export.
 
 use std::env::var_os;
 use std::path::{Path, PathBuf};
@@ -21,8 +21,8 @@ use crate::python::{Candidate, Surroundings, on_path};
 
 /// Extension of Blender's files.
 pub const EXTENSION: &str = "blend";
-/// Environment variable that names the only Blender to try: the program, or a Python with the
-/// module bpy.
+/// Environment variable that names the only Blender that is tried: the program, or a Python with
+/// the module bpy.
 pub const VARIABLE: &str = "LUMISTACK_BLENDER";
 
 /// Modules that run in Blender, in the order of their imports. In the Python package they are
@@ -41,24 +41,24 @@ const BOOT: &str = include_str!("../python/blend.py");
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct BlendContents {
-    /// Its scenes; the active one is read.
+    /// Names of the file's scenes; the active scene is read.
     pub scenes: Vec<String>,
     /// First and last frame of the active scene.
     pub frames: [i32; 2],
     /// Frames per second.
     pub frames_per_second: f64,
-    /// The engine that the scene is set up for.
+    /// The render engine that the scene uses.
     pub engine: String,
     /// Lines for the user about content that renders show and the export drops: one per kind, with
     /// names.
     pub lost: Vec<String>,
-    /// The reason why the scene's engine cannot render here; `None` if it can, or if nothing was
-    /// lost.
+    /// The reason why the scene's engine cannot render on this machine. `None` if it can, or if the
+    /// export drops nothing.
     pub unfit: Option<String>,
 }
 
 impl BlendContents {
-    /// Seconds from the first frame to the last.
+    /// Time from the first frame to the last, in seconds.
     pub fn duration_s(&self) -> f64 {
         f64::from(self.frames[1] - self.frames[0]) / self.frames_per_second
     }
@@ -67,7 +67,7 @@ impl BlendContents {
 /// A scene that Blender exported.
 #[derive(Debug)]
 pub struct HandedOver {
-    /// A binary glTF file that needs no other.
+    /// A binary glTF file that refers to no other file.
     pub glb: Vec<u8>,
     /// Blender's report on the export.
     pub account: BlendAccount,
@@ -79,13 +79,13 @@ pub struct HandedOver {
 pub struct BlendAccount {
     /// Blender's version.
     pub blender: String,
-    /// Its program, or the file of its module.
+    /// The Blender program, or the file of the module bpy.
     pub program: PathBuf,
-    /// Files besides the `.blend` that the scene depends on: libraries, pictures.
+    /// Files other than the `.blend` on which the scene depends: libraries, pictures.
     pub files: Vec<PathBuf>,
-    /// Referenced files that do not exist.
+    /// Files to which the scene refers, but which do not exist.
     pub missing: Vec<PathBuf>,
-    /// Other input whose changes cannot be detected.
+    /// Other input of the scene, whose changes cannot be detected.
     pub untracked: Option<String>,
     /// Content that could not be exported: place and message.
     pub warnings: Vec<(String, String)>,
@@ -93,8 +93,8 @@ pub struct BlendAccount {
     pub contents: BlendContents,
 }
 
-/// Exports a file's scene in Blender. The time is in seconds after the scene's first frame; `None`
-/// is the frame at which the file was saved. Warnings are in the account.
+/// Exports a file's scene in Blender. The time is in seconds after the scene's first frame; with
+/// `None` it is the saved frame. Warnings are in the account.
 ///
 /// # Errors
 /// If no Blender is found, Blender refuses the file or fails, or the task is cancelled.
@@ -106,9 +106,9 @@ pub fn hand_over(path: &Path, time_s: Option<f64>, task: Task<'_>) -> Result<Han
     Ok(HandedOver { glb, account })
 }
 
-/// Returns a text that identifies the Blender that would be run and the code that it would run.
-/// While this text and [`BlendAccount::program`] stay the same, an export of the same file is the
-/// same.
+/// Returns a text that identifies the Blender that would run, and the code that it would run. While
+/// this text and [`BlendAccount::program`] are unchanged, an export of an unchanged file gives the
+/// same result.
 pub fn blend_surroundings() -> String {
     let found: Vec<String> = candidates()
         .iter()
@@ -136,16 +136,16 @@ pub fn blend_contents(path: &Path, task: Task<'_>) -> Result<BlendContents, UsdE
     Ok(ask(&Request::new(path, None, true)?, folder.path(), task.cancel)?.contents)
 }
 
-/// Views for Blender to render.
+/// Views that Blender is to render.
 #[derive(Clone, Debug, Serialize)]
 pub struct BlendViews {
     /// The window in the scene, in glTF's axes.
     pub window: BlendWindow,
-    /// Its width and height, millimetres.
+    /// Width and height of the window, in millimetres.
     pub size_mm: [f64; 2],
-    /// Columns and rows.
+    /// Number of columns and of rows.
     pub resolution: [usize; 2],
-    /// Distance of the eyes, millimetres; `None` for oblique views.
+    /// Distance of the eyes from the window, in millimetres; `None` for oblique views.
     pub distance_mm: Option<f64>,
     /// Slope of every view, right and up.
     pub slopes: Vec<[f64; 2]>,
@@ -154,9 +154,9 @@ pub struct BlendViews {
 /// A window, as `Window::given` reads it.
 #[derive(Clone, Debug, Serialize)]
 pub struct BlendWindow {
-    /// Its centre.
+    /// The window's centre.
     pub centre: [f64; 3],
-    /// Direction in which its viewer looks.
+    /// Direction in which the window's viewer looks.
     pub forward: [f64; 3],
     /// Upward direction.
     pub up: [f64; 3],
@@ -164,9 +164,9 @@ pub struct BlendWindow {
     pub width: f64,
 }
 
-/// Renders views at a time with the file's own engine and settings. `finished` is called with a
-/// view's number and picture as soon as the linear OpenEXR file is complete. The picture is removed
-/// after the call.
+/// Renders views at a time, with the file's own engine and settings. As soon as the linear OpenEXR
+/// file of a view is complete, `finished` is called with the view's number and that file. The file
+/// is removed after the call.
 ///
 /// # Errors
 /// As for [`hand_over`].
@@ -187,7 +187,7 @@ pub fn render_views(
                 break;
             }
             finished(next, &picture);
-            // A failed removal needs no report: a full disk fails the next picture.
+            // A failed removal needs no report: on a full disk, the next picture fails.
             let _ = std::fs::remove_file(&picture);
             next += 1;
         }
@@ -235,7 +235,7 @@ struct Failure {
 
 /// The failure of one program.
 enum Failed {
-    /// It cannot read the file; another may.
+    /// The program cannot read the file, but another one may.
     Unfit(String),
     Final(UsdError),
 }
@@ -244,7 +244,7 @@ fn temporary() -> Result<tempfile::TempDir, UsdError> {
     tempfile::tempdir().map_err(|source| UsdError::Io { place: "a temporary folder".into(), source })
 }
 
-/// Programs to try, in this order: Blender, then Pythons that may have bpy.
+/// Programs that are tried, in this order: Blender, then Pythons that may have bpy.
 pub(crate) fn candidates() -> Vec<Candidate> {
     let named = |program: PathBuf, from| Candidate { program, from, given: false };
     if let Some(program) = var_os(VARIABLE).filter(|value| !value.is_empty()) {
@@ -300,12 +300,12 @@ fn ask_program(
 ) -> Result<BlendAccount, Failed> {
     let io = |place: &Path, source| Failed::Final(UsdError::Io { place: place.display().to_string(), source });
     let (boot, asked, answered) = (folder.join("blend.py"), folder.join("request.json"), folder.join("answer.json"));
-    // Write the script and the request into a folder that is the program's only argument.
+    // Write the script and the request into a folder, which is the program's only argument.
     std::fs::write(&boot, BOOT).map_err(|error| io(&boot, error))?;
     std::fs::write(&asked, serde_json::to_vec(request).expect("requests serialize"))
         .map_err(|error| io(&asked, error))?;
     let _ = std::fs::remove_file(&answered);
-    // Run the program; Blender needs a flag to run a script and to fail with it.
+    // Run the program; Blender needs flags to run a script, and to fail if the script fails.
     let mut command = Command::new(program);
     if !is_python(program) {
         command.args(["-b", "--python-exit-code", "1", "--python"]);
@@ -339,7 +339,7 @@ fn ask_program(
     }
 }
 
-/// Returns true for a Python, which takes the script without a flag.
+/// Returns true for a Python, which runs the script without a flag.
 pub(crate) fn is_python(program: &Path) -> bool {
     program.file_name().is_some_and(|name| name.to_string_lossy().to_ascii_lowercase().starts_with("py"))
 }
@@ -350,7 +350,7 @@ mod tests {
 
     use super::*;
 
-    /// A script that stands in for Blender.
+    /// A script in place of Blender.
     fn fake(folder: &Path, name: &str, script: &str) -> Candidate {
         let program = folder.join(name);
         std::fs::write(&program, format!("#!/bin/sh\nfor last; do :; done\n{script}\n")).unwrap();

@@ -6,10 +6,11 @@ use lumistack_scene::{Camera, Projection};
 use crate::package::CameraEntry;
 use crate::placing::affine;
 
-/// Converts a camera. Its name is its prim's, or the path where that is not unique.
+/// Converts a camera. Its name is the name of its prim, or the prim's path if other cameras have
+/// the same name.
 ///
 /// # Errors
-/// The reason why it sees nothing, after "the camera has".
+/// The reason why the camera shows nothing, as a phrase after "the camera has".
 pub(crate) fn camera(entry: &CameraEntry, all: &[CameraEntry], scene_from_stage: &DAffine3) -> Result<Camera, String> {
     let name = entry.place.rsplit('/').next().unwrap_or_default();
     let is_unique = all.iter().filter(|other| other.place.rsplit('/').next() == Some(name)).count() == 1;

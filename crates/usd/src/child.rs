@@ -1,8 +1,8 @@
-//! Runs the walker in the user's Python and reads its package.
+//! Runs the walker in the user's Python, and reads the package that it writes.
 //!
-//! The child's standard output is a file without a name, so nothing is left behind when either
-//! process dies. The request is JSON and contains the walker's source. The end of standard error is
-//! kept for error messages.
+//! The child's standard output is a file without a name, so no file is left when either process
+//! dies. The request is JSON and contains the walker's source. The end of standard error is kept
+//! for error messages.
 
 use std::fs::File;
 use std::io::{Read, Write};
@@ -33,9 +33,9 @@ pub const MODULES: [(&str, &str); 9] = [
 ];
 /// The script that starts [`MODULES`] in a child.
 const BOOT: &str = include_str!("../python/boot.py");
-/// Interval at which a child is checked.
+/// Interval at which the state of a child is checked.
 const POLL: Duration = Duration::from_millis(5);
-/// Number of bytes that are kept of the end of standard error.
+/// Number of bytes of the end of standard error that are kept.
 const SAID: usize = 16 << 10;
 
 /// Input of the walker.
@@ -47,10 +47,10 @@ pub(crate) struct Request<'a> {
     pub(crate) contents_only: bool,
 }
 
-/// A package in a file.
+/// A package in a file, with its origin.
 pub(crate) struct Answer {
     file: Option<Mmap>,
-    /// The Python that wrote it.
+    /// The Python that wrote the file.
     python: String,
 }
 
@@ -58,7 +58,7 @@ impl Answer {
     /// Parses the file.
     ///
     /// # Errors
-    /// If it is no package.
+    /// If the file is not a package.
     pub(crate) fn package(&self, name: &str) -> Result<Package<'_>, UsdError> {
         let bytes = self.file.as_deref().unwrap_or_default();
         Package::parse(bytes).map_err(|found| UsdError::Child { file: name.into(), python: self.python.clone(), found })
@@ -67,7 +67,7 @@ impl Answer {
 
 /// The failure of one Python.
 enum Failed {
-    /// It cannot read USD; another may.
+    /// The Python cannot read USD, but another one may.
     Unfit(String),
     Final(UsdError),
 }
@@ -103,7 +103,7 @@ fn ask_python(program: &Path, request: &Request<'_>, cancel: &Cancel) -> Result<
     let python = program.display().to_string();
     let io = |source| Failed::Final(UsdError::Io { place: "a temporary file".into(), source });
     let file = tempfile::tempfile().map_err(io)?;
-    // Start the child: modules in the working folder do not shadow Python's, and file names are
+    // Start the child. Modules in the working folder do not shadow Python's own, and file names are
     // UTF-8.
     let mut command = Command::new(program);
     command.args(["-c", BOOT]).env("PYTHONSAFEPATH", "1").env("PYTHONUTF8", "1");
@@ -118,11 +118,11 @@ fn ask_python(program: &Path, request: &Request<'_>, cancel: &Cancel) -> Result<
             request: &'a Request<'a>,
         }
         let text = serde_json::to_vec(&WithModules { modules: &MODULES, request }).expect("requests serialize");
-        // Write in a thread, since the text is longer than a pipe holds. A child that has ended
-        // already fails below.
+        // Write in a thread, since the text is longer than a pipe holds. A failed write needs no
+        // report here: the status of a child that has ended is checked later.
         std::thread::spawn(move || input.write_all(&text));
     }
-    // Wait for the end of the child; Ctrl-C reaches it too.
+    // Wait for the end of the child; Ctrl-C reaches the child too.
     let status = wait(&mut child, cancel, &mut || ()).map_err(|error| Failed::Final(error.into()))?;
     if is_interrupted(status) {
         return Err(Failed::Final(Cancelled.into()));
@@ -131,7 +131,7 @@ fn ask_python(program: &Path, request: &Request<'_>, cancel: &Cancel) -> Result<
     let failed = |found| Failed::Final(UsdError::Child { file: request.path.into(), python: python.clone(), found });
     let answer = Answer { file: map(&file).map_err(io)?, python: python.clone() };
     if answer.file.is_none() && status.code().is_some_and(|code| code != 0) {
-        // The boot script never ran, or this Python could not parse it.
+        // The boot script did not run, or this Python could not parse it.
         return Err(Failed::Unfit(ended(status, &said)));
     }
     if !status.success() {
@@ -141,7 +141,7 @@ fn ask_python(program: &Path, request: &Request<'_>, cancel: &Cancel) -> Result<
         UsdError::Child { found, .. } => failed(format!("{found}{}", last_line(&said))),
         other => Failed::Final(other),
     })?;
-    // Separate a Python without OpenUSD from a refused file and an error in the walker.
+    // Distinguish a Python without OpenUSD, a refused file, and an error in the walker.
     if let Some(failure) = package.header.error {
         let file = request.path.to_owned();
         return Err(match failure.kind.as_str() {
@@ -153,13 +153,13 @@ fn ask_python(program: &Path, request: &Request<'_>, cancel: &Cancel) -> Result<
     Ok(answer)
 }
 
-/// Returns true if Ctrl-C ended the child: a terminal sends it to both processes, in any order.
+/// Returns true if Ctrl-C ended the child. A terminal sends Ctrl-C to both processes, in any order.
 #[cfg(unix)]
 fn is_interrupted(status: ExitStatus) -> bool {
     std::os::unix::process::ExitStatusExt::signal(&status) == Some(2)
 }
 
-/// Returns true if Ctrl-C ended the child: `STATUS_CONTROL_C_EXIT`.
+/// Returns true if Ctrl-C ended the child, by `STATUS_CONTROL_C_EXIT`.
 #[cfg(not(unix))]
 fn is_interrupted(status: ExitStatus) -> bool {
     status.code() == Some(-1_073_741_510)
@@ -236,7 +236,7 @@ mod tests {
 
     const REQUEST: Request<'static> = Request { path: "scene.usda", time_s: None, variants: &[], contents_only: false };
 
-    /// A script that stands in for Python.
+    /// A script in place of Python.
     fn fake(folder: &Path, name: &str, script: &str) -> Candidate {
         let program = folder.join(name);
         std::fs::write(&program, format!("#!/bin/sh\n{script}\n")).unwrap();
@@ -330,7 +330,7 @@ mod tests {
         assert!(!alive.success(), "process {pid} is still there");
     }
 
-    /// The boot script finds out that OpenUSD is missing.
+    /// The boot script reports that OpenUSD is missing.
     #[test]
     fn a_real_python_answers() {
         let python = Candidate { program: "python3".into(), from: "PATH", given: false };

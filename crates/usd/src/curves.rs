@@ -1,11 +1,12 @@
 //! Curves as tubes and ribbons, points as balls (UsdGeomBasisCurves, UsdGeomPoints).
 //!
-//! A cubic segment is Σ bᵢ(t) pᵢ with the basis of its kind. A pinned curve gets an extra point 2
-//! p₀ − p₁ before the first, and its mirror image after the last, so it starts at p₀.
+//! A cubic segment is Σ bᵢ(t) pᵢ with the functions bᵢ of its basis. A pinned curve gets an extra
+//! point 2 p₀ − p₁ in front of the first point, so that it starts at p₀. A mirrored one follows the
+//! last point.
 //!
-//! Frames are carried from sample to sample without twist (double reflection, Wang et al. 2008).
-//! The remaining twist of a closed curve is spread over its length. Widths are diameters in the
-//! units of the curve's space.
+//! The frame of a sample follows from the previous sample without twist (double reflection, Wang et
+//! al. 2008). The twist that remains in a closed curve is spread over its length. Widths are
+//! diameters in the units of the curve's space.
 
 use std::f32::consts::TAU;
 
@@ -13,42 +14,42 @@ use glam::{Quat, Vec2, Vec3, Vec4};
 
 use crate::geometry::Geometry;
 
-/// How control points define a curve.
+/// Basis by which control points define a curve.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Basis {
     /// Straight lines.
     Linear,
-    /// Cubic, four points per segment; neighbouring segments share one.
+    /// Cubic, with four points per segment; neighbouring segments share a point.
     #[default]
     Bezier,
-    /// Cubic.
+    /// Cubic; in general the curve does not pass through its points.
     BSpline,
-    /// Cubic, through its points.
+    /// Cubic; the curve passes through its points.
     CatmullRom,
 }
 
-/// Treatment of the ends.
+/// Treatment of the curve's ends.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Wrap {
-    /// Stops after the last complete segment.
+    /// The curve ends with its last complete segment.
     #[default]
     Nonperiodic,
-    /// Closed.
+    /// The curve is closed.
     Periodic,
-    /// Reaches the first and the last point.
+    /// The curve reaches its first and its last point.
     Pinned,
 }
 
-/// Number of values that a curve has.
+/// Number of values of an attribute on curves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Interpolation {
-    /// One.
+    /// One value for all curves.
     Constant,
-    /// One per curve.
+    /// One value per curve.
     Uniform,
-    /// One per end of a segment.
+    /// One value per end of a segment.
     Varying,
-    /// One per point.
+    /// One value per point.
     Vertex,
 }
 
@@ -67,37 +68,37 @@ pub(crate) struct Curves<'a> {
     pub(crate) vertex_counts: &'a [i32],
     pub(crate) basis: Basis,
     pub(crate) wrap: Wrap,
-    /// Diameters.
+    /// Diameters of tubes, or widths of ribbons.
     pub(crate) widths: Data<'a>,
     /// If present, the curves are ribbons with these normals, visible from both sides.
     pub(crate) normals: Option<Data<'a>>,
-    /// RGB or RGBA.
+    /// RGB or RGBA values.
     pub(crate) colors: Option<Data<'a>>,
-    /// Texture coordinates as in USD: v points up.
+    /// Texture coordinates as in USD, where v points up.
     pub(crate) uvs: [Option<Data<'a>>; 2],
 }
 
 /// If the triangles exceed this number, tubes get fewer sides and samples.
 const MOST_TRIANGLES: usize = 2_000_000;
 
-/// Samples per segment and sides per tube, best first.
+/// Samples per segment and sides per tube, the finest first.
 const DETAIL: [(usize, usize); 4] = [(8, 12), (6, 8), (4, 5), (2, 3)];
 
-/// Curves shorter than this fraction of their coordinates are single points, moved apart by
-/// rounding.
+/// A curve that is shorter than this fraction of its coordinates is a single point, whose copies
+/// differ by rounding.
 const ROUNDING: f32 = 1e-5;
 
 /// Control points of one sample, with their weights.
 #[derive(Clone, Debug, Default)]
 struct Sample {
-    /// Point numbers within the curve.
+    /// Indices of points within the curve, with their weights.
     points: Vec<(usize, f32)>,
-    /// Ends of segments, with their weights.
+    /// Indices of the ends of segments, with their weights.
     ends: Vec<(usize, f32)>,
 }
 
-/// Triangles of all curves; `face_of_triangle` is the curve's number. Curves with too few points
-/// are left out.
+/// Triangles of all curves; `face_of_triangle` is the index of the curve. Curves with too few
+/// points are left out.
 pub(crate) fn tessellate(curves: &Curves<'_>) -> Geometry {
     let segments: usize =
         curves.vertex_counts.iter().map(|&count| segment_count(curves, usize::try_from(count).unwrap_or(0))).sum();
@@ -164,7 +165,8 @@ fn weights(basis: Basis, t: f32) -> [f32; 4] {
     }
 }
 
-/// Samples from one end to the other. The last sample of a closed curve repeats the first.
+/// Samples from one end of a curve to the other. The last sample of a closed curve repeats the
+/// first.
 fn samples(curves: &Curves<'_>, count: usize, segments: usize, steps: usize) -> Vec<Sample> {
     let periodic = curves.wrap == Wrap::Periodic;
     let stride = if curves.basis == Basis::Bezier { 3 } else { 1 };
@@ -200,7 +202,7 @@ fn samples(curves: &Curves<'_>, count: usize, segments: usize, steps: usize) -> 
     samples
 }
 
-/// Offsets of a curve's data, and the geometry that receives its triangles.
+/// Offsets into the data of a curve, and the geometry that receives its triangles.
 struct Place<'g> {
     curve: usize,
     first_point: usize,
@@ -250,7 +252,7 @@ fn sweep(curves: &Curves<'_>, mut place: Place<'_>, samples: &[Sample], sides: u
         samples.iter().map(|sample| 0.5 * place.value::<1>(&curves.widths, sample)[0].max(0.0)).collect();
     let closed = curves.wrap == Wrap::Periodic && positions.first() == positions.last();
     let Some(ribs) = ribs(&positions, &radii, closed) else { return };
-    // Add the vertices: one rib per sample, then those of the caps.
+    // Add the vertices: a rib per sample, then the vertices of the caps.
     let first = place.geometry.positions.len();
     let count = match &curves.normals {
         Some(normals) => {
@@ -262,8 +264,8 @@ fn sweep(curves: &Curves<'_>, mut place: Place<'_>, samples: &[Sample], sides: u
             sides + 1
         }
     };
-    // Data are constant around a rib. The caps' vertices follow the ribs and have the data of the
-    // ends.
+    // Data are constant around a rib. The vertices of caps follow those of the ribs, and have the
+    // data of the ends.
     let added = place.geometry.positions.len() - first;
     let sample_of = |vertex: usize| match vertex / count {
         rib if rib < samples.len() => &samples[rib],
@@ -309,7 +311,7 @@ fn ribs(positions: &[Vec3], radii: &[f32], closed: bool) -> Option<Vec<Rib>> {
             if i == last && closed { positions[1] - positions[0] } else { positions[(i + 1).min(last)] - positions[i] };
         (before.normalize_or_zero() + after.normalize_or_zero()).try_normalize()
     };
-    // Carry the frame from rib to rib.
+    // Derive the frame of each rib from the previous rib.
     let mut ribs: Vec<Rib> = Vec::with_capacity(positions.len());
     let first_tangent = (0..=last).find_map(tangent)?;
     for i in 0..=last {
@@ -335,7 +337,7 @@ fn ribs(positions: &[Vec3], radii: &[f32], closed: bool) -> Option<Vec<Rib>> {
     Some(ribs)
 }
 
-/// Carries the perpendicular vector from one rib to the next by two reflections.
+/// Rotates the perpendicular vector of one rib to the next rib, by two reflections.
 fn carried(rib: &Rib, position: Vec3, tangent: Vec3) -> Vec3 {
     let reflect = |v: Vec3, mirror: Vec3| match mirror.length_squared() {
         0.0 => v,
@@ -357,7 +359,7 @@ fn tube(place: &mut Place<'_>, ribs: &[Rib], sides: usize, closed: bool) {
         let (sine, cosine) = (TAU * (side % sides) as f32 / sides as f32).sin_cos();
         cosine * rib.across + sine * rib.tangent.cross(rib.across)
     };
-    // Side: one ring of vertices per rib, joined to the next ring.
+    // Add the side: one ring of vertices per rib, which is joined to the next ring.
     for rib in ribs {
         for side in 0..=sides {
             let out = around(rib, side);
@@ -375,7 +377,7 @@ fn tube(place: &mut Place<'_>, ribs: &[Rib], sides: usize, closed: bool) {
     if closed {
         return;
     }
-    // Caps: discs at both ends of an open curve.
+    // Add the caps: discs at both ends of an open curve.
     for (rib, up) in [(&ribs[0], false), (&ribs[ribs.len() - 1], true)] {
         let normal = if up { rib.tangent } else { -rib.tangent };
         let v = 1.0 - rib.along;
@@ -410,10 +412,11 @@ fn ribbon(place: &mut Place<'_>, normals: &Data<'_>, samples: &[Sample], ribs: &
     }
 }
 
-/// Subdivisions of each edge of the octahedron that becomes a ball.
+/// Number of segments into which each edge of the octahedron is cut, for a ball at a point.
 const BALL_PARTS: u32 = 4;
 
-/// A ball of diameter 1: an octahedron with each edge cut into `parts`, 8 parts² triangles.
+/// A ball of diameter 1: an octahedron whose edges are cut into `parts` segments, with 8 parts²
+/// triangles.
 pub(crate) fn ball(parts: u32) -> Geometry {
     let mut geometry = Geometry::default();
     for octant in 0..8 {
@@ -441,8 +444,8 @@ pub(crate) fn ball(parts: u32) -> Geometry {
     geometry
 }
 
-/// Balls at points, each with its colour; `face_of_triangle` is the point's number. Points without
-/// colours of their own take less memory as instances of [`ball`].
+/// Balls at points, each with its own colour; `face_of_triangle` is the index of the point. For
+/// points without own colours, instances of [`ball`] take less memory.
 pub(crate) fn colored_balls(
     points: &[Vec3],
     diameter: impl Fn(usize) -> f32,
@@ -506,13 +509,13 @@ mod tests {
             spine(&geometry, 8 * segments + 1, 12)
         };
         let close = |a: Vec3, b: Vec3| assert!(a.distance(b) < 1e-5, "{a} {b}");
-        // Bézier: through every third point; at t = ½ it is (p0 + 3 p1 + 3 p2 + p3)/8
+        // Bézier: passes through every third point; at t = ½ it is (p0 + 3 p1 + 3 p2 + p3)/8
         let bezier = run(Basis::Bezier, Wrap::Nonperiodic);
         assert_eq!(bezier.len(), 17);
         close(bezier[8], points[3]);
         close(bezier[4], Vec3::new(2.0, 1.5, 0.0));
         close(bezier[16], points[6]);
-        // B-spline: (p0 + 4 p1 + p2)/6 at joints
+        // B-spline: (p0 + 4 p1 + p2)/6 where segments join
         let spline = run(Basis::BSpline, Wrap::Nonperiodic);
         assert_eq!(spline.len(), 33);
         close(spline[0], (points[0] + 4.0 * points[1] + points[2]) / 6.0);
@@ -520,7 +523,7 @@ mod tests {
         let pinned = run(Basis::BSpline, Wrap::Pinned);
         close(pinned[0], points[0]);
         close(pinned[48], points[6]);
-        // Catmull–Rom: through the points
+        // Catmull–Rom: passes through the points
         let catmull = run(Basis::CatmullRom, Wrap::Nonperiodic);
         close(catmull[0], points[1]);
         close(catmull[16], points[3]);
@@ -615,7 +618,7 @@ mod tests {
             for wrap in [Wrap::Nonperiodic, Wrap::Periodic, Wrap::Pinned] {
                 for counts in [&[6][..], &[1, 2, 3], &[0, -4, 6], &[7], &[2, 2, 2], &[1; 6]] {
                     assert!(tessellate(&curves(&points, counts, basis, wrap)).triangles.is_empty());
-                    // points that turn back and coincide
+                    // points at which the curve turns back, and points that coincide
                     let bent: Vec<Vec3> = [0.0, 1.0, 1.0, 0.0, 0.0, 2.0].map(|x| Vec3::new(x, 0.0, 0.0)).to_vec();
                     let missing = Data { values: &[], width: 1, interpolation: Interpolation::Vertex };
                     for widths in [ONE, missing] {

@@ -1,4 +1,5 @@
-//! Errors of USD input: each names the file, the place in it, what was expected and what was found.
+//! Errors of USD input: each names the file, the place in it, the expected value, and the value
+//! found.
 
 use std::fmt::Display;
 
@@ -22,9 +23,9 @@ pub enum UsdError {
         "LUMISTACK_PYTHON: expected a Python with the package usd-core, found {found}. Type `{python} -m pip install usd-core`, or unset the variable and type `lumistack setup usd`"
     )]
     GivenPython {
-        /// Its value.
+        /// The value of the variable.
         python: String,
-        /// Its failure.
+        /// The failure of this Python.
         found: String,
     },
     /// No Blender was found.
@@ -38,7 +39,7 @@ pub enum UsdError {
     /// The program in `LUMISTACK_BLENDER` cannot read `.blend` files.
     #[error("LUMISTACK_BLENDER: expected Blender 4.2 or newer, or a Python with the package bpy, found {found}")]
     GivenBlender {
-        /// Its name and its failure.
+        /// The program's name, and its failure.
         found: String,
     },
     /// Python or Blender ended without a scene.
@@ -46,9 +47,9 @@ pub enum UsdError {
     Child {
         /// The file as the caller named it.
         file: String,
-        /// The interpreter.
+        /// The Python or Blender that was run.
         python: String,
-        /// Its status, and its last output.
+        /// The status of the process, and its last output.
         found: String,
     },
     /// OpenUSD or the walker refuses the file.
@@ -64,7 +65,7 @@ pub enum UsdError {
     Malformed {
         /// The file as the caller named it.
         file: String,
-        /// Prim path, and the attribute.
+        /// Path of the prim, and the attribute.
         place: String,
         /// The expected value.
         expected: String,
@@ -74,9 +75,9 @@ pub enum UsdError {
     /// A file cannot be read or written.
     #[error("{place}: {source}")]
     Io {
-        /// The file or folder, or its purpose.
+        /// Path of the file or folder, or its purpose.
         place: String,
-        /// The system's error.
+        /// The operating system's error.
         source: std::io::Error,
     },
     /// Setting up a Python failed.
@@ -92,7 +93,8 @@ pub enum UsdError {
     Cancelled(#[from] Cancelled),
 }
 
-/// Avoids naming the file twice: OpenUSD's own messages often begin with the file, line and column.
+/// Avoids naming the file twice, since OpenUSD's own messages often begin with the file, line and
+/// column.
 fn refused(file: &str, message: &str) -> String {
     if message.starts_with(file) { message.to_owned() } else { format!("{file}: {message}") }
 }

@@ -1,4 +1,4 @@
-//! Triangles that still lack a material and a place in the scene.
+//! Triangles without a material and a placement in the scene.
 
 use glam::{Vec2, Vec3, Vec4};
 
@@ -6,11 +6,11 @@ use glam::{Vec2, Vec3, Vec4};
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Geometry {
     pub(crate) positions: Vec<Vec3>,
-    /// Unit vectors on the side from which triangles wind counter-clockwise.
+    /// Unit vectors, on the side from which triangles are counter-clockwise.
     pub(crate) normals: Vec<Vec3>,
-    /// Texture coordinates as in the scene: v points down (in USD it points up).
+    /// Texture coordinates as in the scene: v points down (in USD v points up).
     pub(crate) uvs: [Vec<Vec2>; 2],
-    /// Linear RGBA.
+    /// Linear RGBA values.
     pub(crate) colors: Vec<Vec4>,
     /// Vertex indices.
     pub(crate) triangles: Vec<[u32; 3]>,
@@ -32,7 +32,8 @@ impl Geometry {
         self.face_of_triangle.push(face);
     }
 
-    /// Adds the quadrilateral `a b c d`, counter-clockwise; a half without area is left out.
+    /// Adds the quadrilateral `a b c d`, which is counter-clockwise. A half without area is left
+    /// out.
     pub(crate) fn quad(&mut self, [a, b, c, d]: [u32; 4], face: u32) {
         for corners in [[a, b, c], [a, c, d]] {
             let [p, q, r] = corners.map(|i| self.positions[i as usize]);
@@ -49,7 +50,7 @@ impl Geometry {
         self.corners().map(|[a, b, c]| 0.5 * (b - a).cross(c - a).length()).sum()
     }
 
-    /// Corner positions of every triangle.
+    /// Positions of the corners of every triangle.
     pub(crate) fn corners(&self) -> impl Iterator<Item = [glam::DVec3; 3]> + Clone {
         self.triangles.iter().map(|triangle| triangle.map(|i| self.positions[i as usize].as_dvec3()))
     }
@@ -57,8 +58,8 @@ impl Geometry {
 
 #[cfg(test)]
 impl Geometry {
-    /// Enclosed volume by the divergence theorem: positive if triangles wind counter-clockwise seen
-    /// from outside.
+    /// Enclosed volume, by the divergence theorem. It is positive if triangles are
+    /// counter-clockwise seen from outside.
     pub(crate) fn volume(&self) -> f64 {
         self.corners().map(|[a, b, c]| a.dot(b.cross(c)) / 6.0).sum()
     }
@@ -84,8 +85,8 @@ impl Geometry {
         }
     }
 
-    /// Fails unless the surface is closed and wound alike: every edge, by position, has one
-    /// triangle on either side.
+    /// Fails unless the surface is closed and all triangles have the same orientation: every edge,
+    /// by position, has one triangle on each side.
     pub(crate) fn assert_closed(&self) {
         use std::collections::HashMap;
         let key = |i: u32| self.positions[i as usize].to_array().map(|x| (x * 1e4).round() as i64);

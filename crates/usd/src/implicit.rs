@@ -1,8 +1,7 @@
 //! USD's implicit shapes as triangles: sphere, cube, cylinder, cone, capsule, plane.
 //!
 //! Round shapes are surfaces of revolution about +z, (r(t) cos φ, r(t) sin φ, z(t)). A cyclic
-//! exchange of coordinates turns them to the shape's axis. Vertices and normals are those of the
-//! exact surface.
+//! exchange of coordinates moves +z to the shape's axis. Vertices and normals are exact.
 //!
 //! Source: UsdGeom schemas. They do not define texture coordinates; here u is the longitude and v
 //! runs from the top down. On caps and faces of cubes, u and v span the bounding square.
@@ -13,8 +12,8 @@ use glam::{Vec2, Vec3};
 
 use crate::geometry::Geometry;
 
-/// Steps of a full turn. The outline of a circle is short of the exact one by at most 1 − cos(π/96)
-/// = 0.05 % of its radius.
+/// Number of steps of a full turn. The outline of a circle is inside the exact circle by at most 1
+/// − cos(π/96) = 0.05 % of its radius.
 const TURN_PARTS: usize = 96;
 
 /// The direction of a shape's spine.
@@ -30,7 +29,7 @@ pub(crate) enum Axis {
 }
 
 impl Axis {
-    /// Turns a vector of a shape with spine +z to this spine.
+    /// Converts a vector of a shape with spine +z to this spine.
     fn turn(self, v: Vec3) -> Vec3 {
         match self {
             Self::X => Vec3::new(v.z, v.x, v.y),
@@ -45,16 +44,16 @@ impl Axis {
     }
 }
 
-/// A point of a profile: distance from the spine and height, the normal in the same half plane, and
+/// A point of a profile: (distance from the spine, height), the normal in the same half plane, and
 /// v.
 type Knot = (Vec2, Vec2, f32);
 
-/// Adds the surface of revolution of a profile that runs from the top down.
+/// Adds the surface of revolution of a profile. The profile runs from the top down.
 fn revolve(geometry: &mut Geometry, profile: &[Knot]) {
     let first = geometry.positions.len() as u32;
     let columns = TURN_PARTS as u32 + 1;
     for (row, &(point, normal, v)) in profile.iter().enumerate() {
-        // a pole's vertices have u and normal of the middle of their single triangle
+        // each vertex at a pole has the u and the normal of the middle of its only triangle
         let shift = match point.x {
             0.0 if row == 0 => 0.5,
             0.0 => -0.5,
@@ -62,7 +61,7 @@ fn revolve(geometry: &mut Geometry, profile: &[Knot]) {
         };
         for column in 0..columns {
             let lift = |v: Vec2, shift: f32| {
-                // the last column has exactly the positions of the first
+                // the positions of the last column equal those of the first
                 let turn = ((column % TURN_PARTS as u32) as f32 + shift) / TURN_PARTS as f32;
                 let (sine, cosine) = (TAU * turn).sin_cos();
                 Vec3::new(v.x * cosine, v.x * sine, v.y)
@@ -107,7 +106,7 @@ fn arc(radius: f32, z: f32, [from, to]: [f32; 2], [from_v, to_v]: [f32; 2]) -> V
         .map(|i| {
             let share = i as f32 / parts as f32;
             let angle = from + (to - from) * share;
-            // poles lie exactly on the spine
+            // poles are exactly on the spine
             let sine = if angle == 0.0 || angle == 2.0 * FRAC_PI_2 { 0.0 } else { angle.sin() };
             let normal = Vec2::new(sine, angle.cos());
             (radius * normal + Vec2::new(0.0, z), normal, from_v + (to_v - from_v) * share)
@@ -122,7 +121,8 @@ pub(crate) fn sphere(radius: f32) -> Geometry {
     geometry
 }
 
-/// `UsdGeomCube` with the edge length `size`; `face_of_triangle` numbers −x, +x, −y, +y, −z, +z.
+/// `UsdGeomCube` with the edge length `size`; in `face_of_triangle` the faces −x, +x, −y, +y, −z,
+/// +z are 0 to 5.
 pub(crate) fn cube(size: f32) -> Geometry {
     let mut geometry = Geometry::default();
     let half = 0.5 * size;
@@ -138,7 +138,7 @@ pub(crate) fn cube(size: f32) -> Geometry {
     geometry
 }
 
-/// `UsdGeomCylinder`, closed at both ends. The radii differ only for `UsdGeomCylinder_1`.
+/// `UsdGeomCylinder`, closed at both ends. The two radii differ only for `UsdGeomCylinder_1`.
 pub(crate) fn cylinder(top_radius: f32, bottom_radius: f32, height: f32, axis: Axis) -> Geometry {
     let mut geometry = Geometry::default();
     let half = 0.5 * height;
@@ -157,7 +157,7 @@ pub(crate) fn cone(radius: f32, height: f32, axis: Axis) -> Geometry {
     let normal = Vec2::new(height, radius).normalize_or(Vec2::X);
     let tip = Vec2::new(0.0, half);
     let base = Vec2::new(radius, -half);
-    // The tip has another normal in each triangle; the extra rows keep these triangles small.
+    // At the tip, each triangle has a different normal; the extra rows keep these triangles small.
     let rows = [0.0, 0.05, 0.3, 1.0];
     let profile = rows.map(|share: f32| (tip.lerp(base, share), normal, share));
     revolve(&mut geometry, &profile);
@@ -165,15 +165,16 @@ pub(crate) fn cone(radius: f32, height: f32, axis: Axis) -> Geometry {
     axis.apply(geometry)
 }
 
-/// `UsdGeomCapsule`; the radii differ only for `UsdGeomCapsule_1`. `height` excludes the rounded
-/// ends.
+/// `UsdGeomCapsule`; the two radii differ only for `UsdGeomCapsule_1`. `height` does not include
+/// the rounded ends.
 ///
-/// The side is tangent to the caps, so the surface is smooth for any radii. A cap reaches down to
-/// the polar angle acos((bottom − top) / height), which lies off the equator for unequal radii.
+/// The side is tangent to the caps, so the surface is smooth for any radii. The caps join the side
+/// at the polar angle acos((bottom − top) / height), which is not at the equator if the radii
+/// differ.
 pub(crate) fn capsule(top_radius: f32, bottom_radius: f32, height: f32, axis: Axis) -> Geometry {
     let mut geometry = Geometry::default();
     let half = 0.5 * height;
-    // where one ball contains the other, only the larger is visible
+    // if one ball contains the other, only the larger ball is visible
     let slope = (bottom_radius - top_radius) / height.max(f32::MIN_POSITIVE);
     if slope.abs() >= 1.0 {
         let (radius, z) = if slope > 0.0 { (bottom_radius, -half) } else { (top_radius, half) };
@@ -181,7 +182,7 @@ pub(crate) fn capsule(top_radius: f32, bottom_radius: f32, height: f32, axis: Ax
         return axis.apply(geometry);
     }
     let seam = slope.acos();
-    // v follows the arc length
+    // v is proportional to the arc length
     let lengths = [seam * top_radius, height * slope.acos().sin(), (2.0 * FRAC_PI_2 - seam) * bottom_radius];
     let total = lengths.iter().sum::<f32>().max(f32::MIN_POSITIVE);
     let (first, second) = (lengths[0] / total, (lengths[0] + lengths[1]) / total);
@@ -213,7 +214,7 @@ mod tests {
     use super::*;
     use std::f64::consts::PI;
 
-    /// Tolerance of a tessellated area or volume: a circle of 96 parts lacks 0.07 % of its area.
+    /// Tolerance of a tessellated area or volume: a circle of 96 segments lacks 0.07 % of its area.
     const TESSELLATION: f64 = 2e-3;
 
     fn check(geometry: &Geometry, area: f64, volume: f64) {
@@ -246,12 +247,12 @@ mod tests {
         let geometry = capsule(top, bottom, height, Axis::Z);
         geometry.assert_sound();
         geometry.assert_closed();
-        // every vertex lies on the hull: its support along its normal is that of the larger ball
+        // every vertex is on the hull: its support along its normal equals that of the larger ball
         for (&position, &normal) in geometry.positions.iter().zip(&geometry.normals) {
             let support = (top + normal.z * 0.5 * height).max(bottom - normal.z * 0.5 * height);
             assert!((position.dot(normal) - support).abs() < 1e-5, "{position} {normal}");
         }
-        // one ball inside the other
+        // a capsule whose one ball is inside the other
         let ball = capsule(0.5, 3.0, 2.0, Axis::Z);
         assert!((ball.volume() / (4.0 / 3.0 * PI * 27.0) - 1.0).abs() < TESSELLATION);
         ball.assert_closed();
@@ -285,7 +286,7 @@ mod tests {
 
     #[test]
     fn textures_are_upright_and_not_mirrored() {
-        // Seen from outside, u × (−v) follows the winding: the area in (u, −v) is positive
+        // Seen from outside, u × (−v) has the sense of the winding: the area in (u, −v) is positive
         // everywhere.
         for geometry in [
             sphere(1.0),

@@ -1,13 +1,13 @@
-//! USD to [`Scene`] by the user's Python, and Blender's files by the user's Blender.
+//! Reads USD into a [`Scene`] with the user's Python, and Blender's files with the user's Blender.
 //!
 //! ```text
 //! .usd file ─▶ child: pxr stage ─▶ walker (python/) ─▶ package ─▶ meshes, materials ─▶ Scene
 //! ```
 //!
 //! OpenUSD itself composes and evaluates the stage, so every file that it can open is read. The
-//! walker is plain Python over `pxr`; its source is part of this crate. It returns a package: a
-//! JSON header and raw arrays. A caller with Python in its own process runs [`MODULES`] there and
-//! calls [`scene_from_package`]. `docs/USD.md` lists the supported schemas.
+//! walker is plain Python code that uses `pxr`; its source is part of this crate. It returns a
+//! package: a JSON header and raw arrays. A caller that has Python in its own process runs
+//! [`MODULES`] there, and calls [`scene_from_package`]. `docs/USD.md` lists the supported schemas.
 
 mod blend;
 mod camera;
@@ -53,24 +53,25 @@ pub use scene::scene_from_package;
 pub use setup::Setup;
 pub use there::{There, blender, openusd};
 
-/// Hash of this crate's sources, made at build. It belongs in the keys of all cached results that
-/// this code affects.
+/// Hash of this crate's sources, made at build. It is part of the key of every kept result that
+/// this code contributes to.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
 /// Extensions of USD files.
 pub const EXTENSIONS: [&str; 4] = ["usd", "usda", "usdc", "usdz"];
 
-/// Selects among the choices of a file.
+/// Choices among the contents of a file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LoadOptions {
-    /// Seconds after the stage's first time code. `None`: the first time code. In a stage without
-    /// one, the first time sample of every attribute.
+    /// Time in seconds after the stage's first time code. `None`: the first time code; in a stage
+    /// without time codes, the first time sample of every attribute.
     pub time_s: Option<f64>,
-    /// Variants: `set=variant` on every prim that has the set, `/prim{set=variant}` on one.
+    /// Variants: `set=variant` selects on every prim that has the set, `/prim{set=variant}` on one
+    /// prim.
     pub variants: Vec<String>,
 }
 
-/// A scene and the files it came from.
+/// A scene, and the files from which it was read.
 #[derive(Debug)]
 pub struct Loaded {
     /// The scene.
@@ -79,7 +80,7 @@ pub struct Loaded {
     pub files: Vec<PathBuf>,
 }
 
-/// Pythons that are tried, in this order, each with its origin.
+/// The Pythons that are tried, in this order, each with its origin.
 pub fn pythons() -> Vec<(PathBuf, &'static str)> {
     let candidates = python::Surroundings::of_system().candidates().into_iter();
     candidates.map(|candidate| (candidate.program, candidate.from)).collect()
@@ -88,8 +89,8 @@ pub fn pythons() -> Vec<(PathBuf, &'static str)> {
 /// Loads a USD file.
 ///
 /// # Errors
-/// [`UsdError`]: if no Python with OpenUSD is found, the file is refused, nothing in it can be
-/// rendered, or the task is cancelled.
+/// [`UsdError`] if no Python with OpenUSD is found, if the file is refused, if nothing in it can be
+/// rendered, or if the task is cancelled.
 pub fn load(path: &Path, options: &LoadOptions, task: Task<'_>) -> Result<Loaded, UsdError> {
     let name = file_name(path)?;
     let LoadOptions { time_s, variants } = options;
@@ -111,7 +112,7 @@ pub fn contents(path: &Path, task: Task<'_>) -> Result<Contents, UsdError> {
     Ok(answer.package(name)?.header.contents)
 }
 
-/// The file's name, after a check that the file exists.
+/// The file's name as text, after a check that the file exists.
 fn file_name(path: &Path) -> Result<&str, UsdError> {
     lumistack_files::open(path).map_err(|source| UsdError::Io { place: path.display().to_string(), source })?;
     path.to_str().ok_or_else(|| {

@@ -1,15 +1,15 @@
 //! Lights of a package (UsdLux).
 //!
 //! A light with a surface has the radiance L = intensity · 2^exposure · colour · colour
-//! temperature, divided by its area in the scene if normalized. It becomes a black emitting mesh
-//! that the viewer sees only on request.
+//! temperature, divided by its area in the scene if normalized. It becomes a black emitting mesh,
+//! which the viewer sees only if the user requests it.
 //!
-//! * A distant light of angle 2θ has radiance L in a cone, so its irradiance is L π sin²θ;
-//!   normalized, it is L.
+//! * A distant light of angle 2θ has radiance L in a cone, so its irradiance is L π sin²θ. If it is
+//!   normalized, its irradiance is L.
 //! * A sphere that is treated as a point has the intensity L π r².
 //! * A disc or rectangle with a cone is a spot light of intensity L · area.
-//! * A dome is the environment. The centre of its picture is +z and its right edge is towards −x,
-//!   as in OpenEXR; the centre of the scene's picture is −z.
+//! * A dome is the environment. In USD's picture the centre is +z and the right edge is towards −x,
+//!   as in OpenEXR. In the scene's picture the centre is −z.
 //!
 //! Source: UsdLux schemas of OpenUSD 25.
 
@@ -24,9 +24,9 @@ use crate::curves::ball;
 use crate::geometry::Geometry;
 use crate::texture::{Channel, Kind, Source, Textures};
 
-/// Sides of a round light's polygon.
+/// Number of sides of the polygon that represents a round light.
 const SIDES: usize = 48;
-/// Subdivisions of each edge of the octahedron that stands for a sphere: 288 triangles.
+/// Number of segments of each edge of the octahedron that represents a sphere: 288 triangles.
 const SPHERE_PARTS: u32 = 6;
 
 /// A light as the walker describes it.
@@ -37,7 +37,7 @@ struct Entry {
     kind: String,
     radiance: [f32; 3],
     normalize: bool,
-    /// Full angle, degrees.
+    /// Full angle, in degrees.
     angle: f32,
     radius: f32,
     width: f32,
@@ -49,18 +49,18 @@ struct Entry {
     image: Option<usize>,
     format: String,
     pole_z: bool,
-    /// Row vectors, as in USD.
+    /// Matrix for row vectors, as in USD.
     matrix: Option<[f64; 16]>,
 }
 
-/// `UsdLuxShapingAPI`.
+/// Cone of a light (`UsdLuxShapingAPI`).
 #[derive(Clone, Copy, Debug, Default, Deserialize)]
 #[serde(default)]
 struct Shaping {
-    /// Half angle, degrees.
+    /// Half angle of the cone, in degrees.
     #[serde(rename = "cone:angle")]
     angle: f32,
-    /// Fraction of the angle over which the light falls off.
+    /// Fraction of the angle over which the light decreases to 0.
     #[serde(rename = "cone:softness")]
     softness: f32,
     focus: f32,
@@ -84,7 +84,7 @@ pub(crate) struct Lights {
 }
 
 impl Lights {
-    /// Adds the light of an entry, or reports why it is left out.
+    /// Adds the light of an entry, or warns with the reason why it is left out.
     pub(crate) fn add(
         &mut self,
         entry: &serde_json::Value,
@@ -112,7 +112,7 @@ impl Lights {
         if !(finite && scene_from_light.is_finite()) {
             return task.warn(
                 &entry.place,
-                "has a size, a brightness or a placement that is negative or not finite; the light is left out",
+                "the light has a size, brightness or placement that is negative or not finite; it is left out",
             );
         }
         if Vec3::from(entry.radiance) == Vec3::ZERO {
@@ -168,8 +168,8 @@ impl Lights {
 
     /// Adds a light with a surface: a mesh, or a point or spot if it is small or has a cone.
     fn surface(&mut self, entry: &Entry, scene_from_light: &DAffine3, textures: &mut Textures<'_>, task: Task<'_>) {
-        // Build the mesh, and correct for its area, which is a little less than that of the exact
-        // shape.
+        // Build the mesh, and compensate for its area, which is a little smaller than the area of
+        // the exact shape.
         let (geometry, true_area) = match entry.kind.as_str() {
             "sphere" => (sphere(entry.radius), 4.0 * PI * entry.radius.powi(2)),
             "disk" => (disc(entry.radius), PI * entry.radius.powi(2)),
@@ -183,23 +183,24 @@ impl Lights {
         let scene_area = (scene_area * missing) as f32;
         let given = Vec3::from(entry.radiance);
         if entry.shaping.is_some_and(|shaping| shaping.focus > 0.0) {
-            task.warn(&entry.place, "its shaping:focus is not supported");
+            task.warn(&entry.place, "the light's shaping:focus is not supported");
         }
-        // A small sphere or a light with a cone becomes a point or a spot.
+        // A light with a cone becomes a spot. A sphere of radius 0 or with treatAsPoint and no cone
+        // becomes a point light.
         let cone = entry.shaping.filter(|shaping| shaping.angle < 90.0);
         let small = is_sphere && (entry.as_point || entry.radius == 0.0);
         if cone.is_some() || small {
             if entry.kind == "cylinder" {
                 return task.warn(&entry.place, "a cylinder with a cone is not supported and is left out");
             }
-            // from any side, a quarter of a sphere's surface contributes
+            // from any side, a sphere shows a quarter of its surface area
             let seen = if is_sphere { 0.25 } else { 1.0 };
             let intensity = if entry.normalize { seen * given } else { seen * scene_area * given };
             if entry.image.is_some() {
-                task.warn(&entry.place, "a light with a cone has its colour alone, without its picture");
+                task.warn(&entry.place, "a light with a cone is shown with its colour only, without its picture");
             }
             if intensity == Vec3::ZERO {
-                return task.warn(&entry.place, "has no size and hence no light");
+                return task.warn(&entry.place, "the light has no size and hence no effect");
             }
             let direction = scene_from_light.transform_vector3(DVec3::NEG_Z).normalize_or(DVec3::NEG_Y);
             self.points.push(Light {
@@ -215,7 +216,7 @@ impl Lights {
             return;
         }
         if scene_area.is_nan() || scene_area <= 0.0 {
-            return task.warn(&entry.place, "has no size and hence no light");
+            return task.warn(&entry.place, "the light has no size and hence no effect");
         }
         // All other lights become meshes with an emitting material.
         let radiance = given * missing as f32 / if entry.normalize { scene_area } else { 1.0 };
@@ -240,9 +241,9 @@ impl Lights {
     }
 }
 
-/// Returns a copy of a material with the emission of a mesh that is a light (`MeshLightAPI`). The
-/// material's own emission tints the light; a material without emission leaves the light's colour.
-/// `area` is the mesh's area in the scene.
+/// Returns a copy of a material with the emission of a mesh that is a light (`MeshLightAPI`). With
+/// "materialGlowTintsLight" the material's own emission, if any, tints the light. With
+/// "noMaterialResponse" the material reflects nothing. `area` is the mesh's area in the scene.
 pub(crate) fn emissive(entry: &serde_json::Value, material: &Material, area: f32) -> Option<Material> {
     let entry: MeshEntry = serde_json::from_value(entry.clone()).ok()?;
     let mut radiance = Vec3::from(entry.radiance);
@@ -282,7 +283,7 @@ struct MeshEntry {
     sync: String,
 }
 
-/// The rotation of a matrix, without its scale, shear and mirroring.
+/// The rotation of a matrix, without its scale, shear and reflection.
 fn rotation(matrix: &DAffine3) -> DQuat {
     let y = matrix.matrix3.y_axis.normalize_or(DVec3::Y);
     let z = matrix.matrix3.z_axis;
@@ -290,7 +291,7 @@ fn rotation(matrix: &DAffine3) -> DQuat {
     DQuat::from_mat3(&DMat3::from_cols(y.cross(z), y, z))
 }
 
-/// Surface area after an affine map.
+/// Surface area of a geometry after an affine map.
 fn area(geometry: &Geometry, matrix: &DAffine3) -> f64 {
     let at = |i: u32| matrix.transform_point3(geometry.positions[i as usize].as_dvec3());
     geometry.triangles.iter().map(|&[a, b, c]| 0.5 * (at(b) - at(a)).cross(at(c) - at(a)).length()).sum()
@@ -302,7 +303,7 @@ fn sphere(radius: f32) -> Geometry {
     ball
 }
 
-/// Faces −z; seen from that side its picture is upright.
+/// A rectangle that faces −z. Seen from that side, its picture is upright.
 fn rectangle(width: f32, height: f32) -> Geometry {
     let mut geometry = Geometry::default();
     let corners = [(1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)].map(|(x, y): (f32, f32)| {
@@ -313,7 +314,7 @@ fn rectangle(width: f32, height: f32) -> Geometry {
     geometry
 }
 
-/// Faces −z.
+/// A disc that faces −z.
 fn disc(radius: f32) -> Geometry {
     let mut geometry = Geometry::default();
     let centre = geometry.vertex(Vec3::ZERO, Vec3::NEG_Z, Vec2::splat(0.5));

@@ -1,8 +1,8 @@
-//! Materials of a package: the inputs of a surface shader in the slots of a [`Material`].
+//! Materials of a package: converts the inputs of a surface shader to the slots of a [`Material`].
 //!
-//! Supported shaders: UsdPreviewSurface (both workflows); of MaterialX standard_surface,
+//! Supported shaders: UsdPreviewSurface (both workflows); and from MaterialX standard_surface,
 //! open_pbr_surface, gltf_pbr and surface_unlit. They are mapped to metallic-roughness and its
-//! extensions. One warning per material lists the inputs without a counterpart that differ from
+//! extensions. One warning per material lists the inputs that have no counterpart but differ from
 //! their defaults.
 //!
 //! Sources: UsdPreviewSurface specification 2.6, Autodesk Standard Surface 1.0.1, OpenPBR Surface
@@ -18,7 +18,7 @@ use crate::slots::{Builder, Input, Inputs};
 use crate::texture::Textures;
 use crate::{preview, uber};
 
-/// A material, and the vertex attributes that it reads.
+/// A material, with the vertex attributes that it reads.
 #[derive(Clone, Debug)]
 pub(crate) struct Loaded {
     pub(crate) material: Material,
@@ -38,8 +38,8 @@ struct Entry {
     inputs: BTreeMap<String, Input>,
 }
 
-/// Converts an entry to a material; `None` if the shader is unknown, so the display colour applies.
-/// A texture that cannot be read is replaced by its fallback.
+/// Converts an entry to a material. `None` if the shader is unknown; the display colour applies
+/// then. A texture that cannot be read is replaced by its fallback.
 pub(crate) fn load<'a>(entry: &serde_json::Value, textures: &mut Textures<'a>, task: Task<'a>) -> Option<Loaded> {
     let mut entry: Entry = match serde_json::from_value(entry.clone()) {
         Ok(entry) => entry,
@@ -91,7 +91,8 @@ pub(crate) fn load<'a>(entry: &serde_json::Value, textures: &mut Textures<'a>, t
         task.warn(&builder.place, message);
     }
     let Builder { material, mut uv_names, reads_colors, .. } = builder;
-    // normals and anisotropy need texture coordinates, even if no texture names any
+    // normal maps and anisotropy need texture coordinates, even if no texture names a primvar for
+    // them
     if material.tangent_uv_set().is_some() && uv_names[0].is_none() {
         uv_names[0] = Some("st".into());
     }

@@ -1,15 +1,15 @@
-//! Polygons to triangles.
+//! Cuts polygons into triangles.
 //!
-//! A quadrilateral is cut along the diagonal that stays inside. Larger polygons that are not convex
-//! are cut by ear clipping in the plane of their Newell normal. Corners at one point share a vertex
-//! if all their attributes are equal.
+//! A quadrilateral is cut along the diagonal that is inside it. Larger concave polygons are cut by
+//! ear clipping, in the plane of their Newell normal. Corners at one point share a vertex if all
+//! their attributes are equal.
 
 use glam::{DVec2, DVec3, Vec2, Vec3, Vec4};
 
 use crate::geometry::Geometry;
 use crate::polygons::{Attribute, Corner, Polygons};
 
-/// Triangles of a mesh. Holes and faces with fewer than three corners are left out.
+/// Triangles of a mesh. Holes, and faces with fewer than three corners, are left out.
 pub(crate) fn triangulate(polygons: &Polygons) -> Geometry {
     let mut vertices = Vertices::new(polygons);
     let mut hole = vec![false; polygons.counts.len()];
@@ -41,20 +41,20 @@ pub(crate) fn triangulate(polygons: &Polygons) -> Geometry {
     vertices.geometry
 }
 
-/// A polygon's normal, with the length of twice its area.
+/// A polygon's normal, whose length is twice the polygon's area.
 fn newell(ring: impl Iterator<Item = DVec3> + Clone) -> DVec3 {
     let Some(origin) = ring.clone().next() else { return DVec3::ZERO };
     let next = ring.clone().skip(1).chain([origin]);
     ring.zip(next).map(|(a, b)| (a - origin).cross(b - origin)).sum()
 }
 
-/// The vertices so far; those at one point form a linked list.
+/// The vertices that have been made; those at one point form a linked list.
 struct Vertices<'a> {
     polygons: &'a Polygons,
     geometry: Geometry,
-    /// First vertex of every point.
+    /// First vertex at every point.
     first: Vec<u32>,
-    /// Next vertex at the same point.
+    /// Next vertex at the same point, for every vertex.
     next: Vec<u32>,
     /// True if no attribute varies between the corners at a point; then one vertex per point is
     /// enough.
@@ -73,7 +73,7 @@ impl<'a> Vertices<'a> {
         Self { polygons, geometry: Geometry::default(), first, next: Vec::new(), single }
     }
 
-    /// The vertex of a corner, shared with an equal corner at the same point.
+    /// The vertex for a corner. Equal corners at the same point share it.
     fn get(&mut self, at: Corner) -> u32 {
         let polygons = self.polygons;
         if self.single && self.first[at.point] != NONE {
@@ -89,7 +89,7 @@ impl<'a> Vertices<'a> {
             color.extend(opacity).clamp(Vec4::ZERO, Vec4::ONE)
         });
         let geometry = &mut self.geometry;
-        // Search the point's list for a vertex with the same attributes.
+        // Search the point's list for a vertex with equal attributes.
         let mut known = self.first[at.point];
         while known != NONE {
             let i = known as usize;
@@ -101,7 +101,7 @@ impl<'a> Vertices<'a> {
             }
             known = self.next[i];
         }
-        // Otherwise add a vertex at the head of the list.
+        // Without one, add a vertex at the head of the list.
         let new = geometry.positions.len() as u32;
         geometry.positions.push(Vec3::from(polygons.points[at.point]));
         geometry.normals.extend(normal);
@@ -124,7 +124,8 @@ struct Cutter {
 }
 
 impl Cutter {
-    /// Triangles of the polygon through `ring`, as indices into it; they keep its orientation.
+    /// Triangles of the polygon through `ring`, as indices into `ring`; they keep the polygon's
+    /// orientation.
     fn cut(&mut self, points: &[[f32; 3]], ring: &[usize]) -> &[[usize; 3]] {
         let count = ring.len();
         self.triangles.clear();
@@ -140,12 +141,12 @@ impl Cutter {
         };
         let convex = (0..count).all(|i| turn(i) >= 0.0);
         if count == 4 && !convex {
-            // both triangles share the concave corner
+            // both triangles contain the concave corner
             let hub = if turn(1) < 0.0 || turn(3) < 0.0 { 1 } else { 0 };
             self.triangles.extend([[hub, hub + 1, hub + 2], [hub, hub + 2, (hub + 3) % 4]]);
             return &self.triangles;
         }
-        // Project a concave polygon to its plane and clip its ears there.
+        // Project a concave polygon to its plane, and clip its ears there.
         if !convex && normal != DVec3::ZERO {
             let (x, y) = normal.normalize().any_orthonormal_pair();
             self.flat.clear();
@@ -184,13 +185,14 @@ mod tests {
         }
     }
 
-    /// Area of a polygon by the shoelace formula, positive counter-clockwise.
+    /// Area of a polygon by the shoelace formula; positive if the polygon is counter-clockwise.
     fn shoelace(points: &[[f32; 2]]) -> f64 {
         let next = points.iter().cycle().skip(1);
         0.5 * points.iter().zip(next).map(|(a, b)| f64::from(a[0] * b[1] - b[0] * a[1])).sum::<f64>()
     }
 
-    /// Signed and absolute area of all triangles: equal if none is outside or overlaps another.
+    /// Signed and absolute area of all triangles. They are equal if no triangle is outside the
+    /// polygon or overlaps another.
     fn areas(geometry: &Geometry) -> [f64; 2] {
         let signed: Vec<f64> = geometry.corners().map(|[a, b, c]| 0.5 * (b - a).cross(c - a).z).collect();
         [signed.iter().sum(), signed.iter().map(|area| area.abs()).sum()]
@@ -241,7 +243,7 @@ mod tests {
         assert!(!triangulate(&face(&crossed)).triangles.is_empty());
     }
 
-    /// Two unit squares side by side that share two points.
+    /// Two unit squares next to each other, which share two points.
     fn pair() -> Polygons {
         Polygons {
             points: [[0., 0.], [1., 0.], [1., 1.], [0., 1.], [2., 0.], [2., 1.]].map(|[x, y]| [x, y, 0.0]).to_vec(),
@@ -258,7 +260,7 @@ mod tests {
         for (interpolation, count) in all {
             for indexed in [false, true] {
                 let values: Vec<[f32; 2]> = (0..count).map(|i| [i as f32, 0.5]).collect();
-                // reversed, so that an index differs from its value
+                // in reverse order, so that an index differs from its value
                 let indices: Vec<u32> = (0..count as u32).rev().collect();
                 let attribute = Attribute { values, interpolation, indices: indexed.then_some(indices) };
                 let polygons = Polygons { uvs: [Some(attribute), None], ..pair() };
@@ -298,7 +300,7 @@ mod tests {
             triangulate(&Polygons { opacities: Some(opacities), ..pair() }).positions.len()
         };
         assert_eq!(agree([0.5; 8]), 6);
-        // the faces differ along their common edge
+        // the faces have different values along their common edge
         assert_eq!(agree([0., 0., 0., 0., 1., 1., 1., 1.]), 8);
     }
 

@@ -1,8 +1,8 @@
-//! Scene packages: the walker's output. A JSON header, and arrays that it refers to.
+//! Scene packages, which the walker writes: a JSON header, and arrays to which it refers.
 //!
 //! A file consists of the magic `LUMIPKG1`, the header's length as a little-endian u64, the header,
 //! and the arrays. Each array starts at a multiple of 64 bytes; `buffers` in the header lists their
-//! offsets. Inside one process the arrays are passed as they are.
+//! offsets. Within one process the arrays are passed without a file.
 //!
 //! Packages are not trusted: every number is checked before its use, and no content can cause a
 //! panic.
@@ -13,9 +13,9 @@ use crate::error::Fault;
 
 /// First bytes of a file.
 const MAGIC: &[u8; 8] = b"LUMIPKG1";
-/// Arrays start at multiples of this.
+/// Arrays start at multiples of this number of bytes.
 const ALIGNMENT: usize = 64;
-/// The header's `schema`.
+/// Value of `schema` in the header.
 const SCHEMA: &str = "lumistack.scene-package";
 
 /// A scene as the walker describes it.
@@ -26,7 +26,7 @@ pub struct Package<'a> {
     pub buffers: Vec<&'a [u8]>,
 }
 
-/// The JSON part of a package.
+/// The JSON header of a package.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
 pub struct Header {
@@ -38,7 +38,7 @@ pub struct Header {
     pub error: Option<Failure>,
     /// Name of the stage.
     pub name: String,
-    /// "Y" or "Z".
+    /// "Y" or "Z": the axis that points up.
     pub up_axis: String,
     /// Metres per unit of length.
     pub meters_per_unit: f64,
@@ -54,14 +54,15 @@ pub struct Header {
     pub(crate) images: Vec<serde_json::Value>,
     pub(crate) lights: Vec<serde_json::Value>,
     pub(crate) cameras: Vec<CameraEntry>,
-    /// Offset and length of every array in a file, from the first multiple of 64 after the header.
+    /// Offset and length of every array in a file, in bytes. Offsets count from the first multiple
+    /// of 64 after the header.
     buffers: Vec<[u64; 2]>,
 }
 
 /// The reason why the walker has no scene.
 #[derive(Clone, Debug, Deserialize)]
 pub struct Failure {
-    /// `python` (too old), `pxr` (no OpenUSD), `scene` (the file is refused) or `walker` (an error
+    /// `python` (too old), `pxr` (no OpenUSD), `scene` (the file is refused), or `walker` (an error
     /// in the walker).
     pub kind: String,
     /// The reason, for the user.
@@ -73,7 +74,7 @@ pub struct Failure {
 pub struct Note {
     /// Prim path.
     pub place: String,
-    /// One sentence.
+    /// The warning, as one sentence.
     pub message: String,
 }
 
@@ -81,42 +82,42 @@ pub struct Note {
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(default)]
 pub struct Contents {
-    /// Variant sets, without those inside instances.
+    /// Variant sets, except those inside instances.
     pub variant_sets: Vec<VariantSet>,
     /// Paths of cameras.
     pub cameras: Vec<String>,
     /// First and last time code, if the file has them.
     pub time_range: Option<TimeRange>,
-    /// Prims of the default traversal.
+    /// Number of prims of the default traversal.
     pub prims: usize,
-    /// Meshes among them.
+    /// Number of meshes among these prims.
     pub meshes: usize,
-    /// Points of those.
+    /// Number of points of these meshes.
     pub points: usize,
 }
 
 /// A set of variants of a prim.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct VariantSet {
-    /// `/prim{set}`.
+    /// Place of the set, `/prim{set}`.
     pub place: String,
     /// Names of the variants.
     pub choices: Vec<String>,
-    /// The selected one; may be empty.
+    /// The selected variant; may be empty.
     pub selected: String,
 }
 
 /// The time codes of a stage's animation.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 pub struct TimeRange {
-    /// First and last.
+    /// First and last time code.
     pub time_codes: [f64; 2],
     /// Time codes per second.
     pub time_codes_per_second: f64,
 }
 
 impl TimeRange {
-    /// Seconds from the first time code to the last.
+    /// Time from the first time code to the last, in seconds.
     pub fn duration_s(&self) -> f64 {
         (self.time_codes[1] - self.time_codes[0]) / self.time_codes_per_second
     }
@@ -146,7 +147,7 @@ impl Shape {
     }
 }
 
-/// `UsdGeomMesh`.
+/// A polygon mesh or a subdivision surface (`UsdGeomMesh`).
 #[derive(Clone, Debug, Default, Deserialize)]
 pub(crate) struct MeshEntry {
     pub(crate) place: String,
@@ -168,12 +169,12 @@ pub(crate) struct MeshEntry {
     /// Emission, if the mesh is a light.
     #[serde(default)]
     pub(crate) light: Option<serde_json::Value>,
-    /// Absent for a plain polygon mesh.
+    /// Rules of subdivision; absent for a plain polygon mesh.
     #[serde(default)]
     pub(crate) subdivision: Option<Subdivision>,
 }
 
-/// Values over a surface.
+/// Values over a surface (a primvar).
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Primvar {
     pub(crate) name: String,
@@ -183,14 +184,14 @@ pub(crate) struct Primvar {
     pub(crate) indices: Option<Array>,
 }
 
-/// Faces with a material of their own.
+/// Faces that have another material than the rest of the mesh.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Subset {
     pub(crate) place: String,
     pub(crate) faces: Array,
 }
 
-/// Parameters of a subdivision surface besides its control mesh.
+/// Parameters of a subdivision surface, in addition to its control mesh.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Subdivision {
     pub(crate) scheme: String,
@@ -216,18 +217,18 @@ pub(crate) struct Subdivision {
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct SolidEntry {
     pub(crate) place: String,
-    /// `sphere`, `cube`, `cylinder`, `cone`, `capsule`, `plane`.
+    /// Name of the shape: `sphere`, `cube`, `cylinder`, `cone`, `capsule` or `plane`.
     pub(crate) solid: String,
-    /// In the order of the schema's attributes; shapes with two radii list them first.
+    /// Sizes in the order of the schema's attributes; shapes with two radii list the radii first.
     pub(crate) sizes: Vec<f32>,
-    /// `x`, `y` or `z`.
+    /// Axis of the shape: `x`, `y` or `z`.
     #[serde(default)]
     pub(crate) axis: String,
     #[serde(default)]
     pub(crate) primvars: Vec<Primvar>,
 }
 
-/// `UsdGeomBasisCurves`.
+/// Curves (`UsdGeomBasisCurves`).
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct CurvesEntry {
     pub(crate) place: String,
@@ -247,7 +248,7 @@ pub(crate) struct CurvesEntry {
     pub(crate) primvars: Vec<Primvar>,
 }
 
-/// `UsdGeomPoints`.
+/// Points (`UsdGeomPoints`).
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct PointsEntry {
     pub(crate) place: String,
@@ -257,27 +258,27 @@ pub(crate) struct PointsEntry {
     pub(crate) primvars: Vec<Primvar>,
 }
 
-/// `UsdVolParticleField3DGaussianSplat`, or a `ParticleField` with a Gaussian kernel.
+/// Splats: `UsdVolParticleField3DGaussianSplat`, or a `ParticleField` with a Gaussian kernel.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct SplatsEntry {
     pub(crate) place: String,
     #[serde(default)]
     pub(crate) positions: Option<Array>,
-    /// `[n][4]`: i, j, k, real.
+    /// Quaternions `[n][4]`: i, j, k, real.
     #[serde(default)]
     pub(crate) orientations: Option<Array>,
     #[serde(default)]
     pub(crate) scales: Option<Array>,
     #[serde(default)]
     pub(crate) opacities: Option<Array>,
-    /// `[n · (degree + 1)²][3]`.
+    /// Coefficients `[n · (degree + 1)²][3]`.
     #[serde(default)]
     pub(crate) harmonics: Option<Array>,
     pub(crate) degree: i64,
-    /// True if the kernel is flat, in its xy plane.
+    /// True if the kernel is flat: a disc in its xy plane.
     #[serde(default)]
     pub(crate) flat: bool,
-    /// USD's name; empty if the file has none.
+    /// USD's name of the colour space; empty if the file has none.
     #[serde(default)]
     pub(crate) colour_space: String,
 }
@@ -286,51 +287,51 @@ pub(crate) struct SplatsEntry {
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Placement {
     pub(crate) geometry: usize,
-    /// Material of the shape, then one per subset.
+    /// Index of the material of the shape, then one per subset.
     pub(crate) materials: Vec<Option<usize>>,
-    /// Innermost first.
+    /// Links of matrices, the innermost first.
     pub(crate) chain: Vec<Link>,
 }
 
-/// Matrices; each makes a copy of everything earlier in the chain.
+/// Matrices, each of which copies everything that is earlier in the chain.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Link {
-    /// `[n][4][4]`, USD's row vectors: the translation is the last row.
+    /// Matrices `[n][4][4]` for row vectors, as in USD: the translation is the last row.
     pub(crate) matrices: Array,
-    /// `[n]`: the prototype of each matrix; only matrices of [`prototype`](Self::prototype) apply.
+    /// Prototype of each matrix, `[n]`. Only the matrices of [`prototype`](Self::prototype) apply.
     #[serde(default)]
     pub(crate) prototypes: Option<Array>,
-    /// The prototype that this chain places.
+    /// Index of the prototype that this chain places.
     #[serde(default)]
     pub(crate) prototype: i64,
-    /// `[n]`: 0 for hidden copies.
+    /// Visibility, `[n]`: 0 for hidden copies.
     #[serde(default)]
     pub(crate) mask: Option<Array>,
 }
 
-/// `UsdGeomCamera`.
+/// A camera (`UsdGeomCamera`).
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct CameraEntry {
     pub(crate) place: String,
     pub(crate) projection: String,
     pub(crate) focal_length: f64,
-    /// Width and height, in the unit of the focal length.
+    /// Width and height of the aperture, in the unit of the focal length.
     pub(crate) aperture: [f64; 2],
     pub(crate) aperture_offset: [f64; 2],
     pub(crate) focus_distance: f64,
-    /// Distance of the near plane, if authored.
+    /// Distance of the near plane, if the file sets it.
     #[serde(default)]
     pub(crate) near: Option<f64>,
-    /// Row vectors, as in USD.
+    /// Matrix for row vectors, as in USD.
     pub(crate) matrix: [f64; 16],
 }
 
 /// A reference to an array.
 #[derive(Clone, Debug, Deserialize)]
 pub struct Array {
-    /// Index in [`Package::buffers`].
+    /// Index into [`Package::buffers`].
     pub buffer: usize,
-    /// `f16`, `f32`, `f64`, or an integer: `i8` to `i64`, `u8` to `u64`.
+    /// Type of the numbers: `f16`, `f32`, `f64`, or an integer, `i8` to `i64` or `u8` to `u64`.
     #[serde(rename = "type")]
     pub kind: String,
     /// Length of every axis.
@@ -378,8 +379,8 @@ impl<'a> Package<'a> {
         Ok(Self { header, buffers })
     }
 
-    /// The raw bytes of an array with rows of `width` elements, the number of rows, and the bytes
-    /// per element.
+    /// The raw bytes of an array with rows of `width` elements, the number of rows, and the number
+    /// of bytes per element.
     fn bytes(&self, array: &Array, width: usize, place: &str) -> Result<(&'a [u8], usize), Fault> {
         let fault = |expected: String, found: String| Fault::new(place, expected, found);
         let size = match array.kind.as_str() {
@@ -405,7 +406,7 @@ impl<'a> Package<'a> {
         Ok((bytes, rows))
     }
 
-    /// Rows of `N` numbers, converted to `f32`.
+    /// The rows of an array of `N` numbers each, converted to `f32`.
     pub(crate) fn reals<const N: usize>(&self, array: &Array, place: &str) -> Result<Vec<[f32; N]>, Fault> {
         let (bytes, rows) = self.bytes(array, N, place)?;
         let values: Vec<f32> = match array.kind.as_str() {
@@ -419,7 +420,7 @@ impl<'a> Package<'a> {
         Ok(chunks)
     }
 
-    /// Integers.
+    /// The numbers of an array of integers.
     pub(crate) fn integers(&self, array: &Array, place: &str) -> Result<Vec<i64>, Fault> {
         let (bytes, _) = self.bytes(array, 1, place)?;
         Ok(match array.kind.as_str() {
@@ -432,7 +433,7 @@ impl<'a> Package<'a> {
         })
     }
 
-    /// 4 × 4 matrices.
+    /// The 4 × 4 matrices of an array.
     pub(crate) fn matrices(&self, array: &Array, place: &str) -> Result<Vec<[f64; 16]>, Fault> {
         let (bytes, _) = self.bytes(array, 16, place)?;
         let values: Vec<f64> = match array.kind.as_str() {

@@ -10,12 +10,12 @@ use std::panic::AssertUnwindSafe;
 use exr::prelude::{Compression, FlatSamples, MetaData, ReadChannels, ReadLayers, read as read_exr};
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
-/// Largest side, in texels.
+/// Largest width or height of a picture, in texels.
 const MOST_TEXELS_A_SIDE: u32 = 1 << 15;
-/// Largest memory that decoding one picture may take.
+/// Largest memory that decoding one picture may take, in bytes.
 const MOST_BYTES: u64 = 2 << 30;
-/// Least size of a block of compressed pixels. A header with more blocks than fit into the file is
-/// refused.
+/// Smallest size of a block of compressed pixels, in bytes. A header with more blocks than fit into
+/// the file is refused.
 const LEAST_BYTES_PER_BLOCK: usize = 8;
 /// Signature of OpenEXR.
 const EXR: [u8; 4] = [0x76, 0x2f, 0x31, 0x01];
@@ -28,14 +28,15 @@ pub(crate) struct Picture {
     pub(crate) texels: Texels,
 }
 
-/// RGBA. Grey pictures repeat their value in RGB; without an alpha channel alpha is 1.
+/// RGBA texels. Grey pictures repeat their value in red, green and blue. Without an alpha channel
+/// alpha is 1.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Texels {
     /// Codes 0..=255.
     Codes8(Vec<[u8; 4]>),
     /// Codes 0..=65535.
     Codes16(Vec<[u16; 4]>),
-    /// Linear finite values, from HDR and OpenEXR.
+    /// Linear, finite values, from HDR and OpenEXR.
     Float(Vec<[f32; 4]>),
 }
 
@@ -43,11 +44,11 @@ impl Picture {
     /// Decodes a picture; `name` selects a format that has no signature.
     ///
     /// # Errors
-    /// The reason, as the end of a sentence after the picture's name and "is".
+    /// The reason, as a phrase after the picture's name and "is".
     pub(crate) fn decode(name: &str, bytes: &[u8]) -> Result<Self, String> {
         let decode = || if bytes.starts_with(&EXR) { exr(bytes) } else { codes(name, bytes) };
         std::panic::catch_unwind(AssertUnwindSafe(decode))
-            .unwrap_or_else(|_| Err("damaged in a way on which its decoder stops".into()))
+            .unwrap_or_else(|_| Err("damaged in a way that its decoder cannot handle".into()))
     }
 
     /// RGBA of a texel; codes are scaled to 0..1.
@@ -62,7 +63,7 @@ impl Picture {
 
 fn codes(name: &str, bytes: &[u8]) -> Result<Picture, String> {
     use ImageFormat::{Hdr, Jpeg, Png, Tga, WebP};
-    // Find the format: by the signature, for TGA by the name.
+    // Find the format: by its signature, or TGA by the file's name.
     let format = match image::guess_format(bytes) {
         Ok(format @ (Png | Jpeg | WebP | Hdr)) => format,
         Err(_) if name.to_ascii_lowercase().ends_with(".tga") => Tga,
@@ -109,7 +110,7 @@ fn exr(bytes: &[u8]) -> Result<Picture, String> {
     let broken = |error: exr::error::Error| format!("no readable OpenEXR picture ({error})");
     let meta = MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(broken)?;
     let header = meta.headers.first().ok_or("an OpenEXR file without a layer")?;
-    // For these two the decoder allocates memory by sizes in the compressed data. A damaged file
+    // For these two the decoder allocates memory by sizes in the compressed data, so a damaged file
     // would end the program.
     if header.deep || matches!(header.compression, Compression::DWAA(_) | Compression::DWAB(_)) {
         let found = if header.deep { "deep data".to_owned() } else { header.compression.to_string() };
@@ -124,7 +125,7 @@ fn exr(bytes: &[u8]) -> Result<Picture, String> {
     if blocks.saturating_mul(LEAST_BYTES_PER_BLOCK) > bytes.len() {
         return Err("an OpenEXR file that is cut short".into());
     }
-    // Read the first layer, and find its channels by the last part of their names.
+    // Read the first layer, and find its channels by the last component of their names.
     let layers = read_exr().no_deep_data().largest_resolution_level().all_channels().first_valid_layer();
     let picture = layers.all_attributes().non_parallel().from_buffered(Cursor::new(bytes)).map_err(broken)?;
     let list = &picture.layer_data.channel_data.list;
@@ -138,7 +139,7 @@ fn exr(bytes: &[u8]) -> Result<Picture, String> {
     let colors = [find("R").or(grey), find("G").or(grey), find("B").or(grey)];
     let lone = (list.len() == 1).then_some(0);
     let sources = [colors[0].or(lone), colors[1].or(lone), colors[2].or(lone), find("A")];
-    // Copy each channel into its component; a lone channel is grey.
+    // Copy each channel to its component; a single channel is grey.
     let mut texels = vec![[0.0, 0.0, 0.0, 1.0]; width * height];
     for (channel, source) in sources.into_iter().enumerate() {
         let Some(source) = source else { continue };

@@ -1,8 +1,9 @@
-//! Chains of matrices to placements.
+//! Converts chains of matrices to placements.
 
 use glam::{DAffine3, DMat4};
 
-/// Calls `found` with every product of one matrix per link, `outer` leftmost.
+/// Calls `found` with the products of one matrix per link, for every combination. `outer` is the
+/// leftmost factor.
 pub(crate) fn expand(outer: &DAffine3, links: &[Vec<DAffine3>], found: &mut dyn FnMut(DAffine3)) {
     let Some((last, inner)) = links.split_last() else { return found(*outer) };
     for matrix in last {
@@ -10,7 +11,7 @@ pub(crate) fn expand(outer: &DAffine3, links: &[Vec<DAffine3>], found: &mut dyn 
     }
 }
 
-/// Converts a matrix of row vectors. Its last column is (0, 0, 0, 1) in every transform of USD.
+/// Converts a matrix for row vectors. Its last column is (0, 0, 0, 1) in every transform of USD.
 pub(crate) fn affine(matrix: &[f64; 16]) -> DAffine3 {
     DAffine3::from_mat4(DMat4::from_cols_array(matrix))
 }
@@ -23,7 +24,7 @@ mod tests {
     fn chains_multiply_from_the_inside() {
         let translate = |x: f64| DAffine3::from_translation(glam::DVec3::new(x, 0.0, 0.0));
         let scale = |s: f64| DAffine3::from_scale(glam::DVec3::splat(s));
-        // two copies, each scaled about the origin afterwards
+        // two copies, each of which is then scaled about the origin
         let links = vec![vec![translate(1.0), translate(2.0)], vec![scale(10.0), scale(100.0), scale(1000.0)]];
         let mut found = Vec::new();
         expand(&translate(0.5), &links, &mut |matrix| found.push(matrix.translation.x));

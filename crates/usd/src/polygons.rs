@@ -1,4 +1,5 @@
-//! A checked polygon mesh of a package: every index is in range and every list has its length.
+//! A checked polygon mesh of a package: every index is in range, and every list has the right
+//! length.
 
 use crate::error::Fault;
 use crate::package::{MeshEntry, Package, Primvar};
@@ -7,9 +8,9 @@ use crate::package::{MeshEntry, Package, Primvar};
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Polygons {
     pub(crate) points: Vec<[f32; 3]>,
-    /// Corners per face, ≥ 0; their sum is the length of [`corners`](Self::corners).
+    /// Number of corners per face, ≥ 0. Their sum is the length of [`corners`](Self::corners).
     pub(crate) counts: Vec<i32>,
-    /// Point of every corner.
+    /// Index of the point of every corner.
     pub(crate) corners: Vec<i32>,
     pub(crate) left_handed: bool,
     /// Indices of faces that are holes; may be out of range.
@@ -25,26 +26,26 @@ pub(crate) struct Polygons {
 pub(crate) struct Attribute<const N: usize> {
     pub(crate) values: Vec<[f32; N]>,
     pub(crate) interpolation: Interpolation,
-    /// Index of the value of each element; without it element i has value i.
+    /// Index of the value of each element. Without indices, element i has value i.
     pub(crate) indices: Option<Vec<u32>>,
 }
 
-/// The elements that have values.
+/// The elements of a mesh that have values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Interpolation {
-    /// The whole mesh.
+    /// The whole mesh has one value.
     Constant,
-    /// Every face.
+    /// Every face has a value.
     Uniform,
-    /// Every point, not smoothed by subdivision.
+    /// Every point has a value, which subdivision does not smooth.
     Varying,
-    /// Every point.
+    /// Every point has a value.
     Vertex,
-    /// Every corner of every face.
+    /// Every corner of every face has a value.
     FaceVarying,
 }
 
-/// Indices of a corner, of its face and of its point.
+/// Indices of a corner, its face and its point.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Corner {
     pub(crate) face: usize,
@@ -68,7 +69,7 @@ impl<const N: usize> Attribute<N> {
         self.values[self.index(at)]
     }
 
-    /// True if corners at one point share their value.
+    /// True if all corners at one point have the same value.
     pub(crate) fn is_smooth(&self) -> bool {
         matches!(self.interpolation, Interpolation::Constant | Interpolation::Varying | Interpolation::Vertex)
     }
@@ -92,7 +93,7 @@ pub(crate) fn read(
         Some(array) => package.integers(array, &format!("{place}.{name}")),
         None => Ok(Vec::new()),
     };
-    // Check the topology: later steps index without checks.
+    // Check the topology, since later steps use indices without checks.
     let points = match &entry.points {
         Some(array) => package.reals::<3>(array, &format!("{place}.points"))?,
         None => Vec::new(),
@@ -126,7 +127,7 @@ pub(crate) fn read(
         left_handed: entry.left_handed,
         ..Polygons::default()
     };
-    // in range, as checked above
+    // these are in range, as checked above
     polygons.counts = counts.into_iter().map(|count| count as i32).collect();
     polygons.corners = corners.into_iter().map(|point| point as i32).collect();
     polygons.holes = list(&entry.holes, "holeIndices")?.into_iter().filter_map(|face| face.try_into().ok()).collect();
@@ -149,8 +150,8 @@ struct Reader<'a, 'w> {
 }
 
 impl Reader<'_, '_> {
-    /// Reads a primvar. One that does not fit the mesh is left out with a warning, as in every USD
-    /// program.
+    /// Reads a primvar. A primvar that does not fit the mesh is left out with a warning, as in
+    /// every USD program.
     fn attribute<const N: usize>(&mut self, primvar: Option<&Primvar>) -> Option<Attribute<N>> {
         let primvar = primvar?;
         let attribute = self.fitting(primvar);
@@ -189,7 +190,7 @@ impl Reader<'_, '_> {
             }
         };
         let found = indices.as_ref().map_or(values.len(), Vec::len);
-        // a constant may be the first of a list
+        // a constant may be the first value of a longer list
         if found < elements || (found > elements && interpolation != Interpolation::Constant) {
             return Err(format!("{found} values where {} needs {elements}", primvar.interpolation));
         }

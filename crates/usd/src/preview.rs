@@ -1,8 +1,9 @@
 //! UsdPreviewSurface, version 2.6.
 //!
-//! The dielectric is that of the scene: F₀ = ((1 − ior)/(1 + ior))² with F₉₀ = 1. In the specular
-//! workflow F₀ is `specularColor`, and the index of refraction is set to 0. Opacity is coverage:
-//! `opacityMode` "transparent", where reflections do not fade, is read as "presence".
+//! The dielectric is like that of the scene: F₀ = ((1 − ior)/(1 + ior))² with F₉₀ = 1. In the
+//! specular workflow F₀ is `specularColor`, and the index of refraction is set to 0. Opacity is
+//! coverage: `opacityMode` "transparent", with which reflections do not fade, is read as
+//! "presence".
 
 use glam::Vec3;
 
@@ -33,7 +34,7 @@ pub(crate) fn build(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> &'static 
     let normal = inputs.get("normal", [0.0, 0.0, 1.0]);
     builder.coat(&weight, &coat_roughness, &normal);
     builder.material.normal_texture = builder.normal(&normal);
-    // computed by the path tracer, or without effect here
+    // the path tracer computes occlusion, and the mode has no effect here
     inputs.number("occlusion", 1.0);
     inputs.text("opacityMode");
     &WITHOUT

@@ -3,20 +3,20 @@
 use std::env::var_os;
 use std::path::{Path, PathBuf};
 
-/// Environment variable that names the only Python to try.
+/// Environment variable that names the only Python that is tried.
 pub(crate) const VARIABLE: &str = "LUMISTACK_PYTHON";
 
 /// A Python that may have OpenUSD.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Candidate {
     pub(crate) program: PathBuf,
-    /// Its origin, for messages.
+    /// Origin of the Python, for messages.
     pub(crate) from: &'static str,
-    /// True if the user requested this one.
+    /// True if the user named this Python.
     pub(crate) given: bool,
 }
 
-/// The parts of the environment that determine the candidates.
+/// The values of the environment that determine the candidates.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Surroundings {
     pub(crate) given: Option<PathBuf>,
@@ -36,7 +36,7 @@ impl Surroundings {
         }
     }
 
-    /// Pythons to try, in this order.
+    /// Pythons that are tried, in this order.
     pub(crate) fn candidates(&self) -> Vec<Candidate> {
         if let Some(program) = &self.given {
             return vec![Candidate { program: program.clone(), from: VARIABLE, given: true }];
@@ -53,7 +53,8 @@ impl Surroundings {
     }
 }
 
-/// The file that a name refers to: itself, or the first of that name in the folders of `PATH`.
+/// The file to which a name refers: the file of that path, or the first file of that name in the
+/// folders of `PATH`.
 pub(crate) fn on_path(program: &Path) -> Option<PathBuf> {
     let file = if cfg!(windows) { program.with_extension("exe") } else { program.to_owned() };
     if file.components().count() > 1 {

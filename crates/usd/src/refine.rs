@@ -1,4 +1,4 @@
-//! Refines a subdivision surface: a polygon mesh with its primvars.
+//! Refines a subdivision surface: a polygon mesh, with its primvars.
 
 use lumistack_core::Task;
 
@@ -6,8 +6,8 @@ use crate::package::{Array, MeshEntry, Package, Subdivision};
 use crate::polygons::{Attribute, Interpolation, Polygons};
 use crate::subdivide::{Boundary, Cage, FaceVarying, Refinement, Scheme, level_for};
 
-/// The refined mesh with its normals, and for each of its faces the face of the file that contains
-/// it.
+/// The refined mesh with its normals. Also, for each of its faces, the face of the file that
+/// contains it.
 pub(crate) fn refined(
     package: &Package<'_>,
     entry: &MeshEntry,
@@ -71,7 +71,7 @@ pub(crate) fn refined(
         corners.extend(face.iter().map(|&vertex| vertex as i32));
         parents.push(parent);
     }
-    // Carry points and primvars to the refined mesh.
+    // Interpolate points and primvars on the refined mesh.
     let carrier = Carrier { refinement: &refinement, rule, parents: &parents, polygons: &polygons };
     let flat = polygons.points.as_flattened();
     let normals = refinement.normals(flat);
@@ -103,7 +103,7 @@ struct Carrier<'r> {
 }
 
 impl Carrier<'_> {
-    /// Carries an attribute from the control mesh to the refined mesh.
+    /// Interpolates an attribute of the control mesh on the refined mesh.
     fn carried<const N: usize>(&self, attribute: &Attribute<N>) -> Option<Attribute<N>> {
         let interpolation = attribute.interpolation;
         let number = |element: usize| attribute.indices.as_ref().map_or(element as u32, |indices| indices[element]);

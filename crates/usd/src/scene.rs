@@ -1,8 +1,8 @@
 //! Converts a package to the parts of a scene.
 //!
-//! A shape becomes meshes once per combination of materials. Its copies are instances of these
-//! meshes, at any depth of nested prototypes. A stage whose z axis points up is turned by −90°
-//! about x.
+//! A shape is converted to meshes once per combination of materials. Its copies are instances of
+//! these meshes, at any depth of nested prototypes. A stage whose z axis points up is rotated by
+//! −90° about x.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -23,12 +23,12 @@ use crate::polygons::{self, Corner, Interpolation, Polygons, UvNames};
 use crate::texture::Textures;
 use crate::{mesh, refine, shapes, splats};
 
-/// Limit for instances of meshes and clouds: small files can define any number by nesting.
+/// Largest number of instances of meshes and clouds. Small files can define any number, by nesting.
 const MOST_INSTANCES: usize = 1 << 26;
-/// Albedo without a material and a display colour, as in UsdPreviewSurface.
+/// Albedo of a surface without a material and without a display colour, as in UsdPreviewSurface.
 const GREY: f32 = 0.18;
 
-/// Converts a package to a scene; `name` stands for the file in messages.
+/// Converts a package to a scene; `name` is the file's name in messages.
 ///
 /// # Errors
 /// If the package is inconsistent or nothing in it can be rendered.
@@ -41,7 +41,7 @@ pub fn scene_from_package(name: &str, package: &Package<'_>, task: Task<'_>) -> 
     assemble(name, package, task).map_err(|fault| fault.in_file(name))
 }
 
-/// Prefixes the place of every warning with the file's name.
+/// Adds the file's name in front of the place of every warning.
 struct InFile<'a> {
     name: &'a str,
     inner: &'a dyn Warnings,
@@ -64,7 +64,7 @@ fn assemble(name: &str, package: &Package<'_>, task: Task<'_>) -> Result<Scene, 
             DAffine3::IDENTITY
         }
     };
-    // Materials come first: meshes depend on them for their texture coordinates.
+    // Convert materials first, since meshes depend on their texture coordinates.
     let mut assembly = Assembly {
         package,
         task,
@@ -82,10 +82,10 @@ fn assemble(name: &str, package: &Package<'_>, task: Task<'_>) -> Result<Scene, 
     }
     assembly.light(&mut textures, &scene_from_stage);
     (assembly.parts.images, assembly.parts.textures) = (textures.images, textures.textures);
-    // Cameras that see nothing are left out.
+    // Cameras that show nothing are left out.
     for entry in &header.cameras {
         if entry.aperture_offset != [0.0, 0.0] {
-            task.warn(&entry.place, "the camera's aperture is off its axis; it is taken on it");
+            task.warn(&entry.place, "the offset of the camera's aperture is not supported; the aperture is centred");
         }
         let camera = camera(entry, &header.cameras, &scene_from_stage);
         match camera {
@@ -95,7 +95,8 @@ fn assemble(name: &str, package: &Package<'_>, task: Task<'_>) -> Result<Scene, 
     }
     let parts = assembly.parts;
     parts.validate(task).map_err(|mut error| {
-        // A message begins with the file's name, so the whole scene's place is the root.
+        // The message begins with the file's name, so an error of the whole scene has the root as
+        // its place.
         if error.place == name {
             error.place = "/".into();
         }
@@ -103,13 +104,13 @@ fn assemble(name: &str, package: &Package<'_>, task: Task<'_>) -> Result<Scene, 
     })
 }
 
-/// A material of the package in the scene.
+/// A material of the package, with its index in the scene.
 struct Bound {
     /// Index in the scene's materials.
     material: usize,
-    /// Primvars that its textures read as coordinates.
+    /// Primvars that its textures read as texture coordinates.
     uv_names: [Option<String>; 2],
-    /// True if vertex colours multiply it.
+    /// True if vertex colours multiply its base colour.
     reads_colors: bool,
 }
 
@@ -117,13 +118,14 @@ struct Assembly<'a> {
     package: &'a Package<'a>,
     task: Task<'a>,
     parts: SceneParts,
-    /// By index in the package; `None` if the shader is unknown, so display colours apply.
+    /// Materials by their index in the package; `None` if the shader is unknown, and display
+    /// colours apply.
     materials: Vec<Option<Bound>>,
-    /// Materials for display colours, by the colour's bits and whether it is transparent.
+    /// Materials for display colours, by the bits of the colour and true if it is transparent.
     plain: HashMap<([u32; 4], bool), usize>,
-    /// One-sided copies of materials, by index.
+    /// One-sided copies of materials, by the index of the original.
     one_sided: HashMap<usize, usize>,
-    /// Indices of the meshes, or of the cloud, of a shape with these materials.
+    /// Indices of the meshes or of the cloud of a shape, by the shape and its materials.
     shown: HashMap<(usize, Vec<Option<usize>>), Vec<usize>>,
 }
 
@@ -140,7 +142,7 @@ impl<'a> Assembly<'a> {
         Ok(())
     }
 
-    /// Adds the lights: meshes, point lights, the environment.
+    /// Adds the lights: emitting meshes, point lights, the environment.
     fn light(&mut self, textures: &mut Textures<'_>, scene_from_stage: &DAffine3) {
         let mut lights = Lights::default();
         for entry in &self.package.header.lights {
@@ -161,7 +163,7 @@ impl<'a> Assembly<'a> {
         Mesh { place, positions, normals, tangents: Vec::new(), uvs, colors, triangles, material }
     }
 
-    /// Meshes of shapes other than polygon meshes; these have one material.
+    /// Meshes of shapes other than polygon meshes; such a shape has one material.
     fn other(&mut self, shape: &Shape, materials: &[Option<usize>]) -> Result<Vec<Mesh>, Fault> {
         let bound = materials.first().copied().flatten().and_then(|index| self.materials[index].as_ref());
         let uv_names = bound.map_or([None, None], |bound| bound.uv_names.clone());
@@ -175,7 +177,7 @@ impl<'a> Assembly<'a> {
             }
             Shape::Points(entry) => (shapes::balls(self.package, entry, self.task)?, &entry.primvars),
         };
-        // A display colour of the whole shape applies where its vertices have none.
+        // A display colour of the whole shape applies if its vertices have none.
         let constant = primvars.iter().filter(|primvar| primvar.interpolation == "constant").cloned().collect();
         let whole = MeshEntry { place: shape.place().to_owned(), primvars: constant, ..MeshEntry::default() };
         let whole = polygons::read(self.package, &whole, [None, None], &mut |_| {})?;
@@ -232,14 +234,14 @@ impl<'a> Assembly<'a> {
         if shown.is_empty() {
             return Ok(());
         }
-        // Count the copies before any is made, since nested prototypes multiply.
+        // Compute the number of copies before any is made, since nested prototypes multiply.
         let links = placement.chain.iter().map(|link| self.link(link, place)).collect::<Result<Vec<_>, _>>()?;
         let copies = links.iter().try_fold(1usize, |product, link| product.checked_mul(link.len()));
         let there = self.parts.instances.len() + self.parts.placed_clouds.len();
         let total = copies.and_then(|copies| copies.checked_mul(shown.len())?.checked_add(there));
         if total.is_none_or(|total| total > MOST_INSTANCES) {
-            let found = format!("{} levels of copies that make more", links.len());
-            return Err(Fault::new(place, format!("at most {MOST_INSTANCES} placed shapes in all"), found));
+            let found = format!("more, by {} levels of copies; use fewer or less nested instancers", links.len());
+            return Err(Fault::new(place, format!("at most {MOST_INSTANCES} instances and splat clouds"), found));
         }
         // Add an instance per product of matrices.
         let is_cloud = matches!(shape, Shape::Splats(_));
@@ -261,8 +263,8 @@ impl<'a> Assembly<'a> {
         Ok(())
     }
 
-    /// The cloud of a field of splats; `None` without splats, or after a warning if its arrays are
-    /// inconsistent.
+    /// The cloud of a field of splats. `None` if it has no splats, or after a warning if its arrays
+    /// are inconsistent.
     fn cloud(&mut self, entry: &SplatsEntry) -> Result<Option<Cloud>, Fault> {
         match splats::cloud(self.package, entry, self.task) {
             Ok(cloud) => Ok((!cloud.is_empty()).then_some(cloud)),
@@ -274,7 +276,7 @@ impl<'a> Assembly<'a> {
         }
     }
 
-    /// Matrices of a link's visible copies.
+    /// Matrices of the visible copies of a link.
     fn link(&self, link: &Link, place: &str) -> Result<Vec<DAffine3>, Fault> {
         let matrices = self.package.matrices(&link.matrices, place)?;
         let column = |array: &Option<crate::package::Array>| -> Result<Option<Vec<i64>>, Fault> {
@@ -310,7 +312,7 @@ impl<'a> Assembly<'a> {
         }
         match self.mesh_parts(entry, materials) {
             Err(Fault::Malformed { place, expected, found }) => {
-                // one broken mesh does not remove the others
+                // warn only, so that one broken mesh does not remove the others
                 self.task.warn(place, format!("expected {expected}, found {found}; the mesh is left out"));
                 Ok(Vec::new())
             }
@@ -320,7 +322,7 @@ impl<'a> Assembly<'a> {
 
     fn mesh_parts(&mut self, entry: &MeshEntry, materials: &[Option<usize>]) -> Result<Vec<Mesh>, Fault> {
         let slot_of_face = self.slots(entry)?;
-        // List the materials that faces use, so no mesh is empty.
+        // List the materials that faces use, so that no mesh is empty.
         let mut used: Vec<usize> = Vec::new();
         match &slot_of_face {
             None => used.push(0),
@@ -332,8 +334,8 @@ impl<'a> Assembly<'a> {
         }
         let mut made: Vec<([Option<String>; 2], Polygons, Geometry)> = Vec::new();
         let mut meshes = Vec::new();
-        // Convert the polygons once per set of texture coordinates, and cut out each material's
-        // faces.
+        // Convert the polygons once per pair of texture coordinate sets, and select the faces of
+        // each material.
         for slot in used {
             let bound = materials[slot].and_then(|material| self.materials[material].as_ref());
             let uv_names = bound.map_or([None, None], |bound| bound.uv_names.clone());
@@ -342,7 +344,7 @@ impl<'a> Assembly<'a> {
                 let task = self.task;
                 let mut warn = |message: String| task.warn(&entry.place, message);
                 let polygons = polygons::read(self.package, entry, names, &mut warn)?;
-                // the polygons of a bilinear surface are the surface itself
+                // a bilinear surface consists of the polygons themselves
                 let smooth = entry.subdivision.as_ref().filter(|subdivision| subdivision.scheme != "bilinear");
                 let (polygons, parents) = match smooth {
                     Some(subdivision) => {
@@ -383,7 +385,7 @@ impl<'a> Assembly<'a> {
         Ok(meshes)
     }
 
-    /// A copy of a material that is visible from the front only.
+    /// A copy of a material that is visible only from the front.
     fn one_sided(&mut self, material: usize) -> usize {
         let materials = &mut self.parts.materials;
         *self.one_sided.entry(material).or_insert_with(|| {
@@ -392,8 +394,8 @@ impl<'a> Assembly<'a> {
         })
     }
 
-    /// For every face 0, or 1 + the index of its subset; `None` without subsets. The first of
-    /// overlapping subsets applies.
+    /// For every face 0, or 1 + the index of its subset; `None` without subsets. If subsets
+    /// overlap, the first one applies.
     fn slots(&self, entry: &MeshEntry) -> Result<Option<Vec<u32>>, Fault> {
         if entry.subsets.is_empty() {
             return Ok(None);
@@ -405,14 +407,14 @@ impl<'a> Assembly<'a> {
                 match usize::try_from(face).ok().and_then(|face| slots.get_mut(face)) {
                     Some(slot) if *slot == 0 => *slot = number,
                     Some(_) => {}
-                    None => self.task.warn(&subset.place, format!("refers to face {face}, which does not exist")),
+                    None => self.task.warn(&subset.place, format!("face {face} of the subset does not exist")),
                 }
             }
         }
         Ok(Some(slots))
     }
 
-    /// The material of a mesh without a binding, and whether its vertex colours multiply it.
+    /// The material of a mesh without a binding, and true if vertex colours multiply it.
     fn plain(&mut self, polygons: &Polygons) -> (usize, bool) {
         let constant = |interpolation| interpolation == Interpolation::Constant;
         let color = polygons.colors.as_ref();
@@ -439,7 +441,7 @@ impl<'a> Assembly<'a> {
     }
 }
 
-/// A surface with the defaults of UsdPreviewSurface.
+/// A surface with the defaults of UsdPreviewSurface, and this base colour.
 fn plain(base_color: Vec4, blends: bool) -> Material {
     Material {
         name: "displayColor".into(),
@@ -452,7 +454,7 @@ fn plain(base_color: Vec4, blends: bool) -> Material {
     }
 }
 
-/// The triangles of selected faces, with the vertices that they use.
+/// The triangles of the selected faces, with the vertices that they use.
 fn part(geometry: &Geometry, takes: impl Fn(u32) -> bool) -> Geometry {
     const NONE: u32 = u32::MAX;
     let mut new = vec![NONE; geometry.positions.len()];

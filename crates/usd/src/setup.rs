@@ -1,4 +1,4 @@
-//! `lumistack setup usd`: makes a Python environment with OpenUSD.
+//! `lumistack setup usd`: creates a Python environment with OpenUSD.
 
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -10,30 +10,32 @@ use crate::UsdError;
 use crate::child::{last_lines, read_end, wait};
 use crate::python::{Surroundings, interpreter, own_environment};
 
-/// Prints the version of a Python; fails if it is too old.
+/// Prints the version of a Python, and fails if it is too old.
 const VERSION: &str =
     "import sys, platform; print('Python', platform.python_version()); sys.exit(sys.version_info < (3, 8))";
-/// Prints the version of OpenUSD; fails if there is none.
+/// Prints the version of OpenUSD, and fails if there is none.
 pub(crate) const CHECK: &str = "import sys\ntry: from pxr import Usd, Sdf\nexcept ImportError as error: sys.exit(str(error))\n\
     v = Usd.GetVersion(); print('OpenUSD %d.%02d' % v[1:], 'with' if Sdf.FileFormat.FindByExtension('mtlx') else 'without', 'MaterialX')";
 
 /// Options of the setup.
 #[derive(Clone, Debug, Default)]
 pub struct Setup {
-    /// The Python that creates the environment; `None`: the first on PATH.
+    /// The Python that creates the environment; `None`: the first Python on PATH.
     pub python: Option<PathBuf>,
     /// Install usd-exchange, whose OpenUSD reads MaterialX files, instead of usd-core.
     pub materialx: bool,
-    /// Folder of the environment; `None`: `lumistack/python` in the user's data folder, where it is
-    /// found later.
+    /// Folder of the environment. `None`: `lumistack/python` in the user's data folder, where later
+    /// runs find it.
     pub folder: Option<PathBuf>,
 }
 
 impl Setup {
-    /// Creates the environment anew; `say` receives a line per step. Returns its interpreter.
+    /// Creates the environment anew; `say` is called with a line per step. Returns the
+    /// environment's interpreter.
     ///
     /// # Errors
-    /// If there is no Python, a step fails, or it is cancelled; then no folder is left behind.
+    /// If there is no Python, if a step fails, or if the setup is cancelled. The folder is then
+    /// removed.
     pub fn run(&self, say: &mut dyn FnMut(&str), cancel: &Cancel) -> Result<PathBuf, UsdError> {
         let fault = |expected: &str, found: String| UsdError::Setup { expected: expected.into(), found };
         let folder = self.folder.clone().or_else(own_environment);
@@ -43,7 +45,7 @@ impl Setup {
         say(&format!("{version} ({}) makes an environment in {}", base.display(), folder.display()));
         let made = self.make(&base, &folder, package, say, cancel);
         if made.is_err() {
-            // the folder may be incomplete
+            // remove the folder, which may be incomplete
             let _ = std::fs::remove_dir_all(&folder);
         }
         made
@@ -92,8 +94,8 @@ impl Setup {
     }
 }
 
-/// Runs a program to its end. Returns its output, or its failure; `line` receives every line at
-/// once.
+/// Runs a program to its end. Returns its output, or its failure. `line` is called with every line
+/// as soon as it is printed.
 pub(crate) fn run(
     command: &mut Command,
     line: &mut dyn FnMut(&str),
@@ -113,7 +115,7 @@ pub(crate) fn run(
             let _ = lines.send(text);
         }
     });
-    // Pass lines on while the program runs.
+    // Report lines while the program runs.
     let mut all = String::new();
     let mut take = |text: String| {
         line(text.trim());

@@ -11,13 +11,13 @@ use crate::package::{Array, CurvesEntry, Package, PointsEntry, Primvar, SolidEnt
 use crate::polygons::UvNames;
 use crate::spacing::{self, Rule};
 
-/// Width of curves without widths: hairs leave some ground visible.
+/// Width of curves without widths: some ground stays visible between hairs.
 const CURVES: Rule = Rule { of_spacing: 0.25, largest: 0.005, smallest: 0.0001 };
-/// Width of points without widths: neighbours nearly touch.
+/// Width of points without widths: neighbouring points nearly touch.
 const POINTS: Rule = Rule { of_spacing: 0.75, largest: 0.02, smallest: 0.0001 };
-/// Width if there is neither a spacing nor an extent.
+/// Width of curves and points that have neither a spacing nor an extent.
 const WIDTH: f32 = 1.0;
-/// Limit for the points of a prim: each becomes a ball of 128 triangles.
+/// Largest number of points of a prim that are shown: each becomes a ball of 128 triangles.
 const MOST_POINTS: usize = 1 << 18;
 
 /// Triangles of an implicit shape.
@@ -43,7 +43,7 @@ pub(crate) fn solid(entry: &SolidEntry) -> Result<Geometry, Fault> {
     })
 }
 
-/// Reads rows of one to four numbers as a flat list; also returns the row's length.
+/// Reads rows of one to four numbers as a flat list; also returns the length of a row.
 fn reals(package: &Package<'_>, array: &Array, place: &str) -> Result<(Vec<f32>, usize), Fault> {
     let width = array.shape.get(1).copied().unwrap_or(1);
     let values = match width {
@@ -76,7 +76,7 @@ fn interpolation(name: &str) -> Interpolation {
     }
 }
 
-/// Owns the list that a [`Data`] borrows.
+/// Owns the list that a [`Data`] refers to.
 struct Owned {
     values: Vec<f32>,
     width: usize,
@@ -158,7 +158,7 @@ pub(crate) fn curves(
     }))
 }
 
-/// The middle point of every curve: many roots may share one point.
+/// The middle point of every curve, since many roots may share one point.
 fn middles(points: &[Vec3], counts: &[i32]) -> Vec<Vec3> {
     let mut first = 0usize;
     let middle = |&count: &i32| {
@@ -191,7 +191,7 @@ pub(crate) fn balls(package: &Package<'_>, entry: &PointsEntry, task: Task<'_>) 
         task.warn(place, message);
         widths.push(width);
     }
-    // A list that is too short has one value for all points.
+    // If a list is too short, its first value applies to all other points.
     let colors = Owned::primvar(package, &entry.primvars, "displayColor", place).filter(|colors| colors.width >= 3);
     let each = |list: &[f32], i: usize| list.get(i).or(list.first()).copied();
     let color = |i: usize| {

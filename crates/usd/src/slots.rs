@@ -1,4 +1,4 @@
-//! Reads the inputs of surface shaders and fills the slots of a [`Material`].
+//! Reads the inputs of surface shaders, and fills the slots of a [`Material`].
 
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
@@ -11,7 +11,7 @@ use serde::Deserialize;
 
 use crate::texture::{Channel, Kind, Source, Textures};
 
-/// One input: exactly one field is set.
+/// An input, of which exactly one field is set.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
 pub(crate) struct Input {
@@ -21,11 +21,11 @@ pub(crate) struct Input {
     pub(crate) texture: Option<Source>,
 }
 
-/// A shader's number, colour or vector of `N` components.
+/// A shader's value: a number, colour or vector of `N` components.
 #[derive(Clone, Debug, PartialEq)]
 #[expect(clippy::large_enum_variant, reason = "some twenty for a material, for as long as it is read")]
 pub(crate) enum Value<const N: usize> {
-    /// Constant.
+    /// A constant value.
     Constant([f32; N]),
     /// A texture.
     Texture(Source),
@@ -34,7 +34,7 @@ pub(crate) enum Value<const N: usize> {
 }
 
 impl Value<1> {
-    /// The number of a constant.
+    /// The value, if it is a constant number.
     pub(crate) fn number(&self) -> Option<f32> {
         match self {
             Self::Constant([value]) => Some(*value),
@@ -54,7 +54,7 @@ impl Value<1> {
 /// Index of refraction of every clearcoat.
 const COAT_INDEX: f32 = 1.5;
 
-/// Inputs of a shader. It records which of them were read.
+/// The inputs of a shader, and a record of which of them were read.
 pub(crate) struct Inputs {
     inputs: BTreeMap<String, Input>,
     read: RefCell<BTreeSet<&'static str>>,
@@ -65,7 +65,7 @@ impl Inputs {
         Self { inputs, read: RefCell::default() }
     }
 
-    /// An input of `N` components; a single number applies to all of them.
+    /// An input of `N` components; a single number is used for all components.
     pub(crate) fn get<const N: usize>(&self, name: &'static str, default: [f32; N]) -> Value<N> {
         self.read.borrow_mut().insert(name);
         let Some(input) = self.inputs.get(name) else { return Value::Constant(default) };
@@ -110,8 +110,8 @@ impl Inputs {
     }
 
     /// Names of inputs that have no effect although they differ from their defaults. `known` lists
-    /// inputs without a counterpart and the default of their first component. Textures count where
-    /// only a constant is supported.
+    /// inputs without a counterpart, with the default of their first component. A texture also has
+    /// no effect where only a constant is supported.
     pub(crate) fn ignored(&self, known: &[(&'static str, f32)]) -> Vec<String> {
         let read = self.read.borrow();
         let matters = |name: &str, input: &Input| {
@@ -127,7 +127,7 @@ impl Inputs {
     }
 }
 
-/// Fills a material.
+/// Fills the slots of a material.
 pub(crate) struct Builder<'b, 'a> {
     pub(crate) place: String,
     pub(crate) textures: &'b mut Textures<'a>,
@@ -142,7 +142,7 @@ impl<'a> Builder<'_, 'a> {
         self.task.warn(&self.place, message);
     }
 
-    /// Index of the set of texture coordinates for a primvar.
+    /// Index of the texture coordinate set for a primvar.
     fn uv_set(&mut self, name: &str) -> usize {
         for set in 0..2 {
             match &self.uv_names[set] {
@@ -167,7 +167,7 @@ impl<'a> Builder<'_, 'a> {
         self.textures.slot(channels, kind, set, &self.place)
     }
 
-    /// A colour as a factor and a texture.
+    /// Converts a colour to a factor and a texture.
     pub(crate) fn color(&mut self, value: &Value<3>, kind: Kind) -> (Vec3, Option<TextureUse>) {
         match value {
             Value::Constant(color) => ((*color).into(), None),
@@ -183,7 +183,8 @@ impl<'a> Builder<'_, 'a> {
         }
     }
 
-    /// A number as a factor and one channel (0 red … 3 alpha) of a texture.
+    /// Converts a number to a factor and a texture, of which the slot reads one channel (0 red … 3
+    /// alpha).
     pub(crate) fn data(&mut self, value: &Value<1>, channel: usize) -> (f32, Option<TextureUse>) {
         match value {
             Value::Constant([value]) => (*value, None),
@@ -198,7 +199,7 @@ impl<'a> Builder<'_, 'a> {
     }
 
     /// Sets the base colour, scaled by a weight, and the opacity. If `threshold` is above 0,
-    /// opacity is an alpha mask; otherwise it blends.
+    /// opacity is an alpha mask, otherwise it is blended.
     pub(crate) fn base(&mut self, color: &Value<3>, weight: f32, opacity: &Value<1>, threshold: f32) {
         // Split the colour into a factor and the channels of a texture.
         let opaque = opacity.number() == Some(1.0);
@@ -219,7 +220,7 @@ impl<'a> Builder<'_, 'a> {
         };
         let textured = |channel: &Channel<'_>| matches!(channel, Channel::Component(..));
         if !channels.iter().any(textured) {
-            // The texture contains the opacity alone, so its colour is white.
+            // The texture contains only the opacity, so its colour is white.
             let constant = |channel: &Channel<'_>| if let Channel::Constant(value) = channel { *value } else { 1.0 };
             factor = Vec3::new(constant(&channels[0]), constant(&channels[1]), constant(&channels[2]));
             channels = [Channel::Constant(1.0); 3];
@@ -259,7 +260,7 @@ impl<'a> Builder<'_, 'a> {
         material.roughness = part(&rough).unwrap_or(material.roughness);
         material.metallic = part(&metal).unwrap_or(material.metallic);
         fn place(found: &Option<(Vec3, Source)>) -> Channel<'_> {
-            // the factor holds a constant, so its channel of the texture is 1
+            // a constant is the factor, so its channel of the texture is 1
             found.as_ref().map_or(Channel::Constant(1.0), |(_, source)| Channel::Component(source, 0))
         }
         if rough.is_some() || metal.is_some() {
@@ -270,14 +271,14 @@ impl<'a> Builder<'_, 'a> {
         }
     }
 
-    /// A normal map: a tangent-space vector that the shader has already decoded.
+    /// A normal map: the shader's vector in tangent space, which is already decoded.
     pub(crate) fn normal(&mut self, value: &Value<3>) -> Option<TextureUse> {
         let Value::Texture(source) = value else { return None };
         let channels = [0, 1, 2].map(|k| Channel::Component(source, k));
         self.slot([channels[0], channels[1], channels[2], Channel::Unused], Kind::Normal)
     }
 
-    /// Sets emission: a colour times a weight; one of them may be a texture.
+    /// Sets the emission, a colour times a weight; one of both may be a texture.
     pub(crate) fn emission(&mut self, color: &Value<3>, weight: &Value<1>) {
         let (color, factor) = match (color, weight) {
             (color, Value::Constant([factor])) => (color.clone(), *factor),
@@ -328,7 +329,7 @@ impl<'a> Builder<'_, 'a> {
         self.material.sheen = Some(Sheen { color: weight * color, color_texture, roughness, roughness_texture });
     }
 
-    /// Sets a thin film of constant thickness.
+    /// Sets a thin film, which has a constant thickness.
     pub(crate) fn film(&mut self, weight: f32, thickness_nm: f32, ior: f32) {
         if weight > 0.0 && thickness_nm > 0.0 {
             let thickness_nm = [thickness_nm; 2];
@@ -345,8 +346,8 @@ impl<'a> Builder<'_, 'a> {
         }
     }
 
-    /// Sets transmission: tinted at the surface, or by absorption if `depth` is above 0. The mesh
-    /// is a solid unless `thin`.
+    /// Sets the transmission: tinted at the surface, or by absorption if `depth` is above 0. The
+    /// mesh bounds a solid unless `thin`.
     pub(crate) fn transmission(&mut self, weight: &Value<1>, color: Vec3, depth: f32, thin: bool) {
         let (factor, texture) = self.data(weight, 0);
         if factor <= 0.0 {
@@ -359,7 +360,8 @@ impl<'a> Builder<'_, 'a> {
             (material.attenuation_color, material.attenuation_distance) = (color, depth);
             tint = Vec3::ONE;
         }
-        // The base colour tints transmitted light; the diffuse part keeps its own colour.
+        // The base colour tints both diffuse and transmitted light, so it becomes a mix of their
+        // two tints.
         let base = material.base_color.truncate().lerp(tint, factor.clamp(0.0, 1.0));
         material.base_color = base.extend(material.base_color.w);
         if factor >= 1.0 {
@@ -380,7 +382,7 @@ fn alpha_channel_is_unused(channel: &Channel<'_>) -> bool {
     matches!(channel, Channel::Unused)
 }
 
-/// A one-channel texture times a colour.
+/// A texture of one channel times a colour.
 fn tinted(source: &Source, color: [f32; 3]) -> Source {
     let times = |list: &[f32]| color.iter().map(|part| part * list[0]).collect();
     Source {
@@ -392,7 +394,7 @@ fn tinted(source: &Source, color: [f32; 3]) -> Source {
     }
 }
 
-/// Splits a texture's scale into a factor and the texture, where the factor is in range.
+/// Splits a texture's scale into a factor and a texture without scale, if the factor is in range.
 fn factored(source: &Source, kind: Kind) -> (Vec3, Source) {
     let largest = if kind == Kind::Light { f32::MAX } else { 1.0 };
     let plain =
@@ -405,7 +407,7 @@ fn factored(source: &Source, kind: Kind) -> (Vec3, Source) {
     (factor, Source { scale: vec![1.0; source.scale.len()], ..source.clone() })
 }
 
-/// A colour's luminance, for opacity.
+/// The luminance of a colour, for opacity.
 pub(crate) fn grey(value: &Value<3>) -> Value<1> {
     match value {
         Value::Constant(color) => Value::Constant([luminance(*color)]),

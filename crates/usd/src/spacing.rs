@@ -1,23 +1,23 @@
-//! Widths for curves and points without widths: a fraction of the distance between neighbours.
+//! Widths for curves and points without widths, as a fraction of the distance between neighbours.
 
 use glam::Vec3;
 
-/// Largest number of places whose nearest neighbour is searched.
+/// Largest number of positions for which the nearest neighbour is searched.
 const ASKED: usize = 256;
 
-/// A width as a fraction of the spacing, with bounds as fractions of the diagonal of the bounding
+/// A width as a fraction of the spacing. Its bounds are fractions of the diagonal of the bounding
 /// box.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Rule {
     /// Fraction of the median distance between neighbours.
     pub(crate) of_spacing: f32,
-    /// The largest width; it also applies without neighbours.
+    /// The largest width, which also applies without neighbours.
     pub(crate) largest: f32,
     /// The smallest width.
     pub(crate) smallest: f32,
 }
 
-/// Width of objects at `places`: a fraction of the median distance to the nearest other place,
+/// Width of objects at `places`: a fraction of the median distance to the nearest other position,
 /// within bounds that follow from `points`. `None` if all points coincide.
 pub(crate) fn width(places: &[Vec3], points: &[Vec3], rule: Rule) -> Option<f32> {
     let finite = || points.iter().copied().filter(|point| point.is_finite());
@@ -32,10 +32,10 @@ pub(crate) fn width(places: &[Vec3], points: &[Vec3], rule: Rule) -> Option<f32>
     Some((rule.of_spacing * spacing).clamp(rule.smallest * diagonal, largest))
 }
 
-/// Median distance to the nearest other place; coincident places do not count. `None` if no place
-/// has a neighbour.
+/// Median distance to the nearest other position, without coincident positions. `None` if no
+/// position has a neighbour.
 fn median_spacing(places: &[Vec3]) -> Option<f32> {
-    // an evenly spread sample of the places, compared with all of them
+    // an evenly spread sample of the positions is compared with all positions
     let asked = places.len().min(ASKED);
     let mut distances: Vec<f32> = (0..asked)
         .map(|i| places[i * places.len() / asked])
@@ -71,7 +71,7 @@ mod tests {
         // alone, or far from the neighbour: the bound applies
         is_about(&long[..1], 0.1);
         is_about(&long, 0.1);
-        // nearly coincident
+        // nearly coincident positions
         is_about(&[Vec3::ZERO, Vec3::new(1e-9, 0.0, 0.0)], 0.001);
         // coincident places have no spacing
         is_about(&[Vec3::ONE; 9], 0.1);

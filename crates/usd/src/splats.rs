@@ -7,10 +7,9 @@ use lumistack_scene::{Cloud, Encoding, MAX_DEGREE};
 use crate::error::Fault;
 use crate::package::{Array, Package, SplatsEntry};
 
-/// The cloud of a field; empty without positions.
+/// The cloud of a particle field; empty if the field has no positions.
 ///
-/// As in the schema, arrays that are too long are cut, and arrays that are too short are treated as
-/// absent.
+/// As in the schema, arrays that are too long are cut, and arrays that are too short are ignored.
 pub(crate) fn cloud(package: &Package<'_>, entry: &SplatsEntry, task: Task<'_>) -> Result<Cloud, Fault> {
     let SplatsEntry { place, .. } = entry;
     let positions = entry.positions.as_ref().map_or(Ok(Vec::new()), |array| package.reals::<3>(array, place))?;
@@ -29,7 +28,7 @@ pub(crate) fn cloud(package: &Package<'_>, entry: &SplatsEntry, task: Task<'_>) 
     let harmonics = rows::<3>(package, &entry.harmonics, count * stride, "harmonics", place, task)?;
     let (degree, harmonics) = match harmonics {
         Some(all) => (degree, all.chunks_exact(stride).flat_map(|own| own[..kept].as_flattened()).copied().collect()),
-        // without harmonics: a constant of ½ in every direction
+        // without harmonics: the colour ½ in every direction
         None => (0, vec![0.0; 3 * count]),
     };
     let flat = if entry.flat { Vec3::new(1.0, 1.0, 0.0) } else { Vec3::ONE };
@@ -47,7 +46,8 @@ pub(crate) fn cloud(package: &Package<'_>, entry: &SplatsEntry, task: Task<'_>) 
     })
 }
 
-/// The first `count` rows of an array; `None` if absent, or after a warning if too short.
+/// The first `count` rows of an array. `None` if the array is absent, or after a warning if it is
+/// too short.
 fn rows<const N: usize>(
     package: &Package<'_>,
     array: &Option<Array>,
@@ -66,7 +66,8 @@ fn rows<const N: usize>(
     Ok(Some(rows))
 }
 
-/// Captures contain sRGB although their files do not declare it.
+/// The encoding of a named colour space. Captures contain sRGB even if their files do not declare
+/// it.
 fn encoding(name: &str, place: &str, task: Task<'_>) -> Encoding {
     match name {
         "" | "auto" | "sRGB" | "srgb_texture" | "srgb_rec709_scene" | "srgb_rec709_display" => Encoding::Srgb,

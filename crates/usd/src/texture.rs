@@ -3,9 +3,10 @@
 //! A slot of a [`Material`](lumistack_scene::Material) reads fixed channels in a fixed encoding. A
 //! USD shader may read any channel of any picture, with scale and bias.
 //!
-//! If all channels of a slot are in place, the slot uses the decoded picture. Otherwise a picture
-//! is baked: v = scale · texel + bias per channel, in linear light, then encoded for the slot.
-//! USD's colour space "auto" is sRGB for 8-bit pictures in slots of colour, and raw elsewhere.
+//! If all channels of a slot are where it reads them, the slot uses the decoded picture. Otherwise
+//! a picture is baked: v = scale · texel + bias per channel, in linear light, then encoded for the
+//! slot. USD's colour space "auto" is sRGB for 8-bit pictures in slots of colour, and raw
+//! elsewhere.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -27,19 +28,19 @@ pub(crate) struct Source {
     pub(crate) channels: Vec<usize>,
     pub(crate) scale: Vec<f32>,
     pub(crate) bias: Vec<f32>,
-    /// Value if the picture cannot be read.
+    /// Value that is used if the picture cannot be read.
     pub(crate) fallback: Vec<f32>,
-    /// u and v: `repeat`, `clamp`, `mirror` or `black`.
+    /// Rules for u and v outside 0..1: `repeat`, `clamp`, `mirror` or `black`.
     pub(crate) wrap: [String; 2],
     pub(crate) color_space: String,
-    /// Primvar with the texture coordinates.
+    /// Name of the primvar with the texture coordinates.
     pub(crate) primvar: String,
     /// u' = t₀ u + t₂ v + t₄, v' = t₁ u + t₃ v + t₅; v points up.
     pub(crate) transform: [f32; 6],
 }
 
 impl Source {
-    /// True if all lists have the same length and finite numbers.
+    /// True if all lists have the same length and all numbers are finite.
     pub(crate) fn is_sound(&self) -> bool {
         let count = self.channels.len();
         let finite = |list: &[f32]| list.iter().all(|value| value.is_finite());
@@ -49,7 +50,7 @@ impl Source {
             && finite(&self.transform)
     }
 
-    /// The unchanged colours of a picture.
+    /// A read of the unchanged colours of a picture.
     pub(crate) fn plain(image: usize) -> Self {
         Self {
             image,
@@ -64,7 +65,8 @@ impl Source {
         }
     }
 
-    /// Maps texture coordinates of the scene's mesh, where v points down, to those of the texture.
+    /// Maps texture coordinates of the scene's mesh, in which v points down, to coordinates of the
+    /// texture.
     fn texture_from_mesh(&self) -> Affine2 {
         let flip = Affine2::from_cols(Vec2::X, Vec2::NEG_Y, Vec2::Y);
         flip * Affine2::from_cols_array(&self.transform) * flip
@@ -74,24 +76,24 @@ impl Source {
 /// One channel of a slot.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Channel<'s> {
-    /// No shader reads it.
+    /// No shader reads the channel.
     Unused,
-    /// Constant.
+    /// A constant value.
     Constant(f32),
-    /// A component of a shader's read.
+    /// A component of the texture that a shader reads.
     Component(&'s Source, usize),
 }
 
-/// The meaning of a slot's codes.
+/// Meaning of a slot's codes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Kind {
-    /// RGB sRGB-encoded reflectance 0..1, alpha linear.
+    /// Reflectance 0..1: RGB is sRGB-encoded, alpha is linear.
     Color,
     /// As `Color`, but values above 1 are kept.
     Light,
-    /// Linear 0..1.
+    /// Linear values, 0..1.
     Data,
-    /// Linear −1..1, stored as (1 + n)/2.
+    /// Linear values −1..1, stored as (1 + n)/2.
     Normal,
 }
 
@@ -105,7 +107,7 @@ struct Entry {
     bytes: Option<Array>,
 }
 
-/// The textures so far.
+/// The textures that have been made.
 pub(crate) struct Textures<'a> {
     package: &'a Package<'a>,
     task: Task<'a>,
@@ -121,7 +123,8 @@ impl<'a> Textures<'a> {
         Self { package, task, pictures, made, images: Vec::new(), textures: Vec::new() }
     }
 
-    /// A picture of the package, decoded on first use; `None` after a warning if it cannot be read.
+    /// A picture of the package, which is decoded at first use; `None`, after a warning, if it
+    /// cannot be read.
     pub(crate) fn picture(&mut self, image: usize) -> Option<Rc<Picture>> {
         if let Some(known) = self.pictures.get(&image) {
             return known.clone();
@@ -156,9 +159,9 @@ impl<'a> Textures<'a> {
         name.unwrap_or("picture").to_owned()
     }
 
-    /// A texture with these channels on coordinate set `uv_set`. `None` without a picture, or if
-    /// one cannot be read; callers use its fallback then. The first component determines the
-    /// placement.
+    /// A texture with these channels, for coordinate set `uv_set`. `None` without a picture, or if
+    /// one cannot be read; callers then use its fallback. The placement is that of the first
+    /// component.
     pub(crate) fn slot(
         &mut self,
         channels: [Channel<'_>; 4],
@@ -170,7 +173,7 @@ impl<'a> Textures<'a> {
             Channel::Component(source, _) => Some(*source),
             _ => None,
         })?;
-        // Decode every picture, and warn where placements differ.
+        // Decode every picture, and warn if their placements differ.
         for channel in &channels {
             if let Channel::Component(source, _) = channel {
                 self.picture(source.image)?;
@@ -201,7 +204,7 @@ impl<'a> Textures<'a> {
         Some(TextureUse { texture: index, uv_set, texture_from_mesh: first.texture_from_mesh() })
     }
 
-    /// Index of a slot's image, which slots with equal channels share.
+    /// Index of the image of a slot; slots with equal channels share it.
     fn image(&mut self, channels: [Channel<'_>; 4], kind: Kind) -> Option<usize> {
         let key = format!(
             "{kind:?} {:?}",
@@ -231,7 +234,8 @@ impl<'a> Textures<'a> {
                 _ => None,
             });
         }
-        // Use the decoded picture if all channels are in place; bake one otherwise.
+        // Use the decoded picture if all channels are where the slot reads them, otherwise bake
+        // one.
         let made = match direct(&channels, kind, &pictures) {
             Some(pixels) => {
                 let picture = pictures.iter().flatten().next()?;
@@ -253,7 +257,8 @@ impl<'a> Textures<'a> {
         Some(self.images.len() - 1)
     }
 
-    /// A picture as linear radiance for the environment and lights; returns the image's index.
+    /// Converts a picture to linear radiance, for the environment and lights; returns the index of
+    /// the image.
     pub(crate) fn radiance(&mut self, image: usize) -> Option<usize> {
         let source = Source::plain(image);
         let key = format!("radiance {image}");
@@ -285,7 +290,7 @@ enum Space {
 }
 
 impl Space {
-    /// `None` for unknown names.
+    /// The space of a name; `None` for unknown names.
     fn of(name: &str, kind: Kind, picture: &Picture) -> Option<Self> {
         let data = matches!(kind, Kind::Data | Kind::Normal);
         match name {
@@ -301,12 +306,12 @@ impl Space {
     }
 }
 
-/// Converts ACEScg to linear Rec. 709 (from AP1, with its white adapted to D65 by Bradford's
-/// method).
+/// Converts ACEScg to linear Rec. 709: from the primaries AP1, with the white adapted to D65 by
+/// Bradford's method.
 const REC709_FROM_ACESCG: [[f32; 3]; 3] =
     [[1.70505, -0.62179, -0.08326], [-0.13026, 1.14080, -0.01055], [-0.02400, -0.12897, 1.15297]];
 
-/// Reads one channel of a slot.
+/// Reads one channel for a slot.
 struct Reader<'p> {
     picture: Option<(&'p Picture, Space)>,
     channel: usize,
@@ -336,7 +341,7 @@ impl<'p> Reader<'p> {
         }
     }
 
-    /// Linear value at a texel of a grid of another size that covers the picture.
+    /// Linear value at a texel of a grid that covers the picture and may have another size.
     fn at(&self, x: usize, y: usize, width: usize, height: usize) -> f32 {
         let Some((picture, space)) = self.picture else { return self.bias };
         let texel = if (picture.width, picture.height) == (width, height) {
@@ -366,7 +371,8 @@ fn linear([r, g, b, a]: [f32; 4], space: Space) -> [f32; 4] {
     }
 }
 
-/// The picture's own codes, if every channel is in place, unscaled, and in the slot's encoding.
+/// The codes of the decoded picture, if every channel is where the slot reads it, unscaled, and in
+/// the slot's encoding.
 fn direct(channels: &[Channel<'_>; 4], kind: Kind, pictures: &[Option<Rc<Picture>>]) -> Option<Pixels> {
     let picture = pictures.iter().flatten().next()?;
     for (place, channel) in channels.iter().enumerate() {
@@ -398,7 +404,7 @@ fn direct(channels: &[Channel<'_>; 4], kind: Kind, pictures: &[Option<Rc<Picture
     }
 }
 
-/// Computes a slot's picture, as large as its largest source.
+/// Computes a slot's picture, with the size of its largest source.
 fn bake(readers: &[Reader<'_>], kind: Kind) -> Image {
     let sizes = readers.iter().filter_map(|reader| reader.picture);
     let (width, height) =
@@ -413,7 +419,7 @@ fn bake(readers: &[Reader<'_>], kind: Kind) -> Image {
     let is_deep = all.iter().any(|texels| !matches!(texels, Texels::Codes8(_)));
     let scaled = readers.iter().any(|reader| reader.picture.is_some() && (reader.scale > 1.0 || reader.bias != 0.0));
     let pixels = match kind {
-        // no alpha: lights do not read it
+        // without alpha, which lights do not read
         Kind::Light if is_float || scaled => {
             Pixels::RgbF32(values.map(|[r, g, b, _]| [r, g, b].map(|value| value.max(0.0))).collect())
         }

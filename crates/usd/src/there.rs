@@ -1,4 +1,4 @@
-//! Reports which programs can read USD and Blender files here, without reading a file.
+//! Reports which programs can read USD and Blender files on this machine, without reading a file.
 
 use std::process::Command;
 
@@ -8,12 +8,12 @@ use crate::python::{Candidate, Surroundings};
 use crate::setup::{CHECK, run};
 use crate::{UsdError, blend};
 
-/// Prints the version of bpy in a Python; fails if there is none.
+/// Prints the version of bpy in a Python, and fails if there is none.
 const BPY: &str = "import sys\ntry: import bpy\nexcept ImportError as error: sys.exit(str(error))\n\
     print('Blender', bpy.app.version_string, 'as a module')";
 
-/// The program that reads a kind of file, and its version; otherwise the programs that were tried,
-/// each with its failure.
+/// The program that reads a kind of file, and its version. If there is none, the programs that were
+/// tried, each with its failure.
 pub type There = Result<(String, String), Vec<String>>;
 
 /// The Python that reads USD files.

@@ -2,11 +2,11 @@
 //! surface_unlit, which only emits.
 //!
 //! All have a metal or dielectric base with a diffuse colour, a specular lobe, transmission, coat,
-//! sheen, thin film, emission and opacity. Transmission is tinted at the surface, or by absorption
-//! over a depth.
+//! sheen, thin film, emission and opacity. Transmission is tinted at the surface, or coloured by
+//! absorption over a depth.
 //!
 //! Subsurface scattering is replaced by the diffuse colour that results from it. A coat has no
-//! colour of its own and the index 1.5.
+//! colour, and has the index of refraction 1.5.
 
 use glam::Vec3;
 
@@ -17,7 +17,7 @@ const UP: [f32; 3] = [0.0, 0.0, 1.0];
 
 type Ignored = &'static [(&'static str, f32)];
 
-/// Diffuse colour that includes a share of subsurface scattering.
+/// Diffuse colour, mixed with the colour that results from subsurface scattering.
 fn with_subsurface(
     inputs: &Inputs,
     base: Value<3>,
@@ -68,7 +68,7 @@ pub(crate) fn standard_surface(builder: &mut Builder<'_, '_>, inputs: &Inputs) -
     builder.film(1.0, inputs.number("thin_film_thickness", 0.0), inputs.number("thin_film_IOR", 1.5));
     builder.emission(&inputs.get("emission_color", WHITE), &inputs.get("emission", [0.0]));
     builder.material.normal_texture = builder.normal(&normal);
-    // without effect, or only in combination with inputs in the list below
+    // without effect here, or with effect only in combination with inputs in the following list
     for name in ["subsurface_radius", "subsurface_scale", "subsurface_anisotropy", "tangent"] {
         inputs.text(name);
     }
@@ -111,7 +111,7 @@ pub(crate) fn open_pbr(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignore
     builder.coat_index(inputs.number("coat_ior", 1.5));
     let fuzz = inputs.number("fuzz_weight", 0.0);
     builder.sheen(fuzz, &inputs.get("fuzz_color", WHITE), &inputs.get("fuzz_roughness", [0.5]));
-    // from micrometres
+    // converted from micrometres
     let thickness_nm = 1000.0 * inputs.number("thin_film_thickness", 0.5);
     builder.film(inputs.number("thin_film_weight", 0.0), thickness_nm, inputs.number("thin_film_ior", 1.4));
     builder.emission(&inputs.get("emission_color", WHITE), &inputs.get("emission_luminance", [0.0]));
@@ -135,7 +135,7 @@ pub(crate) fn open_pbr(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignore
     ]
 }
 
-/// glTF's own model as a MaterialX shader.
+/// The material model of glTF as a MaterialX shader.
 pub(crate) fn gltf_pbr(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignored {
     // 0 opaque, 1 mask, 2 blend
     let mode = inputs.number("alpha_mode", 0.0);
@@ -174,7 +174,7 @@ pub(crate) fn unlit(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignored {
     builder.roughness(&Value::Constant([1.0]), &Value::Constant([0.0]));
     builder.specular(&Value::Constant([0.0]), &Value::Constant(WHITE), 1.5);
     builder.emission(&inputs.get("emission_color", WHITE), &inputs.get("emission", [1.0]));
-    // only in combination with the weight in the list below
+    // has an effect only in combination with the weight in the following list
     inputs.text("transmission_color");
     &[("transmission", 0.0)]
 }

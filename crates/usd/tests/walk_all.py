@@ -1,8 +1,8 @@
-"""Walks files in one process. Standard input lists them, one a line; the only argument is a folder
-for the packages 0, 1, 2, ...
+"""Walks files in one process. Standard input lists the files, one per line. The only argument is a
+folder for the packages 0, 1, 2, ...
 
-Prints a line of JSON for each: counts that OpenUSD itself finds, independent of the walker, and the
-reason if there is no package.
+Prints a line of JSON for each file: counts by OpenUSD itself, without the walker; and the reason if
+there is no package.
 """
 
 import json
@@ -40,7 +40,7 @@ def shown(stage):
         mesh = UsdGeom.Mesh(prim)
         if mesh and mesh.ComputePurpose() in ("default", "render") and mesh.ComputeVisibility(time) != "invisible":
             counts = mesh.GetFaceVertexCountsAttr().Get(time)
-            # a transform that flattens everything leaves no visible surface
+            # a transform that flattens a mesh leaves no visible surface
             is_flat = abs(mesh.ComputeLocalToWorldTransform(time).GetDeterminant3()) < 1e-9
             found += not is_flat and hasattr(counts, "__len__") and any(count > 2 for count in counts)
     return found

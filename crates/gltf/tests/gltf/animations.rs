@@ -1,5 +1,5 @@
-//! Animations: each test writes a small file, or takes one of others, and looks at the scene at a
-//! time.
+//! Tests of animations: each writes a small file, or takes a file of other projects, and checks the
+//! scene at a time.
 
 use crate::support::{Builder, F32, I8, I16, Memory, U8, U16, assets, load_choosing, load_file_choosing};
 use glam::{Quat, Vec3};
@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 const TOLERANCE: f32 = 1e-5;
 
-/// Two nodes with the triangle; node 0 has two morph targets that lift by 1 and by 10.
+/// Two nodes with triangles; the mesh of node 0 has two morph targets that lift it by 1 and by 10.
 fn animated(animations: impl FnOnce(&mut Builder) -> Vec<Value>) -> Builder {
     let mut b = Builder::triangle();
     let one = b.floats("VEC3", &[0.0, 0.0, 1.0].repeat(3));
@@ -43,7 +43,7 @@ fn assert_near(found: Vec3, expected: Vec3) {
     assert!((found - expected).abs().max_element() < TOLERANCE, "expected {expected}, found {found}");
 }
 
-/// Where node 0 or 1 puts a point.
+/// Position of a point of an instance in the scene.
 fn placed(scene: &Scene, instance: usize, point: Vec3) -> Vec3 {
     scene.instances[instance].scene_from_mesh.transform_point3(point)
 }
@@ -67,7 +67,7 @@ fn steps_and_lines_between_keys_and_holds_at_the_ends() {
 
 #[test]
 fn splines_have_the_values_and_tangents_of_their_keys() {
-    // x(t) = t³ − 2t² + 3 from t = 0.5 to 3, whose Hermite spline is the cubic itself
+    // x(t) = t³ − 2t² + 3 from t = 0.5 to 3; its Hermite spline is the cubic itself
     let value = |t: f32| t * t * t - 2.0 * t * t + 3.0;
     let slope = |t: f32| 3.0 * t * t - 4.0 * t;
     let keys = [0.5f32, 1.25, 3.0];
@@ -81,16 +81,16 @@ fn splines_have_the_values_and_tangents_of_their_keys() {
     for step in 0..=20 {
         let t = 0.5 + 2.5 * step as f32 / 20.0;
         let expected = value(t);
-        // corners (1, 0, 0) and (0, 1, 0), of which the last scale is zero
+        // corners (1, 0, 0) and (0, 1, 0); the scale along y is half of it
         let size = at_scale(&b, f64::from(t));
         assert!((size.x - expected).abs() < 1e-4 && (size.y - 0.5 * expected).abs() < 1e-4, "{t}: {size} {expected}");
     }
 }
 
-/// Scale of node 1, which may be flat.
+/// Scale of node 1 along its axes, which may be zero.
 fn at_scale(b: &Builder, time_s: f64) -> Vec3 {
     let mut b = b.clone();
-    // a child that a scale of zero cannot hide: its translation shows the scale
+    // the translation of a child shows the scale, even if a scale of zero hides the mesh
     let child = b.push("nodes", json!({"translation": [1, 1, 1]}));
     b.set("/nodes/1", json!({"children": [child]}));
     b.push("cameras", json!({"type": "perspective", "perspective": {"yfov": 0.5, "znear": 0.1}}));
@@ -103,7 +103,7 @@ fn at_scale(b: &Builder, time_s: f64) -> Vec3 {
 #[test]
 fn rotations_take_the_shorter_arc_at_constant_speed() {
     let quarter = Quat::from_rotation_z(std::f32::consts::FRAC_PI_2);
-    // the same turn from either of the two quaternions that stand for it, and of any length
+    // two quaternions, of any length, represent the same rotation
     for sign in [1.0, -1.0] {
         let b = animated(|b| {
             let input = b.floats("SCALAR", &[0.0, 2.0]);
@@ -121,7 +121,7 @@ fn rotations_take_the_shorter_arc_at_constant_speed() {
 
 #[test]
 fn rotations_come_in_every_width() {
-    // half of the way from no turn to half a turn about z
+    // halfway from no rotation to half a turn about z
     let cases: [(u32, Vec<u8>); 5] = [
         (F32, [0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0].iter().flat_map(|v| v.to_le_bytes()).collect()),
         (I8, vec![0, 0, 0, 127, 0, 0, 127, 0]),
@@ -144,7 +144,7 @@ fn rotations_come_in_every_width() {
 fn weights_move_morph_targets() {
     let mut b = animated(|b| {
         let input = b.floats("SCALAR", &[0.0, 1.0]);
-        // normalized, two targets per key
+        // normalized values, for two targets per key
         let output = b.accessor(U8, "SCALAR", 4, &[0, 255, 255, 51]);
         b.set(&format!("/accessors/{output}/normalized"), json!(true));
         vec![one_channel(0, "weights", "LINEAR", input, output)]
@@ -157,7 +157,7 @@ fn weights_move_morph_targets() {
     let (scene, warnings) = load_choosing(&b.glb(), &LoadOptions::default());
     assert_eq!(scene.unwrap().meshes[0].positions[0].z, 5.5);
     let expected =
-        "test.gltf: /animations: the file is animated; it is shown as its nodes stand, since no time is asked for";
+        "test.gltf: /animations: the file is animated; its nodes keep their own values, since no time is given";
     assert_eq!(warnings, [expected]);
 }
 
@@ -165,8 +165,8 @@ fn weights_move_morph_targets() {
 fn cubic_weights_have_three_groups_per_key() {
     let b = animated(|b| {
         let input = b.floats("SCALAR", &[0.0, 2.0]);
-        // in-tangents, values, out-tangents of two targets; the first rises as t² − t³/4 (0 to 2),
-        // the second stays at 1
+        // in-tangents, values, out-tangents of two targets; the first rises as t² − t³/4 (from 0 to
+        // 2), the second stays at 1
         let key = |value: [f32; 2]| [0.0, 0.0, value[0], value[1], 0.0, 0.0];
         let values: Vec<f32> = [key([0.0, 1.0]), key([2.0, 1.0])].concat();
         let output = b.floats("SCALAR", &values);
@@ -198,7 +198,8 @@ fn outputs_may_be_sparse() {
     assert_near(placed(&at(&b, 1.5), 0, Vec3::ZERO), 2.0 * Vec3::X);
 }
 
-/// A file with three animations: two that move different nodes, and one that moves the first's.
+/// A file with at most three animations: the first two move different nodes, the third moves the
+/// same node as the first.
 fn several(count: usize) -> Builder {
     animated(|b| {
         let input = b.floats("SCALAR", &[0.0]);
@@ -224,7 +225,7 @@ fn animations_are_chosen_by_name_or_number() {
         scene.map(|scene| [0, 1].map(|i| placed(&scene, i, Vec3::ZERO).x)).map_err(|error| error.to_string())
     };
     assert_eq!(xs("Hop", Some(0.0)), Ok([1.0, 0.0]));
-    // without a time, the start
+    // without a time, time 0
     assert_eq!(xs("Jump", None), Ok([0.0, 2.0]));
     assert_eq!(xs("2", None), Ok([3.0, 0.0]));
     let expected =
@@ -241,9 +242,9 @@ fn without_a_choice_animations_that_do_not_conflict_play_together() {
     assert_eq!([0, 1].map(|i| placed(scene.as_ref().unwrap(), i, Vec3::ZERO).x), [1.0, 0.0]);
     let expected = "test.gltf: /animations: several animations move the same nodes (0 (Hop), 1 (Jump), 2 (Leap)); the first is shown";
     assert_eq!(warnings, [expected]);
-    // a time without animations
+    // a time for a file without animations
     let (_, warnings) = load_choosing(&Builder::triangle().glb(), &options);
-    assert_eq!(warnings, ["test.gltf: /animations: there are none; the time has no effect"]);
+    assert_eq!(warnings, ["test.gltf: /animations: the file has no animations; the time has no effect"]);
 }
 
 #[test]
@@ -265,7 +266,7 @@ fn pointers_stand_still_with_a_warning() {
     assert!(scene.is_ok());
     let expected = [
         "/extensionsUsed/0: KHR_animation_pointer is not supported and has no effect",
-        "/animations/0/channels/0/target/path: \"pointer\" is not animated here; what it moves stands still",
+        "/animations/0/channels/0/target/path: \"pointer\" is not supported; the property keeps its value",
     ];
     assert_eq!(warnings, expected.map(|warning| format!("test.gltf: {warning}")));
 }
@@ -330,7 +331,7 @@ fn contents_list_animations_and_variants() {
     assert_eq!(contents.variants, ["Ruby", "Topaz"]);
 }
 
-/// Bounds and mean of the corners of the fox, as `data/fox.py` finds them with NumPy.
+/// Bounds and mean of the corners of the fox, as `data/fox.py` computes them with NumPy.
 const FOX: [(&str, f64, [[f32; 3]; 3]); 4] = [
     ("Survey", 0.0, [[-29.8998, -0.1307, -84.3404], [11.5953, 74.6421, 56.6528], [-3.2666, 32.1693, -2.8316]]),
     ("Survey", 1.7, [[-11.5965, -0.1307, -84.9123], [18.5374, 77.7259, 67.4433], [1.3505, 32.7429, -1.7869]]),
@@ -350,7 +351,7 @@ fn the_fox_stands_where_numpy_puts_it() {
         let sum: glam::DVec3 = corners.iter().map(|corner| corner.as_dvec3()).sum();
         let found = [bounds.min, bounds.max, (sum / corners.len() as f64).as_vec3()];
         for (found, expected) in found.into_iter().zip([low, high, mean]) {
-            // the fox is 155 long
+            // the fox is 155 units long
             assert!(found.distance(expected.into()) < 2e-3, "{animation} at {time_s}: {found} {expected:?}");
         }
     }

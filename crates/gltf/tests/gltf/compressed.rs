@@ -1,5 +1,5 @@
-//! Packed meshes and pictures, written by the encoders of others (`data/make.mjs`), against their
-//! sources.
+//! Compares compressed meshes and pictures with their sources. Encoders of other projects wrote
+//! them (`data/make.mjs`).
 
 use std::collections::BTreeMap;
 
@@ -15,8 +15,8 @@ fn data(name: &str) -> Vec<u8> {
     std::fs::read(workspace().join("crates/gltf/tests/data").join(name)).unwrap()
 }
 
-/// Vertices by their grid position in halves, and triangles by those of their corners, the least
-/// first.
+/// Vertices by their grid position, in halves; and triangles by the positions of their corners, the
+/// smallest first.
 type Grid = (BTreeMap<[i32; 2], (Vec3, Vec3, Vec2)>, Vec<[[i32; 2]; 3]>);
 
 fn grid(scene: &Scene) -> Grid {
@@ -44,7 +44,7 @@ fn grid(scene: &Scene) -> Grid {
     (vertices.collect(), triangles)
 }
 
-/// The grid before it was packed.
+/// The grid before it was compressed.
 fn plain() -> Grid {
     let grid = grid(&load(&data("grid.glb")).0.unwrap());
     assert_eq!((grid.0.len(), grid.1.len()), (20, 24));
@@ -77,7 +77,7 @@ fn draco_primitives_are_decoded() {
     let (jet, warnings) = support::load_file(&folder.join("jet-fighter/jet-fighter.glb"));
     let jet = jet.unwrap();
     assert_eq!(jet.triangle_count(), 36440, "{warnings:?}");
-    // the accessors' own bounds: those of the mesh before packing
+    // the accessors' own bounds: the bounds of the mesh before compression
     let bounds = jet.bounds();
     println!("jet-fighter spans {} to {}", bounds.min, bounds.max);
 }
@@ -107,7 +107,7 @@ fn meshopt_views_are_unpacked() {
         let mut b = b.clone();
         let extension = json!({"buffer": 0, "byteOffset": source["byteOffset"], "byteLength": source["byteLength"],
             "byteStride": 12, "count": 3, "mode": "ATTRIBUTES"});
-        // the fallback has no data at all
+        // the fallback buffer has no data
         let fallback = json!({"buffer": 1, "byteOffset": 0, "byteLength": 36, "extensions": {name: extension}});
         b.set("/bufferViews/0", fallback).set("/extensionsRequired", json!([name]));
         b.set("/buffers", json!([{"byteLength": b.bin.len()}, {"byteLength": 36}]));
@@ -138,7 +138,7 @@ fn claims_that_no_stream_can_back_are_refused_before_memory_is_taken() {
     b.set("/bufferViews/0/byteLength", json!(1u64 << 32));
     b.set("/bufferViews/0/extensions", json!({"EXT_meshopt_compression": extension}));
     assert!(support::error(&b).contains("which 64 packed bytes can hold"), "{}", support::error(&b));
-    // Draco: every length of a broken stream
+    // Draco: a broken stream of every length
     let file = data("grid-draco-edgebreaker.glb");
     let view = file.windows(5).position(|bytes| bytes == b"DRACO").unwrap();
     for at in view..file.len() {
@@ -146,13 +146,13 @@ fn claims_that_no_stream_can_back_are_refused_before_memory_is_taken() {
             let mut broken = file.clone();
             broken[at] = value;
             let options = LoadOptions { max_decoded_bytes: 64 << 20, ..LoadOptions::default() };
-            // an error or a scene
+            // both an error and a scene are right
             _ = load_choosing(&broken, &options);
         }
     }
 }
 
-/// A triangle that shows a picture.
+/// A file with a triangle that shows a picture.
 fn picture(bytes: &[u8]) -> Builder {
     let mut b = Builder::triangle();
     let view = b.view(bytes);
@@ -168,7 +168,7 @@ fn picture(bytes: &[u8]) -> Builder {
 
 #[test]
 fn basis_pictures_are_decoded() {
-    // KHR_texture_basisu; ETC1S holds a block's colours on one line
+    // KHR_texture_basisu; in ETC1S the colours of a block are on one line
     for (name, tolerance) in [("etc1s", 24), ("uastc", 8), ("uastc-zstd", 8)] {
         let file = data(&format!("{name}.ktx2"));
         let scene = scene(&picture(&file));
@@ -183,7 +183,7 @@ fn basis_pictures_are_decoded() {
         }
         println!("{name}: off by at most {largest}");
         assert!(largest <= tolerance, "{name}: {largest}");
-        // cut short, and with every byte broken: a message or a picture, never more
+        // cut short, and with every byte broken: an error or a picture, but no panic
         for length in 0..file.len() {
             assert!(load(&picture(&file[..length]).glb()).0.is_err(), "{name} cut to {length}");
         }
@@ -195,7 +195,7 @@ fn basis_pictures_are_decoded() {
             }
         }
     }
-    // a note whose end is not padded
+    // an entry of key/value data whose end is not padded
     let mut noted = data("uastc.ktx2");
     noted.resize(noted.len().next_multiple_of(4), 0);
     let notes = [noted.len() as u32, 7].map(u32::to_le_bytes);

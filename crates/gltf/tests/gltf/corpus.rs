@@ -1,5 +1,5 @@
-//! Files that others made: sample assets, which load, and hostile ones, which must do no harm; and
-//! the scenes of this project.
+//! Files of other projects: sample assets, which load, and hostile files, which must do no harm.
+//! Also the scenes of this project.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -11,14 +11,14 @@ use lumistack_gltf::{GltfError, LoadOptions};
 use lumistack_scene::Scene;
 use serde_json::{Value, json};
 
-/// No file of the corpus may take longer to load or refuse.
+/// Longest time in which any file of the corpus is loaded or refused.
 const MAX_LOAD_TIME: Duration = Duration::from_secs(20);
 
-/// Triangles with instances counted, as the corpus' own inventory gives them.
+/// Number of triangles, including copies, from the corpus' own inventory.
 const TRIANGLES: [(&str, usize); 25] = [
     ("BoxMeshopt/BoxMeshopt.glb", 12),
     ("BoxMeshopt/BoxMeshopt.gltf", 12),
-    // 36446 in the inventory; the others have no area
+    // 36446 in the inventory, which includes triangles without area
     ("jet-fighter/jet-fighter.glb", 36440),
     ("AttenuationTest/AttenuationTest.glb", 292),
     ("Box/Box.glb", 12),
@@ -42,7 +42,7 @@ const TRIANGLES: [(&str, usize); 25] = [
     ("many-cubes/many-cubes.gltf", 6012),
     // 12 triangles, 125 copies
     ("simple-instancing/simple-instancing.glb", 1500),
-    // 121496 in the inventory; the others have no area
+    // 121496 in the inventory, which includes triangles without area
     ("2CylinderEngine/2CylinderEngine.glb", 110_336),
 ];
 
@@ -98,8 +98,8 @@ fn sample_assets_load_or_are_refused_for_their_extensions() {
     }
 }
 
-/// glTF-Asset-Generator: modes 0 to 6 without indices, then with; the last two have indices of
-/// other sizes. Those that make triangles show one unit square that faces +z.
+/// glTF-Asset-Generator: modes 0 to 6 without indices, then with indices; the last two files have
+/// other sizes of indices. Modes that make triangles show a unit square that faces +z.
 fn check_primitive_mode(file: usize, result: Result<Scene, GltfError>) {
     if file % 7 < 4 && file < 14 {
         assert!(result.unwrap_err().to_string().contains("at least one triangle"));
@@ -116,7 +116,7 @@ fn quantized_and_plain_meshes_are_the_same_surface() {
     let plain = load_file(&folder.join("TransmissionRoughnessTest/TransmissionRoughnessTest.glb")).0.unwrap();
     let name = "TransmissionRoughnessTest-quantized/TransmissionRoughnessTest-quantized.glb";
     let quantized = load_file(&folder.join(name)).0.unwrap();
-    // 14 bits over the extent of 2
+    // 14 bits over an extent of 2
     let tolerance = 2.0 / 16384.0;
     let corners = |scene: &Scene| -> Vec<Vec3> {
         let placed = scene.instances.iter().flat_map(|instance| {
@@ -134,8 +134,8 @@ fn quantized_and_plain_meshes_are_the_same_surface() {
     assert!(largest < tolerance && largest > 0.0);
 }
 
-/// Errors of the Khronos validator that do not change the picture, so that a file with no others
-/// loads, and why.
+/// Error codes of the Khronos validator that do not change the picture, with the reason. A file
+/// with no other errors loads.
 const HARMLESS: [(&str, &str); 32] = [
     ("ACCESSOR_ANIMATION_INPUT_NEGATIVE", "values hold before the first key, wherever it is"),
     ("ACCESSOR_ANIMATION_SAMPLER_OUTPUT_NON_NORMALIZED_QUATERNION", "made unit length"),
@@ -149,36 +149,36 @@ const HARMLESS: [(&str, &str); 32] = [
     ("ACCESSOR_OFFSET_ALIGNMENT", "bytes are read one by one"),
     ("ACCESSOR_TOTAL_OFFSET_ALIGNMENT", "bytes are read one by one"),
     ("ACCESSOR_VECTOR3_NON_UNIT", "made unit length"),
-    ("BUFFER_DATA_URI_MIME_TYPE_INVALID", "the content counts"),
-    ("BUFFER_VIEW_INVALID_BYTE_STRIDE", "of views that hold no vertices; followed or not, with a warning"),
+    ("BUFFER_DATA_URI_MIME_TYPE_INVALID", "the content decides"),
+    ("BUFFER_VIEW_INVALID_BYTE_STRIDE", "of a view without vertices; applied or not, with a warning"),
     ("BUFFER_VIEW_TARGET_OVERRIDE", "targets are hints for graphics cards"),
     ("CAMERA_ZFAR_LEQUAL_ZNEAR", "nothing is clipped"),
     ("DUPLICATE_ELEMENTS", "an extension that is named twice is still one"),
     ("EMPTY_ENTITY", "an empty list means the same as none"),
     ("GLB_CHUNK_LENGTH_UNALIGNED", "bytes are read one by one"),
-    ("IMAGE_BUFFER_VIEW_WITH_BYTESTRIDE", "the bytes of a picture are its view's"),
+    ("IMAGE_BUFFER_VIEW_WITH_BYTESTRIDE", "the bytes of a picture are all bytes of its view"),
     ("IMAGE_MIME_TYPE_INVALID", "the content decides the format"),
     ("MESH_PRIMITIVES_UNEQUAL_TARGETS_COUNT", "a weight without a target moves nothing"),
-    ("MESH_PRIMITIVE_ATTRIBUTES_ACCESSOR_UNSIGNED_INT", "of attributes that nobody reads"),
+    ("MESH_PRIMITIVE_ATTRIBUTES_ACCESSOR_UNSIGNED_INT", "of attributes that are not read"),
     ("MESH_PRIMITIVE_INDEXED_SEMANTIC_CONTINUITY", "every set is read by its own number"),
-    ("MESH_PRIMITIVE_INDICES_ACCESSOR_WITH_BYTESTRIDE", "followed or not, with a warning, as others read it"),
+    ("MESH_PRIMITIVE_INDICES_ACCESSOR_WITH_BYTESTRIDE", "applied or not, with a warning, as in other readers"),
     ("MESH_PRIMITIVE_INVALID_ATTRIBUTE", "unknown attributes are not read"),
     ("MESH_PRIMITIVE_MORPH_TARGET_NO_BASE_ACCESSOR", "a delta without a base moves nothing"),
     ("MESH_PRIMITIVE_TOO_FEW_TEXCOORDS", "the missing coordinates read (0, 0), with a warning"),
     ("NODE_PARENT_OVERRIDE", "the node stays with its first parent, with a warning"),
-    ("NODE_MATRIX_TRS", "the matrix counts, with a warning"),
-    ("UNSATISFIED_DEPENDENCY", "skin or weights without a mesh, extensions that nobody declared: no effect"),
+    ("NODE_MATRIX_TRS", "the matrix is used, with a warning"),
+    ("UNSATISFIED_DEPENDENCY", "skin or weights without a mesh, undeclared extensions: no effect"),
     ("VALUE_MULTIPLE_OF", "of a stride; bytes are read one by one"),
 ];
 
-/// Loads at a time, so that animations are read.
+/// Loads at a time, so that animations are read too.
 fn load_posed(bytes: &[u8], resolver: &Folder) -> Result<Scene, GltfError> {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let options = LoadOptions { time_s: Some(0.5), ..LoadOptions::default() };
     lumistack_gltf::load_with("test.gltf", bytes, resolver, &options, Task::quiet(&warnings, &cancel))
 }
 
-/// The errors of a report.
+/// The error codes in the validator's report on a file.
 fn verdict(path: &Path) -> Option<Vec<String>> {
     let report = std::fs::read(path.with_added_extension("report.json")).ok()?;
     let report: Value = serde_json::from_slice(&report).unwrap();
@@ -187,37 +187,37 @@ fn verdict(path: &Path) -> Option<Vec<String>> {
     Some(errors.map(|message| message["code"].as_str().unwrap().to_owned()).collect())
 }
 
-/// A `.gltf` file with a triangle added to its scene, so that only its own defects can be a reason
-/// to refuse it.
+/// A `.gltf` file with a triangle added to its scene, so that only the file's defects can be a
+/// reason to refuse it.
 fn with_a_triangle(path: &Path) -> Option<Vec<u8>> {
     let file: Value = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
     let (mut b, [_, node]) = add_triangle(&file)?;
     let scene = b.json.get("scene").and_then(Value::as_u64).unwrap_or_default();
-    // without scenes every root is shown
+    // without scenes every node without a parent is shown
     if let Some(scene) = b.json.pointer_mut(&format!("/scenes/{scene}")) {
         scene.as_object_mut()?.entry("nodes").or_insert_with(|| json!([])).as_array_mut()?.push(json!(node));
     }
     Some(b.json.to_string().into_bytes())
 }
 
-/// Files with errors that matter elsewhere but not there, and why.
+/// Files with errors that are harmless in them, and the reason.
 const LENIENT: [(&str, &str); 6] = [
     ("buffer/invalid_uri_data.glb", "shows nothing; its twin in JSON is refused when shown"),
     ("buffer/no_bin_chunk.glb", "shows nothing; the same is refused when shown in the tests of errors"),
     ("glb/bom.glb", "a byte order mark is skipped"),
     ("json/bom.gltf", "a byte order mark is skipped"),
     ("image/invalid_data_uri_mime_type.gltf", "the stated media type is wrong; the content decides"),
-    ("root/extensions_non_objects.gltf", "of extensions that nobody reads"),
+    ("root/extensions_non_objects.gltf", "of extensions that are not read"),
 ];
 
-/// Files that are refused though no error of theirs matters, and why.
+/// Files that are refused although all of their errors are harmless, and the reason.
 const STRICT: [(&str, &str); 1] = [(
     "animation_data/quaternion_non_unit_values.gltf",
     "its times have no data and so are all zero, which the validator does not look at",
 )];
 
-/// Files with a validator error that matters are refused, at the latest when the scene shows the
-/// object that has it. All others load, once the scene has a triangle.
+/// A file with a harmful validator error is refused, at the latest when the scene shows the object
+/// that has the error. All other files load after a triangle was added to the scene.
 #[test]
 fn hostile_files_do_no_harm() {
     let Some(folder) = assets("hostile/gltf") else { return };
@@ -237,7 +237,7 @@ fn hostile_files_do_no_harm() {
         let is_sound = errors.iter().all(is_harmless) || LENIENT.iter().any(|(file, _)| name.ends_with(file));
         let shows_nothing = text.contains("expected at least one triangle");
         if is_sound {
-            // most files show nothing, which is a reason of its own to refuse them
+            // most files show no triangle, for which they are refused too
             let shown = with_a_triangle(&path).map_or(result, |bytes| load(&bytes));
             loaded += 1;
             if let Err(error) = shown.as_ref().map_err(ToString::to_string)
@@ -262,15 +262,15 @@ fn hostile_files_do_no_harm() {
     }
     println!("{loaded} load, {refused} refused");
     assert!(disagreements.is_empty(), "{disagreements:#?}");
-    // every file that shows nothing says why, and those that are broken in different ways do not
-    // all say the same
+    // every file that shows nothing states a reason, and files with different defects do not all
+    // state the same
     assert!(reasons.iter().all(|reason| reason.starts_with("none: ")), "{reasons:#?}");
     let count = reasons.len();
     reasons.sort();
     reasons.dedup();
     println!("{count} files show nothing, for {} reasons", reasons.len());
     assert!(reasons.len() > 20, "{reasons:#?}");
-    // the rest of the corpus shows nothing, or is broken
+    // other files of the corpus that show nothing or are broken
     let named = [
         ("assimp-BoxWithInfinites/BoxWithInfinites.glb", "/attributes/POSITION: expected finite numbers"),
         ("assimp-IndexOutOfRange/IndexOutOfRange.gltf", "/indices: expected vertices below 24, found 255"),
@@ -286,8 +286,8 @@ fn hostile_files_do_no_harm() {
     }
 }
 
-/// Most hostile files keep their defect in an object that nothing shows. Here every object is shown
-/// in turn.
+/// Most hostile files have their defect in an object that no scene shows. Here every object is
+/// shown in turn.
 #[test]
 fn hostile_objects_do_no_harm_when_shown() {
     let Some(folder) = assets("hostile/gltf") else { return };
@@ -309,7 +309,8 @@ fn hostile_objects_do_no_harm_when_shown() {
     }
     messages.iter().for_each(|message| println!("{message}"));
     println!("{loaded} load, {refused} refused");
-    // an index just past the end of a list finds the appended entry, so those are tested elsewhere
+    // an index just past the end of a list refers to the appended entry, so such indices are tested
+    // elsewhere
     for (file, expected) in [
         ("mesh/accessor_unequal_count", "/attributes/COLOR_0: expected"),
         ("mesh/position_accessor_invalid_format", "/attributes/POSITION: expected VEC3"),
@@ -325,8 +326,8 @@ fn hostile_objects_do_no_harm_when_shown() {
     }
 }
 
-/// The file with a triangle that no scene shows yet: its mesh and its node. `None` where a list is
-/// no list.
+/// The file with a triangle that no scene shows yet: its mesh and its node. `None` if a member that
+/// should be a list is none.
 fn add_triangle(file: &Value) -> Option<(Builder, [usize; 2])> {
     let mut b = Builder { json: file.clone(), bin: Vec::new() };
     for list in ["scenes", "nodes", "meshes", "accessors", "bufferViews", "buffers", "materials", "textures"] {
@@ -334,7 +335,7 @@ fn add_triangle(file: &Value) -> Option<(Builder, [usize; 2])> {
             return None;
         }
     }
-    // buffers that the corpus left without data hold zeros
+    // buffers without data in the corpus get zeros
     let buffers = b.json.get_mut("buffers").and_then(Value::as_array_mut);
     for buffer in buffers.into_iter().flatten().filter_map(Value::as_object_mut) {
         let length = buffer.get("byteLength").and_then(Value::as_u64).filter(|&length| length <= 1 << 16);
@@ -353,12 +354,12 @@ fn add_triangle(file: &Value) -> Option<(Builder, [usize; 2])> {
     Some((b, [mesh, node]))
 }
 
-/// Copies of a file that show a triangle and, each, one more of its objects.
+/// Copies of a file that show a triangle, and each one more object of the file.
 fn shown_in_turn(file: &Value) -> Vec<(String, Value)> {
     let count = |list: &str| file.get(list).and_then(Value::as_array).map_or(0, Vec::len);
     let mut variants = Vec::new();
     let mut show = |what: String, change: &dyn Fn(&mut Builder, Value)| {
-        // a list that is no list is for the unchanged file to test
+        // a file with a member that is no list is tested unchanged
         let Some((mut b, [mesh, node])) = add_triangle(file) else { return };
         let scene = b.push("scenes", json!({"nodes": [node]}));
         b.json["scene"] = json!(scene);
@@ -433,7 +434,7 @@ fn the_scenes_of_this_project_load_without_a_warning() {
         assert!(scene.environment.is_some() && scene.is_lit(), "{name}");
         assert!(scene.cameras[0].focus_distance.is_some_and(|distance| distance > 0.0), "{name}");
         assert!(scene.materials.iter().any(|material| material.base_color_texture.is_some()), "{name}");
-        // the binary, the sky and the pictures, each once
+        // the binary file, the sky and the pictures, each once
         let mut read = resolver.read.borrow().clone();
         read.sort();
         let before = read.len();

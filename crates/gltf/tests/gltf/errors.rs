@@ -1,11 +1,12 @@
-//! Broken files: one error each, which names the place, the expected value and the value found.
+//! Broken files: each has one error, which names the place, the expected value and the value found.
 
 use crate::support::{Builder, F32, Memory, U8, U16, U32, error, load, load_choosing, load_with, png};
 use lumistack_core::{Cancel, Cancelled, Collector, Task};
 use lumistack_gltf::{GltfError, LoadOptions};
 use serde_json::json;
 
-/// Asserts the message without the file's name, which all begin with.
+/// Asserts an error's message. `expected` leaves out the file's name, with which every message
+/// begins.
 fn assert_error(builder: &Builder, expected: &str) {
     assert_eq!(error(builder), format!("test.gltf: {expected}"));
 }
@@ -16,7 +17,7 @@ fn triangle_with(change: impl FnOnce(&mut Builder)) -> Builder {
     builder
 }
 
-/// A triangle with a base colour texture whose image is given as JSON.
+/// A triangle with a base colour texture; `image` is the JSON of its image.
 fn textured(image: serde_json::Value) -> Builder {
     triangle_with(|b| {
         b.push("images", image);
@@ -70,7 +71,7 @@ fn broken_pictures() {
 
     assert_error(&textured(json!({})), "/images/0: expected a uri or a bufferView, found neither");
 
-    // a header that promises 60000 × 60000 texels
+    // a header that states 60000 × 60000 texels
     let mut huge = png(1, &[[0; 4]]);
     huge[16..24].copy_from_slice(&[0, 0, 0xEA, 0x60, 0, 0, 0xEA, 0x60]);
     let crc = crc32(&huge[12..29]);
@@ -83,7 +84,7 @@ fn broken_pictures() {
     assert_eq!(message, format!("test.gltf: /images/0/bufferView: expected {expected}"));
 }
 
-/// ISO 3309, as PNG chunks carry it.
+/// The checksum of PNG chunks (ISO 3309).
 fn crc32(bytes: &[u8]) -> u32 {
     !bytes.iter().fold(u32::MAX, |crc, &byte| {
         (0..8).fold(crc ^ u32::from(byte), |crc, _| if crc & 1 == 1 { (crc >> 1) ^ 0xEDB8_8320 } else { crc >> 1 })
@@ -108,10 +109,10 @@ fn accessors_that_reach_past_their_bytes() {
     assert_error(&b, "/bufferViews/0/byteLength: expected at most 36 bytes, which buffer 0 has there, found 37");
     let b = triangle_with(|b| _ = b.set("/bufferViews/0/byteOffset", json!(u64::MAX)));
     assert_error(&b, "/bufferViews/0/byteLength: expected at most 0 bytes, which buffer 0 has there, found 36");
-    // 2³² wraps to 0 in the typed reader
+    // 2³² becomes 0 in the typed reader
     let b = triangle_with(|b| _ = b.set("/bufferViews/0/buffer", json!(1u64 << 32)));
     assert_error(&b, "/bufferViews/0/buffer: expected an index below 1, found 4294967296");
-    // zeros that take no room in the file
+    // zeros that take no space in the file
     let b = triangle_with(|b| {
         b.remove("/accessors/0/bufferView").set("/accessors/0/count", json!(4_000_000_000u64));
     });
@@ -207,18 +208,18 @@ fn scenes_with_nothing_to_see() {
     assert!(error(&b).contains("every node that the scene lists is hidden"), "{}", error(&b));
     let b = triangle_with(|b| _ = b.set("/meshes/0/primitives", json!([])));
     assert_error(&b, &format!("/scenes/0: {nothing}: /meshes/0 has no primitives"));
-    // the first reason of several
+    // the first of several reasons
     let primitives = json!([{"attributes": {"POSITION": 0}, "mode": 1}, {"attributes": {}}]);
     let b = triangle_with(|b| _ = b.set("/meshes/0/primitives", primitives));
     let reason =
         "/meshes/0/primitives/0: a primitive of mode Lines has no surface and is left out (and 1 more are left out)";
     assert_error(&b, &format!("/scenes/0: {nothing}: {reason}"));
-    // the part that the scene does not use is broken as well
+    // data that the scene does not use is broken as well
     let b = triangle_with(|b| {
         b.set("/nodes/0", json!({}));
         b.set("/accessors/0/count", json!(4));
     });
-    let reason = "of 1 nodes none has a mesh, and nothing shows the file's mesh; the file is also broken where nothing shows it: \
+    let reason = "of 1 nodes none has a mesh, and nothing shows the file's mesh; data that the scene does not use has a defect: \
                   /accessors/0/count: expected at most 3, which /bufferViews/0 holds, found 4";
     assert_error(&b, &format!("/scenes/0: {nothing}: {reason}"));
     let mut flat = Builder::triangle();
@@ -242,13 +243,13 @@ fn hierarchies_that_are_no_trees() {
     assert_error(&b, "/nodes/0: expected a tree of nodes, found a node among its own ancestors");
 }
 
-/// Sums up to more than the budget: nothing is decoded, although every picture alone would fit.
+/// If the pictures in sum exceed the budget, none is decoded, although each alone would fit.
 #[test]
 fn pictures_are_counted_before_the_first_is_decoded() {
     let mut b = Builder::triangle();
     let sky = png(64, &[[7; 4]; 64 * 64]);
     let (first, second) = (b.view(&sky), b.view(&sky));
-    // the first is cut off in its pixels, which are never seen
+    // the first picture ends within its pixels, which are not decoded
     b.set(&format!("/bufferViews/{first}/byteLength"), json!(60));
     for view in [first, second] {
         b.push("images", json!({"bufferView": view}));
@@ -361,7 +362,7 @@ fn required_extensions() {
 #[test]
 fn copies_of_copies_do_not_exhaust_memory() {
     let mut builder = Builder::triangle();
-    // a million copies that take no room in the file, of a mesh with two hundred parts
+    // a million copies that take no space in the file, of a mesh with two hundred primitives
     let offsets = builder.push("accessors", json!({"componentType": F32, "type": "VEC3", "count": 1 << 20}));
     builder.set("/meshes/0/primitives", json!(vec![json!({"attributes": {"POSITION": 0}}); 200]));
     let instancing = json!({"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": offsets}}});
@@ -371,8 +372,8 @@ fn copies_of_copies_do_not_exhaust_memory() {
     assert!(message.starts_with(expected), "{message}");
 }
 
-/// Fifty thousand nodes of a mesh with twenty thousand primitives: a billion of anything would take
-/// minutes.
+/// Fifty thousand nodes show a mesh with twenty thousand primitives. Work for each pair, a billion,
+/// would take minutes.
 #[test]
 fn nodes_that_share_a_large_mesh_take_no_time() {
     let mut builder = Builder::triangle();

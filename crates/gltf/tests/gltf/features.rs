@@ -1,4 +1,4 @@
-//! The meaning of sound files: each test writes a small file and checks the scene.
+//! The meaning of valid files: each test writes a small file and checks the scene.
 
 use std::f32::consts::{FRAC_1_SQRT_2, FRAC_PI_2};
 
@@ -8,14 +8,14 @@ use lumistack_gltf::AssetResolver;
 use lumistack_scene::{AlphaMode, Filter, Light, LightKind, Pixels, Projection, TextureUse, Wrap};
 use serde_json::{Value, json};
 
-/// A few roundings in 32 bits at the size of these scenes.
+/// A few rounding errors of 32-bit numbers, at the size of these scenes.
 const TOLERANCE: f32 = 1e-5;
 
 fn assert_near(found: Vec3, expected: Vec3) {
     assert!((found - expected).abs().max_element() < TOLERANCE, "expected {expected}, found {found}");
 }
 
-/// Corner positions of every triangle of a mesh.
+/// Positions of the corners of every triangle of a mesh.
 fn corners(scene: &lumistack_scene::Scene, mesh: usize) -> Vec<[Vec3; 3]> {
     let mesh = &scene.meshes[mesh];
     mesh.triangles.iter().map(|triangle| triangle.map(|i| mesh.positions[i as usize])).collect()
@@ -72,7 +72,7 @@ fn lists_strips_and_fans_make_the_same_square() {
             let scene = scene.unwrap();
             assert_eq!(warnings.len(), usize::from(indices.is_some_and(|i| i.len() == 7)), "{warnings:?}");
             assert_eq!(scene.triangle_count(), 2);
-            // both halves face +z and cover the square
+            // both triangles face +z and cover the square
             let twice_area: f32 = corners(&scene, 0).iter().map(|[a, b, c]| (b - a).cross(c - a).z).sum();
             assert_eq!(twice_area, 2.0);
             assert!(scene.meshes[0].normals.iter().all(|&normal| normal == Vec3::Z));
@@ -114,7 +114,7 @@ fn sparse_elements_replace_dense_ones_or_zeros() {
 #[test]
 fn interleaved_and_quantized_attributes() {
     let mut b = Builder::triangle();
-    // 12 bytes a vertex: position i16×3, padding, normal i8×3, padding
+    // 12 bytes per vertex: position i16×3, padding, normal i8×3, padding
     let mut bytes = Vec::new();
     for position in [[0i16, 0, 0], [32767, 0, 0], [0, -32768, 0]] {
         position.iter().for_each(|v| bytes.extend(v.to_le_bytes()));
@@ -180,7 +180,7 @@ fn shared_meshes_become_instances_under_their_parents() {
     let place = |i: usize| scene.instances[i].scene_from_mesh.transform_point3(Vec3::X);
     assert_near(place(0), Vec3::X);
     assert_near(place(1), Vec3::new(1.0, 0.0, 1.0));
-    // turned by 90° about z, doubled, then lifted by the parent
+    // rotated by 90° about z, scaled by two, then lifted by the parent
     assert_near(place(2), Vec3::new(0.0, 2.0, 1.0));
     assert_near(place(3), Vec3::new(3.0, 5.0, 6.0));
 }
@@ -194,7 +194,7 @@ fn the_default_scene_is_chosen() {
     assert_eq!(scene(&b).bounds().min.x, 0.0);
     b.set("/scene", json!(1));
     assert_eq!(scene(&b).bounds().min.x, 9.0);
-    // without scenes, every root
+    // without scenes every node without a parent is shown
     b.remove("/scene").remove("/scenes");
     assert_eq!(scene(&b).instances.len(), 2);
 }
@@ -242,7 +242,7 @@ fn a_skin_poses_its_mesh() {
     b.push("nodes", json!({"translation": [0, 2, 0]}));
     b.set("/scenes/0/nodes", json!([0, 1]));
     let scene = scene(&b);
-    // joint 0 lifts by z + 1; joint 1, bound at z = 1 and moved to (0, 2, 1), lifts by y + 2
+    // joint 0 moves to z + 1; joint 1, bound at z = 1 and moved to (0, 2, 1), moves to y + 2
     let placed: Vec<Vec3> =
         scene.meshes[0].positions.iter().map(|&p| scene.instances[0].scene_from_mesh.transform_point3(p)).collect();
     assert_near(placed[0], Vec3::new(0.0, 0.0, 1.0));
@@ -261,7 +261,7 @@ fn a_skin_turns_normals_with_the_surface() {
     b.push("skins", json!({"joints": [0]}));
     b.set("/nodes/0", json!({"mesh": 0, "skin": 0, "scale": [2, 1, 1]}));
     let scene = scene(&b);
-    // a plane x + y = c, stretched twice along x, becomes x/2 + y = c
+    // a plane x + y = c that is stretched by two along x becomes x/2 + y = c
     assert_near(scene.meshes[0].normals[0], Vec3::new(1.0, 2.0, 0.0).normalize());
     assert_near(scene.meshes[0].positions[1], 2.0 * Vec3::X);
 }
@@ -279,7 +279,7 @@ fn morph_targets_count_at_their_weights() {
     assert_eq!(scene.meshes[1].positions[0].z, 2.0);
 }
 
-/// A triangle whose material has every texture and extension.
+/// A triangle whose material has many textures and extensions.
 fn painted() -> Builder {
     let mut b = Builder::triangle();
     let uvs = b.floats("VEC2", &[0.0, 0.0, 1.0, 0.0, 0.0, 1.0]);
@@ -324,7 +324,7 @@ fn materials_keep_every_factor_and_texture() {
     assert_eq!(material.attenuation_color, Vec3::new(1.0, 0.5, 0.25));
     assert_eq!(material.textures().count(), 5);
 
-    // sets 0 and 3 of the file are the mesh's 0 and 1
+    // sets 0 and 3 of the file become sets 0 and 1 of the mesh
     let base = material.base_color_texture.unwrap();
     assert_eq!(base.uv_set, 1);
     assert_eq!(scene.meshes[0].uvs[1], [Vec2::ZERO, Vec2::X, Vec2::Y]);
@@ -339,7 +339,7 @@ fn materials_keep_every_factor_and_texture() {
         (Wrap::ClampToEdge, Wrap::MirroredRepeat, Filter::Nearest)
     );
     assert_eq!((default.wrap_u, default.wrap_v, default.filter), (Wrap::Repeat, Wrap::Repeat, Filter::Linear));
-    // one picture, decoded once, its first row on top
+    // one picture, decoded once, whose first row is at the top
     assert_eq!((sampled.image, default.image, scene.images.len()), (0, 0, 1));
     assert_eq!(
         scene.images[0].pixels,
@@ -351,7 +351,7 @@ fn materials_keep_every_factor_and_texture() {
 fn texture_transforms_scale_then_turn_then_shift() {
     let scene = scene(&painted());
     let map = scene.materials[1].base_color_texture.unwrap().texture_from_mesh;
-    // (1, 1) → (2, 3) → a quarter turn that takes u to −v: (3, −2) → (3.5, −1.75)
+    // (1, 1) → (2, 3) → a quarter turn that moves u to −v: (3, −2) → (3.5, −1.75)
     assert!((map.transform_point2(Vec2::ONE) - Vec2::new(3.5, -1.75)).length() < TOLERANCE);
 }
 
@@ -360,9 +360,9 @@ fn the_transform_test_scene_agrees_on_the_sense_of_rotation() {
     let Some(folder) = support::assets("gltf/TextureTransformTest") else { return };
     let (scene, _) = support::load_file(&folder.join("TextureTransformTest.gltf"));
     let scene = scene.unwrap();
-    // The arrow's tip lies on the diagonal of its picture. The scene marks its place on the turned
-    // square. The square's corners (−0.5, 0.5) and (0.5, −0.5) have the texture coordinates (0, 0)
-    // and (1, 1).
+    // The arrow's tip is on the diagonal of its picture, and the scene marks its position on the
+    // rotated square. The square's corners (−0.5, 0.5) and (0.5, −0.5) have the texture coordinates
+    // (0, 0) and (1, 1).
     let material = scene.materials.iter().find(|material| material.name == "Rotation").unwrap();
     let map = material.base_color_texture.unwrap().texture_from_mesh;
     let marked = map.transform_point2(Vec2::new(0.5 - 0.079_048_224, 0.5 + 0.516_267_5));
@@ -379,7 +379,7 @@ fn unlit_and_other_alpha_modes() {
     b.set("/meshes/0/primitives/0/material", json!(0));
     let scene = scene(&b);
     assert_eq!((scene.materials[0].unlit, scene.materials[0].alpha_mode), (true, AlphaMode::Blend));
-    // a thickness of 0, the default, is a thin wall
+    // a thickness of 0, the default, means a thin wall
     assert!(!scene.materials[0].solid && scene.materials[0].attenuation_distance == f32::INFINITY);
     assert_eq!(scene.materials.len(), 1);
 }
@@ -408,7 +408,7 @@ fn pictures_of_every_format_and_depth() {
         assert_eq!(load_picture(bytes).pixels, expected);
     }
     let Pixels::Rgba8(texels) = load_picture(encode(rgb8, image::ImageFormat::Jpeg)).pixels else { panic!() };
-    // JPEG rounds in YCbCr
+    // tolerance for JPEG's rounding in YCbCr
     assert!(texels.iter().all(|t| t[0].abs_diff(200) <= 2 && t[1].abs_diff(100) <= 2 && t[2].abs_diff(50) <= 2));
 }
 
@@ -437,7 +437,7 @@ fn lights_shine_along_minus_z_of_their_nodes() {
             {"type": "point", "range": 3},
             {"type": "spot", "intensity": 2, "spot": {"innerConeAngle": 0.25, "outerConeAngle": 0.5}}]}}),
     );
-    // a quarter turn about y takes −z to −x
+    // a quarter turn about y moves −z to −x
     let turned = json!([0, FRAC_1_SQRT_2, 0, FRAC_1_SQRT_2]);
     for light in 0..3 {
         let light = json!({"KHR_lights_punctual": {"light": light}});
@@ -485,7 +485,7 @@ fn the_environment_of_the_scene() {
     let environment = json!({"image": "sky.hdr", "strength": 2, "rotation": [0, 1, 0, 0]});
     b.set("/scenes/0/extras", json!({"lumistack": {"environment": environment}}));
     let mut picture = std::io::Cursor::new(Vec::new());
-    // powers of two are exact in shared-exponent texels
+    // powers of two are exact in texels with a shared exponent
     let texels = [[4.0f32, 2.0, 1.0], [0.5, 0.25, 0.125]].map(image::Rgb);
     image::codecs::hdr::HdrEncoder::new(&mut picture).encode(&texels, 2, 1).unwrap();
     let (scene, warnings) = load_with(&b.glb(), &Memory(vec![("sky.hdr", picture.into_inner())]));
@@ -505,8 +505,8 @@ fn whole_numbers_may_be_written_as_floats() {
     assert!(text.contains("3.0") && load(text.as_bytes()).0.is_ok());
 }
 
-/// A scene that lists a child, a node twice or a node of two parents is no tree of nodes, but
-/// others show it.
+/// A scene that lists a child, the same node twice, or a node with two parents is not a tree. Other
+/// readers show it, and so does this one.
 #[test]
 fn scenes_that_list_children_are_shown() {
     let corner = |b: &Builder| {
@@ -532,7 +532,7 @@ fn scenes_that_list_children_are_shown() {
     assert_eq!(corner(&under(json!([0]))), (vec![0.0], vec![alone]));
     let again = "/scenes/0/nodes/1: expected every node once, found node 1 again; it is shown once";
     assert_eq!(corner(&under(json!([1, 1]))), (vec![3.0], vec![again.into()]));
-    // the first of two parents
+    // a node with two parents keeps the first
     let mut b = under(json!([1, 2]));
     b.push("nodes", json!({"children": [0, 0], "translation": [5, 0, 0]}));
     let (places, warnings) = corner(&b);
@@ -542,8 +542,8 @@ fn scenes_that_list_children_are_shown() {
     assert_eq!(warnings[0], expected);
 }
 
-/// glTF has strides for vertices only. One on indices is followed where the indices lie so, as
-/// others do, and has no effect otherwise.
+/// glTF has strides only for vertices. A stride on indices is applied if the indices fit it, as in
+/// other readers. Otherwise it has no effect.
 #[test]
 fn strides_where_none_belong_are_said() {
     for (bytes, stride, expected) in [
@@ -563,7 +563,7 @@ fn strides_where_none_belong_are_said() {
     }
 }
 
-/// Two buffers, and two images, of equal URI are one.
+/// Two buffers, and two images, with equal URIs are read once.
 #[test]
 fn equal_uris_are_read_and_decoded_once() {
     struct Counted(Memory, std::cell::RefCell<Vec<String>>);
@@ -607,7 +607,7 @@ fn what_has_no_effect_is_said() {
     let (scene, warnings) = load(&b.glb());
     assert!(scene.unwrap().meshes[0].tangents.is_empty());
     let expected = [
-        "/animations: the file is animated; it is shown as its nodes stand, since no time is asked for",
+        "/animations: the file is animated; its nodes keep their own values, since no time is given",
         "/scenes/0/extras/lumistack/enviroment: unknown; known here: environment",
         "/meshes/0/primitives/0: some tangents have no direction; all are left out and generated where needed",
     ];

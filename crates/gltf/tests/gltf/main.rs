@@ -1,5 +1,5 @@
-//! How glTF is read. One program for all files, which share the processors;
-//! `cargo test -p lumistack-gltf --test gltf animations::` runs the tests of one.
+//! Tests of reading glTF. All files are one program, so that they share the processors; `cargo test
+//! -p lumistack-gltf --test gltf animations::` runs the tests of one file.
 
 mod animations;
 mod compressed;

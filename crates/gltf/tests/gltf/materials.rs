@@ -1,4 +1,4 @@
-//! Material extensions: each test writes a small file and looks at the scene.
+//! Material extensions: each test writes a small file and checks the scene.
 
 use crate::support::{self, Builder, load, load_choosing, png, scene};
 use glam::{Affine2, Vec2, Vec3, Vec4};
@@ -21,7 +21,7 @@ fn triangle_with(material: Value) -> Builder {
     b
 }
 
-/// A texture reference with a transform of its own, and its expected form in the scene.
+/// A texture reference with its own transform, and the form that it gets in the scene.
 fn texture(number: usize) -> (Value, Option<TextureUse>) {
     let shift = 0.0625 * number as f32;
     let json = json!({"index": number, "texCoord": number % 2,
@@ -30,7 +30,8 @@ fn texture(number: usize) -> (Value, Option<TextureUse>) {
     (json, Some(TextureUse { texture: 0, uv_set: number % 2, texture_from_mesh }))
 }
 
-/// The use without the position of the texture, which depends on the order of reading.
+/// The use of a texture with the texture's index set to 0, since the index depends on the order of
+/// reading.
 fn moved(found: Option<TextureUse>) -> Option<TextureUse> {
     found.map(|found| TextureUse { texture: 0, ..found })
 }
@@ -107,7 +108,7 @@ fn layers_use_any_two_sets_of_coordinates() {
         "KHR_materials_sheen": {"sheenColorTexture": {"index": 0, "texCoord": 1}}}}));
     let scene = scene(&b);
     let material = &scene.materials[0];
-    // sets 1 and 4 of the file are the mesh's 0 and 1
+    // sets 1 and 4 of the file become sets 0 and 1 of the mesh
     assert_eq!(material.clearcoat.unwrap().texture.unwrap().uv_set, 1);
     assert_eq!(material.sheen.unwrap().color_texture.unwrap().uv_set, 0);
 }
@@ -129,11 +130,11 @@ fn glossiness_becomes_roughness() {
     assert_eq!(moved(material.specular_color_texture), texture(1).1);
     let rough = material.metallic_roughness_texture.unwrap();
     assert_eq!(moved(Some(rough)), texture(1).1);
-    // 1 − glossiness · alpha, of alpha 0, 1, 0.4 and 0.2
+    // 1 − glossiness · alpha, for alpha 0, 1, 0.4 and 0.2
     let Pixels::Rgba8(texels) = &found.images[found.textures[rough.texture].image].pixels else { panic!() };
     let green: Vec<u8> = texels.iter().map(|texel| texel[1]).collect();
     assert_eq!(green, [255, 128, 204, 230]);
-    // without a texture the factor alone
+    // without a texture, the factor alone
     b.remove("/materials/0/extensions/KHR_materials_pbrSpecularGlossiness/specularGlossinessTexture");
     let material = scene(&b).materials[0].clone();
     assert_eq!((material.roughness, material.metallic_roughness_texture), (0.5, None));
@@ -182,7 +183,7 @@ fn variants_choose_materials() {
         let options = LoadOptions { variant: variant.map(Into::into), ..LoadOptions::default() };
         load_choosing(&b.glb(), &options).0.map(|scene| scene.materials[scene.meshes[0].material].name.clone())
     };
-    // materials that no mesh uses are not read: the broken texture of the third stays unseen
+    // materials that no mesh uses are not read, so the broken texture of the third is no error
     assert_eq!(choose(None).unwrap(), "plain");
     assert_eq!(choose(Some("Ruby")).unwrap(), "red");
     assert_eq!(choose(Some("0")).unwrap(), "red");
@@ -201,7 +202,7 @@ fn variants_choose_materials() {
     assert!(message.contains("/mappings/0/material: expected an index below 3"), "{message}");
 }
 
-/// Pictures of one to four channels become four, texel by texel.
+/// Pictures with one to four channels become pictures with four, texel by texel.
 #[test]
 fn pictures_of_any_channels_become_rgba() {
     let (width, height) = (5u32, 3u32);

@@ -1,4 +1,5 @@
-//! Files cut short and files with random bytes: an error or a scene, never a panic.
+//! Files that are cut short, and files with random bytes: they give an error or a scene, but never
+//! a panic.
 
 use std::panic::catch_unwind;
 use std::time::{Duration, Instant};
@@ -10,10 +11,10 @@ use serde_json::json;
 
 const SEED: u64 = 2012;
 
-/// Longest that one broken file of a few kilobytes may take.
+/// Longest time that one broken file of a few kilobytes may take.
 const MAX_LOAD_TIME: Duration = Duration::from_secs(5);
 
-/// A file of about 4 kB that uses nearly everything that is read.
+/// A file of about 4 kB that uses nearly every feature that is read.
 fn everything() -> Builder {
     let mut b = Builder::triangle();
     let indices = b.accessor(U16, "SCALAR", 3, &[0, 0, 1, 0, 2, 0]);
@@ -77,7 +78,8 @@ fn everything() -> Builder {
     b
 }
 
-/// Loads and returns whether a scene came out; fails with the bytes' origin on a panic.
+/// Loads the bytes, and returns true if they give a scene. A panic fails with `what`, a description
+/// of the bytes.
 fn survives(bytes: &[u8], what: &str) -> bool {
     let start = Instant::now();
     let result = catch_unwind(|| load(bytes).0.is_ok());
@@ -103,7 +105,7 @@ fn a_file_cut_anywhere_is_refused() {
 
 #[test]
 fn a_binary_chunk_cut_anywhere_is_survived() {
-    // the container is sound, so that the end of the data cuts every accessor in turn
+    // the container is valid, so that every accessor in turn extends past the end of the data
     let whole = everything();
     let json_length = whole.bin.len();
     for length in (0..json_length).step_by(3) {

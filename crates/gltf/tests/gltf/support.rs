@@ -1,5 +1,5 @@
-//! Shared by the tests: a writer of small glTF files, resolvers, and the folder of third-party
-//! files.
+//! Shared by the tests: a writer of small glTF files, resolvers, and the folder of files of other
+//! projects.
 
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use lumistack_gltf::{AssetResolver, GltfError, LoadOptions};
 use lumistack_scene::Scene;
 use serde_json::{Value, json};
 
-/// Reads files beside the glTF file and remembers which.
+/// Reads files next to the glTF file, and records their names.
 pub struct Folder {
     root: PathBuf,
     pub read: RefCell<Vec<String>>,
@@ -30,7 +30,7 @@ impl AssetResolver for Folder {
     }
 }
 
-/// Files by name, in memory.
+/// Files in memory, by name.
 pub struct Memory(pub Vec<(&'static str, Vec<u8>)>);
 
 impl AssetResolver for Memory {
@@ -40,14 +40,14 @@ impl AssetResolver for Memory {
     }
 }
 
-/// The scene and the warnings, as text.
+/// Loads a file; returns the scene and the warnings as text.
 pub fn load_with(bytes: &[u8], resolver: &dyn AssetResolver) -> (Result<Scene, GltfError>, Vec<String>) {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let result = lumistack_gltf::load("test.gltf", bytes, resolver, Task::quiet(&warnings, &cancel));
     (result, warnings.take().iter().map(ToString::to_string).collect())
 }
 
-/// A file in memory at a time, in a variant.
+/// Loads a file from memory with options: a time, a variant.
 pub fn load_choosing(bytes: &[u8], options: &LoadOptions) -> (Result<Scene, GltfError>, Vec<String>) {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
@@ -71,19 +71,19 @@ pub fn load(bytes: &[u8]) -> (Result<Scene, GltfError>, Vec<String>) {
     load_with(bytes, &Memory(Vec::new()))
 }
 
-/// The scene of a file that is expected to load without a warning.
+/// The scene of a file that loads without a warning.
 pub fn scene(builder: &Builder) -> Scene {
     let (scene, warnings) = load(&builder.glb());
     assert_eq!(warnings, Vec::<String>::new());
     scene.unwrap()
 }
 
-/// The error of a file that is expected to be refused.
+/// The error of a file that is refused.
 pub fn error(builder: &Builder) -> String {
     load(&builder.glb()).0.unwrap_err().to_string()
 }
 
-/// Third-party files; `None`, with a line that says so, where they are missing.
+/// A folder of files of other projects; `None`, with a line that says so, if it is missing.
 pub fn assets(folder: &str) -> Option<PathBuf> {
     let path = lumistack_testkit::skip::folder("LUMISTACK_ASSETS", "../shared/scenes")?.join(folder);
     if !path.is_dir() {
@@ -116,7 +116,7 @@ impl Builder {
         Self { json: json!({"asset": {"version": "2.0"}}), bin: Vec::new() }
     }
 
-    /// One triangle (0,0,0) (1,0,0) (0,1,0), not indexed, on node 0 of a scene.
+    /// One triangle (0,0,0) (1,0,0) (0,1,0) without indices, on node 0 of a scene.
     pub fn triangle() -> Self {
         let mut builder = Self::new();
         let positions = builder.floats("VEC3", &[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]);
@@ -126,7 +126,7 @@ impl Builder {
         builder
     }
 
-    /// Appends to a list of the root and returns the new object's number.
+    /// Appends to a list of the root, and returns the new object's index.
     pub fn push(&mut self, list: &str, value: Value) -> usize {
         let list = self.json.as_object_mut().unwrap().entry(list).or_insert_with(|| json!([]));
         let list = list.as_array_mut().unwrap();
@@ -159,7 +159,7 @@ impl Builder {
         self.accessor(F32, kind, values.len() / dimensions, &bytes)
     }
 
-    /// A change to any member, by JSON pointer; the member before the last segment must exist.
+    /// Sets any member, by JSON pointer; the object or list that holds it must exist.
     pub fn set(&mut self, pointer: &str, value: Value) -> &mut Self {
         let (parent, key) = pointer.rsplit_once('/').unwrap();
         match self.json.pointer_mut(parent).unwrap() {
@@ -212,7 +212,7 @@ impl Builder {
     }
 }
 
-/// A PNG of one colour per texel.
+/// A PNG picture, with one colour per texel.
 pub fn png(width: u32, texels: &[[u8; 4]]) -> Vec<u8> {
     let height = texels.len() as u32 / width;
     let image = image::RgbaImage::from_raw(width, height, texels.as_flattened().to_vec()).unwrap();

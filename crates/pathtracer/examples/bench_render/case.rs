@@ -19,23 +19,23 @@ use serde_json::json;
 
 pub type Outcome<T = ()> = Result<T, Box<dyn Error>>;
 
-/// Width of the window in display space; only the ratio to the distance matters.
+/// Width of the window in display space, in millimetres; only its ratio to the distance matters.
 const WIDTH_MM: f64 = 400.0;
 /// Distance of the eye over the height of the window: a vertical angle of view of 23°.
 const DISTANCE_PER_HEIGHT: f64 = 2.5;
 /// Radiance of the sky and of the light.
 const SKY: f32 = 0.4;
 const LIGHT: f32 = 40.0;
-/// Mesh and material of the light, made last.
+/// Name of the mesh and the material of the light.
 const LIGHT_NAME: &str = "rectangle light";
 
-/// A scene and how it is looked at.
+/// A scene, with its geometry, window and settings for a view.
 pub struct Case {
     pub name: String,
     pub scene: Arc<Scene>,
     pub window: Window,
     pub geometry: FieldGeometry,
-    /// Corner, edges of the rectangle light.
+    /// A corner of the rectangle light, and its two edges from there.
     light: [Vec3; 3],
 }
 
@@ -48,8 +48,8 @@ impl AssetResolver for Folder<'_> {
 }
 
 impl Case {
-    /// A glTF or USD file as a diffuse scene, or with its own materials; a file without a camera
-    /// also gets a floor. With `copies` > 1, so many of it stand in a square.
+    /// A glTF or USD file, as a diffuse scene or with its own materials. A file without a camera
+    /// also gets a floor. With `copies` > 1, that number of copies are arranged in a square.
     pub fn load(
         path: &Path,
         copies: usize,
@@ -57,7 +57,7 @@ impl Case {
         own_materials: bool,
         task: Task<'_>,
     ) -> Outcome<Self> {
-        // Warnings about parts of the file that a diffuse scene leaves out are of no use.
+        // Warnings about things in the file that a diffuse scene leaves out are of no use.
         let unread = Collector::default();
         let quiet = Task { warnings: &unread, ..task };
         let extension = path.extension().unwrap_or_default().to_string_lossy();
@@ -83,7 +83,7 @@ impl Case {
         )
     }
 
-    /// Any parts as a diffuse scene, or with their own materials.
+    /// A scene, made diffuse or with its own materials.
     pub fn new(
         name: String,
         parts: SceneParts,
@@ -115,7 +115,7 @@ impl Case {
             let half = 4.0 * size.length();
             add(&mut parts, rectangle(at, half * Vec3::X, half * Vec3::NEG_Z), diffuse_material(Vec4::splat(0.5)));
         }
-        // above and beside the viewer, facing the scene
+        // above and to the right of the viewer, facing the scene
         let toward = Vec3::new(0.6, 1.0, 0.7).normalize();
         let (u, v) = toward.any_orthonormal_pair();
         let half = 0.3 * size.length();
@@ -158,9 +158,9 @@ impl Case {
         corner + u[0] * across + u[1] * up
     }
 
-    /// Writes the scene for the peers: `scene.json` names arrays and pictures beside it. Meshes are
-    /// in world space. With `exact` peers render this very scene; otherwise a peer may take a kind
-    /// of light that it is better at.
+    /// Writes the scene for the peers: `scene.json` names the arrays and pictures next to it.
+    /// Meshes are in world space. With `exact`, peers render exactly this scene. Otherwise a peer
+    /// may replace a light by a kind that it samples better.
     pub fn export(&self, folder: &Path, exact: bool) -> Outcome {
         std::fs::create_dir_all(folder)?;
         let mut meshes = Vec::new();
@@ -227,7 +227,7 @@ impl Case {
     }
 }
 
-/// Puts instances of everything side by side, every other one mirrored.
+/// Arranges copies of the scene side by side, and mirrors every other copy.
 fn repeat(parts: &mut SceneParts, copies: usize, bounds: lumistack_scene::Bounds) {
     parts.cameras.clear();
     let across = (copies as f64).sqrt().ceil() as usize;
@@ -249,11 +249,11 @@ fn unlit(mut parts: SceneParts) -> SceneParts {
     parts
 }
 
-/// The parts with every material made diffuse, with face normals.
+/// The scene with every material made diffuse, with face normals.
 fn diffuse(mut parts: SceneParts) -> SceneParts {
     for material in &mut parts.materials {
         let texture = material.base_color_texture;
-        // the peers get factor or texture, and no alpha
+        // the peers get a factor or a texture, and no alpha
         let color = if texture.is_some() { Vec4::ONE } else { material.base_color.truncate().extend(1.0) };
         *material = Material { base_color_texture: texture, ..diffuse_material(color) };
     }

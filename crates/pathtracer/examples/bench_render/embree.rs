@@ -1,7 +1,7 @@
-//! Embree 4 from its Python wheel, called from here, so that both sides pay the same for a loop
-//! over rays.
+//! Embree 4 from its Python wheel, called from here, so that both libraries have the same costs of
+//! a loop over rays.
 //!
-//! The library is opened at run time; constants and layouts are those of Embree 4's `rtcore`
+//! The library is opened at run time. Constants and layouts are copied from Embree 4's `rtcore`
 //! headers.
 
 use std::ffi::{CStr, CString, c_char, c_int, c_uint, c_void};
@@ -18,7 +18,7 @@ pub struct Embree {
     intersect1: unsafe extern "C" fn(*mut c_void, *mut RayHit, *mut c_void),
     intersect8: unsafe extern "C" fn(*const c_int, *mut c_void, *mut RayHit8, *mut Arguments),
     occluded1: unsafe extern "C" fn(*mut c_void, *mut RayHit, *mut c_void),
-    /// Embree reads them for as long as the scene lives.
+    /// Vertices and indices, which Embree reads as long as the scene lives.
     _arrays: (Vec<f32>, Vec<u32>),
 }
 
@@ -26,7 +26,7 @@ pub struct Embree {
 // `new` does
 unsafe impl Sync for Embree {}
 
-/// `RTCRayHit` with room to spare.
+/// `RTCRayHit`, followed by unused memory for fields of other versions.
 #[repr(C, align(16))]
 struct RayHit {
     origin: [f32; 3],
@@ -45,7 +45,7 @@ struct RayHit {
     rest: [u32; 12],
 }
 
-/// `RTCRayHit8` with room to spare.
+/// `RTCRayHit8`, followed by unused memory for fields of other versions.
 #[repr(C, align(32))]
 struct RayHit8 {
     origin: [[f32; 8]; 3],
@@ -64,7 +64,7 @@ struct RayHit8 {
     rest: [[u32; 8]; 4],
 }
 
-/// `RTCIntersectArguments` with room to spare.
+/// `RTCIntersectArguments`, followed by unused memory for fields of other versions.
 #[repr(C)]
 struct Arguments {
     flags: u32,
@@ -91,8 +91,7 @@ impl Embree {
     pub fn new(library: &Path, triangles: &[[Vec3; 3]]) -> Outcome<Self> {
         let path = CString::new(library.to_string_lossy().as_bytes())?;
         const NOW: c_int = 2;
-        // SAFETY: the path is a C string; a library's initializers are trusted as much as the
-        // library
+        // SAFETY: the path is a C string; the library's initializers are as trusted as the library
         let handle = unsafe { dlopen(path.as_ptr(), NOW) };
         if handle.is_null() {
             return Err(format!("{}: not a library that can be opened", library.display()).into());
@@ -103,11 +102,11 @@ impl Embree {
             if found.is_null() { Err(format!("{name:?} is missing").into()) } else { Ok(found) }
         };
         let mut vertices: Vec<f32> = triangles.iter().flatten().flat_map(|v| v.to_array()).collect();
-        // Embree may read a vertex as four values
+        // Embree may read four values per vertex
         vertices.push(0.0);
         let indices: Vec<u32> = (0..3 * triangles.len() as u32).collect();
         type Pointer = *mut c_void;
-        // SAFETY: names and signatures are those of the headers; the arrays live as long as the
+        // SAFETY: names and signatures are copied from the headers; the arrays live as long as the
         // scene
         unsafe {
             let new_device: extern "C" fn(*const c_char) -> Pointer = std::mem::transmute(symbol(c"rtcNewDevice")?);
@@ -162,12 +161,12 @@ impl Embree {
     #[inline]
     pub fn is_open(&self, origin: Vec3, direction: Vec3, t_max: f32) -> bool {
         let mut query = RayHit::new(origin, direction, t_max);
-        // SAFETY: as above; only the ray's part is used
+        // SAFETY: as in `nearest`; Embree uses only the fields of the ray
         unsafe { (self.occluded1)(self.scene, &mut query, null_mut()) };
         query.far >= 0.0
     }
 
-    /// Up to eight coherent rays; the number that hit.
+    /// Traces up to eight coherent rays, and returns the number of rays that hit.
     pub fn nearest8(&self, rays: &[(Vec3, Vec3, f32)]) -> usize {
         // SAFETY: all zeroes are valid numbers
         let mut query: RayHit8 = unsafe { std::mem::zeroed() };

@@ -1,5 +1,5 @@
-//! Light fields in three ways: view by view, with light shared by all views that see a point, and
-//! filtered by their guides. Each way renders twice, by independent seeds.
+//! Compares three ways to render light fields: view by view, with light shared by all views that
+//! see a point, and filtered with guides. Each way renders twice, with independent seeds.
 
 use std::time::Duration;
 
@@ -11,17 +11,17 @@ use lumistack_pathtracer::{RenderError, Renderer, Settings};
 use crate::case::{Case, Outcome};
 use crate::{BOUNCES, Options};
 
-/// Share of the values that are at most white. Brighter values do not count as errors: no display
-/// shows them, and a few would hide all others.
+/// Fraction of the values that are at most white. Brighter values are cut to white before errors
+/// are computed: no display shows them, and a few of them would hide all other errors.
 const BELOW_WHITE: f64 = 0.99;
-/// Tick of `/proc/self/stat` in milliseconds.
+/// Unit of the times in `/proc/self/stat`, in milliseconds.
 const TICK_MS: u64 = 10;
-/// Samples of the views that are filtered, and of views alone beside them. The last are the
-/// reference, and long enough for the time of any filter.
+/// Samples per pixel of filtered views (`FILTERED`) and of views rendered one by one (`ALONE`). The
+/// last of `ALONE` are the reference, and take longer than any filter.
 const FILTERED: [u32; 3] = [4, 16, 64];
 const ALONE: [u32; 4] = [4, 16, 64, 256];
 
-/// A light field's views, as they are rendered.
+/// A way to render the views of a light field.
 #[derive(Clone, Copy, PartialEq)]
 enum Kind {
     Alone,
@@ -29,24 +29,24 @@ enum Kind {
     Guided,
 }
 
-/// One way to render a light field.
+/// One way to render a light field, with its results.
 struct Way {
     kind: Kind,
     samples: u32,
-    /// Processor seconds, the mean of both renders.
+    /// Processor time in seconds, the mean of both renders.
     seconds: f64,
-    /// Views, twice, by independent seeds.
+    /// The views of two renders with independent seeds.
     pictures: [Vec<Tensor<3>>; 2],
 }
 
 /// Errors of a way, over all views.
 struct Errors {
-    /// Mean squared error, bias included, and that of the worst view.
+    /// Mean squared error with bias, of all views (`all`) and of the worst view (`worst`).
     all: f64,
     worst: f64,
-    /// The part of it that is no noise.
+    /// The squared error without noise, which remains at any number of samples.
     bias: f64,
-    /// Mean of the pictures over that of the truth, minus 1.
+    /// Mean of the pictures divided by the mean of the truth, minus 1.
     change: f64,
 }
 
@@ -57,7 +57,7 @@ struct Bench {
     renderer: Renderer,
 }
 
-/// Renders the views of a case alone and with shared light, and prints a table row per way.
+/// Renders the views of a case one by one and with shared light, and prints a table row per way.
 pub fn measure(options: &Options) -> Outcome {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
@@ -76,8 +76,9 @@ pub fn measure(options: &Options) -> Outcome {
     Ok(())
 }
 
-/// Renders the views of a case alone and filtered, at several numbers of samples, and prints a row
-/// per way. Its last column is the error of views alone in the same time over that of the way.
+/// Renders the views of a case one by one and filtered, at several numbers of samples, and prints a
+/// row per way of rendering. The last column compares with views that are rendered one by one in
+/// the same time: their error, divided by the error of this way.
 pub fn filters(options: &Options) -> Outcome {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
@@ -156,7 +157,7 @@ impl Way {
     }
 }
 
-/// Renders everything twice, in turns.
+/// Renders all ways twice, in turns.
 fn render(bench: &Bench, ways: &mut [Way], task: Task<'_>) -> Outcome {
     let count = ways.len() as u64;
     for round in 0..2 {
@@ -171,23 +172,24 @@ fn render(bench: &Bench, ways: &mut [Way], task: Task<'_>) -> Outcome {
     Ok(())
 }
 
-/// Views of a case, of parallel rays over a zone; an axis with one view has no zone.
+/// Geometry of a case's views with parallel rays, over a zone of `fov_deg`. An axis with one view
+/// has no zone.
 fn field_of(case: &Case, views: [usize; 2], fov_deg: f64) -> Outcome<FieldGeometry> {
     let [fov_y, fov_x] = views.map(|count| if count > 1 { fov_deg } else { 0.0 });
     Ok(case.geometry.with_grid(ViewGrid::uniform(Projection::Oblique, views, [fov_x, fov_y])?))
 }
 
-/// Time of the processors that this process has spent.
+/// Processor time that this process has used.
 fn spent() -> Outcome<Duration> {
     let stat = std::fs::read_to_string("/proc/self/stat")?;
-    // the name, in brackets, may hold spaces; user and system time are the twelfth and thirteenth
-    // field past it
+    // the name, in brackets, may contain spaces; user and system time are the 12th and 13th fields
+    // after it
     let past_name = stat.rsplit(") ").next().unwrap_or_default();
     let ticks: Vec<u64> = past_name.split(' ').skip(11).take(2).map(str::parse).collect::<Result<_, _>>()?;
     Ok(Duration::from_millis(TICK_MS * ticks.iter().sum::<u64>()))
 }
 
-/// The brightest value that counts.
+/// The brightest value that errors include.
 fn white(pictures: &[Tensor<3>]) -> f32 {
     let mut values: Vec<f32> = pictures.iter().flat_map(|picture| picture.data().iter().copied()).collect();
     let place = ((values.len() - 1) as f64 * BELOW_WHITE) as usize;
@@ -195,16 +197,17 @@ fn white(pictures: &[Tensor<3>]) -> f32 {
 }
 
 impl Errors {
-    /// Errors of a way without bias: half the squared difference of independent pictures is their
-    /// variance.
+    /// Errors of a way that has no bias: half the squared difference of two independent pictures is
+    /// their variance.
     fn of_noise(way: &Way, white: f32) -> Self {
         let variances = variances(way, white);
         let worst = variances.iter().copied().fold(0.0, f64::max);
         Self { all: mean(&variances), worst, bias: 0.0, change: 0.0 }
     }
 
-    /// Errors against a way without bias. The product of the differences to two independent
-    /// pictures is the squared error, bias included, without the noise of those.
+    /// Errors against a way that has no bias. The product of the differences to two independent
+    /// pictures of that way is the squared error with bias, without the noise of those two
+    /// pictures.
     fn new(way: &Way, truth: &Way, white: f32) -> Self {
         let shown = |value: f32| f64::from((value / white).min(1.0));
         let of_view = |view: usize| {
@@ -245,7 +248,8 @@ fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// Value at x of the broken line through points in order of x; past its ends the last pieces go on.
+/// Value at x of the polyline through points in order of x; past its ends the
+/// first and last segments go on.
 fn on_line(points: &[[f64; 2]], x: f64) -> f64 {
     let next = points.iter().position(|[at, _]| *at > x).unwrap_or(points.len() - 1).max(1);
     let ([x0, y0], [x1, y1]) = (points[next - 1], points[next]);

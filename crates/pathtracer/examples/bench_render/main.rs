@@ -1,4 +1,4 @@
-//! Times the path tracer, beside other renderers where they are named.
+//! Times the path tracer, and compares it with other renderers that are named.
 //!
 //! ```text
 //! bench_render view SCENE [--quick] [--rounds N] [--samples N] [--reference N] [--size COLSxROWS]
@@ -15,15 +15,16 @@
 //!
 //! * `rays` counts rays per second of the tree alone.
 //! * `big` renders a scene of many copies and prints its memory.
-//! * `view` renders one view of a diffuse scene (see [`case`]) with each renderer in turn. Per
-//!   renderer and sampler it prints the median time, samples per second, the mean squared error
+//! * `view` renders one view of a diffuse scene (see [`case`]) with each renderer in turn. It
+//!   prints a line per renderer and sampler: median time, samples per second, mean squared error
 //!   against the renderer's own converged picture, and error × seconds per megapixel.
 //! * `agree` compares converged pictures of the same view and fails where they differ.
-//! * `field` renders many views, once each by itself and once with shared light averaged over them.
-//!   Per method it prints processor seconds, squared error, the error of the worst view, the bias,
-//!   the change of the mean, and the speed-up at equal error.
-//! * `filters` renders views alone, with shared light and filtered by their guides, with 4, 16 and
-//!   64 samples. Its last column is the error of views alone in the same time over the way's own.
+//! * `field` renders many views, first one by one, then with shared light averaged over them. It
+//!   prints a row per method: processor seconds, squared error, error of the worst view, bias,
+//!   change of the mean, and speed-up at equal error.
+//! * `filters` renders views one by one, with shared light, and filtered with guides, with 4, 16
+//!   and 64 samples. Its last column is the error of views one by one in the same time, over the
+//!   error of the way.
 
 mod case;
 #[cfg(unix)]
@@ -42,11 +43,12 @@ use lumistack_pathtracer::{Memory, Renderer, Settings};
 use crate::case::{Case, Outcome};
 use crate::peer::Peer;
 
-/// Scattering vertices: 4 after the first hit.
+/// Number of scattering vertices: 4 after the first hit.
 const BOUNCES: u32 = 5;
-/// Largest difference of mean radiance and largest relative RMSE of two renderers that agree.
+/// Largest difference of the mean radiances, and largest relative RMSE, of two renderers that
+/// agree.
 const AGREE: [f64; 2] = [0.003, 0.03];
-/// A pixel's relative error counts against at least this share of the mean radiance.
+/// A pixel's error is relative to its radiance, but to this fraction of the mean radiance at least.
 const DARKEST_SHARE: f64 = 0.05;
 
 struct Options {
@@ -59,8 +61,8 @@ struct Options {
     peers: Vec<[PathBuf; 2]>,
     copies: usize,
     embree: Option<PathBuf>,
-    /// For `field`: rows and columns of views, their field of view, and true if surfaces keep the
-    /// materials of the file.
+    /// For `field`: rows and columns of views, their field of view in degrees, and true if surfaces
+    /// keep the materials of the file.
     views: [usize; 2],
     fov_deg: f64,
     own_materials: bool,
@@ -134,10 +136,10 @@ fn pair(word: &str) -> Outcome<[usize; 2]> {
     Ok([a.parse()?, b.parse()?])
 }
 
-/// Someone who renders the view.
+/// A renderer of the view.
 struct Entry {
     name: String,
-    /// None is ourselves.
+    /// Index of the peer and its sampler; `None` for this renderer.
     peer: Option<(usize, String)>,
     reference: Vec<f32>,
     /// Per number of samples: (seconds, mean squared error) of every round.
@@ -242,7 +244,7 @@ fn view(options: &Options) -> Outcome {
     Ok(())
 }
 
-/// Converged pictures of a diffuse scene, ours against the peers'.
+/// Compares converged pictures of a diffuse scene with those of the peers.
 fn agree(options: &Options) -> Outcome {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task { progress: &NoProgress, warnings: &warnings, cancel: &cancel };
@@ -272,7 +274,7 @@ fn agree(options: &Options) -> Outcome {
     Ok(())
 }
 
-/// A scene whose copies would not fit into memory.
+/// Renders a scene whose copies would not fit into memory as separate triangles.
 fn big(options: &Options) -> Outcome {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
@@ -322,7 +324,7 @@ fn mean_square(picture: &[f32], reference: &[f32]) -> f64 {
     sum / picture.len() as f64
 }
 
-/// Relative difference of the mean radiance, and root mean square of the pixels' relative
+/// Relative difference of the mean radiances, and root mean square of the pixels' relative
 /// differences.
 fn agreement(ours: &[f32], theirs: &[f32]) -> (f64, f64) {
     let mean = |values: &[f32]| values.iter().map(|&v| f64::from(v)).sum::<f64>() / values.len() as f64;

@@ -1,5 +1,5 @@
-//! Other people's renderers: child processes that answer one line of JSON per request, as
-//! `xtask/bench/view.py` says.
+//! Other renderers: child processes that answer each request with one line of JSON.
+//! `xtask/bench/view.py` describes the requests.
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
@@ -11,9 +11,9 @@ use crate::case::Outcome;
 
 /// A renderer's process.
 pub struct Peer {
-    /// Renderer and version.
+    /// Name and version of the renderer.
     pub name: String,
-    /// Samplers that it offers.
+    /// Names of the samplers that the renderer offers.
     pub samplers: Vec<String>,
     child: Child,
     requests: ChildStdin,
@@ -24,7 +24,7 @@ impl Peer {
     /// Starts a script on the scene in `folder`.
     pub fn start(python: &Path, script: &Path, folder: &Path) -> Outcome<Self> {
         let mut command = Command::new(python);
-        // the child's errors go to our own
+        // the child's error output goes to the error output of this program
         command.arg(script).arg(folder).stdin(Stdio::piped()).stdout(Stdio::piped());
         let mut child = command.spawn()?;
         let requests = child.stdin.take().ok_or("no way to ask")?;
@@ -37,7 +37,7 @@ impl Peer {
         Ok(peer)
     }
 
-    /// Renders once; seconds and radiance `[row][col][rgb]`.
+    /// Renders once; returns seconds and radiance `[row][col][rgb]`.
     pub fn render(&mut self, sampler: &str, samples: u32, seed: u32, file: &Path) -> Outcome<(f64, Vec<f32>)> {
         writeln!(self.requests, "render\t{sampler}\t{samples}\t{seed}\t{}", file.display())?;
         let answer = self.answer()?;
@@ -53,7 +53,7 @@ impl Peer {
                 let name = if self.name.is_empty() { "it" } else { &self.name };
                 return Err(format!("{name} ended without an answer").into());
             }
-            // a library may print on its own
+            // a library may print other lines
             if line.starts_with('{') {
                 return Ok(serde_json::from_str(&line)?);
             }
@@ -63,7 +63,7 @@ impl Peer {
 
 impl Drop for Peer {
     fn drop(&mut self) {
-        // an error here means that it has ended already
+        // an error here means that the child has ended already
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

@@ -1,6 +1,6 @@
-//! Rays per second of the tree alone, beside Embree over the same rays on the same threads. Beams
-//! and packets are taken over neighbouring pixels (`primary`) and over the samples of one pixel
-//! (`pixels`), as the path tracer takes them.
+//! Rays per second of the tree alone, compared with Embree on the same rays and threads. Beams and
+//! packets consist of neighbouring pixels (`primary`), or of the samples of one pixel (`pixels`),
+//! as in the path tracer.
 
 use std::path::Path;
 use std::time::Instant;
@@ -15,15 +15,15 @@ use crate::case::{Case, Outcome};
 #[cfg(unix)]
 use crate::embree::Embree;
 
-/// Rays per unit of work.
+/// Number of rays per unit of work.
 const CHUNK: usize = 4096;
-/// A ray starts this share of the scene's size off its surface.
+/// Distance of a ray's origin from its surface, as a fraction of the scene's size.
 const OFFSET: f32 = 1e-5;
 
-/// Origins, directions and ends.
+/// Origins, directions and largest t.
 type Rays = Vec<(Vec3, Vec3, f32)>;
 
-/// Rays that are traced in one go.
+/// Rays that are timed together.
 struct Batch {
     name: &'static str,
     kind: Kind,
@@ -32,16 +32,16 @@ struct Batch {
 
 #[derive(Clone, Copy, PartialEq)]
 enum Kind {
-    /// Neighbours follow one another: traced one by one, as beams and as packets.
+    /// Successive rays are neighbours; they are traced one by one, as beams and as packets.
     Coherent,
-    /// The nearest hits of rays to all sides.
+    /// The nearest hits of rays in all directions.
     Scattered,
     /// Any hit on a segment.
     Shadow,
 }
 
-/// Prints Mrays/s of primary rays, two bounces and shadow rays. Each is the fastest of rounds in
-/// turn, since other programs of the machine only take time away.
+/// Prints Mrays/s of primary rays, two bounces and shadow rays. Each value is the fastest of
+/// several rounds, since other programs only make a round slower.
 pub fn measure(case: &Case, embree: Option<&Path>, rounds: usize) -> Outcome {
     let triangles = world_triangles(case);
     let start = Instant::now();
@@ -151,8 +151,8 @@ fn world_triangles(case: &Case) -> Vec<[Vec3; 3]> {
     triangles
 }
 
-/// Rays of a path tracer: through every pixel, as many samples of some pixels, then scattered by
-/// Lambert's law, and from the first hits to the light.
+/// Rays as in a path tracer: a ray through every pixel, and many samples of some pixels. Also rays
+/// that are scattered by Lambert's law, and rays from the first hits to the light.
 fn batches(case: &Case, tree: &Tree, triangles: &[[Vec3; 3]]) -> Vec<Batch> {
     let mut stream = Stream::new(1);
     let geometry = &case.geometry;

@@ -1,21 +1,21 @@
 //! Directional albedo of the GGX reflection lobe, tabulated once.
 //!
 //! E(μ, α) is the albedo of the lobe without Fresnel. B(μ, α) is the albedo with s(o·h) of
-//! [`fresnel`] in the place of Fresnel's term. So the albedo with Fresnel is F₀(E − B) + F₉₀B.
+//! [`fresnel`] instead of Fresnel's term. So the albedo with Fresnel is F₀(E − B) + F₉₀B.
 //!
-//! Single scattering loses the share 1 − E of the reflected light. That share strikes the surface
-//! again and is reflected by the mean F̄ of the Fresnel term. The share Ē of it leaves, and the
-//! rest strikes once more. So the lobe has to be multiplied by K:
+//! Single scattering loses the fraction 1 − E of the reflected light. The lost light strikes the
+//! surface again and is multiplied by the mean F̄ of the Fresnel term. The fraction Ē of the result
+//! leaves, and the rest strikes once more. So the lobe has to be multiplied by K:
 //!
 //! ```text
 //! E K = E + (1 − E) F̄ Ē (1 + F̄(1 − Ē) + F̄²(1 − Ē)² + …) = E + (1 − E) F̄ Ē / (1 − F̄(1 − Ē))
 //! F̄ = 2 ∫ F(μ) μ dμ = F₀ + (1 − F₀)/21,   Ē = 2 ∫ E(μ) μ dμ
 //! ```
 //!
-//! F̄ is that of a metal's s. A dielectric's is a little greater (0.092 instead of 0.086 at n =
-//! 1.5), which would change its gloss by less than a percent.
+//! F̄ is computed with the s of a metal. The F̄ of a dielectric is a little greater: 0.092 instead
+//! of 0.086 at n = 1.5. That would change its gloss by less than a percent.
 //!
-//! A white metal is lossless, a coloured one becomes more saturated. Sources:
+//! With K a white metal is lossless, and a coloured metal becomes more saturated. Sources:
 //!
 //! * Turquin 2019, "Practical multiple scattering compensation for microfacet models": a factor on
 //!   the lobe that depends on the viewer alone.
@@ -31,32 +31,34 @@ use super::{fresnel, ggx};
 /// Nodes over the cosine μ and over perceptual roughness √α.
 const COSINES: usize = 64;
 const ROUGHNESSES: usize = 32;
-/// Samples per node: a rank-1 lattice; its error is below the interpolation error of about 1e-3.
+/// Samples per node, on a rank-1 lattice. Their error is below the interpolation error of about
+/// 1e-3.
 const SAMPLES: u32 = 987;
 /// Step of the Fibonacci lattice of [`SAMPLES`] points.
 const LATTICE_STEP: u32 = 610;
-/// Nodes of the table for stretched lobes, and its samples: root of the cosine, azimuth, √α along
-/// and across.
+/// Nodes of the table for stretched lobes, over the root of the cosine, the azimuth, and √α along
+/// and across the stretch. The next two constants are the samples per node and their lattice step.
 const STRETCHED: [usize; 4] = [16, 6, 13, 13];
 const STRETCHED_SAMPLES: u32 = 377;
 const STRETCHED_STEP: u32 = 233;
-/// The smallest cosine and α of the table: there the lobe is a mirror.
+/// The smallest cosine and the smallest α of the table. At this α the lobe is a mirror.
 const SMALLEST: f32 = 1e-3;
-/// The index of refraction whose B every table has: the format's own, and that of clear coats.
+/// The index of refraction for which every table of E also holds B: glTF's default, and the index
+/// of clear coats.
 pub(crate) const COMMON_IOR: f32 = 1.5;
-/// Nodes of the table for other indices over the root of the cosine, √α, and the root of
-/// (n − 1)/(n + 1); samples per node.
+/// Nodes of the table for other indices of refraction, over the root of the cosine, √α, and the
+/// root of (n − 1)/(n + 1). The next two constants are the samples per node and their lattice step.
 const INDICES: [usize; 3] = [40, 16, 20];
 const INDICES_SAMPLES: u32 = 377;
 const INDICES_STEP: u32 = 233;
-/// (n − 1)/(n + 1) of the highest index in that table, 4; a higher one counts as this.
+/// (n − 1)/(n + 1) of the highest index in that table, 4; a higher index is treated as 4.
 const LARGEST_ROOT: f32 = 0.6;
 
 /// Indices of E and of its mean in a table's values.
 const FULL: usize = 0;
 const MEAN: usize = 3;
 
-/// E and B for a cosine and α.
+/// E, B and the mean of E, for a cosine and α.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Albedo {
     /// Albedo without Fresnel, in (0, 1].
@@ -97,8 +99,8 @@ pub(crate) fn albedo(cosine: f32, roughness: f32) -> Albedo {
     TABLE.get_or_init(tabulate).at([cosine, roughness]).into()
 }
 
-/// Albedo of a stretched lobe: linear in the root of the cosine, in cos² of the azimuth from the
-/// stretch, and in √α along and across.
+/// Albedo of a stretched lobe. It is interpolated linearly in the root of the cosine, in cos² of
+/// the azimuth from the stretch, and in √α along and across the stretch.
 pub(crate) fn stretched(o: Vec3, alpha: Vec2) -> Albedo {
     static TABLE: OnceLock<Table<4, 4>> = OnceLock::new();
     let across = o.x * o.x + o.y * o.y;
@@ -106,8 +108,8 @@ pub(crate) fn stretched(o: Vec3, alpha: Vec2) -> Albedo {
     TABLE.get_or_init(tabulate_stretched).at([o.z.max(0.0).sqrt(), azimuth, alpha.x.sqrt(), alpha.y.sqrt()]).into()
 }
 
-/// B of a dielectric of any index: linear in the root of the cosine, in √α, and in the root of (n −
-/// 1)/(n + 1).
+/// B of a dielectric of any index. It is interpolated linearly in the root of the cosine, in √α,
+/// and in the root of (n − 1)/(n + 1).
 pub(crate) fn dielectric(cosine: f32, roughness: f32, ior: f32) -> f32 {
     static TABLE: OnceLock<Table<3, 1>> = OnceLock::new();
     let root = (ior - 1.0).max(0.0) / (ior + 1.0) / LARGEST_ROOT;
@@ -153,8 +155,8 @@ fn tabulate_indices() -> Table<3, 1> {
     })
 }
 
-/// ∫ E density over nodes that are spread evenly over 0..1, for a density whose own integral is 1:
-/// exact where E is constant.
+/// ∫ E · density over nodes that are spread evenly over 0..1. The density integrates to 1, and the
+/// result is exact where E is constant.
 fn mean_over(nodes: &[[f32; 4]], density: impl Fn(f32) -> f32) -> f32 {
     let last = (nodes.len() - 1) as f32;
     let (mut sum, mut weights) = (0.0, 0.0);
@@ -166,7 +168,7 @@ fn mean_over(nodes: &[[f32; 4]], density: impl Fn(f32) -> f32) -> f32 {
     sum / weights
 }
 
-/// A view with this cosine, or the smallest.
+/// Direction to a viewer at this cosine, but at [`SMALLEST`] at least.
 fn towards(cosine: f32) -> Vec3 {
     let cosine = cosine.max(SMALLEST);
     Vec3::new((1.0 - cosine * cosine).max(0.0).sqrt(), 0.0, cosine)
@@ -177,7 +179,8 @@ fn round(roughness: f32) -> Vec2 {
     Vec2::splat((roughness * roughness).max(SMALLEST))
 }
 
-/// E, both B, and room for the mean, which is known once all cosines are.
+/// E, B of metals, B of dielectrics, and a place for the mean, which is known only after all
+/// cosines.
 fn integrate(o: Vec3, alpha: Vec2, samples: u32, lattice_step: u32) -> [f32; 4] {
     let [full, metal, dielectric] = mean_of_lobe(o, alpha, samples, lattice_step, |o_h| {
         [1.0, fresnel::metal_rise(o_h), fresnel::dielectric_rise(o_h, COMMON_IOR)]
@@ -185,7 +188,7 @@ fn integrate(o: Vec3, alpha: Vec2, samples: u32, lattice_step: u32) -> [f32; 4] 
     [full, metal, dielectric, f32::NAN]
 }
 
-/// Albedo of the lobe with functions of o·h in the place of Fresnel.
+/// Albedo of the lobe with functions of o·h instead of Fresnel's term.
 fn mean_of_lobe<const N: usize>(
     o: Vec3,
     alpha: Vec2,
@@ -243,13 +246,13 @@ mod tests {
         assert!((mirror.full - 1.0).abs() < TABLE_TOLERANCE && (mirror.metal - 1.0 / 32.0).abs() < TABLE_TOLERANCE);
     }
 
-    /// Against the series, summed.
+    /// The closed form of K equals the sum of its series.
     #[test]
     fn the_compensation_is_a_series_of_reflections() {
         for (full, escape) in [(0.3f32, 0.5f32), (0.5, 0.45), (0.9, 0.95), (1.0, 1.0)] {
             let lobe = Albedo { full, metal: 0.0, dielectric: 0.0, mean: escape };
             for f0 in [0.0f32, 0.04, 0.37, 1.0] {
-                // the mean of Schlick's term, by midpoints
+                // the mean of Schlick's term, by the midpoint rule
                 let schlick = |x: f32| 2.0 * x * (f0 + (1.0 - f0) * (1.0 - x).powi(5));
                 let mean: f32 = (0..2000).map(|i| schlick((i as f32 + 0.5) / 2000.0)).sum::<f32>() / 2000.0;
                 let mut expected = full;
@@ -265,7 +268,7 @@ mod tests {
         }
     }
 
-    /// The mean over cosines, by the inverse of its distribution.
+    /// The tabulated mean equals a mean over cosines that are drawn by projected solid angle.
     #[test]
     fn the_mean_albedo_is_that_of_all_cosines() {
         for roughness in [0.1f32, 0.5, 0.9, 1.0] {

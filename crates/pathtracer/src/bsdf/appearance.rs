@@ -12,7 +12,7 @@ pub(crate) struct Appearance {
     /// Base colour, 0..1.
     pub(crate) base: Vec3,
     pub(crate) metallic: f32,
-    /// Perceptual.
+    /// Perceptual roughness, 0..1.
     pub(crate) roughness: f32,
     pub(crate) ior: f32,
     pub(crate) transmission: f32,
@@ -34,13 +34,14 @@ pub(crate) struct Extras {
     pub(crate) layers: Layers,
     /// 20 / Abbe number.
     pub(crate) dispersion: f32,
-    /// Weight of the channels at the wavelength that a path takes on when it enters.
+    /// Weights of the colour channels at the path's wavelength, where a path enters dispersing
+    /// glass.
     pub(crate) wave_weight: Vec3,
 }
 
 impl Appearance {
-    /// The appearance of dispersing glass at a wavelength, drawn from `u` for a path that has none
-    /// yet; returns the wavelength.
+    /// Gives dispersing glass the index of refraction of the path's wavelength, and returns that
+    /// wavelength. A path that has none yet draws one by `u`. Returns `None` for other materials.
     pub(crate) fn disperse(&mut self, path_nm: Option<f32>, u: impl FnOnce() -> f32) -> Option<f32> {
         let extras = self.extras.as_mut().filter(|extras| extras.dispersion > 0.0)?;
         let wave = match path_nm {

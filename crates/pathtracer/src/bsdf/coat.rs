@@ -1,4 +1,4 @@
-//! The clear coat, in a frame of its own (`KHR_materials_clearcoat`).
+//! The clear coat, which has its own normal and frame (`KHR_materials_clearcoat`).
 
 use glam::{Mat3, Vec2, Vec3, Vec4};
 use lumistack_scene::{Material, TextureUse};
@@ -9,14 +9,14 @@ use super::lobe::{Facet, Layer, Light, Lobe, MIRROR_ALPHA, Sample, Surface};
 use super::{fresnel, ggx};
 use crate::texture::{Encoding, Slot};
 
-/// Reflectance at normal incidence: [`COMMON_IOR`].
+/// Reflectance at normal incidence, for the index [`COMMON_IOR`].
 const COAT_F0: f32 = 0.04;
 
 /// Parameters of a clear coat.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Coating {
     pub(crate) factor: f32,
-    /// Perceptual.
+    /// Perceptual roughness.
     pub(crate) roughness: f32,
 }
 
@@ -27,7 +27,7 @@ pub(crate) struct CoatingSlots {
     pub(crate) normal: Option<Slot>,
 }
 
-/// The lobe.
+/// The lobe of a clear coat at a point.
 pub(crate) struct Coat {
     scene_from_local: Mat3,
     o: Vec3,

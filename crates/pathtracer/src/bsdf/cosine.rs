@@ -11,11 +11,11 @@ pub(crate) fn cosine_direction(u: [f32; 2]) -> Vec3 {
     Vec3::new(x, y, (1.0 - x * x - y * y).max(1e-12).sqrt())
 }
 
-/// [`cosine_direction`] for the first `count` of many numbers; x, y and z of the others are of no
-/// use.
+/// [`cosine_direction`] for the first `count` of many pairs of numbers. Do not use the x, y and z
+/// that it returns for the other pairs.
 #[inline]
 pub(crate) fn cosine_directions<const N: usize>(u: &[[f32; N]; 2], count: usize) -> [[f32; N]; 3] {
-    /// Numbers that every machine works out at once.
+    /// Numbers that fit one vector on every machine.
     const STEP: usize = 4;
     const { assert!(N.is_multiple_of(STEP)) };
     let mut directions = [[0.0; N]; 3];

@@ -1,5 +1,5 @@
-//! Diffuse scattering of the base: Lambert's law around a normal of its own, under the shadows of
-//! bumps.
+//! Diffuse scattering of the base: Lambert's law around the diffuse normal, with the shadows that
+//! bumps cast.
 
 use std::f32::consts::FRAC_1_PI;
 
@@ -13,7 +13,7 @@ use crate::normals::Normals;
 /// The diffuse lobe.
 pub(crate) struct Diffuse {
     albedo: Vec3,
-    /// In the local frame; z but where normals were bent or mapped.
+    /// Normals in the local frame; both are the z axis unless a normal was bent or mapped.
     normals: Normals,
 }
 
@@ -29,14 +29,14 @@ impl Diffuse {
 }
 
 impl Diffuse {
-    /// Share of the light that it scatters, by channel.
+    /// Fraction of the light that the lobe scatters, per channel.
     pub(crate) fn reflectance(&self) -> Vec3 {
         self.albedo
     }
 }
 
 impl Lobe for Diffuse {
-    // its normal is not bent, and so has another horizon
+    // the diffuse normal is not bent, so its horizon differs from the horizon of other lobes
     const OWN_FRAME: bool = true;
 
     fn albedo(&self) -> f32 {

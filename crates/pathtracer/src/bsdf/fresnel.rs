@@ -1,5 +1,5 @@
-//! Share of light that an interface reflects: Schlick's approximation, Fresnel's equations, and a
-//! thin film on top.
+//! Fraction of the light that an interface reflects: Schlick's approximation, Fresnel's equations,
+//! and a thin film on top.
 //!
 //! F = f₀ + (f₉₀ − f₀) s(cos θ), where s rises from 0 to 1. Metals have s = (1 − cos θ)⁵ (Schlick
 //! 1994). Dielectrics follow Fresnel's equations F_n of their index: s = (F_n(cos θ) − F_n(1)) / (1
@@ -21,12 +21,13 @@ use std::f32::consts::{PI, TAU};
 
 use glam::{Mat3, Vec3};
 
-/// Terms of the sum over m; the spectral sensitivity has died out behind them.
+/// Number of terms of the sum over m; the spectral sensitivity is negligible at later terms.
 const ORDERS: u32 = 2;
 /// Films thinner than this, in nanometres, fade to no film: without thickness there is no
 /// interface.
 const FADE_NM: f32 = 30.0;
-/// f₀ of the base from which its index of refraction is taken; 1 would be infinite.
+/// Largest f₀ of the base from which its index of refraction is computed; f₀ = 1 would give an
+/// infinite index.
 const MOST_F0: f32 = 0.9999;
 
 /// A reflectance with its weight: `weight · (f0 + (f90 − f0) s)`, per channel.
@@ -40,7 +41,7 @@ pub(crate) struct Fresnel {
 /// A thin film.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Film {
-    /// Share of the surface that has it.
+    /// Fraction of the surface that has the film.
     pub(crate) factor: f32,
     /// Index of refraction.
     pub(crate) ior: f32,
@@ -61,21 +62,22 @@ pub(crate) fn metal_rise(cosine: f32) -> f32 {
     (1.0 - cosine.clamp(0.0, 1.0)).powi(5)
 }
 
-/// s of a dielectric seen from outside. An index of 0, as the format has it where only colours of
-/// gloss are known, rises like a metal.
+/// s of a dielectric seen from outside. A material of index 0 has only a known specular colour, so
+/// its s rises like that of a metal.
 #[inline]
 pub(crate) fn dielectric_rise(cosine: f32, ior: f32) -> f32 {
     if ior < 1.0 { metal_rise(cosine) } else { rise(dielectric(cosine, ior).0, normal_reflectance(ior)) }
 }
 
-/// s where the interface reflects `reflectance`, and `f0` straight on.
+/// s of an interface that reflects `reflectance`, and reflects `f0` at normal incidence.
 #[inline]
 pub(crate) fn rise(reflectance: f32, f0: f32) -> f32 {
     ((reflectance - f0) / (1.0 - f0)).clamp(0.0, 1.0)
 }
 
 impl Film {
-    /// `bare`, the reflectance without film of a base with this f₀, changed by the film.
+    /// The reflectance with the film. `bare` is the reflectance without it, of a base whose f₀ is
+    /// `base_f0`.
     pub(crate) fn over(&self, bare: Vec3, base_f0: Vec3, cosine: f32) -> Vec3 {
         bare.lerp(self.reflectance(base_f0, cosine), self.factor)
     }
@@ -90,8 +92,9 @@ impl Film {
         let base_root = base_f0.clamp(Vec3::ZERO, Vec3::splat(MOST_F0)).map(f32::sqrt);
         let base_ior = (Vec3::ONE + base_root) / (Vec3::ONE - base_root);
         let r23 = (base_ior / ior).map(|ratio| schlick(normal_reflectance(ratio), cos_film));
-        // a reflection at a denser medium turns the phase by π; the inside of the first interface
-        // is one, for a film denser than air
+        // Both interfaces shift the phase by π where the medium behind them is less dense. In
+        // nature a denser medium shifts it. The two rules differ by π at each interface, so by 2π
+        // in total, which has no effect.
         let phase = base_ior.map(|base| PI + if base < ior { PI } else { 0.0 });
         let round_trip = (r12 * r23).clamp(Vec3::splat(1e-5), Vec3::splat(0.9999));
         let decay = round_trip.map(f32::sqrt);
@@ -139,8 +142,8 @@ pub(crate) const RGB_FROM_XYZ: Mat3 = Mat3::from_cols(
     Vec3::new(-0.498_531_4, 0.041_556, 1.057_225_2),
 );
 
-/// Reflectance of a dielectric interface for unpolarized light, and the cosine on the far side;
-/// `eta` is the index there over the index here.
+/// Reflectance of a dielectric interface for unpolarized light, and the cosine on the far side.
+/// `eta` is the index on the far side over the index on the viewer's side.
 pub(crate) fn dielectric(cosine: f32, eta: f32) -> (f32, f32) {
     let cosine = cosine.clamp(0.0, 1.0);
     let sin2_far = (1.0 - cosine * cosine) / (eta * eta);

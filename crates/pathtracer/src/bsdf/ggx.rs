@@ -20,8 +20,8 @@ use glam::{Vec2, Vec3};
 
 use crate::math::sin_cos_turns;
 
-/// Density of microfacet normals per solid angle; the components of `h` avoid the cancellation of 1
-/// − cos².
+/// Density of microfacet normals per solid angle. Computing with the components of `h` avoids the
+/// cancellation in 1 − cos².
 #[inline]
 pub(crate) fn density(h: Vec3, alpha: Vec2) -> f32 {
     let (x, y) = (h.x / alpha.x, h.y / alpha.y);
@@ -29,8 +29,8 @@ pub(crate) fn density(h: Vec3, alpha: Vec2) -> f32 {
     1.0 / (PI * alpha.x * alpha.y * s * s)
 }
 
-/// √(α_x² v_x² + α_y² v_y² + v_z²), from which all of Smith's terms are made: 1 + 2Λ is this over
-/// |v_z|.
+/// √(α_x² v_x² + α_y² v_y² + v_z²). All of Smith's terms follow from this root: 1 + 2Λ is the root
+/// over |v_z|.
 #[inline]
 fn smith_root(v: Vec3, alpha: Vec2) -> f32 {
     let (x, y) = (alpha.x * v.x, alpha.y * v.y);
@@ -44,8 +44,8 @@ pub(crate) fn visibility(o: Vec3, i: Vec3, alpha: Vec2) -> f32 {
     0.5 / (i_z * smith_root(o, alpha) + o_z * smith_root(i, alpha)).max(f32::MIN_POSITIVE)
 }
 
-/// Density per solid angle of the reflected direction that [`sample_normal`] leads to: G₁(o) D(h) /
-/// (4 o_z); above the horizon.
+/// Density per solid angle of the direction that a normal of [`sample_normal`] reflects to, above
+/// the horizon: G₁(o) D(h) / (4 o_z).
 #[inline]
 pub(crate) fn reflection_pdf(o: Vec3, h: Vec3, alpha: Vec2) -> f32 {
     density(h, alpha) / (2.0 * (o.z + smith_root(o, alpha)))
@@ -61,8 +61,8 @@ pub(crate) fn reflection(o: Vec3, i: Vec3, h: Vec3, alpha: Vec2) -> (f32, f32) {
     (density * visibility, density / (2.0 * (cap_share(o, alpha) * o.z + root_o)))
 }
 
-/// Extent of the sampled spherical cap below the equator, as a share of the extent that holds all
-/// visible normals.
+/// Extent of the sampled spherical cap below the equator, as a fraction of the extent that holds
+/// all visible normals.
 #[inline]
 fn cap_share(o: Vec3, alpha: Vec2) -> f32 {
     let a = alpha.min_element().min(1.0);
@@ -91,7 +91,8 @@ pub(crate) fn sample_normal(o: Vec3, alpha: Vec2, u: [f32; 2]) -> Vec3 {
     sample_cap(o, alpha, 1.0, u)
 }
 
-/// The direction that a visible microfacet reflects `o` to; few are below the horizon.
+/// The direction to which a sampled visible microfacet reflects `o`; few such directions are below
+/// the horizon.
 #[inline]
 pub(crate) fn sample_reflection(o: Vec3, alpha: Vec2, u: [f32; 2]) -> Vec3 {
     reflect(o, sample_cap(o, alpha, cap_share(o, alpha), u))

@@ -7,11 +7,11 @@
 //! transmission   (1 − F) D G₂ |o·h| J / |o_z|,   J = η² |i·h| / (o·h + η i·h)²
 //! ```
 //!
-//! The path carries radiance/η² ("basic radiance"), so the factor η² that every solid multiplies
-//! once and divides once is left out. Single scattering loses 1 − E(o, α, η). Like Turquin 2019,
-//! both parts are divided by the tabulated albedo E, which makes clear glass lossless. Stretched
-//! glass has another albedo, and so has glass whose reflection a film or `KHR_materials_specular`
-//! changes. Both stay single-scattering.
+//! The path carries radiance/η² ("basic radiance"). So a factor η² is left out: light would be
+//! multiplied by it on entering a solid, and divided on leaving. Single scattering loses
+//! 1 − E(o, α, η). Like Turquin 2019, both terms are divided by the tabulated albedo E, which makes
+//! clear glass lossless. Stretched glass has another albedo, and so has glass whose reflection a
+//! film or `KHR_materials_specular` changes. Neither is compensated.
 
 use std::sync::OnceLock;
 
@@ -27,8 +27,7 @@ const NO_REFRACTION: f32 = 1e-3;
 /// Nodes of the albedo table over the root of the cosine, perceptual roughness, and the index of
 /// refraction.
 const NODES: [usize; 3] = [24, 16, 16];
-/// The table reaches from the root of the reflectance at normal incidence 0 to this (an index of
-/// 4).
+/// Largest root of the reflectance at normal incidence in the table (index 4); the smallest is 0.
 const LARGEST_ROOT: f32 = 0.6;
 /// Samples per node, a Fibonacci lattice.
 const SAMPLES: u32 = 610;
@@ -38,9 +37,10 @@ const SMALLEST: f32 = 1e-3;
 
 /// A glass interface at one point.
 pub(crate) struct Glass {
-    /// Index on the far side over that on the viewer's side.
+    /// Index of refraction on the far side over the index on the viewer's side.
     eta: f32,
-    /// Share of the surface, layers above included.
+    /// Fraction of the light that the glass gets: its fraction of the surface, times the fraction
+    /// that the layers above pass.
     weight: f32,
     /// Tint of the transmitted light.
     tint: Vec3,
@@ -48,14 +48,14 @@ pub(crate) struct Glass {
     straight: bool,
     /// 1/E.
     compensation: f32,
-    /// The reflection where `KHR_materials_specular` or a film changes it.
+    /// The changed reflection, if `KHR_materials_specular` or a film changes it.
     changed: Option<Changed>,
 }
 
 /// Reflectance other than that of the bare interface.
 #[derive(Clone, Copy)]
 struct Changed {
-    /// F at normal incidence of the bare interface, and changed.
+    /// F at normal incidence: `bare_f0` of the bare interface, `f0` after the change.
     bare_f0: f32,
     f0: Vec3,
     f90: f32,
@@ -89,13 +89,13 @@ impl Glass {
         })
     }
 
-    /// Reflectance at a microfacet, the chance with which it is chosen, and the cosine on the far
-    /// side.
+    /// Reflectance at a microfacet, the chance of choosing reflection there, and the cosine on the
+    /// far side.
     fn reflectance(&self, cosine: f32) -> (Vec3, f32, f32) {
         let (bare, far) = fresnel::dielectric(cosine, self.eta);
         let Some(changed) = &self.changed else { return (Vec3::splat(bare), bare, far) };
         if bare >= 1.0 {
-            // total reflection leaves no other way
+            // total reflection: no light is refracted
             return (Vec3::ONE, 1.0, far);
         }
         let rise = fresnel::rise(bare, changed.bare_f0);
@@ -134,8 +134,8 @@ impl Glass {
         (value, (1.0 - chance) * ggx::normal_pdf(o, h, alpha) * jacobian)
     }
 
-    /// Reflects or refracts at the microfacet normal `h`: direction and, for a mirror, weight
-    /// without that of the lobe.
+    /// Reflects or refracts at the microfacet normal `h`. Returns the direction, the weight for a
+    /// mirror (without the lobe's weight), and true if the light was reflected.
     fn scatter(&self, o: Vec3, h: Vec3, u_fresnel: f32) -> (Vec3, Vec3, bool) {
         let cosine = o.dot(h);
         let (fresnel, chance, far) = self.reflectance(cosine);

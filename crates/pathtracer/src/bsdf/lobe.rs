@@ -1,5 +1,5 @@
-//! Interfaces of lobes and layers: a share of the light, a density to sample, and for layers a
-//! shadow on all below.
+//! Traits of lobes and layers. A lobe has an albedo and a density for sampling. A layer also
+//! dims all lobes below it.
 
 use std::fmt::Debug;
 
@@ -11,49 +11,51 @@ use super::frame::Frame;
 use super::fresnel::{Film, Fresnel};
 use crate::texture::{Encoding, Slot};
 
-/// Below this α a lobe is a perfect mirror (perceptual roughness 0.032): light sampling could not
-/// find it.
+/// Below this α a lobe is treated as a perfect mirror, since light sampling would hardly hit it.
+/// It is a perceptual roughness of 0.032.
 pub(crate) const MIRROR_ALPHA: f32 = 1e-3;
 
-/// A part of the scattering function, at one point for one outgoing direction.
+/// A term of the scattering function, at one point for one outgoing direction.
 pub(crate) trait Lobe {
-    /// True if the lobe has a frame or a horizon of its own. The others are evaluated only for
-    /// light on whose side geometric and shading normal agree: otherwise it would leak through the
-    /// surface.
+    /// True if the lobe has its own frame or its own horizon. Other lobes are evaluated only for
+    /// light on one side of both the geometric and the shading normal. Otherwise light would leak
+    /// through the surface.
     const OWN_FRAME: bool = false;
     /// True if light from behind can be evaluated.
     const TRANSMITS: bool = false;
     /// True if light from behind crosses into a solid.
     const REFRACTS: bool = false;
 
-    /// Share of the light that it scatters, about: lobes are chosen in proportion to it.
+    /// Approximate fraction of the light that the lobe scatters. Lobes are chosen in proportion to
+    /// it.
     fn albedo(&self) -> f32;
 
     /// True if the lobe can be evaluated; otherwise it is a mirror.
     fn is_rough(&self, facet: &Facet) -> bool;
 
-    /// f |cos|, and the density with which [`sample`](Self::sample) finds the light. Mirrors count
-    /// as zero.
+    /// f |cos|, and the density with which [`sample`](Self::sample) finds the light. A mirror
+    /// returns zeros.
     fn evaluate(&self, facet: &Facet, light: &Light) -> (Vec3, f32);
 
-    /// A direction for `u` in [0, 1)²; `u_fresnel` chooses between reflection and refraction,
-    /// `chance` is that of the lobe. `None` when light is absorbed.
+    /// A direction for `u` in [0, 1)²; `u_fresnel` chooses between reflection and refraction.
+    /// `chance` is the chance with which this lobe was chosen. Returns `None` if the light is
+    /// absorbed.
     fn sample(&self, facet: &Facet, chance: f32, u: [f32; 2], u_fresnel: f32) -> Option<Sample>;
 
-    /// Share of light that passes on its straight way.
+    /// Fraction of the light that passes without a change of direction.
     fn straight(&self, _: &Facet) -> Vec3 {
         Vec3::ZERO
     }
 }
 
-/// A lobe of a layer above the base, by its parameters.
+/// A lobe of a layer above the base.
 pub(crate) trait Layer: Lobe + Sized {
-    /// Textures.
+    /// The layer's textures.
     type Slots;
-    /// Parameters at a point.
+    /// The layer's parameters at a point.
     type Parameters: Copy + Debug;
 
-    /// True if the material names the layer, even without effect.
+    /// True if the material names the layer, even if the layer has no effect.
     fn is_named(material: &Material) -> bool;
 
     /// True if the layer has an effect somewhere.
@@ -63,21 +65,21 @@ pub(crate) trait Layer: Lobe + Sized {
     fn slots(material: &Material, slot: &mut impl FnMut(&Option<TextureUse>, Encoding) -> Option<Slot>) -> Self::Slots;
 
     /// The parameters at a point, `None` where the layer has no effect. `texel` looks a texture up,
-    /// and is 1 where there is none.
+    /// and returns 1 if there is none.
     fn parameters(
         material: &Material,
         slots: &Self::Slots,
         texel: &impl Fn(&Option<Slot>) -> Vec4,
     ) -> Option<Self::Parameters>;
 
-    /// Share of the light from below that passes towards a viewer at this cosine, for light that
-    /// the base emits.
+    /// Fraction of the light emitted by the base that passes the layer, towards a viewer at this
+    /// cosine.
     fn passed(_: &Self::Parameters, _cosine: f32) -> f32 {
         1.0
     }
 
-    /// The lobe below others that leave the share `below`, which becomes the share that this one
-    /// leaves.
+    /// The lobe, at a point where the layers above pass the fraction `below` of the light.
+    /// Multiplies `below` by the fraction that this layer passes.
     fn new(parameters: &Self::Parameters, surface: &Surface<'_>, below: &mut f32) -> Self;
 }
 
@@ -92,9 +94,9 @@ pub(crate) struct Facet {
     pub(crate) mirror: bool,
 }
 
-/// Light that arrives.
+/// Incident light of one direction.
 pub(crate) struct Light {
-    /// Towards it, in the scene and in the local frame.
+    /// Direction to the light, in the scene (`direction`) and in the local frame (`i`).
     pub(crate) direction: Vec3,
     pub(crate) i: Vec3,
     /// The reflecting microfacets, if light comes from above a rough surface.
@@ -112,20 +114,20 @@ pub(crate) struct Microfacet {
 
 /// A direction that a lobe chose.
 pub(crate) enum Sample {
-    /// To be evaluated.
+    /// A direction of a rough lobe, whose value is still to be evaluated.
     Rough {
-        /// In the scene.
+        /// Direction in the scene.
         direction: Vec3,
-        /// Positive where the lobe means the viewer's side of the surface.
+        /// Positive if the lobe scatters to the viewer's side of the surface.
         up: f32,
-        /// Widens the ray's footprint; 1 for diffuse.
+        /// α of the lobe, which widens the ray's footprint; 1 for diffuse.
         alpha: f32,
     },
     /// The only direction of a mirror.
     Mirror {
-        /// In the scene.
+        /// Direction in the scene.
         direction: Vec3,
-        /// As above.
+        /// As `up` of `Rough`.
         up: f32,
         /// f |cos| / density.
         weight: Vec3,
@@ -134,7 +136,7 @@ pub(crate) enum Sample {
     },
 }
 
-/// A point before its lobes are known.
+/// A point of a surface, from which its lobes are made.
 pub(crate) struct Surface<'a> {
     pub(crate) facet: &'a Facet,
     pub(crate) frame: &'a Frame,
@@ -144,10 +146,11 @@ pub(crate) struct Surface<'a> {
     pub(crate) color: Vec3,
     pub(crate) metallic: f32,
     pub(crate) ior: f32,
-    /// Share of the dielectric that is a solid's glass, and share of the rest that is a thin wall.
+    /// Fraction of the dielectric that is the glass of a solid, and fraction of the remaining
+    /// dielectric that is a thin wall.
     pub(crate) glass_share: f32,
     pub(crate) thin_share: f32,
-    /// Perceptual, 0 for a mirror.
+    /// Perceptual roughness, 0 for a mirror.
     pub(crate) roughness: f32,
     pub(crate) is_stretched: bool,
     /// True if microfacets return the light that single scattering loses.
@@ -155,12 +158,13 @@ pub(crate) struct Surface<'a> {
     pub(crate) table: Albedo,
     pub(crate) film: Option<Film>,
     pub(crate) specular: f32,
-    /// F₀ of glass; another index may bend the light.
+    /// F₀ of glass. It may belong to another index than the one that bends the light.
     pub(crate) glass_f0: Vec3,
     pub(crate) wave_weight: Vec3,
     /// Fresnel's term of the dielectric, without its weight.
     pub(crate) dielectric: Fresnel,
-    /// The compensation of its reflection, and its albedo with that, 1 at most.
+    /// Compensation of the dielectric's reflection, and the albedo of the compensated reflection,
+    /// at most 1.
     pub(crate) dielectric_compensation: Vec3,
     pub(crate) dielectric_albedo: Vec3,
 }
@@ -172,8 +176,8 @@ impl Surface<'_> {
         if self.compensated { self.table.compensation(f0) } else { Vec3::ONE }
     }
 
-    /// Albedo of a reflection before compensation, and the reflectance for that; `rise` is s at the
-    /// viewer and `mean_rise` that of the table.
+    /// Albedo of a reflection before compensation, and the reflectance from which the compensation
+    /// follows. `rise` is s at the viewer, `mean_rise` is B of the table.
     #[inline]
     pub(crate) fn seen(&self, lobe: &Fresnel, rise: f32, mean_rise: f32) -> (Vec3, Vec3) {
         match &self.film {
@@ -185,13 +189,13 @@ impl Surface<'_> {
         }
     }
 
-    /// Share of the surface that is a dielectric with something below its reflection.
+    /// Part of the light `below` the layers that reaches a dielectric base without glass.
     #[inline]
     pub(crate) fn layered(&self, below: f32) -> f32 {
         below * (1.0 - self.metallic) * (1.0 - self.glass_share)
     }
 
-    /// Share of that which its reflection lets through.
+    /// Part of that light which the dielectric does not reflect, so it reaches the diffuse lobe.
     #[inline]
     pub(crate) fn passed(&self, below: f32) -> f32 {
         self.layered(below) * (1.0 - self.dielectric_albedo.max_element())

@@ -1,4 +1,4 @@
-//! The table of lobes: every lobe is a file beside this one and a row of it.
+//! The table of lobes: every lobe is a file next to this one, and a row of the table.
 
 use glam::{Vec3, Vec4};
 use lumistack_scene::{Material, TextureUse};
@@ -12,7 +12,7 @@ use super::sheen::Sheen;
 use super::thin::Thin;
 use crate::texture::{Encoding, Slot};
 
-/// Makes layers, those behind first: they lie above.
+/// Makes the layers, the last of the list first, since it is the topmost.
 macro_rules! layers_from_the_top {
     ($parameters:ident, $surface:ident, $below:ident;) => {};
     ($parameters:ident, $surface:ident, $below:ident; $layer:ident: $Layer:ident, $($above:tt)*) => {
@@ -21,7 +21,7 @@ macro_rules! layers_from_the_top {
     };
 }
 
-/// Makes the types and functions of all lobes. The order is that in which lobes are chosen.
+/// Makes the types and functions of all lobes. Lobes are chosen in the order of the list.
 macro_rules! lobes {
     (base { $($base:ident: $Base:ident,)* } layers { $($layer:ident: $Layer:ident,)* }) => {
         /// The lobes of a point.
@@ -55,7 +55,7 @@ macro_rules! lobes {
         }
 
         impl Layers {
-            /// True if the material names any layer, even without effect.
+            /// True if the material names any layer, even if the layer has no effect.
             pub(crate) fn are_named(material: &Material) -> bool {
                 false $(|| $Layer::is_named(material))*
             }
@@ -65,7 +65,8 @@ macro_rules! lobes {
                 false $(|| $Layer::is_seen(material))*
             }
 
-            /// Looked up at a point; `texel` is 1 where there is no texture.
+            /// Looks the layers' parameters up at a point; `texel` returns 1 if there is no
+            /// texture.
             pub(crate) fn new(
                 material: &Material,
                 slots: &LayerSlots,
@@ -74,7 +75,7 @@ macro_rules! lobes {
                 Self { $($layer: $Layer::parameters(material, &slots.$layer, &texel),)* }
             }
 
-            /// Share of the light that passes from the base to a viewer at this cosine.
+            /// Fraction of the light that passes from the base to a viewer at this cosine.
             pub(crate) fn passed(&self, cosine: f32) -> f32 {
                 let mut passed = 1.0;
                 $(if let Some(own) = &self.$layer { passed *= $Layer::passed(own, cosine); })*
@@ -83,7 +84,7 @@ macro_rules! lobes {
         }
 
         impl Lobes {
-            /// `layers` are those that lie on the viewer's side.
+            /// `layers` are the layers on the viewer's side.
             #[inline]
             pub(crate) fn new(surface: &Surface<'_>, layers: Option<&Layers>) -> Self {
                 let mut below = 1.0;
@@ -91,7 +92,7 @@ macro_rules! lobes {
                 Self { $($base: $Base::new(surface, below),)* $($layer,)* }
             }
 
-            /// The share of light of each.
+            /// The albedo of every lobe.
             #[inline]
             pub(crate) fn albedos(&self) -> [f32; LOBES] {
                 [$(self.$base.as_ref().map_or(0.0, Lobe::albedo),)* $(self.$layer.as_ref().map_or(0.0, Lobe::albedo),)*]
@@ -115,7 +116,7 @@ macro_rules! lobes {
                 false $(|| $Base::REFRACTS && self.$base.is_some())* $(|| $Layer::REFRACTS && self.$layer.is_some())*
             }
 
-            /// Share of light that passes on its straight way.
+            /// Fraction of the light that passes without a change of direction.
             pub(crate) fn straight(&self, facet: &Facet) -> Vec3 {
                 let mut sum = Vec3::ZERO;
                 $(if let Some(lobe) = &self.$base { sum += lobe.straight(facet); })*
@@ -123,8 +124,8 @@ macro_rules! lobes {
                 sum
             }
 
-            /// Adds f |cos| of the lobes with or without frames of their own, and their densities
-            /// times the chances of the lobes.
+            /// Adds f |cos| of the lobes that have their own frames, or of the others. Also adds
+            /// their densities times the lobes' chances.
             #[inline]
             pub(crate) fn evaluate<const OWN_FRAME: bool>(
                 &self,
@@ -152,7 +153,7 @@ macro_rules! lobes {
                 )*
             }
 
-            /// A direction by one of the lobes.
+            /// Samples a direction of one of the lobes.
             #[inline]
             pub(crate) fn sample(
                 &self,

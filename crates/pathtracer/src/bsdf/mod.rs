@@ -24,8 +24,8 @@
 //!
 //! Lobes with α < [`MIRROR_ALPHA`] are perfect mirrors: they can only be sampled, not evaluated.
 //!
-//! Each lobe is one file, with its parameters, its textures, and its share of the light, and a row
-//! of the table in [`lobes`].
+//! Each lobe is one file, with its parameters, its textures and its albedo, and a row of the table
+//! in [`lobes`].
 
 mod albedo;
 mod appearance;

@@ -15,7 +15,7 @@ use super::lobes::{LOBES, Lobes};
 pub(crate) struct Bsdf {
     pub(crate) facet: Facet,
     lobes: Lobes,
-    /// Their sum is 1, or all are 0.
+    /// Chance of every lobe. The sum of the chances is 1, or all are 0.
     chances: [f32; LOBES],
 }
 
@@ -27,9 +27,9 @@ pub(crate) struct Scatter {
     pub(crate) weight: Vec3,
     /// Density per solid angle; infinite for a mirror.
     pub(crate) pdf: f32,
-    /// True if the surface was crossed.
+    /// True if the light crosses the surface.
     pub(crate) crossed: bool,
-    /// True if it was crossed into or out of a solid, not a thin wall.
+    /// True if it crosses into or out of a solid, not through a thin wall.
     pub(crate) refracted: bool,
     /// α of the chosen lobe, 1 for diffuse; widens the ray's footprint.
     pub(crate) alpha: f32,
@@ -75,7 +75,7 @@ impl Bsdf {
             dielectric_compensation: Vec3::ONE,
             dielectric_albedo: Vec3::ZERO,
         };
-        // albedo of the dielectric's reflection, which darkens all below it
+        // albedo of the dielectric's reflection, by which all lobes below it are dimmed
         let mean_rise = match ior {
             COMMON_IOR => table.dielectric,
             ..1.0 => table.metal,
@@ -84,8 +84,8 @@ impl Bsdf {
         let (reflected, for_compensation) = surface.seen(&surface.dielectric, dielectric_rise(o.z, ior), mean_rise);
         surface.dielectric_compensation = surface.compensation(for_compensation);
         surface.dielectric_albedo = (reflected * surface.dielectric_compensation).min(Vec3::ONE);
-        // the lobes, chosen with chances in proportion to their albedos; layers lie outside of a
-        // solid
+        // the lobes, chosen with chances in proportion to their albedos; layers are on the outside
+        // of a solid
         let seen_from_inside = solid && transmission > 0.0 && !front;
         let layers = extras.filter(|_| !seen_from_inside).map(|extras| &extras.layers);
         let lobes = Lobes::new(&surface, layers);
@@ -97,7 +97,8 @@ impl Bsdf {
         Self { facet, lobes, chances }
     }
 
-    /// With one lobe alone in the choice, if it shares that with others and can be evaluated.
+    /// The same function with one lobe alone. `None` if that lobe had no chance or was alone
+    /// already, or if no lobe can be evaluated.
     #[cfg(test)]
     pub(crate) fn alone(mut self, lobe: usize) -> Option<Self> {
         let chance =
@@ -123,18 +124,19 @@ impl Bsdf {
         self.chances.iter().zip(transmits).any(|(&chance, transmits)| transmits && chance > 0.0)
     }
 
-    /// Share of light that a thin wall as smooth as a mirror lets through on its straight way.
+    /// Fraction of the light that a thin wall as smooth as a mirror passes without a change of
+    /// direction.
     pub(crate) fn straight(&self) -> Vec3 {
         self.lobes.straight(&self.facet)
     }
 
     /// f |cos| for light from `direction`, and the density with which [`sample`](Self::sample)
-    /// finds it. Mirrors count as zero.
+    /// finds it. Mirrors contribute nothing.
     pub(crate) fn evaluate(&self, direction: Vec3) -> (Vec3, f32) {
         self.evaluate_above(self.facet.geometric_normal, direction)
     }
 
-    /// [`evaluate`](Self::evaluate) with another horizon than that of the geometric normal.
+    /// [`evaluate`](Self::evaluate) with `horizon` in place of the geometric normal.
     pub(crate) fn evaluate_above(&self, horizon: Vec3, direction: Vec3) -> (Vec3, f32) {
         let Self { facet, lobes, chances } = self;
         let side = direction.dot(horizon);
@@ -161,7 +163,7 @@ impl Bsdf {
         self.lobes.diffuse().map_or(Vec3::ZERO, Diffuse::reflectance)
     }
 
-    /// The diffuse lobe's part of [`evaluate`](Self::evaluate).
+    /// The diffuse lobe's term of [`evaluate`](Self::evaluate).
     pub(crate) fn evaluate_diffuse(&self, direction: Vec3) -> Vec3 {
         let i = self.facet.scene_from_local.transpose() * direction;
         let light = Light { direction, i, reflected: None };
@@ -169,8 +171,9 @@ impl Bsdf {
     }
 
     /// Samples a direction by `u` in [0, 1)². The first number also chooses the lobe and is then
-    /// stretched over the lobe's share, so that each lobe keeps a stratified set. `u_fresnel`
-    /// chooses between reflection and refraction in glass. Returns `None` when light is absorbed.
+    /// rescaled from the lobe's interval to [0, 1), so that each lobe's samples stay stratified.
+    /// `u_fresnel` chooses between reflection and refraction in glass. Returns `None` when light is
+    /// absorbed.
     pub(crate) fn sample(&self, u: [f32; 2], u_fresnel: f32) -> Option<Scatter> {
         let mut first = u[0];
         let lobe = choose(&self.chances, &mut first)?;
@@ -199,8 +202,8 @@ fn dielectric_reflectance(ior: f32, extras: Option<&Extras>) -> (Vec3, f32) {
     }
 }
 
-/// Chooses an entry by its chance and stretches `u` over the entry's share. `None` when all chances
-/// are 0.
+/// Chooses an entry by its chance, and rescales `u` from the entry's interval to [0, 1). `None`
+/// when all chances are 0.
 fn choose(chances: &[f32; LOBES], u: &mut f32) -> Option<usize> {
     let last = chances.iter().rposition(|&chance| chance > 0.0)?;
     let mut below = 0.0;

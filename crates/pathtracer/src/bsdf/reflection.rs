@@ -10,7 +10,7 @@ use super::lobe::{Facet, Light, Lobe, Sample, Surface, mean};
 pub(crate) struct Reflection {
     metal: Fresnel,
     dielectric: Fresnel,
-    /// The dielectric's index, by which its reflectance rises.
+    /// The dielectric's index of refraction, on which the rise of its reflectance depends.
     ior: f32,
     film: Option<Film>,
     albedo: f32,

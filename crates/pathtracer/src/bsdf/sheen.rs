@@ -5,8 +5,8 @@
 //! f = D V,   D(h) = (2 + 1/α) sin^(1/α) θ_h / 2π,   V = 1 / ((1 + Λ(o) + Λ(i)) 4 o_z i_z)
 //! ```
 //!
-//! Λ is their fit, α = roughness². At grazing views smooth fibres would return up to 1.4 times the
-//! incident light; there f is divided by its albedo.
+//! Λ is the authors' fit, and α = roughness². At grazing views smooth fibres would return up to 1.4
+//! times the incident light; there f is divided by its albedo.
 //!
 //! Half of the samples reflect at a normal of density D cos θ_h. The other half has density cos/π,
 //! for light from above on rough fibres, which the first half samples badly.
@@ -26,18 +26,20 @@ use crate::texture::{Encoding, Slot};
 
 /// Smallest perceptual roughness; below it the lobe is a rim thinner than a degree.
 const LEAST_ROUGHNESS: f32 = 0.1;
-/// Share of the samples that follow the fibres.
+/// Fraction of the samples that reflect at the fibres' normals; the others follow the cosine.
 const FIBRE_SHARE: f32 = 0.5;
 /// Nodes over the root of the cosine and over roughness.
 const COSINES: usize = 48;
 const ROUGHNESSES: usize = 24;
-/// Samples per node, a Fibonacci lattice; the numbers follow one another in Fibonacci's sequence.
+/// Samples per node, on a Fibonacci lattice: this number and the step are successive Fibonacci
+/// numbers.
 const SAMPLES: u32 = 1597;
 const LATTICE_STEP: u32 = 987;
 /// The smallest cosine of the table.
 const SMALLEST: f32 = 1e-3;
 
-/// Λ at normal incidence per end of its fit, in the order of the paper's table: a, b, c, d, e.
+/// Parameters of the fit of Λ, for its roughest and its smoothest fibres, in the order of the
+/// paper's table: a, b, c, d, e.
 const FIT_ROUGH: [f32; 5] = [21.5473, 3.82987, 0.19823, -1.97760, -4.32054];
 const FIT_SMOOTH: [f32; 5] = [25.3245, 3.32435, 0.16801, -1.27393, -4.85967];
 
@@ -45,7 +47,7 @@ const FIT_SMOOTH: [f32; 5] = [25.3245, 3.32435, 0.16801, -1.27393, -4.85967];
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Fabric {
     pub(crate) color: Vec3,
-    /// Perceptual.
+    /// Perceptual roughness.
     pub(crate) roughness: f32,
 }
 
@@ -57,7 +59,8 @@ pub(crate) struct FabricSlots {
 
 /// The layer of fibres.
 pub(crate) struct Sheen {
-    /// Scaled, and below other layers.
+    /// Colour, scaled so that the layer gains no energy, times the fraction of light that layers
+    /// above pass.
     color: Vec3,
     fibres: Fibres,
     albedo: f32,
@@ -141,7 +144,7 @@ impl Fibres {
         Self { alpha, fit: std::array::from_fn(|k| FIT_ROUGH[k] + (FIT_SMOOTH[k] - FIT_ROUGH[k]) * smooth) }
     }
 
-    /// f |cos| of white fibres, both directions above the surface.
+    /// f |cos| of white fibres, for two directions above the surface.
     fn evaluate(&self, o: Vec3, i: Vec3) -> f32 {
         let Some(h) = (o + i).try_normalize() else { return 0.0 };
         self.density(h) / ((1.0 + self.lambda(o.z) + self.lambda(i.z)) * 4.0 * o.z)
@@ -154,7 +157,7 @@ impl Fibres {
         FIBRE_SHARE * fibres + (1.0 - FIBRE_SHARE) * i.z * FRAC_1_PI
     }
 
-    /// A direction; `None` below the surface.
+    /// A sampled direction; `None` if it is below the surface.
     fn sample(&self, o: Vec3, u: [f32; 2]) -> Option<Vec3> {
         if u[0] >= FIBRE_SHARE {
             return Some(cosine_direction([(u[0] - FIBRE_SHARE) / (1.0 - FIBRE_SHARE), u[1]]));
@@ -162,7 +165,7 @@ impl Fibres {
         let sine = u[1].powf(self.alpha / (2.0 * self.alpha + 1.0));
         let (sin_phi, cos_phi) = sin_cos_turns(u[0] / FIBRE_SHARE);
         let h = Vec3::new(sine * cos_phi, sine * sin_phi, (1.0 - sine * sine).max(0.0).sqrt());
-        // normals that face away reflect as their opposites would, which are no fibres
+        // a normal that faces away would reflect as its opposite does, which no fibre has
         let i = ggx::reflect(o, h);
         (o.dot(h) > 0.0 && i.z > 0.0).then_some(i)
     }
@@ -187,7 +190,7 @@ fn albedo(cosine: f32, roughness: f32) -> (f32, f32) {
     (raw.min(1.0), 1.0 / raw.max(1.0))
 }
 
-/// Bilinear in the root of the cosine and in roughness.
+/// Interpolated bilinearly in the root of the cosine and in roughness.
 fn raw_albedo(cosine: f32, roughness: f32) -> f32 {
     static TABLE: OnceLock<Table<2, 1>> = OnceLock::new();
     let rough = (roughness - LEAST_ROUGHNESS) / (1.0 - LEAST_ROUGHNESS);

@@ -7,7 +7,7 @@ pub(crate) struct Table<const D: usize, const V: usize> {
 }
 
 impl<const D: usize, const V: usize> Table<D, V> {
-    /// Evaluates the function at every node; each axis has at least two.
+    /// Evaluates the function at every node; each axis has at least two nodes.
     pub(crate) fn new(nodes: [usize; D], function: impl Fn([f32; D]) -> [f32; V]) -> Self {
         let at = |index: usize| {
             let mut rest = index;
@@ -20,7 +20,7 @@ impl<const D: usize, const V: usize> Table<D, V> {
         Self { nodes, values: (0..nodes.iter().product()).map(at).collect() }
     }
 
-    /// Multilinear interpolation; coordinates outside of 0..1 count as the nearest inside.
+    /// Multilinear interpolation; coordinates are clamped to 0..1.
     #[inline]
     pub(crate) fn at(&self, at: [f32; D]) -> [f32; V] {
         let mut first = 0;

@@ -15,7 +15,7 @@ use lumistack_testkit::statistics::{FALSE_ALARM_RATE, Mean, assert_counts, z_lim
 
 /// White metals and dielectrics return all light up to the interpolation error of the albedo table.
 const ENERGY_TOLERANCE: f64 = 4e-3;
-/// The same for clear rough glass, whose table is coarser.
+/// The same tolerance for clear rough glass, whose table is coarser.
 const GLASS_TOLERANCE: f64 = 1e-2;
 /// Energy that white surfaces may gain by their tables and by the approximate albedos of stretched
 /// lobes.
@@ -122,8 +122,8 @@ fn transmission_conserves_energy() {
     }
 }
 
-/// Clear glass with compensation is lossless from both sides up to the interpolation of its table;
-/// without, it may lose, never gain.
+/// Compensated clear glass is lossless from both sides, up to the interpolation of its table.
+/// Without compensation it may lose light, but never gains any.
 #[test]
 fn rough_glass_returns_all_light() {
     for ior in [1.1, 1.33, 1.5, 2.4] {
@@ -228,9 +228,9 @@ fn surfaces() -> Vec<(&'static str, Appearance)> {
     ]
 }
 
-/// Frames with a stretched direction off the axes. The first is straight. The second has a tilted
-/// shading normal and a coat that leans the other way. The third has a normal map so steep that it
-/// had to be bent for the gloss.
+/// Frames whose direction of stretch is off the axes. The first has one normal. The second has a
+/// tilted shading normal and a coat that leans the other way. The third has a normal map so steep
+/// that the specular normal is bent.
 fn frames() -> [Frame; 3] {
     let tangent = Some(Vec3::new(0.8, 0.6, 0.0));
     let straight = Frame { tangent, ..Frame::flat(Vec3::Z, Vec3::Z) };
@@ -244,7 +244,7 @@ fn steep() -> Normals {
     Normals::new(Vec3::new(-0.8, 0.3, 0.5).normalize(), Vec3::new(0.1, 0.0, 1.0).normalize())
 }
 
-/// Views of the sampling tests: cosine and side.
+/// Views of the sampling tests: cosine, and true for the front face.
 const VIEWS: [(f32, bool); 3] = [(0.9, true), (0.3, true), (0.6, false)];
 
 #[test]
@@ -259,7 +259,7 @@ fn sampled_directions_follow_the_density() {
     }
 }
 
-/// The lobes one by one, by switching the others off in the choice: a mixture may hide a fault of a
+/// Tests the lobes one by one, with the chances of the others at 0. A mixture may hide a fault of a
 /// lobe that is rarely chosen.
 #[test]
 fn every_lobe_follows_its_density() {
@@ -392,12 +392,12 @@ fn films_have_their_limits() {
     for cosine in [0.1, 0.5, 1.0] {
         let same = Film { factor: 0.0, ior: 1.8, thickness_nm: 300.0 }.over(bare, Vec3::splat(0.04), cosine);
         assert_eq!(same, bare);
-        // index 1.5 on 1.5: only the upper interface reflects, but for the rest of the clamped
-        // round trip
+        // index 1.5 on 1.5: only the upper interface reflects, except for the remainder of the
+        // clamped round trip
         let one = Film { factor: 1.0, ior: 1.5, thickness_nm: 500.0 }.over(bare, Vec3::splat(0.04), cosine);
         let schlick = 0.04 + 0.96 * (1.0 - cosine).powi(5);
         assert!((one - schlick).abs().max_element() < 0.03, "{cosine}: {one} against {schlick}");
-        // thick films lose their colour: the mean of many is Airy's sum without interference
+        // thick films have no colour: over the spectrum, interference averages out
         let thick = Film { factor: 1.0, ior: 1.5, thickness_nm: 20_000.0 }.over(bare, Vec3::splat(0.5), cosine);
         assert!(thick.max_element() - thick.min_element() < 1e-3, "{thick}");
     }
@@ -496,7 +496,7 @@ fn check_density(bsdf: &Bsdf, count: u64, seed: u64) {
     assert_counts(&observed, &expected, FALSE_ALARM_RATE);
 }
 
-/// Without gloss the model equals its diffuse special case, for every bent normal of the gloss.
+/// Without gloss the model equals its diffuse special case, even where the specular normal is bent.
 #[test]
 fn diffuse_light_is_that_of_lambert_surfaces() {
     let surface = Appearance { ior: 1.0, roughness: 1.0, base: Vec3::new(0.9, 0.5, 0.2), ..appearance() };
@@ -507,8 +507,8 @@ fn diffuse_light_is_that_of_lambert_surfaces() {
         let direction = Vec3::from_array([(); 3].map(|()| 2.0 * stream.next_f32() - 1.0)).normalize_or(Vec3::Z);
         let ((value, pdf), (expected, expected_pdf)) = (general.evaluate(direction), lambert.evaluate(direction));
         assert!((value - expected).abs().max_element() < 1e-5, "{direction}: {value} {expected}");
-        // the diffuse special case leaves out the density below its horizon, which is never
-        // requested
+        // the diffuse special case leaves out the density below its horizon, which no caller
+        // requests
         assert!((pdf - expected_pdf).abs() < 1e-5, "{direction}: {pdf} {expected_pdf}");
         lit += usize::from(value != Vec3::ZERO);
     }

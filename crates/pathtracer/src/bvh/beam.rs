@@ -12,11 +12,11 @@
 //! and each of the two inequalities bounds t from below or from above, by the sign of d. So a node
 //! costs the beam as much as it costs a single ray.
 //!
-//! A block's eight triangles are tested against the beam as boxes too. Those that are left, mostly
-//! one or two, are tested against all rays at once, one ray per lane. The arithmetic is that of
-//! single rays, so hits are the same bit for bit. This requires rays that are longest along the
-//! same axis, as neighbours nearly always are. A beam that spreads over many blocks, as out of
-//! focus, is split into single rays.
+//! A block's eight triangles are tested against the beam as boxes too. The triangles that the beam
+//! may hit, mostly one or two, are tested against all rays together, one ray per lane. The
+//! arithmetic is that of single rays, so hits are the same bit for bit. This requires rays that are
+//! longest along the same axis, as neighbours nearly always are. A beam that spreads over many
+//! blocks, for example out of focus, is split into single rays.
 //!
 //! On FlightHelmet (16 samples of a pixel) this took 60 % of the time of single rays. Testing
 //! blocks ray by ray took as long as single rays.
@@ -28,17 +28,17 @@ use lumistack_simd::{Kernel, Lanes};
 use super::traverse::{Corners, Edges, SLAB_ROUNDING, SMALLEST_SLOPE, Shear, Stack, Test, eight};
 use super::tree::{Block, Bvh, CULL_BACK, EMPTY, Hit, INDEX_MASK, LEAF, NO_INSTANCE, Ray, WIDTH};
 
-/// The most rays of a beam.
+/// Largest number of rays of a beam.
 pub(crate) const BEAM: usize = 16;
-/// Vectors of a ray per lane.
+/// Vectors that hold one value of every ray, one ray per lane.
 const VECTORS: usize = BEAM / WIDTH;
-/// Fewer rays are traced alone.
+/// Fewer rays than this are traced one by one.
 const FEWEST: usize = 3;
-/// Blocks after which the rays go on alone: 6 are 3 % slower in focus, 16 out of focus
-/// (FlightHelmet).
+/// Number of blocks after which the rays of a beam are traced one by one. A limit of 6 is 3 %
+/// slower in focus, a limit of 16 is 3 % slower out of focus (FlightHelmet).
 const MOST_BLOCKS: usize = 10;
 
-/// A bound of t for eight boxes: plane · inverse + shift, `row` being the planes in
+/// A bound of t for eight boxes: plane · inverse + shift. The planes are the row `row` of
 /// [`Node::bounds`].
 #[derive(Clone, Copy)]
 struct Bound<V> {
@@ -56,7 +56,7 @@ struct Beam<V> {
 }
 
 impl Bvh {
-    /// Computes the nearest hit of each of at most [`BEAM`] rays without an end, as
+    /// Computes the nearest hit of each of at most [`BEAM`] rays of unlimited length, as
     /// [`nearest`](Self::nearest) does. `accept` gets the index of the ray, and may be called twice
     /// for a triangle.
     #[inline]
@@ -75,7 +75,7 @@ impl Bvh {
         unsafe { self.backend.call_eight::<NearestOfBeam<_>>((self, rays, hits, stack, accept)) }
     }
 
-    /// Hits of the rays one by one, nearer than those that are known.
+    /// Traces the rays one by one, for hits that are nearer than the known ones.
     fn alone(
         &self,
         rays: &[Ray],
@@ -122,7 +122,7 @@ impl Bvh {
             let mut depth = 1;
             let mut blocks = 0;
             while depth > 0 {
-                // the nearest of the postponed, unless it is behind all hits
+                // the nearest postponed child, unless it is farther than all hits
                 depth -= 1;
                 let next = *postponed.add(depth);
                 if f32::from_bits((next >> 32) as u32) >= t_max {
@@ -204,7 +204,7 @@ struct Sheared<V> {
     references: [u32; BEAM],
 }
 
-/// Bounds of eight triangles as those of a node's children.
+/// Bounds of eight triangles, arranged like the bounds of a node's children.
 ///
 /// # Safety
 /// The machine has `V`'s instruction set.
@@ -229,7 +229,7 @@ unsafe fn bounds<V: Lanes>(block: &Block) -> [[f32; WIDTH]; 6] {
 // SAFETY of every block and function below: the callers have `V`'s instruction set
 #[expect(clippy::undocumented_unsafe_blocks, reason = "one reason for all, above")]
 impl<V: Lanes> Sheared<V> {
-    /// `shear` is that of the first ray.
+    /// `shear` belongs to the first ray.
     #[inline(always)]
     unsafe fn new(rays: &[Ray], shear: &Shear) -> Self {
         // coordinates of the rays in the order of the shear's axes, the longest last
@@ -280,7 +280,7 @@ impl<V: Lanes> Sheared<V> {
         }
     }
 
-    /// A triangle in the spaces of eight rays.
+    /// A triangle's corners, sheared for each of eight rays so that the ray is the z axis.
     #[inline(always)]
     unsafe fn corners(&self, vector: usize, [a, b, c]: &[[f32; 3]; 3]) -> Corners<V> {
         unsafe {
@@ -420,7 +420,7 @@ impl<V: Lanes> Beam<V> {
         beam
     }
 
-    /// Distances from which on some ray may be in eight boxes, and a bit per box that is entered
+    /// Per box, the distance from which on some ray may be in it; and a bit per box that is entered
     /// before `t_max`.
     #[inline(always)]
     unsafe fn enters(&self, boxes: &[[f32; WIDTH]; 6], t_max: f32) -> (V, u32) {
@@ -430,8 +430,8 @@ impl<V: Lanes> Beam<V> {
             for bound in self.near.get_unchecked(..self.near_count) {
                 entry = entry.max(V::from_array(eight(planes, bound.row)).fused_mul_add(bound.inverse, bound.shift));
             }
-            // children that do not exist are entered at infinity, and a beam that spreads to all
-            // sides never leaves
+            // a child that does not exist is entered at infinity, and a beam that spreads to all
+            // sides never leaves a box
             let mut exit = V::splat(t_max.min(f32::MAX));
             for bound in self.far.get_unchecked(..self.far_count) {
                 exit = exit.min(V::from_array(eight(planes, bound.row)).fused_mul_add(bound.inverse, bound.shift));

@@ -15,16 +15,17 @@ use obvhs::triangle::Triangle;
 use super::plan::Plan;
 use super::tree::{Block, Bvh, EMPTY, INSTANCE, Input, LEAF, Node, Placed, WIDTH};
 
-/// Share of the nodes that each round tries to reinsert: the figure of obvhs for a slow, good
-/// build. Small trees get more, where that takes no time. All nodes of still-life (0.04 s) give 3
-/// to 4 % more rays per second. All of FlightHelmet (0.4 s), or half of 15 copies (4 s more), give
-/// 1 to 2 %.
+/// Fraction of the nodes that each round tries to reinsert: obvhs' value for a slow, good build.
+/// Small trees get a larger fraction, since that takes little time. Reinserting all nodes of
+/// still-life (0.04 s) gives 3 to 4 % more rays per second. All nodes of FlightHelmet (0.4 s), or
+/// half of the nodes of 15 copies (4 s more), give 1 to 2 %.
 const REINSERTION_RATIO: f32 = 0.2;
 const REINSERTED_AT_LEAST: f32 = 20_000.0;
-/// obvhs' depth of the narrow search.
+/// Number of first passes in which obvhs pairs only direct neighbours (its
+/// `search_depth_threshold`).
 const SEARCH_DEPTH: usize = 2;
-/// Bounds of instances are widened by this share of their largest coordinate, for the rounding of
-/// their corners and of rays that are moved into their space.
+/// Bounds of instances are widened by this fraction of their largest coordinate, for the rounding
+/// of their corners and of rays that are moved into their space.
 const INSTANCE_WIDENING: f32 = 2e-6;
 
 /// One finished tree.
@@ -75,8 +76,8 @@ impl Bvh {
         bvh
     }
 
-    /// Bounds of a moved tree: those of its root's children, moved one by one, since turned boxes
-    /// of boxes are large.
+    /// Bounds of a placed tree: the union of its root's children, each placed by itself. The box of
+    /// the whole tree would be larger after a rotation.
     fn placed_bounds(&self, tree: &Tree, place: impl Fn(Vec3) -> Vec3) -> Aabb {
         let mut bounds = Aabb::INVALID;
         let mut extend = |min: [f32; 3], max: [f32; 3]| {
@@ -109,7 +110,7 @@ impl Bvh {
         split_large(&mut boxes, &mut primitives, triangles, flags);
         boxes.extend(instances);
         primitives.extend((0..instances.len()).map(|i| (triangles.len() + i) as u32));
-        // build a binary tree, improve it, and collapse it to wide nodes and blocks
+        // build a binary tree, improve it, and collapse it into wide nodes and blocks
         let mut binary = PlocBuilder::with_capacity(boxes.len()).build(
             PlocSearchDistance::High,
             &boxes,
@@ -168,19 +169,20 @@ fn extent(bounds: &Aabb) -> f32 {
 struct Collapse<'a> {
     binary: &'a Bvh2,
     plan: Plan,
-    /// Triangle of every slot of the binary tree, or the number of triangles plus an instance.
+    /// Per slot of the binary tree: the index of a triangle, or the number of triangles plus the
+    /// index of an instance.
     primitives: &'a [u32],
     triangles: &'a [[Vec3; 3]],
     flags: &'a [u32],
-    /// Index of the first of `triangles` among all.
+    /// Index of the first of `triangles` among all triangles.
     first: u32,
     nodes: &'a mut Vec<Node>,
     blocks: &'a mut Vec<Block>,
 }
 
 impl Collapse<'_> {
-    /// Returns the root and the depth of the traversal stack. An own list of open nodes instead of
-    /// recursion: obvhs' trees over hostile input may be deep.
+    /// Returns the root and the depth of the traversal stack. It keeps a list of open nodes instead
+    /// of recursing, since obvhs' trees over hostile input may be deep.
     fn run(&mut self) -> (u32, usize) {
         if self.binary.nodes.is_empty() {
             return (EMPTY, 1);
@@ -190,7 +192,7 @@ impl Collapse<'_> {
         }
         let mut stack_depth = 1;
         let root = self.add_node();
-        // (binary node, own node to fill, postponed siblings on the way to it)
+        // (binary node, node of ours to fill, postponed siblings on the way to it)
         let mut open = vec![(0u32, root, 0usize)];
         while let Some((binary_index, node, postponed)) = open.pop() {
             // every postponed child needs a place on the stack of a traversal
@@ -248,7 +250,7 @@ impl Collapse<'_> {
             for slot in node.first_index..node.first_index + node.prim_count {
                 let triangle = self.primitives[self.binary.primitive_indices[slot as usize] as usize];
                 let reference = (self.first + triangle) | self.flags[triangle as usize];
-                // two parts of one triangle may end in one block
+                // two boxes of one triangle may end in one block
                 if block.references[..lane].contains(&reference) {
                     continue;
                 }

@@ -12,7 +12,7 @@
 //!                                                                    a tree in its own space
 //! ```
 //!
-//! Nodes and blocks of all trees lie in the same two arrays. [`build`] makes them, [`traverse`]
+//! Nodes and blocks of all trees are in the same two arrays. [`build`] makes them, [`traverse`]
 //! walks them for a ray and [`beam`] for rays that lie close together.
 
 mod beam;

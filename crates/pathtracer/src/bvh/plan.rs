@@ -16,17 +16,17 @@ use obvhs::bvh2::Bvh2;
 
 use super::tree::WIDTH;
 
-/// Per subtree and number of children, less one: how many of them go to the first child of the
-/// binary tree. At 0: the same for the eight children of a node, or [`END`].
+/// Per subtree, at index j − 1: how many of its j children come from the first child of the binary
+/// tree. At index 0: the same for the eight children of a node, or [`END`].
 pub(super) struct Plan(Vec<[u8; WIDTH]>);
 
 /// The subtree is a block or an instance.
 const END: u8 = u8::MAX;
-/// The subtree is as good as fewer children.
+/// The subtree with this many children is no better than with one child fewer.
 const FEWER: u8 = 0;
 
 impl Plan {
-    /// `primitives`: triangle of every slot of the binary tree; from `triangles` on they are
+    /// `primitives` is the triangle of every slot of the binary tree; from `triangles` on they are
     /// instances.
     pub(super) fn new(binary: &Bvh2, primitives: &[u32], triangles: usize) -> Self {
         let mut plan = vec![[END; WIDTH]; binary.nodes.len()];
@@ -39,8 +39,8 @@ impl Plan {
                 open.extend([node.first_index, node.first_index + 1]);
             }
         }
-        // (number of triangles, costs) of finished subtrees whose parents are not finished: the
-        // second child's lies on the first's
+        // (number of triangles, costs) of finished subtrees whose parents are not finished; the
+        // entry of a second child is on top of the first child's
         let mut finished: Vec<(u32, [f32; WIDTH])> = Vec::new();
         for &index in order.iter().rev() {
             let node = &binary.nodes[index as usize];
@@ -60,7 +60,7 @@ impl Plan {
             for count in 2..=WIDTH {
                 for share in 1..count {
                     let cost = first[share - 1] + second[count - share - 1];
-                    // the first in any case: areas may be too large for numbers
+                    // the first value is taken in any case, since areas may be infinite
                     if share == 1 || cost < costs[count - 1] {
                         (costs[count - 1], shares[count - 1]) = (cost, share as u8);
                     }
@@ -96,7 +96,7 @@ impl Plan {
         children
     }
 
-    /// The up to `count` children, at most eight, that a subtree becomes.
+    /// Adds the children that a subtree becomes: at most `count`, which is at most eight.
     fn gather(&self, binary: &Bvh2, index: u32, mut count: usize, children: &mut Vec<u32>) {
         let (node, shares) = (&binary.nodes[index as usize], &self.0[index as usize]);
         while count > 1 && shares[count - 1] == FEWER {
@@ -130,7 +130,7 @@ mod tests {
         (!node.is_leaf()).then_some(node.first_index)
     }
 
-    /// Number of triangles; None with an instance among them.
+    /// Number of triangles; `None` if there is an instance among them.
     fn weight(binary: &Bvh2, index: u32, triangles: usize) -> Option<usize> {
         match first(binary, index) {
             Some(first) => Some(weight(binary, first, triangles)? + weight(binary, first + 1, triangles)?),
@@ -141,7 +141,7 @@ mod tests {
         }
     }
 
-    /// All ways to cut a subtree into at most eight.
+    /// All ways to cut a subtree into at most eight subtrees.
     fn cuts(binary: &Bvh2, index: u32) -> Vec<Vec<u32>> {
         let mut all = vec![vec![index]];
         if let Some(first) = first(binary, index) {
@@ -153,7 +153,7 @@ mod tests {
         all
     }
 
-    /// The least cost of a subtree as one child, by trying all cuts.
+    /// The smallest cost of a subtree as one child, found by trying all cuts.
     fn least(binary: &Bvh2, index: u32, triangles: usize, known: &mut Vec<Option<f64>>) -> f64 {
         if let Some(cost) = known[index as usize] {
             return cost;

@@ -1,5 +1,5 @@
-//! The traversal against every triangle in turn, against its scalar twin, and against flattened
-//! instances.
+//! Compares the traversal with a test of every triangle, with its scalar version, and with
+//! flattened instances.
 
 use glam::{DVec3, Mat3, Quat, Vec3};
 use lumistack_core::seed::Stream;
@@ -8,7 +8,7 @@ use lumistack_simd::Backend;
 use super::BEAM;
 use super::tree::*;
 
-/// Distances of the f32 test and the f64 oracle agree to this share of the scene's size.
+/// Distances of the f32 test and the f64 oracle agree to this fraction of the scene's size.
 const DISTANCE_TOLERANCE: f64 = 2e-5;
 /// Rays that pass an edge closer than this (in barycentric units) may go either way in f32 and are
 /// not compared.
@@ -32,8 +32,8 @@ fn soup(count: usize, edge: f32, seed: u64) -> Vec<[Vec3; 3]> {
         .collect()
 }
 
-/// Möller, Trumbore 1997 in f64 over all triangles; also returns whether any edge is so near that
-/// f32 may differ.
+/// Möller, Trumbore 1997 in f64 over all triangles. Also returns true if an edge is so near that
+/// f32 may decide differently.
 fn oracle(triangles: &[[Vec3; 3]], ray: &Ray) -> (Option<(f64, u32)>, bool) {
     let (o, d) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
     let mut best: Option<(f64, u32)> = None;
@@ -177,7 +177,7 @@ fn hostile_soup(seed: u64) -> Vec<[Vec3; 3]> {
         triangles.push([a, b, b]);
         triangles.push([a, a, a]);
         triangles.extend([[a, b, -a]; 2]);
-        // in a plane of the axes
+        // a triangle in a plane across an axis
         triangles.push([a, b, -b].map(|corner| corner.with_y(0.5)));
     }
     triangles
@@ -209,7 +209,7 @@ fn hostile_triangles_are_found_as_by_testing_each() {
         let open = bvh.transmittance(&ray, &mut stack, |_| Vec3::ZERO);
         assert_eq!(open == Vec3::ONE, expected.is_none());
         if let (Some(hit), Some((t, _))) = (hit, expected) {
-            // either of coincident triangles will do; t is in units of a direction of any length
+            // any of coincident triangles is right; t is in units of a direction of any length
             found += 1;
             let error = (f64::from(hit.t) - t).abs() * f64::from(ray.direction.length());
             assert!(error < 10.0 * DISTANCE_TOLERANCE, "{error} {ray:?}");
@@ -257,7 +257,7 @@ fn instances_are_met_where_their_copies_would_be() {
     let mut placements = Vec::new();
     for id in 0..20u32 {
         let turn = Mat3::from_quat(Quat::from_euler(glam::EulerRot::XYZ, id as f32, 0.7 * id as f32, 0.3));
-        // every other one is mirrored, all are stretched
+        // every other instance is mirrored, all are stretched
         let stretch = Vec3::new(if id % 2 == 0 { 0.3 } else { -0.2 }, 0.25, 0.1 + 0.01 * id as f32);
         let render_from_tree = turn * Mat3::from_diagonal(stretch);
         let translation = random_point(&mut stream, 2.0);
@@ -334,8 +334,8 @@ fn an_instance_alone_is_a_scene() {
     assert_eq!(empty.transmittance(&ray, &mut empty.stack(), |_| Vec3::ZERO), Vec3::ONE);
 }
 
-/// Beams of every width, along axes and across them, that hit some triangles only sometimes, return
-/// the distances of single rays, bit for bit. Either of coincident triangles will do.
+/// Beams of every width, along axes and across them, return the distances of single rays, bit for
+/// bit. `accept` rejects some hits of some rays. Any of coincident triangles is right.
 #[test]
 fn a_beam_has_the_hits_of_its_rays() {
     let mut triangles = hostile_soup(13);

@@ -9,16 +9,17 @@
 //!
 //! Departures from the simple version:
 //!
-//! * The ray's signs select near and far planes, not min and max. Distances are one fused
+//! * The ray's signs select near and far planes, which saves min and max. Distances are one fused
 //!   multiply-add, b/d − o/d.
-//! * Postponed children stay sorted by distance, and are dropped when a nearer hit is known. An
-//!   unsorted loop serves where any hit will do.
+//! * Postponed children stay sorted by distance, and are dropped when a nearer hit is known. Where
+//!   any hit suffices, the loop does not sort.
 //! * The whole loop is one function compiled for the instruction set.
-//! * A ray enters few nodes (FlightHelmet: 2.2 nodes and 1.0 blocks), so its preparation counts.
-//!   The inputs of blocks stay scalars. Trees without instances have a loop of their own, whose
-//!   rays never change. Together this gives a fifth to a third more rays per second.
-//! * A block is tested to its end even if no triangle lies across the ray, since that branch is
-//!   unpredictable (4 to 9 % more scattered and shadow rays).
+//! * A ray enters few nodes (FlightHelmet: 2.2 nodes and 1.0 blocks), so preparing the ray is a
+//!   notable part of the time. The inputs of blocks stay scalars. Trees without instances have a
+//!   loop of their own, whose rays never change. Together this gives a fifth to a third more rays
+//!   per second.
+//! * A block is tested to its end even if no triangle is across the ray. A branch there would be
+//!   unpredictable; without it 4 to 9 % more scattered and shadow rays are traced.
 //! * A hit becomes a [`Hit`] once, at the end (4 to 12 % more rays).
 //!
 //! Tried on FlightHelmet, on 15 copies of it (1.4 million triangles) and on still-life, on Zen 4,
@@ -32,7 +33,7 @@
 //!   arrive.
 //! * No prefetch: 10 to 20 % slower on 15 copies. Prefetch of the postponed children alone: 0 to 10
 //!   % slower there.
-//! * Large pages in place of small ones: no difference on the helmet.
+//! * Large pages instead of small ones: no difference on the helmet.
 //! * Boxes of large triangles cut further, by area or by priority (Karras, Aila 2013): up to 10 %
 //!   more nodes per ray.
 //!
@@ -54,28 +55,30 @@ use super::tree::{
 
 /// Direction components below this are replaced by it in the slab test, so that 0 · ∞ cannot occur.
 pub(super) const SMALLEST_SLOPE: f32 = 1e-18;
-/// Rounding of b/d − o/d as a share of (|o| + |b|)/|d|. Each of 1/d, o/d and the result adds half
-/// an epsilon. Boxes of cut triangles, whose corners are rounded, double the sum.
+/// Rounding of b/d − o/d as a fraction of (|o| + |b|)/|d|. Each of 1/d, o/d and the result adds
+/// half an epsilon. Boxes of cut triangles, whose corners are rounded, double the sum.
 pub(super) const SLAB_ROUNDING: f32 = 4.0 * f32::EPSILON;
 
-/// Reusable memory for postponed children: the distance's bits above, the child below, so that
-/// numbers sort as distances do.
+/// Reusable memory for postponed children. The high bits hold the distance and the low bits the
+/// child, so that entries sort by distance.
 pub(crate) struct Stack(pub(super) Vec<u64>);
 
-/// Above the last entry of an instance; read as a distance it is −∞, so that it is never dropped.
+/// An entry on the stack before the children of an instance's tree, which marks the instance's end.
+/// Its distance reads as −∞, so it is never dropped.
 const END_OF_INSTANCE: u64 = (f32::NEG_INFINITY.to_bits() as u64) << 32 | EMPTY as u64;
 
 /// The longest axis, by whether x is longer than y, x than z and y than z, one bit each.
 const LONGEST: [u8; 8] = [2, 2, 2, 0, 1, 2, 1, 0];
-/// The axes that follow an axis when the ray runs up it and when it runs down it: exchanged, which
-/// keeps the winding. Padded: an index of three bits needs no check.
+/// The other two axes, for a ray that runs up an axis and for one that runs down it. They are
+/// exchanged in the second case, which keeps the winding. Padding to eight entries saves a range
+/// check of the three-bit index.
 const OTHERS: [[u8; 2]; 8] = [[1, 2], [2, 1], [2, 0], [0, 2], [0, 1], [1, 0], [0, 0], [0, 0]];
 
 /// A ray prepared for the slab test.
 #[derive(Clone, Copy)]
 struct Slabs<V> {
     inverse: [V; 3],
-    /// −o/d, less and plus the rounding.
+    /// −o/d, minus the rounding (`near_shift`) and plus the rounding (`far_shift`).
     near_shift: [V; 3],
     far_shift: [V; 3],
     /// Index of the near plane per axis in [`Node::bounds`].
@@ -87,7 +90,7 @@ struct Slabs<V> {
 /// when it needs them, and rays that reach no block pay little.
 #[derive(Clone, Copy)]
 pub(super) struct Shear {
-    /// Rows of the axes in a block; the last is that along which the ray is longest.
+    /// Rows of the axes in a block; the last is the axis along which the ray is longest.
     pub(super) axes: [usize; 3],
     /// Origin along these axes.
     origin: [f32; 3],
@@ -102,10 +105,10 @@ pub(super) struct Test<V> {
     pub(super) determinant: V,
 }
 
-/// The arrays that a traversal reads. They are a local variable of the kernel, as its copy of the
-/// ray is. Otherwise the compiler reloads all data behind a kernel's arguments after every write to
-/// the stack, since the two might alias. That costs 5 % of single rays and 2 to 3 % of beams
-/// (FlightHelmet).
+/// The arrays that a traversal reads. They are a local variable of the kernel, and so is its copy
+/// of the ray. Otherwise the compiler reloads all data that a kernel's arguments refer to after
+/// every write to the stack, since both might alias. That costs 5 % of single rays and 2 to 3 % of
+/// beams (FlightHelmet).
 #[derive(Clone, Copy)]
 pub(super) struct Arrays<'a> {
     pub(super) nodes: &'a [Node],
@@ -113,8 +116,8 @@ pub(super) struct Arrays<'a> {
 }
 
 impl Arrays<'_> {
-    /// Prefetches a child, whose memory a ray waits for most. Sorting its siblings hides a part of
-    /// that.
+    /// Prefetches a child: waiting for its memory takes most of a ray's time. Sorting the siblings
+    /// meanwhile hides a part of that wait.
     #[inline(always)]
     fn prefetch(&self, child: u32) {
         let base = if child & LEAF == 0 {
@@ -130,7 +133,7 @@ impl Arrays<'_> {
     }
 }
 
-/// A triangle that a ray hits, as the triangle test left it.
+/// A triangle that a ray hits, with the results of the triangle test as they are.
 #[derive(Clone, Copy)]
 struct RawHit {
     u: f32,
@@ -146,8 +149,8 @@ impl Bvh {
         Stack(vec![0; self.stack_depth + 1])
     }
 
-    /// The nearest hit that `accept` agrees to. It is asked only for triangles with flags other
-    /// than [`CULL_BACK`], in any order and at most once per triangle and instance.
+    /// The nearest hit that `accept` returns true for. It is called only for triangles with flags
+    /// other than [`CULL_BACK`], in any order and at most once per triangle and instance.
     #[inline]
     pub(crate) fn nearest(&self, ray: &Ray, stack: &mut Stack, accept: impl FnMut(&Hit) -> bool) -> Option<Hit> {
         let mut hit = None;
@@ -155,8 +158,8 @@ impl Bvh {
         hit
     }
 
-    /// [`nearest`](Self::nearest) written to its place: returned, it would be copied in larger
-    /// pieces than it was written in, for which a processor waits.
+    /// [`nearest`](Self::nearest), with the result written to `found`. A returned value would be
+    /// copied in larger pieces than it was written in, and a processor waits for such copies.
     #[inline]
     pub(crate) fn find_nearest(
         &self,
@@ -169,9 +172,9 @@ impl Bvh {
         unsafe { self.backend.call_eight::<Nearest<_>>((self, ray, stack, accept, found)) }
     }
 
-    /// Product of `transmittance` over all triangles that the segment crosses; it is asked only for
-    /// triangles with flags other than [`CULL_BACK`], at most once each; the others are opaque.
-    /// Stops at zero.
+    /// Product of `transmittance` over all triangles that the segment crosses. The function is
+    /// called only for triangles with flags other than [`CULL_BACK`], at most once each; the others
+    /// are opaque. Stops at zero.
     #[inline]
     pub(crate) fn transmittance(&self, ray: &Ray, stack: &mut Stack, transmittance: impl FnMut(&Hit) -> Vec3) -> Vec3 {
         // SAFETY: the kernel makes no demands
@@ -184,7 +187,7 @@ impl Bvh {
         Arrays { nodes: &self.nodes, blocks: &self.blocks }
     }
 
-    /// Without `INSTANCED` there are no instances, and rays never change.
+    /// Without `INSTANCED` the tree has no instances, and rays never change.
     ///
     /// # Safety
     /// The machine has `V`'s instruction set.
@@ -203,7 +206,7 @@ impl Bvh {
         // were made with, and no more than `stack_depth` children are ever postponed, which `build`
         // counts and the assertion above checks.
         unsafe {
-            // a copy, as `Arrays` says
+            // a copy; [`Arrays`] states the reason
             let ray = &{ *ray };
             let mut slabs = Slabs::<V>::new(ray, self.extent);
             let mut shear = Shear::new(ray);
@@ -214,7 +217,7 @@ impl Bvh {
             let mut nearest: Option<RawHit> = None;
             let mut t_max = ray.t_max;
             let mut current = self.root;
-            // the next of the postponed that is not behind the nearest hit
+            // the next postponed child that is not farther than the nearest hit
             macro_rules! pop {
                 () => {
                     loop {
@@ -231,8 +234,8 @@ impl Bvh {
                 };
             }
             loop {
-                // a loop of its own, so that the inputs of nodes stay in registers rather than
-                // those of blocks
+                // a separate loop, so that the inputs of nodes stay in registers rather than the
+                // inputs of blocks
                 while current & LEAF == 0 {
                     let node = arrays.nodes.get_unchecked(current as usize);
                     let (t_near, mut hits) = slabs.enters(node, t_max);
@@ -258,8 +261,8 @@ impl Bvh {
                             u64::from(t_near.get_unchecked(lane).to_bits()) << 32 | u64::from(child)
                         }};
                     }
-                    // which child is nearer is a coin toss: two and three are sorted without
-                    // branches
+                    // which child is nearer is unpredictable, so two or three hit children are
+                    // sorted without branches
                     let other = next!();
                     let (mut a, mut b) = (one.min(other), one.max(other));
                     if hits == 0 {
@@ -345,7 +348,7 @@ impl Bvh {
         assert!(stack.0.len() > self.stack_depth, "a stack of another tree");
         // SAFETY: as in `nearest_in`
         unsafe {
-            // a copy, as `Arrays` says
+            // a copy; [`Arrays`] states the reason
             let ray = &{ *ray };
             let mut slabs = Slabs::<V>::new(ray, self.extent);
             let mut shear = Shear::new(ray);
@@ -439,7 +442,7 @@ impl<F: FnMut(&Hit) -> bool> Kernel for Nearest<F> {
     }
 }
 
-/// [`Bvh::transmittance`] with `F` for one triangle's.
+/// [`Bvh::transmittance`] with `F` as its `transmittance`.
 pub(super) struct Transmittance<F>(PhantomData<F>);
 
 impl<F: FnMut(&Hit) -> Vec3> Kernel for Transmittance<F> {
@@ -460,10 +463,10 @@ impl<F: FnMut(&Hit) -> Vec3> Kernel for Transmittance<F> {
 }
 
 impl Placed {
-    /// The same points at the same t in the space of the tree.
+    /// The same points at the same t, in the space of the tree.
     #[inline(always)]
     fn tree_ray(&self, ray: &Ray) -> Ray {
-        // the difference first: it is exact where rounding would hurt, close to the instance
+        // subtract first: the difference is exact close to the instance, where rounding would hurt
         Ray {
             origin: self.tree_from_render * (ray.origin - self.translation),
             direction: self.tree_from_render * ray.direction,
@@ -492,8 +495,8 @@ impl<V: Lanes> Slabs<V> {
             std::array::from_fn(|axis| SLAB_ROUNDING * (o[axis].abs() + extent) * inverse[axis].abs());
         let sign = |axis: usize| (inverse[axis].to_bits() >> 31) as usize;
         let near = [3 * sign(0) * WIDTH, (1 + 3 * sign(1)) * WIDTH, (2 + 3 * sign(2)) * WIDTH];
-        // written out: a closure would not have the instruction set, and the vector operations in
-        // it would become calls
+        // without a closure: it would not have the instruction set, and its vector operations would
+        // become calls
         unsafe {
             Self {
                 inverse: [V::splat(inverse[0]), V::splat(inverse[1]), V::splat(inverse[2])],
@@ -513,7 +516,8 @@ impl<V: Lanes> Slabs<V> {
         }
     }
 
-    /// Distances to a plane of an axis of eight boxes; `row` is an entry of `near` or `far`.
+    /// Distances along the ray to one plane of each of eight boxes, across the same axis; `row` is
+    /// an entry of `near` or `far`.
     #[inline(always)]
     unsafe fn distance(&self, node: &Node, row: usize, axis: usize, shift: V) -> V {
         unsafe { V::from_array(eight(node.bounds.as_flattened(), row)).fused_mul_add(self.inverse[axis], shift) }
@@ -541,7 +545,7 @@ impl<V: Lanes> Slabs<V> {
     }
 }
 
-/// Eight values of an array of rows of eight, from where a row starts.
+/// Eight values of an array of rows of eight; the row starts at `row`.
 ///
 /// # Safety
 /// `row` is the start of a row.
@@ -558,10 +562,10 @@ impl Shear {
     pub(super) fn new(ray: &Ray) -> Self {
         let (d, o) = (ray.direction.to_array(), ray.origin.to_array());
         let magnitude = d.map(f32::abs);
-        // looked up: which axis is the longest is another coin toss
+        // looked up without branches, since which axis is the longest is unpredictable
         let greater = |a: usize, b: usize| usize::from(magnitude[a] > magnitude[b]);
         let z = LONGEST[greater(0, 1) | greater(0, 2) << 1 | greater(1, 2) << 2];
-        // padded as the tables are
+        // padded to a power of two, as the tables are
         let (d, o) = ([d[0], d[1], d[2], 0.0], [o[0], o[1], o[2], 0.0]);
         let along = d[usize::from(z & 3)];
         let [x, y] = OTHERS[usize::from(2 * z + u8::from(along < 0.0)) & 7];
@@ -602,7 +606,7 @@ impl Shear {
         }
     }
 
-    /// A vertex of eight triangles, its coordinates in the order of `axes`.
+    /// A vertex of eight triangles, with its coordinates in the order of `axes`.
     #[inline(always)]
     unsafe fn vertex<V: Lanes>(&self, block: &Block, vertex: usize) -> [V; 3] {
         unsafe {
@@ -619,11 +623,12 @@ impl Shear {
 /// A triangle per lane, in the space where the lane's ray starts at the origin and is the z axis; z
 /// is not scaled yet.
 ///
-/// Single rays and beams both test by these functions: their hits are the same to the bit.
+/// Tests of single rays and of beams both call these functions, so their hits are the same to the
+/// bit.
 pub(super) struct Corners<V>(pub(super) [[V; 3]; 3]);
 
-/// A triangle per lane as seen along the lane's ray: twice the areas that the ray makes with each
-/// edge, and whether it passes inside.
+/// A triangle per lane, as seen along the lane's ray. For each edge: twice the area between it and
+/// the ray. Also a mask of the triangles that the ray passes through.
 pub(super) struct Edges<V: Lanes> {
     pub(super) u: V,
     pub(super) v: V,
@@ -672,7 +677,7 @@ impl<V: Lanes> Corners<V> {
 
 #[expect(clippy::undocumented_unsafe_blocks, reason = "one reason for all, above")]
 impl<V: Lanes> Test<V> {
-    /// The results as numbers.
+    /// The results as arrays of numbers.
     #[inline(always)]
     pub(super) unsafe fn store(self) -> Test<[f32; WIDTH]> {
         unsafe {
@@ -687,7 +692,7 @@ impl<V: Lanes> Test<V> {
 }
 
 impl Test<[f32; WIDTH]> {
-    /// One triangle's numbers.
+    /// The results for one triangle.
     #[inline(always)]
     fn raw_hit(&self, lane: usize, reference: u32, instance: u32) -> RawHit {
         RawHit { u: self.u[lane], v: self.v[lane], determinant: self.determinant[lane], reference, instance }

@@ -1,23 +1,23 @@
-//! The tree's data: nodes, blocks, instances, and rays and hits.
+//! The data of the tree, and of rays and hits.
 
 use std::ops::Range;
 
 use glam::{Mat3, Vec3};
 use lumistack_simd::Backend;
 
-/// Values per vector: children of a node, triangles of a block.
+/// Values per vector: the children of a node, or the triangles of a block.
 pub(super) const WIDTH: usize = 8;
 /// Marks a child reference as a leaf block.
 pub(super) const LEAF: u32 = 1 << 31;
 /// Marks a child reference, together with [`LEAF`], as an instance.
 pub(super) const INSTANCE: u32 = 1 << 30;
 /// A child that does not exist. Its bounds are empty, so that no ray enters it. On a traversal's
-/// stack: the end of an instance.
+/// stack it marks the end of an instance.
 pub(super) const EMPTY: u32 = u32::MAX;
 /// Bits of a triangle reference that hold its index; the others are flags.
 pub(super) const INDEX_MASK: u32 = (1 << 29) - 1;
-/// The largest number of triangles, each counted once however often its mesh is placed, that
-/// references can hold.
+/// Largest number of triangles that references can hold. A mesh's triangles are included once, for
+/// any number of instances.
 pub(crate) const MAX_TRIANGLES: usize = INDEX_MASK as usize;
 /// The largest number of instances of shared trees.
 pub(crate) const MAX_INSTANCES: usize = INSTANCE as usize - 1;
@@ -25,7 +25,7 @@ pub(crate) const MAX_INSTANCES: usize = INSTANCE as usize - 1;
 pub(crate) const CULL_BACK: u32 = 1 << 29;
 /// The triangle has an alpha that must be evaluated.
 pub(crate) const ALPHA: u32 = 1 << 30;
-/// Light passes through the triangle on its straight way, tinted.
+/// Light passes through the triangle without a change of direction, tinted.
 pub(crate) const TINT: u32 = 1 << 31;
 /// [`Hit::instance`] of a triangle that belongs to no shared tree.
 pub(crate) const NO_INSTANCE: u32 = u32::MAX;
@@ -39,7 +39,7 @@ pub(crate) struct Ray {
 }
 
 impl Ray {
-    /// Up from the origin, to be written over.
+    /// A ray from the origin along z, as a placeholder.
     pub(crate) const ANY: Self = Self { origin: Vec3::ZERO, direction: Vec3::Z, t_max: f32::INFINITY };
 }
 
@@ -54,14 +54,14 @@ pub(crate) struct Hit {
     pub(crate) barycentric: [f32; 3],
     /// True if the triangle shows its front: it winds counter-clockwise as seen from the origin.
     pub(crate) front: bool,
-    /// The flags of the triangle.
+    /// Flags of the triangle.
     pub(crate) flags: u32,
 }
 
 /// Input of [`Bvh::new`](super::Bvh::new).
 pub(crate) struct Input<'a> {
-    /// Corners of all triangles: those of `loose` in render space, those of each range of `shared`
-    /// in a space of its own.
+    /// Corners of all triangles: those in `loose` are in render space, and each range of `shared`
+    /// is in its own space.
     pub(crate) triangles: &'a [[Vec3; 3]],
     /// [`CULL_BACK`], [`ALPHA`] and [`TINT`] of every triangle.
     pub(crate) flags: &'a [u32],
@@ -96,7 +96,7 @@ pub(crate) struct Bvh {
 }
 
 /// Bounds of eight children: `[min_x, min_y, min_z, max_x, max_y, max_z]`, one lane per child.
-/// Whole cache lines, so that it never lies across one more.
+/// Aligned to whole cache lines, so that it never extends over one more line.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
 pub(super) struct Node {

@@ -1,33 +1,35 @@
 //! The filter of a few rows of one view.
 //!
 //! Neighbouring views are first resampled into the view's own frame, pixel by pixel. Then every
-//! window, in the view itself or in a neighbour, is a set of shifts of whole pictures. A shift's
-//! distances are maps, the patches' sums over them are boxes, and everything runs along rows.
+//! window, in the view itself or in a neighbour, is a set of shifts of whole pictures. The
+//! distances for a shift are a map, a patch's sum is a box over that map, and all loops run along
+//! rows.
 
 use std::ops::Range;
 
 use super::frame::{ALBEDO, ALPHA, COVERED, Frame, GLOSS, HALVES, NORMAL, PLACE, PLANES, THERE, VARIANCE};
 use super::view::Window;
 
-/// Patches are squares of 3 pixels.
+/// Half width of a patch: patches are squares of 3 × 3 pixels.
 const PATCH: usize = 1;
-/// Differences of patches count in units of this times the standard deviation of the noise.
+/// Unit of the differences of patches, in standard deviations of the noise.
 const COLOUR_SCALE: f32 = 0.8;
-/// Differences of guides that lower a weight to about a third.
+/// Differences of guides, each of which lowers a weight to about a third.
 const NORMAL_SCALE: f32 = 0.2;
-/// Pixels that a point may stand off the plane of another.
+/// Distance of a point from the plane of another point, in pixels, for the same.
 const PLANE_SCALE: f32 = 1.5;
 const ALBEDO_SCALE: f32 = 0.2;
 const GLOSS_SCALE: f32 = 0.2;
 const COVERED_SCALE: f32 = 0.2;
-/// Answers per pixel: colours and guides, with weights from the other half; guides alone; and
-/// colours and guides with weights from the half itself, which is only measured.
+/// Filtered answers per pixel. The first uses colours and guides, with weights from the other half.
+/// The second uses guides alone. The third uses colours and guides with weights from the half
+/// itself, and serves only to estimate errors.
 pub(super) const ANSWERS: usize = 3;
 
 /// Filtered demodulated radiance of a band, per answer and half: `[row][col][rgb]`.
 pub(super) type Answers = [[Vec<[f32; 3]>; 2]; ANSWERS];
 
-/// A part of a view with `margin` pixels around it; outside of the picture everything is 0.
+/// A region of a view with `margin` pixels around it; outside of the picture all values are 0.
 struct Block {
     planes: [Vec<f32>; PLANES],
     width: usize,
@@ -73,7 +75,7 @@ pub(super) fn filter(
 }
 
 impl Block {
-    /// The pixels of `other` that `place` finds for those of `frame`.
+    /// The pixels of `other` that `place` returns for the pixels of `frame`.
     fn cut(
         frame: &Frame,
         other: &Frame,
@@ -97,8 +99,8 @@ impl Block {
         Self { planes, width }
     }
 
-    /// Share of a pixel's light that is the same in another view: all light except mirrored light,
-    /// whose lobe turns with the view by half the angle.
+    /// Fraction of a pixel's light that is the same in another view. That is all light except
+    /// mirrored light, whose lobe turns by half the angle between the views.
     fn steady(&self, slope: f32, height: usize, cols: usize, margin: usize) -> Vec<f32> {
         let mut steady = Vec::with_capacity(height * cols);
         for y in 0..height {
@@ -113,16 +115,16 @@ impl Block {
     }
 }
 
-/// Room for the maps of one shift.
+/// Memory for the maps of one shift.
 struct Scratch {
     height: usize,
     cols: usize,
-    /// Colour distance per half, with the patch's margin around.
+    /// Colour distance per half, with the margin of a patch around it.
     distance: [Vec<f32>; 2],
-    /// Sums of three of it along a row.
+    /// Sums of three neighbouring distances along a row.
     across: [Vec<f32>; 2],
     guides: Vec<f32>,
-    /// Weights by guides and colours of a row.
+    /// Weights of a row, from guides and colours.
     colours: Vec<f32>,
 }
 
@@ -139,7 +141,7 @@ impl Scratch {
         }
     }
 
-    /// Adds the pixels of `block` at a shift, [down, right].
+    /// Adds the pixels of `block` at a shift [down, right].
     fn add(
         &mut self,
         centre: &Block,
@@ -187,7 +189,7 @@ impl Scratch {
                 let other = 1 - half;
                 let [r, g, b] = [0, 1, 2].map(|c| values(other, c));
                 let [with_colour, guides_alone, own_weights] = &mut *sums;
-                // distances from this half weigh the other
+                // distances in this half give the weights of the other half
                 let weights = &mut with_colour.weights[other][range.clone()];
                 let [sum_r, sum_g, sum_b] = &mut with_colour.values[other];
                 let [sum_r, sum_g, sum_b] = [sum_r, sum_g, sum_b].map(|sum| &mut sum[range.clone()]);
@@ -200,7 +202,7 @@ impl Scratch {
                     sum_g[x] += w * g[x];
                     sum_b[x] += w * b[x];
                 }
-                // the same weights on their own half, for the estimate of the error
+                // the same weights for their own half, to estimate the error
                 let [own_r, own_g, own_b] = [0, 1, 2].map(|c| values(half, c));
                 let weights = &mut own_weights.weights[half][range.clone()];
                 let [sum_r, sum_g, sum_b] = &mut own_weights.values[half];
@@ -228,8 +230,8 @@ impl Scratch {
     }
 }
 
-/// Weights by the guides of a row of pixels that starts at `p` in one block and at `q` in the
-/// other.
+/// Weights from the guides of a row of pixels. The row starts at `p` in `centre` and at `q` in
+/// `block`.
 fn guide_row(centre: &Block, block: &Block, p: usize, q: usize, steady: &[f32], weights: &mut [f32]) {
     let cols = weights.len();
     let here = |plane: usize| &centre.planes[plane][p..][..cols];
@@ -261,7 +263,7 @@ fn guide_row(centre: &Block, block: &Block, p: usize, q: usize, steady: &[f32], 
     }
 }
 
-/// A bell that is 0 from 4 on and near exp(−x) before, without a call.
+/// A bell curve close to exp(−x) that is 0 from x = 4 on, computed without a call.
 #[inline(always)]
 fn kernel(x: f32) -> f32 {
     let t = (1.0 - 0.25 * x).max(0.0);
@@ -280,8 +282,7 @@ impl Sums {
                 .map(|i| {
                     let at = (i / cols + margin) * centre.width + margin + i % cols;
                     let weight = self.weights[half][i];
-                    // the sky is free of noise, and nothing else stands for a pixel without weight
-                    // but itself
+                    // the sky has no noise, and a pixel without any weight stays as it is
                     let as_is = centre.planes[COVERED][at] <= 0.0 || weight <= 0.0;
                     [0, 1, 2].map(|c| {
                         if as_is { centre.planes[HALVES[half] + c][at] } else { self.values[half][c][i] / weight }

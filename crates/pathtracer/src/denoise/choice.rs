@@ -1,4 +1,4 @@
-//! The choice between a pixel's answers.
+//! The choice between the filtered answers for a pixel.
 
 use lumistack_core::Tensor;
 
@@ -8,14 +8,14 @@ use super::frame::{Frame, HALVES, VARIANCE, box_mean};
 /// Half the width of the square over which the errors of answers are averaged before they are
 /// compared.
 const ERROR_RADIUS: usize = 4;
-/// Difference of errors, in variances of the noise, at which the better answer counts e times as
-/// much.
+/// Difference of errors, relative to the noise's variance, at which the better answer gets e times
+/// the weight.
 const SOFTNESS: f32 = 0.03;
-/// Candidates for a pixel: filtered with colours, filtered by guides alone, as rendered.
+/// Candidates for a pixel: filtered by colours and guides, filtered by guides alone, as rendered.
 const CHOICES: usize = 3;
 
-/// Blends the answers by their estimated errors, which leave out the pixel itself: otherwise the
-/// choice would follow its noise.
+/// Blends the answers by their estimated errors. The estimate leaves out the pixel itself, since
+/// otherwise the choice would follow the pixel's noise.
 pub(super) fn choose(frame: &Frame, bands: &[Answers]) -> Tensor<3> {
     let count = frame.rows * frame.cols;
     let halves =
@@ -36,11 +36,12 @@ pub(super) fn choose(frame: &Frame, bands: &[Answers]) -> Tensor<3> {
     picture
 }
 
-/// Share of each answer in every pixel, by the estimated squared errors around it relative to the
-/// noise there.
+/// Weight of each answer in every pixel, from the estimated squared errors around it, relative to
+/// the noise there.
 ///
-/// (F_a − u_b)² holds the error of half of the samples and the noise of the other half, which all
-/// answers share. The second term subtracts the gain of the mean of both halves.
+/// (F_a − u_b)² is the error of the answer from half of the samples, plus the noise of the other
+/// half. That noise is equal for all answers. The second term accounts for the mean of both halves,
+/// whose error is smaller.
 fn shares(frame: &Frame, halves: &[Vec<[f32; 3]>; 2], answers: [&[Vec<[f32; 3]>; 2]; CHOICES]) -> Vec<[f32; CHOICES]> {
     let count = halves[0].len();
     let (rows, cols) = (frame.rows, frame.cols);

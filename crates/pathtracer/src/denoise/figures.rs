@@ -1,19 +1,19 @@
 //! The effect of a filter on a view, measured at pixels that it never used.
 //!
 //! Errors are means of (F − c₁)(F − c₂) over the [checks](crate::Checks). The checks' noise is
-//! independent of the picture F and of each other. So the expectation is the squared error itself,
-//! for any filter. The change of the mean, F minus the unbiased picture, is the filter's bias as a
-//! whole.
+//! independent of the picture F and of each other. So the expectation of the product is F's squared
+//! error, for any filter. The mean of F minus the mean of the unbiased picture is the filter's mean
+//! bias.
 
 use lumistack_core::Tensor;
 
 use crate::Checks;
 
-/// Edge of the blocks over which the change of the mean is spread, pixels: wide enough that noise
-/// in one says little of the next.
+/// Edge of the blocks in which the change of the mean is averaged, in pixels. A block is so wide
+/// that the noise of two blocks is nearly independent.
 const BLOCK: usize = 16;
 
-/// A mean with the sums for its standard error.
+/// A mean, with the sums from which its standard error follows.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Estimate {
     sum: f64,
@@ -21,16 +21,17 @@ pub struct Estimate {
     count: f64,
 }
 
-/// The effect of the filter on one view, in scene-linear radiance, all channels together.
+/// The effect of the filter on one view, in scene-linear radiance, over all channels together.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ViewFigures {
     /// Mean of the unbiased picture.
     pub mean: f64,
-    /// Mean of the filtered picture minus that, by blocks.
+    /// Mean of the filtered picture minus mean of the unbiased picture; its values are means of
+    /// blocks.
     pub change: Estimate,
     /// Mean squared error of the unbiased picture.
     pub mse_before: Estimate,
-    /// Mean squared error of the filtered one.
+    /// Mean squared error of the filtered picture.
     pub mse_after: Estimate,
 }
 
@@ -41,18 +42,18 @@ impl Estimate {
         self.count += 1.0;
     }
 
-    /// The mean; NaN of nothing.
+    /// The mean; NaN without values.
     pub fn value(&self) -> f64 {
         self.sum / self.count
     }
 
-    /// Standard error of the mean; NaN of fewer than two values.
+    /// Standard error of the mean; NaN with fewer than two values.
     pub fn error(&self) -> f64 {
         let variance = (self.squares / self.count - self.value().powi(2)).max(0.0);
         if self.count < 2.0 { f64::NAN } else { (variance / (self.count - 1.0)).sqrt() }
     }
 
-    /// Estimate from all values of several estimates.
+    /// The estimate from the values of all given estimates.
     pub fn joined(parts: impl IntoIterator<Item = Self>) -> Self {
         parts.into_iter().fold(Self::default(), |a, b| Self {
             sum: a.sum + b.sum,
@@ -61,13 +62,13 @@ impl Estimate {
         })
     }
 
-    /// Estimate of all values times a factor.
+    /// The estimate of all values multiplied by a factor.
     #[must_use]
     pub fn scaled(self, factor: f64) -> Self {
         Self { sum: factor * self.sum, squares: factor * factor * self.squares, ..self }
     }
 
-    /// Sum, sum of squares and number of the values, to be kept.
+    /// Sum, sum of squares and number of the values, for storage.
     pub fn parts(&self) -> [f64; 3] {
         [self.sum, self.squares, self.count]
     }
@@ -78,8 +79,8 @@ impl Estimate {
     }
 }
 
-/// Compares a filtered view with the unbiased one that it was made from and with its checks, all
-/// `[row][col][rgb]`.
+/// Compares a filtered view with the unbiased view that it was made from, and with the checks of
+/// that view. Both pictures are `[row][col][rgb]`.
 pub fn figures(filtered: &Tensor<3>, unbiased: &Tensor<3>, checks: &Checks) -> ViewFigures {
     let [rows, cols, _] = unbiased.shape();
     let mut figures = ViewFigures::default();
@@ -108,7 +109,7 @@ pub fn figures(filtered: &Tensor<3>, unbiased: &Tensor<3>, checks: &Checks) -> V
             (0..3).map(|c| f64::from(pixel[c] - first[c]) * f64::from(pixel[c] - second[c])).sum::<f64>() / 3.0
         };
         let (before, after) = (squared(unbiased), squared(filtered));
-        // a pixel that either render could not finish says nothing
+        // a pixel that is not finite in either render is left out
         if before.is_finite() && after.is_finite() {
             figures.mse_before.add(before);
             figures.mse_after.add(after);

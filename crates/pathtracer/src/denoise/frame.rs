@@ -1,30 +1,30 @@
-//! A view as the filter sees it, and how one view's pixels are found in another.
+//! A view as the filter sees it, and the search for one view's pixels in another view.
 
 use glam::{DVec2, Vec3};
 use lumistack_display::{FieldGeometry, Projection};
 
 use super::view::NoisyView;
 
-/// Least reflectance that radiance is divided by: darker surfaces keep their own contrast.
+/// Smallest reflectance that radiance is divided by; darker surfaces keep their own contrast.
 const LEAST_ALBEDO: f32 = 0.02;
-/// Half the width of the square over which the variance of a pixel is averaged. One pixel's two
-/// halves alone say almost nothing.
+/// Half the width of the square over which the variance of a pixel is averaged. The two halves of
+/// one pixel give only a very rough variance.
 const VARIANCE_RADIUS: usize = 2;
 
 /// Number of planes in [`Frame::planes`].
 pub(super) const PLANES: usize = 22;
-/// First plane of the demodulated radiance of the halves: red, green, blue each.
+/// First plane of the demodulated radiance of each half; each has red, green and blue.
 pub(super) const HALVES: [usize; 2] = [0, 3];
-/// First plane of the variance of a half.
+/// First plane of the variance of a half, with three channels.
 pub(super) const VARIANCE: usize = 6;
-/// First plane of the guides: normal, place, reflectance, gloss, α, coverage.
+/// First planes of the guides: normal, position, reflectance, gloss, α, coverage.
 pub(super) const NORMAL: usize = 9;
 pub(super) const PLACE: usize = 12;
 pub(super) const ALBEDO: usize = 15;
 pub(super) const GLOSS: usize = 18;
 pub(super) const ALPHA: usize = 19;
 pub(super) const COVERED: usize = 20;
-/// 1 where there is such a pixel, 0 outside of the picture.
+/// Plane that is 1 for pixels of the picture, and 0 outside of it.
 pub(super) const THERE: usize = 21;
 
 /// One view, a plane per value: `[plane][row][col]`.
@@ -61,7 +61,7 @@ impl Frame {
                     (0..3).for_each(|c| planes[first + c][i] = pixel[c] / factor[c]);
                 }
                 modulation.push(factor);
-                // the place of the pixel's surface in display space, in pixels
+                // position of the pixel's surface in display space, in pixels
                 let point = [geometry.x_mm(col), geometry.y_mm(row)];
                 let slope = grid.slope_at(view, point);
                 let z = f64::from(feature.z_mm);
@@ -82,7 +82,7 @@ impl Frame {
             let [a, b] = HALVES.map(|first| &planes[first + c]);
             // (a − b)² has the mean 2 Var(a)
             let squares: Vec<f32> = a.iter().zip(b).map(|(a, b)| 0.5 * (a - b) * (a - b)).collect();
-            // running sums may end a hair below zero
+            // running sums may end slightly below zero
             planes[VARIANCE + c] =
                 box_mean(&squares, rows, cols, VARIANCE_RADIUS).iter().map(|variance| variance.max(0.0)).collect();
         }
@@ -90,25 +90,25 @@ impl Frame {
         Self { rows, cols, planes, modulation, slope, projection: grid.projection, pitch_mm: geometry.pitch_mm }
     }
 
-    /// A value of a pixel.
+    /// The values of one plane, for all pixels.
     pub(super) fn plane(&self, plane: usize) -> &[f32] {
         &self.planes[plane]
     }
 
-    /// Length of the difference of slopes to another view.
+    /// Length of the difference of the slopes of two views.
     pub(super) fn slope_to(&self, other: &Self) -> f32 {
         (self.slope - other.slope).length() as f32
     }
 
     /// Index of the pixel of `other` that shows the surface of pixel (row, col). `None` if this
-    /// pixel has no surface, or if the place is outside of the picture.
+    /// pixel has no surface, or if `other` would show it outside of the picture.
     pub(super) fn seen_in(&self, other: &Self, row: usize, col: usize) -> Option<usize> {
         let i = row * self.cols + col;
         if self.planes[COVERED][i] <= 0.0 {
             return None;
         }
         let z_mm = f64::from(self.planes[PLACE + 2][i]) * self.pitch_mm;
-        // x + s z is the same for both views; in a perspective one s itself falls by x / D
+        // x + s z is the same for both views; in a perspective view s decreases by x / D
         let stretch = match self.projection {
             Projection::Oblique => 1.0,
             Projection::Perspective { distance_mm } => 1.0 - z_mm / distance_mm,
@@ -120,7 +120,7 @@ impl Frame {
     }
 }
 
-/// Mean over a square of 2r + 1 pixels, as much of it as lies in the picture.
+/// Mean over a square of 2r + 1 pixels, or over the region of it that is in the picture.
 pub(super) fn box_mean(values: &[f32], rows: usize, cols: usize, radius: usize) -> Vec<f32> {
     let along = |values: &[f32], count: usize, step: usize, lines: usize, line_step: usize| {
         let mut result = vec![0.0; values.len()];

@@ -7,28 +7,28 @@
 //! F_b(p) = the same with a and b exchanged
 //! L' = albedo (F_a + F_b) / 2
 //! w(p, q) = k(colour distance of patches) · k(distance of guides)
-//!         · (share of light that does not depend on the view)
+//!         · (fraction of light that does not depend on the view)
 //! ```
 //!
-//! a and b are two renders of half of the samples each. The weights of one come from the other, so
-//! that they are independent of the noise that they average.
+//! a and b are two renders, with half of the samples each. The weights for one are computed from
+//! the other, so they are independent of the noise that they average.
 //!
 //! q runs over a window around p in p's own view. It also runs over small windows in neighbouring
-//! views, around the place where p's surface point appears there. A point at depth Z that view s
-//! sees at x stands at x + (s − s')·Z in view s' (a line in an epipolar picture). Views thus share
-//! their samples, and the rest of the noise is alike in all of them.
+//! views, around the position where p's surface point appears. A point at depth Z that is at x in
+//! view s is at x + (s − s')·Z in view s' (a line in an epipolar picture). Views thus share their
+//! samples, and the remaining noise is similar in all views.
 //!
-//! Three answers are kept for every pixel: as rendered, guides and colours, guides alone. They are
-//! weighted by their squared errors. The halves estimate these without bias where the weights of
-//! F_a come from a itself, since then F_a and u_b are independent:
+//! Three answers are kept for every pixel: as rendered, guides and colours, guides alone. Their
+//! weights follow from their squared errors. The halves estimate these errors without bias if the
+//! weights for F_a come from a itself, since F_a and u_b are then independent:
 //!
 //! ```text
 //! E[(F_a − u_b)²] = E[(F_a − truth)²] + Var(u_b)
 //! ```
 //!
-//! Such answers are computed beside those with crossed weights for this purpose alone. Their errors
-//! are not those of the result: those are measured against [pixels that the filter never
-//! used](crate::Checks).
+//! Such answers are computed in addition to the answers with crossed weights, only for this
+//! estimate. Their errors are not the errors of the result, which are measured with [pixels that
+//! the filter never used](crate::Checks).
 //!
 //! Sources:
 //!
@@ -57,7 +57,7 @@ use frame::Frame;
 pub use shared::{SharedLight, ViewLight};
 pub use view::{NoisyView, Window};
 
-/// Rows that are filtered at a time: the unit of work, of progress and of cancellation.
+/// Rows that are filtered together: the unit of work, of progress and of cancellation.
 const BAND: usize = 16;
 
 /// Steps by which [`denoise`] advances the progress.
@@ -71,7 +71,7 @@ pub fn steps(geometry: &FieldGeometry) -> u64 {
 /// When cancelled.
 ///
 /// # Panics
-/// If there are not as many views as the grid has, or they are not of the geometry's size.
+/// If the number of views is not the number in the grid, or a view is not of the geometry's size.
 pub fn denoise(
     geometry: &FieldGeometry,
     views: &[NoisyView],
@@ -105,7 +105,7 @@ pub fn denoise(
     Ok(filtered)
 }
 
-/// The views around one, by their numbers.
+/// Indices of the views around the view `index`, without itself.
 fn neighbours(places: &[[usize; 2]], index: usize, radius: usize) -> Vec<usize> {
     let near = |other: &[usize; 2]| (0..2).all(|axis| other[axis].abs_diff(places[index][axis]) <= radius);
     (0..places.len()).filter(|&other| other != index && near(&places[other])).collect()

@@ -1,5 +1,5 @@
-//! Light that does not depend on the view, averaged over all views that see the point it comes
-//! from.
+//! Light that does not depend on the view, averaged over all views that see the point from which
+//! the light comes.
 //!
 //! ```text
 //! E = D / ρ_d                            of the first surface (see SplitView): view-independent
@@ -7,15 +7,15 @@
 //! L' = G + ρ_d E'
 //! ```
 //!
-//! p_u is the place where view u sees the point of p: a point at depth z moves by (s − s')·z from
-//! view to view. The weight w is 1 where u sees the same surface there, and falls to 0 where it
-//! sees another. The distance of u's point from the plane of p's point decides. Nothing is averaged
-//! over pixels, so shadows and textures stay sharp up to a pixel's rounding: E is read at the pixel
-//! nearest to p_u. The mirrored light G stays as rendered.
+//! p_u is the pixel where view u sees the point of p: a point at depth z moves by (s − s')·z from
+//! view to view. The weight w is 1 if u sees the same surface there, and falls to 0 if it sees
+//! another. It follows from the distance of u's point from the plane of p's point. Nothing is
+//! averaged over neighbouring pixels, so shadows and textures stay sharp up to a pixel's rounding:
+//! E is read at the pixel nearest to p_u. The mirrored light G stays as rendered.
 //!
-//! So a point that hundreds of views see has the samples of all of them, for the price of one shift
-//! and one comparison each. Sharing over rows and columns one after another takes as many steps as
-//! there are rows and columns; in one pass over all views it would take their product.
+//! So a point that hundreds of views see has the samples of all of them. Each costs one shift and
+//! one comparison. Averaging first over rows and then over columns takes as many steps as there are
+//! rows and columns. One average over all views would take the product of these numbers.
 
 use glam::{DVec2, Vec3};
 use lumistack_core::{Cancelled, Task, Tensor};
@@ -28,24 +28,25 @@ use crate::SplitView;
 /// Distance of a point from the plane of another, in pixels, at which its weight has fallen to
 /// about a third.
 const PLANE_SCALE: f32 = 0.75;
-/// Cosine between normals at which surfaces count as different.
+/// Cosine between normals at which two surfaces are treated as different.
 const LEAST_COSINE: f32 = 0.8;
-/// Least reflectance that radiance is divided by: light of darker surfaces is too noisy for others.
+/// Smallest reflectance that radiance is divided by. The light of darker surfaces is too noisy to
+/// be shared.
 const LEAST_REFLECTANCE: f32 = 0.02;
 
-/// Data of a pixel for the filter: 20 bytes, since it needs the pixels of all views.
+/// Data of a pixel for the filter: 20 bytes, since the pixels of all views are in memory.
 #[derive(Clone, Copy)]
 struct Point {
-    /// E of its own samples.
+    /// E from the pixel's own samples.
     light: [f32; 3],
     z_mm: f32,
-    /// In 127ths.
+    /// Unit normal, times 127.
     normal: [i8; 3],
-    /// True if it scatters light by Lambert's law.
+    /// True if the surface scatters light by Lambert's law.
     is_lit: bool,
 }
 
-/// The light of a light field that is to be shared, 32 bytes for every ray while it is.
+/// Collects the light of a light field and averages it; needs 32 bytes for every ray meanwhile.
 pub struct SharedLight<'a> {
     geometry: &'a FieldGeometry,
     points: Vec<Vec<Point>>,
@@ -55,22 +56,22 @@ pub struct SharedLight<'a> {
 pub struct ViewLight(Vec<[f32; 3]>);
 
 impl<'a> SharedLight<'a> {
-    /// Starts without any view.
+    /// A collection without any view.
     pub fn new(geometry: &'a FieldGeometry) -> Self {
         Self { geometry, points: Vec::new() }
     }
 
-    /// Takes the next view of the grid.
+    /// Adds the next view of the grid.
     ///
     /// # Panics
-    /// If it is not of the geometry's size.
+    /// If the view is not of the geometry's size.
     pub fn add(&mut self, view: &SplitView) {
         let [rows, cols] = view.size();
         assert_eq!([rows, cols], [self.geometry.rows, self.geometry.cols], "views of the geometry's size");
         self.points.push((0..rows * cols).map(|i| Point::of(view, i / cols, i % cols)).collect());
     }
 
-    /// The mean light of every view of the grid. Advances the progress twice for each.
+    /// The mean light of every view of the grid. Advances the progress twice for each view.
     ///
     /// # Errors
     /// When cancelled.
@@ -91,7 +92,7 @@ impl<'a> SharedLight<'a> {
 }
 
 impl ViewLight {
-    /// The view with this light instead of its own, `[row][col][rgb]`.
+    /// The view with this light in place of its view-independent light, `[row][col][rgb]`.
     pub fn on(&self, view: &SplitView) -> Tensor<3> {
         let [rows, cols] = view.size();
         let mut radiance = Tensor::zeros(["row", "col", "rgb"], [rows, cols, 3]);
@@ -123,7 +124,7 @@ fn divisor(reflectance: Vec3) -> Vec3 {
     reflectance.max(Vec3::splat(LEAST_REFLECTANCE))
 }
 
-/// The mean of every pixel's light over the views of one list.
+/// The mean of every pixel's light over the views of each list.
 fn pass(
     geometry: &FieldGeometry,
     points: &[Vec<Point>],
@@ -166,7 +167,7 @@ fn of_view(geometry: &FieldGeometry, points: &[Vec<Point>], index: usize, partne
                     continue;
                 }
                 let normal = point.normal();
-                // x + s z is the same for both views; in a perspective one s itself falls by x / D
+                // x + s z is the same for both views; in a perspective view s decreases by x / D
                 let depth = match grid.projection {
                     Projection::Oblique => point.z_mm,
                     Projection::Perspective { distance_mm } => point.z_mm / (1.0 - point.z_mm / distance_mm as f32),
@@ -180,8 +181,8 @@ fn of_view(geometry: &FieldGeometry, points: &[Vec<Point>], index: usize, partne
                 if !there.is_lit || normal.dot(there.normal()) < LEAST_COSINE {
                     continue;
                 }
-                // both points lie on the ray of p up to a pixel's rounding, so they differ in depth
-                // alone
+                // up to a pixel's rounding both points are on the ray of p, so they differ only in
+                // depth
                 let off = normal.z * (there.z_mm - point.z_mm) / pitch as f32;
                 let nearness = (1.0 - off * off * (0.25 / (PLANE_SCALE * PLANE_SCALE))).max(0.0);
                 let weight = (nearness * nearness) * (nearness * nearness);

@@ -1,4 +1,4 @@
-//! The filter on pictures whose truth is known, and its report of itself.
+//! Tests the filter on pictures whose truth is known, and the figures that it reports.
 
 use glam::Vec3;
 use lumistack_core::seed::Stream;
@@ -11,7 +11,7 @@ use crate::renderer::{Check, Checks, FEATURES, Features};
 
 const ROWS: usize = 24;
 const COLS: usize = 40;
-/// Depth of the wall in [`wall`]: 2 pixels of disparity between neighbouring views.
+/// Depth of the wall in [`wall`], in millimetres: 2 pixels of disparity between neighbouring views.
 const Z_MM: f64 = 20.0;
 
 fn geometry(views: [usize; 2], projection: Projection) -> FieldGeometry {
@@ -25,9 +25,8 @@ fn geometry(views: [usize; 2], projection: Projection) -> FieldGeometry {
     }
 }
 
-/// A flat wall parallel to the display; `shade` is its radiance at a point (x, y) of it in
-/// millimetres, before noise of standard deviation `noise` per half. Returns the views and the
-/// truth.
+/// A flat wall parallel to the display. `shade` is its radiance at a point (x, y) in millimetres.
+/// Each half has noise of standard deviation `noise`. Returns the views and the truth.
 fn wall(
     geometry: &FieldGeometry,
     shade: impl Fn(f64, f64) -> f64,
@@ -82,7 +81,7 @@ fn edge(x: f64, _: f64) -> f64 {
     if x < 3.3 { 0.3 } else { 1.2 }
 }
 
-/// Every third pixel rendered twice more, with noise of a standard deviation of its own.
+/// Every third pixel rendered twice more, with noise of the standard deviation `noise`.
 fn checks(truth: &Tensor<3>, noise: f64, seed: u64) -> Checks {
     let mut stream = Stream::new(seed);
     let list = (0..ROWS * COLS).step_by(3).map(|i| {
@@ -110,8 +109,8 @@ fn noise_goes_and_checks_tell_how_much_is_left() {
             after += squared_error(picture, truth) / truths.len() as f64;
         }
         let before = Estimate::joined(told.iter().map(|f| f.mse_before));
-        // the mean of two halves of variance 0.04; four standard errors: a false alarm in one of
-        // 16,000
+        // the mean of two halves of variance 0.04; four standard errors give a false alarm in one
+        // of 16,000 runs
         assert!((before.value() - 0.02).abs() < 4.0 * before.error() && before.error() < 0.001, "{before:?}");
         assert!(after < 0.1 * 0.02, "{after}");
         let estimate = Estimate::joined(told.iter().map(|f| f.mse_after));
@@ -128,7 +127,7 @@ fn noise_goes_and_checks_tell_how_much_is_left() {
     }
 }
 
-/// A filter that dims is found out.
+/// The figures report the bias of a filter that dims.
 #[test]
 fn a_bias_is_told() {
     let geometry = geometry([1, 1], Projection::Oblique);
@@ -186,7 +185,8 @@ fn pixels_without_a_surface_are_left_alone() {
 fn a_surface_point_is_found_in_the_other_view() {
     for projection in [Projection::Oblique, Projection::Perspective { distance_mm: 500.0 }] {
         let geometry = geometry([3, 3], projection);
-        // every pixel shows where on the wall it looks, once across and once up
+        // the radiance is the x coordinate of the wall's point in one picture, and its y coordinate
+        // in another
         let (views, across) = wall(&geometry, |x, _| x, 0.0, 6);
         let (_, up) = wall(&geometry, |_, y| y, 0.0, 6);
         let places: Vec<[usize; 2]> = geometry.grid.iter().collect();
@@ -200,7 +200,7 @@ fn a_surface_point_is_found_in_the_other_view() {
                     for place in [&across, &up] {
                         let here = place[own].get([row, col, 0]);
                         let there = place[other].get([at / COLS, at % COLS, 0]);
-                        // rounding to whole pixels
+                        // within the rounding to whole pixels
                         assert!((here - there).abs() < 0.501, "{here} {there}");
                     }
                     found += 1;

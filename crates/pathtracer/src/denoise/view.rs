@@ -1,18 +1,18 @@
-//! The filter's input: noisy views, and how far it looks around a pixel.
+//! The filter's input: noisy views, and the size of its windows.
 
 use lumistack_core::Tensor;
 
 use crate::Features;
 
-/// Windows of the filter.
+/// Sizes of the filter's windows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Window {
-    /// Pixels on either side in the view itself. Default 5.
+    /// Pixels on either side of a pixel, in the view itself. Default 5.
     pub radius: usize,
-    /// Views on either side, along both axes of the grid; 0 filters every view for itself. Default
-    /// 2.
+    /// Views on either side, along both axes of the grid. With 0 every view is filtered by itself.
+    /// Default 2.
     pub views: usize,
-    /// Pixels on either side in those views. Default 1.
+    /// Pixels on either side of the corresponding pixel in those other views. Default 1.
     pub radius_in_views: usize,
 }
 
@@ -25,7 +25,7 @@ impl Default for Window {
 /// One rendered view.
 #[derive(Clone, Debug)]
 pub struct NoisyView {
-    /// Radiance `[row][col][rgb]` from half of the samples each, with seeds of their own.
+    /// Radiance `[row][col][rgb]` of two renders, each with half of the samples and its own seeds.
     pub halves: [Tensor<3>; 2],
     /// Guides of the view's first surfaces.
     pub features: Features,

@@ -2,13 +2,13 @@
 //! its colour).
 //!
 //! The map is covered by a grid of cells with constant density in (u, v). A cell's weight is the
-//! integral over it of bilinear magnitude times sin θ. Large maps share a cell between several
-//! texels, small ones split their texels. So the grid is never huge, and sin θ varies little inside
-//! a cell.
+//! integral over it of bilinear magnitude times sin θ. In large maps a cell holds several texels,
+//! in small maps a texel holds several cells. So the grid is never huge, and sin θ varies little
+//! inside a cell.
 //!
 //! Only radiance above the mean is sampled ("MIS compensation", Karlík et al. 2019). Scattered rays
-//! find the rest as well or better, and the heuristic would weight most of such samples down. A sky
-//! of one radiance is thus never sampled here.
+//! find the rest as well or better, and the heuristic would give most samples of the rest little
+//! weight. A sky of one radiance is thus never sampled here.
 
 use std::f32::consts::PI;
 use std::sync::Arc;
@@ -20,7 +20,7 @@ use super::sample::magnitude;
 use crate::distribution::Distribution;
 use crate::math::{angle_turns, sin_cos_turns};
 
-/// Limits of the number of cell rows and columns.
+/// Largest and smallest number of cell rows and columns.
 const MOST_CELLS: usize = 1024;
 const FEWEST_CELLS: usize = 64;
 
@@ -36,26 +36,28 @@ pub(crate) struct EnvironmentLight {
     column_choices: Vec<Option<Distribution>>,
     /// Magnitude that is subtracted before sampling.
     floor: f32,
-    /// Mean over the sphere of the magnitude above the floor.
+    /// Magnitude above the floor, averaged over the sphere.
     sampled_magnitude: f32,
-    /// Radiance, if it is the same everywhere.
+    /// Radiance, if it is the same from all directions.
     constant: Option<Vec3>,
 }
 
-/// Division of one axis of the map into cells, by whole texels or by whole parts of texels.
+/// Division of one axis of the map into cells: a cell is a number of texels, or a texel is a number
+/// of cells.
 #[derive(Clone, Copy)]
 struct Cells {
     texels: usize,
-    /// Texels per cell, or 1.
+    /// Texels per cell; 1 if texels are split.
     joined: usize,
-    /// Cells per texel, or 1; even, so that bilinear kinks fall between cells.
+    /// Cells per texel; 1 if texels are joined, otherwise even, so that bilinear kinks are on the
+    /// edges of cells.
     split: usize,
 }
 
 impl EnvironmentLight {
-    /// `None` without an environment or when it is black.
+    /// `None` without an environment, or when the environment is black.
     pub(crate) fn new(scene: &Arc<Scene>) -> Option<Self> {
-        // first with the density of all the light, to know its mean
+        // first sample all of the light, to compute its mean
         let whole = Self::above(scene, 0.0)?;
         let mean = whole.sampled_magnitude;
         if whole.constant.is_some() { Some(whole) } else { Self::above(scene, mean).or(Some(whole)) }
@@ -94,12 +96,12 @@ impl EnvironmentLight {
             this.column_choices.push(Distribution::new(&weights));
         }
         this.row_choice = Distribution::new(&row_weights)?;
-        // ∫ L sin θ du dv · 2π² / 4π
+        // mean over the sphere: ∫ L sin θ du dv · 2π² / 4π
         this.sampled_magnitude = (row_weights.iter().sum::<f64>() * std::f64::consts::FRAC_PI_2) as f32;
         Some(this)
     }
 
-    /// Mean magnitude of the radiance that [`sample`](Self::sample) draws from; 0 for a sky of one
+    /// Mean magnitude of the radiance that [`sample`](Self::sample) draws; 0 for a sky of one
     /// radiance.
     pub(crate) fn sampled_magnitude(&self) -> f32 {
         self.sampled_magnitude
@@ -117,7 +119,7 @@ impl EnvironmentLight {
         (self.bilinear(u, v), density)
     }
 
-    /// A direction, the radiance from it and its density per solid angle.
+    /// A direction, the radiance from it, and its density per solid angle.
     pub(crate) fn sample(&self, u: [f32; 2]) -> Option<(Vec3, Vec3, f32)> {
         let (row, inside_row) = self.row_choice.sample(u[1]);
         let (column, inside_column) = self.column_choices[row].as_ref()?.sample(u[0]);
@@ -149,8 +151,8 @@ impl EnvironmentLight {
         let mut sum = 0.0;
         let ((u0, u1), (v0, v1)) = (self.columns.range(column), self.rows.range(row));
         let (across, down) = (self.columns.joined, self.rows.joined);
-        // corner points of texel-sized parts; the outermost points count half, since neighbours
-        // share them
+        // points at the corners of half-texel squares; the outermost have half the weight, since
+        // neighbours share them
         for j in 0..=2 * down {
             let v = v0 + (v1 - v0) * j as f32 / (2 * down) as f32;
             let mut line = 0.0;
@@ -160,7 +162,7 @@ impl EnvironmentLight {
                 line += share * f64::from((magnitude(self.bilinear(u, v)) - self.floor).max(0.0));
             }
             let share = if j == 0 || j == 2 * down { 0.5 } else { 1.0 };
-            // at the poles the line itself has no weight, but the cell beside it must have some
+            // sin θ is 0 on a pole's line, but the cell that touches it must have some weight
             sum += share * line * f64::from((PI * v).sin()).max(1e-6);
         }
         sum / (4 * across * down) as f64 * f64::from((u1 - u0) * (v1 - v0))
@@ -174,7 +176,7 @@ impl EnvironmentLight {
         // both coordinates are ≥ 0, so that adding 1 makes truncation a floor
         let (x0, y0) = ((x + 1.0) as usize, (y + 1.0) as usize);
         let (fx, fy) = (x + 1.0 - x0 as f32, y + 1.0 - y0 as f32);
-        // x0 and y0 count from texel −1
+        // x0 and y0 are 0 at texel −1
         let left = if x0 == 0 { self.width - 1 } else { (x0 - 1).min(self.width - 1) };
         let right = if x0 >= self.width { 0 } else { x0 };
         let (top, bottom) = (y0.saturating_sub(1) * self.width, y0.min(self.height - 1) * self.width);
@@ -195,14 +197,14 @@ impl Cells {
         (self.texels * self.split).div_ceil(self.joined)
     }
 
-    /// Range of the map coordinate of a cell.
+    /// Range of map coordinates of a cell.
     fn range(self, cell: usize) -> (f32, f32) {
         let parts = self.texels * self.split;
         let edge = |cell: usize| (cell * self.joined).min(parts) as f32 / parts as f32;
         (edge(cell), edge(cell + 1))
     }
 
-    /// Cell of a map coordinate.
+    /// Cell that holds a map coordinate.
     fn at(self, coordinate: f32) -> usize {
         let parts = self.texels * self.split;
         ((coordinate * parts as f32) as usize).min(parts - 1) / self.joined
@@ -242,7 +244,7 @@ mod tests {
 
     #[test]
     fn the_picture_stands_as_documented() {
-        // 4 × 2 texels of different value; looked at in the middle of each texel
+        // 4 × 2 texels, each of its own value; the directions are the middles of four of them
         let sky = light(4, 2, Quat::IDENTITY, |x, y| (4 * y + x) as f32);
         let direction = |yaw_right: f32, up: f32| {
             let (yaw, pitch) = (yaw_right.to_radians(), up.to_radians());
@@ -251,7 +253,7 @@ mod tests {
         for (yaw, up, expected) in [(45.0, 45.0, 2.0), (-45.0, 45.0, 1.0), (135.0, 45.0, 3.0), (45.0, -45.0, 6.0)] {
             assert!((sky.evaluate(direction(yaw, up)).0.x - expected).abs() < 1e-4, "{yaw} {up}");
         }
-        // turned a quarter to the left around y: −z moves to −x
+        // the map is turned a quarter to the left around y, so −z moves to −x
         let turned = light(4, 2, Quat::from_rotation_y(std::f32::consts::FRAC_PI_2), |x, y| (4 * y + x) as f32);
         assert!((turned.evaluate(direction(45.0 - 90.0, 45.0)).0.x - 2.0).abs() < 1e-4);
     }
@@ -266,7 +268,8 @@ mod tests {
             let mut observed = vec![0u64; rows * cols];
             for _ in 0..count {
                 let (direction, _, density) = sky.sample([stream.next_f32(), stream.next_f32()]).unwrap();
-                // near a cell's edge the two roundings may choose different neighbours
+                // near a cell's edge, rounding may choose different neighbours in the two
+                // computations
                 let reported = sky.evaluate(direction).1;
                 assert!(reported > 0.0 || density < 1e-3, "{direction}");
                 let cell = |z: f32, n: usize| ((0.5 * (z + 1.0) * n as f32) as usize).min(n - 1);
@@ -307,9 +310,9 @@ mod tests {
             above(sky.evaluate(Vec3::new(sine * phi.cos(), sine * phi.sin(), z)).0) * 4.0 * std::f64::consts::PI
         }));
         important.assert_same(uniform, 0.0, FALSE_ALARM_RATE);
-        // ten times the samples make a standard error 3.2 times smaller
+        // with ten times the samples the standard error of `uniform` would be 3.2 times smaller
         assert!(important.standard_error < 0.5 * 3.2 * uniform.standard_error, "{important:?} {uniform:?}");
-        // the integral over a cell is exact but where the floor cuts through it
+        // the integral over a cell is exact unless the radiance crosses `floor` within it
         assert!((important.value / (4.0 * std::f64::consts::PI * f64::from(sky.sampled_magnitude)) - 1.0).abs() < 0.03);
     }
 

@@ -1,6 +1,6 @@
 //! All light sources: triangles, the environment, punctual lights. A sample first chooses among all
-//! local lights and each light from infinity, with chances in proportion to power. A tree chooses
-//! among local lights, by a bound of the light that each may send to the receiver ([`tree`]).
+//! local lights and each light from infinity, with chances by their power. A tree chooses among
+//! local lights, by a bound of the light that each may send to the receiver ([`tree`]).
 
 mod environment;
 mod punctual;
@@ -23,59 +23,63 @@ use crate::distribution::Distribution;
 use crate::geometry::{Geometry, SurfacePoint};
 use crate::shading::Materials;
 
-/// Part of the choice that is shared equally between the kinds of light that exist, so that a kind
-/// of little power that shines from close by is not starved.
+/// Fraction of the choice that is divided equally among the kinds of light that exist. It keeps up
+/// the chance of a weak kind that shines from close by.
 const EQUAL_SHARE: f64 = 0.3;
-/// Points per triangle at which a textured emission is looked at to estimate its power, per edge.
+/// Number of points per edge of a triangle at which a textured emission is evaluated to estimate
+/// its power.
 const POWER_POINTS: usize = 6;
-/// Step between the random numbers that choose a light.
+/// Step between two successive random numbers that choose a light.
 const DIGIT: f32 = 1.0 / (1u32 << 24) as f32;
-/// Share of its size by which a parallelogram may differ from one, about the rounding of its
-/// corners.
+/// Deviation from a parallelogram that is tolerated, as a fraction of its size: about the rounding
+/// of its corners.
 const PARALLELOGRAM_TOLERANCE: f32 = 1e-6;
-/// Powers of two of [`Parts`] that a choice of lights is made for, more count as the last.
+/// Powers of two of [`Parts`] for which a choice of lights is prepared; larger numbers use the
+/// last.
 const PART_POWERS: u32 = 13;
-/// No light.
+/// Marks a triangle that is no light.
 const NONE: u32 = u32::MAX;
 
 /// All lights of a scene.
 pub(crate) struct Lights {
     triangles: Vec<TriangleLight>,
-    /// Light of each triangle of the scene, [`NONE`] for most; empty without emitting triangles.
+    /// Index of the light of each triangle of the scene, [`NONE`] for most; empty without emitting
+    /// triangles.
     light_of_triangle: Vec<u32>,
     environment: Option<EnvironmentLight>,
     /// Points and spots.
     points: Vec<PunctualLight>,
     directional: Vec<PunctualLight>,
-    /// Over triangles, then points and spots.
+    /// Tree over the triangles, followed by points and spots.
     tree: Option<LightTree>,
-    /// Over the tree ([`LOCAL`]), then directional lights, then the environment, rounded to whole
-    /// parts: one for each power of two of parts; empty in the dark.
+    /// Choices among the tree ([`LOCAL`]), then the directional lights, then the environment. There
+    /// is one per power of two of parts, whose chances are rounded to whole parts. Empty in the
+    /// dark.
     choices: Vec<Distribution>,
 }
 
-/// Index of the tree in the choice.
+/// Index of the tree in a choice.
 const LOCAL: usize = 0;
 
-/// A triangle, or two that make a parallelogram of one radiance: lamps mostly are, and one light is
-/// quicker to choose and better stratified than two.
+/// A triangle, or two triangles that make a parallelogram of one radiance. Most lamps are such
+/// parallelograms, and one light is quicker to choose and better stratified than two.
 struct TriangleLight {
     triangle: u32,
-    /// The other half.
+    /// The other triangle of a parallelogram.
     partner: Option<u32>,
     area: f32,
     double_sided: bool,
-    /// Corners of the triangle, or a corner of the parallelogram and its two neighbours.
+    /// Corners of the triangle; or one corner of the parallelogram and its two neighbours.
     corners: [Vec3; 3],
     normal: Vec3,
     offset: f32,
-    /// Radiance where it is the same everywhere on the triangle.
+    /// Radiance, if it is the same everywhere on the triangle.
     uniform: Option<Vec3>,
 }
 
 impl Lights {
     pub(crate) fn new(scene: &Arc<Scene>, geometry: &Geometry, materials: &Materials) -> Self {
-        // emitting triangles, and the way back from a hit triangle to its light
+        // emitting triangles, and for each hit triangle the index of its light
         let (triangles, mut emitters) = emitting_triangles(geometry, materials);
         let mut light_of_triangle = Vec::new();
         if !triangles.is_empty() {
@@ -86,7 +90,7 @@ impl Lights {
                 }
             }
         }
-        // punctual lights: local ones join the tree, distant ones are chosen by themselves
+        // punctual lights: local lights join the tree, each distant light is chosen separately
         let radius = geometry.space.radius;
         let mut local_power: f64 = emitters.iter().map(|light| f64::from(light.strength * light.sides() * PI)).sum();
         let (mut points, mut directional, mut directional_powers) = (Vec::new(), Vec::new(), Vec::new());
@@ -105,7 +109,7 @@ impl Lights {
                 Some(_) => {}
             }
         }
-        // chances in proportion to power: all local lights together, each distant one, the
+        // chances by power, of all local lights together, of each distant light, and of the
         // environment
         let tree = LightTree::new(&emitters);
         let environment = EnvironmentLight::new(scene);
@@ -136,14 +140,15 @@ impl Lights {
         (radiance, chance * pdf)
     }
 
-    /// True if the choice of a point light or spot depends on the receiver's horizon.
+    /// True if there are point lights or spots, for which the tilt of receivers matters.
     #[inline]
     pub(crate) fn has_horizon(&self) -> bool {
         !self.points.is_empty()
     }
 
     /// Density per solid angle with which [`sample`](Self::sample) for this receiver finds a point
-    /// on a triangle, `distance` away and seen under this cosine.
+    /// of a triangle. The point is `distance` away, and the direction has this cosine to the
+    /// light's normal.
     pub(crate) fn triangle_pdf(
         &self,
         triangle: u32,
@@ -164,9 +169,9 @@ impl Lights {
     }
 
     /// Chooses a light and a point of it, as seen by the receiver. The first number of `u` also
-    /// chooses the light and is stretched over the light's share, so that each light keeps a
-    /// stratified set. `u_fine` adds the digits that this costs. Among the first numbers of a
-    /// pixel's samples, one lies in each of so many `parts` of [0, 1).
+    /// chooses the light, and is then rescaled from the light's interval to [0, 1), so that each
+    /// light's samples stay stratified. `u_fine` adds the digits that rescaling loses. [0, 1) is
+    /// divided into `parts` equal parts, and each holds one first number of a pixel's samples.
     pub(crate) fn sample(
         &self,
         geometry: &Geometry,
@@ -178,7 +183,7 @@ impl Lights {
     ) -> Option<LightSample> {
         // choose between the local lights and each light from infinity
         let choice = self.choice(parts)?;
-        // mostly there is nothing to choose
+        // mostly there is only the tree to choose
         let only_local = choice.probability(LOCAL) == 1.0;
         let (index, inside) = if only_local { (LOCAL, u[0]) } else { choice.sample(u[0]) };
         let chance = choice.probability(index);
@@ -237,9 +242,10 @@ impl TriangleLight {
         let inverse_distance = to_light.length_recip();
         let direction = to_light * inverse_distance;
         let cosine = -direction.dot(self.normal);
-        // area |cos θ'| / d² over the chance: divisions stand side by side, not one after the other
+        // area |cos θ'| / d² over the chance; the divisions are independent, so that they run in
+        // parallel
         let inverse_pdf = self.area * cosine.abs() * (inverse_distance * inverse_distance) * chance.recip();
-        // not so at no distance, across the light and where the numbers overflow
+        // no light is received at distance 0, from the side, or where the numbers overflow
         let is_seen = inverse_pdf > 0.0 && inverse_pdf.is_finite() && (cosine > 0.0 || self.double_sided);
         if !is_seen {
             return None;
@@ -254,8 +260,8 @@ impl TriangleLight {
 }
 
 impl TriangleLight {
-    /// This triangle and the one before it as one light, where they are the halves of a
-    /// parallelogram and shine alike.
+    /// This triangle and the previous one as one light; `None` if they are not the halves of a
+    /// parallelogram of one radiance.
     fn joined(&self, before: &Self, geometry: &Geometry) -> Option<Self> {
         let alike = before.partner.is_none()
             && before.triangle + 1 == self.triangle
@@ -285,8 +291,8 @@ impl TriangleLight {
     }
 }
 
-/// Uniform over a triangle, with little distortion (Heitz 2019, "A low-distortion map between
-/// triangle and square").
+/// Barycentrics that are uniform over a triangle, with little distortion (Heitz 2019, "A
+/// low-distortion map between triangle and square").
 fn uniform_barycentric([mut x, mut y]: [f32; 2]) -> [f32; 3] {
     if y > x {
         x *= 0.5;
@@ -298,12 +304,13 @@ fn uniform_barycentric([mut x, mut y]: [f32; 2]) -> [f32; 3] {
     [x, y, 1.0 - x - y]
 }
 
-/// Radiance that leaves a point at a direction with this cosine to the normal, alpha included.
+/// Radiance that leaves a point in a direction with this cosine to the normal, times the surface's
+/// alpha.
 fn emitted(materials: &Materials, material: usize, point: &SurfacePoint<'_>, cosine: f32) -> Vec3 {
     materials.emission(material, point, 0.0, true, cosine) * materials.coverage(material, point)
 }
 
-/// Triangles that emit, as lights and as the tree sees them.
+/// Emitting triangles, as lights and as entries of the tree.
 fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<TriangleLight>, Vec<Emitter>) {
     let mut lights: Vec<TriangleLight> = Vec::new();
     let mut emitters: Vec<Emitter> = Vec::new();
@@ -315,7 +322,7 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
         let index = geometry.material_index(triangle);
         let at = |k: usize| (k as f32 + 0.5) / POWER_POINTS as f32;
         let centre = geometry.point(triangle, [1.0 / 3.0; 3]);
-        // mean radiance, from points over the triangle where it varies
+        // mean radiance; if it varies, averaged over points of the triangle
         let varies = material.textures().next().is_some() || material.clearcoat.is_some() || centre.is_colored();
         let uniform = (!varies).then(|| emitted(materials, index, &centre, 1.0));
         let mean = match uniform {
@@ -368,7 +375,7 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
     (lights, emitters)
 }
 
-/// Weights for the choice of a light: by power, mixed with an equal share for each kind that
+/// Weights for the choice of a light: by power, mixed with an equal weight for each kind that
 /// exists.
 fn share(kinds: &[Vec<f64>; 3]) -> Vec<f64> {
     let sums = kinds.each_ref().map(|powers| powers.iter().sum::<f64>());
@@ -380,14 +387,15 @@ fn share(kinds: &[Vec<f64>; 3]) -> Vec<f64> {
     kinds.iter().zip(sums).flat_map(|(powers, sum)| powers.iter().map(move |&power| weight(power, sum))).collect()
 }
 
-/// Parts of [0, 1) in a stretch of it.
+/// Number of parts of [0, 1) that fit into an interval of length `chance`.
 #[inline]
 fn parts_of(chance: f32, parts: Parts) -> Parts {
     (chance * parts as f32 + 0.5) as Parts
 }
 
-/// Weights as chances that are whole numbers of parts, but for those of less than half a part,
-/// which the greatest makes room for. Without effect where too little is left of it.
+/// Chances in proportion to weights, rounded to whole parts. Chances of less than half a part are
+/// not rounded, and the greatest chance makes up for the rounding. Nothing is rounded if that would
+/// take more than half of the greatest.
 fn in_whole_parts(weights: &[f64], parts: Parts) -> Vec<f64> {
     let (sum, parts) = (weights.iter().sum::<f64>(), f64::from(parts));
     if !(sum > 0.0 && sum.is_finite()) {
@@ -447,12 +455,12 @@ mod tests {
         Arc::new(parts.validate(Task::quiet(&warnings, &cancel)).unwrap())
     }
 
-    /// Cells of a triangle: congruent parts by whole numbers of its weights.
+    /// Intervals per barycentric coordinate; they divide a triangle into PARTS² congruent cells.
     const PARTS: usize = 4;
 
-    /// Points of lights fall where the density says: chi-square over small parts of every triangle.
-    /// Scattered rays that hit a light weigh themselves against the same density. Four receivers,
-    /// each with [`FALSE_ALARM_RATE`].
+    /// Points sampled on lights follow their density (chi-square over these cells). Scattered rays
+    /// that hit a light are weighted by the same density. There are four receivers, each with
+    /// [`FALSE_ALARM_RATE`].
     #[test]
     fn points_of_lights_follow_their_density() {
         let scene = lit_scene();
@@ -480,12 +488,12 @@ mod tests {
                 let [a, b, c] = geometry.corners(triangle as u32);
                 let area = 0.5 * (b - a).cross(c - a).length();
                 let normal = (b - a).cross(c - a).normalize();
-                // any point will do: the density per area is the same all over a light
+                // the density per area is the same all over a light, so any point serves
                 let to_light = (a + b + c) / 3.0 - receiver.position;
                 let (distance, cosine) = (to_light.length(), -to_light.normalize().dot(normal));
                 let per_area = lights.triangle_pdf(triangle as u32, receiver, distance, cosine, parts) * cosine.abs()
                     / (distance * distance);
-                // a side that does not shine is chosen in vain
+                // a sample on a side that does not shine returns no light
                 let shines = cosine > 0.0 || geometry.material(triangle as u32).double_sided;
                 for i in 0..PARTS {
                     for j in 0..PARTS {
@@ -508,7 +516,7 @@ mod tests {
                     (0..geometry.triangle_count()).find_map(|triangle| {
                         let [a, b, c] = geometry.corners(triangle as u32);
                         let normal = (b - a).cross(c - a);
-                        // the sample ends just before its light
+                        // the shadow ray ends just in front of the light
                         let end = sample.end? - a;
                         let away = normal.normalize().dot(end);
                         if away.abs() > 1e-4 {
@@ -532,8 +540,8 @@ mod tests {
         }
     }
 
-    /// Red, green and blue light of one strength is chosen alike, and white light by the length of
-    /// its colour more often.
+    /// Red, green and blue light of one strength have the same chance. White light has a greater
+    /// chance, by the length of its colour.
     #[test]
     fn no_colour_is_starved() {
         let mut parts = Arc::try_unwrap(lit_scene()).ok().unwrap().into_parts();
@@ -569,9 +577,9 @@ mod tests {
             assert!(chances.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{chances:?} {expected:?}");
         };
         close(in_whole_parts(&[3.3, 6.7], 16), &[5.0 / 16.0, 11.0 / 16.0]);
-        // nothing is lost, nothing appears
+        // a chance of less than half a part is kept, and no light loses or gains a chance
         close(in_whole_parts(&[0.0, 1e-6, 1.0], 64), &[0.0, 1e-6 / (1.0 + 1e-6), 1.0 / (1.0 + 1e-6)]);
-        // 0.5 is rounded up, twice would leave nothing
+        // 0.5 parts are rounded up to 1, but two of them would leave nothing for the third
         close(in_whole_parts(&[1.0, 1.0, 2.0], 2), &[0.25, 0.25, 0.5]);
         close(in_whole_parts(&[5.0], 8), &[1.0]);
         assert!(Distribution::new(&in_whole_parts(&[], 4)).is_none());

@@ -1,9 +1,9 @@
-//! Lights without a surface (`KHR_lights_punctual`): intensity over distance squared, spots with
-//! the extension's smooth cone.
+//! Lights without a surface (`KHR_lights_punctual`): irradiance is intensity over squared distance,
+//! and spots have the extension's smooth cone.
 //!
 //! Distant lights are discs of the sky: a cone of half angle θ with the irradiance E has the
-//! radiance E / (π sin²θ). A direction drawn evenly from its solid angle 2π (1 − cos θ) thus has
-//! the weight 2 E / (1 + cos θ). Scattered rays never find any of these lights.
+//! radiance E / (π sin²θ). A direction drawn uniformly from the cone's solid angle 2π (1 − cos θ)
+//! thus has the weight 2 E / (1 + cos θ). Scattered rays never find any of these lights.
 
 use std::f64::consts::PI;
 
@@ -18,8 +18,7 @@ use crate::math::sin_cos_turns;
 /// Smallest difference of the cosines of a spot's cones, from the extension's formula.
 const LEAST_CONE_DIFFERENCE: f32 = 1e-3;
 
-/// The light tree takes the cone of a spot for so much wider than it is, against rounding at its
-/// edge.
+/// Angle by which the light tree widens the cone of a spot, against rounding at its edge.
 const SPOT_MARGIN_RAD: f32 = 0.05;
 
 /// A punctual light in render space.
@@ -45,7 +44,8 @@ impl PunctualLight {
         }
     }
 
-    /// Light's power, or the power that reaches a sphere of `radius`.
+    /// Power of a local light; of a light from infinity, the power that reaches a sphere of
+    /// `radius`.
     pub(crate) fn power(&self, radius: f32) -> f64 {
         let intensity = f64::from(magnitude(self.intensity));
         match self.kind {
@@ -75,14 +75,14 @@ impl PunctualLight {
         })
     }
 
-    /// The light as a sample, chosen with this chance; `u` chooses a direction where there are
-    /// several.
+    /// The light as a sample that was chosen with this chance. `u` chooses a direction of a light
+    /// that has several.
     pub(crate) fn light_sample(&self, from: Vec3, chance: f32, u: [f32; 2]) -> Option<LightSample> {
         let (direction, end, intensity) = self.sample(from, u)?;
         Some(LightSample { direction, end, weight: intensity / chance, inverse_pdf: 0.0 })
     }
 
-    /// Direction to the light, its place (`None` at infinity), and the irradiance it gives to a
+    /// Direction to the light, its position (`None` at infinity), and the irradiance it gives to a
     /// surface that faces it.
     fn sample(&self, from: Vec3, u: [f32; 2]) -> Option<(Vec3, Option<Vec3>, Vec3)> {
         match self.kind {

@@ -1,9 +1,10 @@
-//! Chooses among many local lights by a bound of their light at a point: a binary tree over lights,
-//! descended by importance.
+//! Chooses one of many local lights by a bound of the light that it sends to a point. The lights
+//! are leaves of a binary tree.
 //!
-//! A node bounds its lights' places by a box, their directions by a cone, and sums their strengths
-//! I (radiant intensity along the normal). At each node the child is chosen with a chance in
-//! proportion to a bound of the irradiance that it gives (Conty Estevez, Kulla 2018):
+//! A node bounds its lights' positions by a box and their directions by a cone, and sums their
+//! strengths I (radiant intensity along the normal). The descent chooses one child of each node.
+//! The chance is in proportion to a bound of the irradiance that the child gives (Conty Estevez,
+//! Kulla 2018):
 //!
 //! ```text
 //! I cos θ' max(cos θᵢ', 0) / d²,   θ' = max(0, θ_w − θ_o − θ_b),   θᵢ' = max(0, θ_i − θ_b)
@@ -12,39 +13,41 @@
 //! The angles are:
 //!
 //! * θ_b: the half angle of the box seen from the point,
-//! * θ_w: from the cone's axis to the point,
-//! * θ_o: the cone's own,
-//! * θ_i: from the receiver's normal, less its tilt.
+//! * θ_w: the angle between the cone's axis and the direction to the point,
+//! * θ_o: the half angle of the cone that holds the normals,
+//! * θ_i: the angle between the receiver's normal and the direction to the box, less the receiver's
+//!   tilt.
 //!
-//! d is at least the box's radius. A bound of 0 means that no light can arrive, so the estimate
-//! stays unbiased.
+//! d is the distance to the box's centre, or the box's radius if that is greater. A bound of 0
+//! means that no light can arrive, so the estimate stays unbiased.
 //!
-//! Among the numbers that a pixel chooses with, one lies in each of n equal parts of [0, 1)
-//! ([`Parts`]). Chances are rounded to whole parts where a child keeps at least one. Then every
-//! light gets exactly its share of the samples, and a few point lights leave no noise. Rounded
-//! chances are chances too: the estimate stays unbiased.
+//! [0, 1) is divided into n equal parts, and each holds one of the numbers by which a pixel's
+//! samples choose a light ([`Parts`]). Chances are rounded to whole parts, if each child keeps at
+//! least one. Then every light gets exactly its fraction of the samples, and the choice among a few
+//! point lights adds no noise. Rounded chances are valid chances too, so the estimate stays
+//! unbiased.
 
 use std::f32::consts::PI;
 
 use glam::{Quat, Vec3};
 
-/// Buckets per axis in which splits are looked for.
+/// Number of buckets per axis, between which splits are tried.
 const BUCKETS: usize = 12;
 
-/// Where light is received: a surface, or a point that receives from all around.
+/// A point that receives light, from one side of a surface or from all directions.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Receiver {
     pub(crate) position: Vec3,
-    /// Unit normal of a surface that passes nothing; light comes from its side only. `None` for
-    /// surfaces that pass light.
+    /// Unit normal of an opaque surface, which receives light from its side only. `None` for
+    /// surfaces that light passes through.
     pub(crate) normal: Option<Vec3>,
-    /// Cosine and sine of the angle by which light may come from below its horizon all the same, as
-    /// it does to surfaces that are smoother than their triangles.
+    /// Cosine and sine of the angle by which light may come from below the horizon. It is not zero
+    /// for triangles that approximate a smooth surface.
     pub(crate) tilt: [f32; 2],
 }
 
 impl Receiver {
-    /// [`tilt`](Self::tilt) of surfaces that are their triangles.
+    /// [`tilt`](Self::tilt) of surfaces that are as flat as their triangles.
     pub(crate) const UPRIGHT: [f32; 2] = [1.0, 0.0];
 }
 
@@ -53,23 +56,23 @@ impl Receiver {
 pub(crate) struct Emitter {
     pub(crate) min: Vec3,
     pub(crate) max: Vec3,
-    /// Radiant intensity along the axis, as [`magnitude`](super::sample::magnitude).
+    /// Radiant intensity along the axis, by the measure [`magnitude`](super::sample::magnitude).
     pub(crate) strength: f32,
     pub(crate) axis: Vec3,
-    /// Normals lie within this angle of the axis.
+    /// Largest angle between the axis and a normal.
     pub(crate) normal_angle: f32,
-    /// Light leaves within this angle of the normals.
+    /// Largest angle between a normal and light that leaves.
     pub(crate) falloff_angle: f32,
-    /// True if the opposite of the axis counts too.
+    /// True if light also leaves around the opposite of the axis.
     pub(crate) two_sided: bool,
 }
 
-/// How many equal parts of [0, 1) hold a number each of those that choose; 0 where nothing is known
-/// about them.
+/// Number of equal parts of [0, 1). Each part holds one of the random numbers by which a pixel's
+/// samples choose a light. 0 if nothing is known about these numbers.
 pub(crate) type Parts = u32;
 
-/// The nearest chance that is a whole number of parts, unless that is none or all of them, and the
-/// parts on either side.
+/// The chance rounded to whole parts, and the number of parts on either side. A chance that would
+/// round to none or all of the parts is not rounded.
 #[inline]
 pub(super) fn whole_parts(chance: f32, parts: Parts) -> (f32, [Parts; 2]) {
     let first = (chance * parts as f32 + 0.5) as Parts;
@@ -80,7 +83,7 @@ pub(super) fn whole_parts(chance: f32, parts: Parts) -> (f32, [Parts; 2]) {
 /// The tree; leaves are single lights.
 pub(crate) struct LightTree {
     nodes: Vec<Node>,
-    /// Per light, the turns from the root to its leaf, first turn in the lowest bit.
+    /// Per light, the turns from the root to its leaf, with the first turn in the lowest bit.
     trails: Vec<u64>,
 }
 
@@ -93,13 +96,14 @@ struct Node {
     sin_normal: f32,
     cos_falloff: f32,
     two_sided: bool,
-    /// Index of the second child (the first follows its parent), or that of the light.
+    /// Index of the second child (the first child follows its parent); in a leaf, index of the
+    /// light.
     next: u32,
     is_leaf: bool,
 }
 
 impl LightTree {
-    /// From lights with strengths > 0; `None` without any.
+    /// A tree of lights whose strengths are > 0; `None` without lights.
     pub(crate) fn new(lights: &[Emitter]) -> Option<Self> {
         if lights.is_empty() {
             return None;
@@ -110,8 +114,8 @@ impl LightTree {
         Some(tree)
     }
 
-    /// A light for `u` in [0, 1), one of so many parts, its chance, and `u` stretched over its
-    /// share. `None` where nothing can arrive.
+    /// Chooses a light by `u` in [0, 1). Returns its index, its chance, and `u` rescaled from the
+    /// light's interval to [0, 1). `None` where no light can arrive.
     pub(crate) fn sample(&self, receiver: &Receiver, mut u: f64, mut parts: Parts) -> Option<(usize, f32, f64)> {
         let (mut index, mut chance) = (0, 1.0);
         loop {
@@ -153,7 +157,7 @@ impl LightTree {
         chance
     }
 
-    /// Chance of the first child of an inner node; `None` where nothing arrives from either.
+    /// Chance of the first child of an inner node; `None` if no light can arrive from either child.
     fn first_share(&self, index: usize, receiver: &Receiver) -> Option<f32> {
         let first = self.nodes[index + 1].importance(receiver);
         let second = self.nodes[self.nodes[index].next as usize].importance(receiver);
@@ -170,7 +174,7 @@ impl LightTree {
             return emitter;
         }
         self.nodes.push(Node::new(&lights[order[0] as usize], 0, false));
-        // past the trail's bits only an even split keeps the depth bounded
+        // below the bits of a trail only splits into halves keep the depth bounded
         let middle = if depth < 32 { split(lights, order) } else { order.len() / 2 };
         let (left, right) = order.split_at_mut(middle);
         let first = self.build(lights, left, trail, depth + 1);
@@ -198,14 +202,14 @@ impl Node {
         }
     }
 
-    /// A bound of the irradiance at the receiver, up to a factor that is the same for all nodes.
+    /// Bound of the irradiance at the receiver, up to a factor that is the same for all nodes.
     fn importance(&self, receiver: &Receiver) -> f32 {
         let to_receiver = receiver.position - self.centre;
         let distance2 = to_receiver.length_squared();
         let radius2 = self.radius * self.radius;
         let most = self.strength / distance2.max(radius2).max(f32::MIN_POSITIVE);
         if distance2 <= radius2 {
-            // inside the sphere around the box everything is possible
+            // inside the sphere around the box, light may come from any direction
             return most;
         }
         let direction = to_receiver / distance2.sqrt();
@@ -236,7 +240,7 @@ fn subtract(cos_a: f32, sin_a: f32, cos_b: f32, sin_b: f32) -> (f32, f32) {
 }
 
 impl Emitter {
-    /// Number of sides that shine, as a factor on power.
+    /// Number of sides that shine: a factor on the power.
     pub(crate) fn sides(&self) -> f32 {
         if self.two_sided { 2.0 } else { 1.0 }
     }
@@ -258,8 +262,8 @@ impl Emitter {
         }
     }
 
-    /// Strength times extent times solid angle: the cost of these lights in one node (Conty
-    /// Estevez, Kulla 2018, equation 1).
+    /// Strength × extent × solid angle: the cost of these lights as one node (Conty Estevez, Kulla
+    /// 2018, equation 1).
     fn cost(&self) -> f32 {
         let size = self.max - self.min;
         let area = size.x * size.y + size.y * size.z + size.z * size.x;
@@ -271,9 +275,9 @@ impl Emitter {
     }
 }
 
-/// Axis and half angle of a cone around two.
+/// Axis and half angle of a cone that holds the cones of two emitters.
 fn cone_union(a: &Emitter, b: &Emitter) -> (Vec3, f32) {
-    // a two-sided light shines along either end of its axis
+    // a two-sided light shines along both directions of its axis
     let other_axis = if (a.two_sided || b.two_sided) && a.axis.dot(b.axis) < 0.0 { -b.axis } else { b.axis };
     let between = a.axis.angle_between(other_axis);
     if (between + b.normal_angle).min(PI) <= a.normal_angle {
@@ -290,7 +294,7 @@ fn cone_union(a: &Emitter, b: &Emitter) -> (Vec3, f32) {
     }
 }
 
-/// Reorders lights and returns where the second half begins.
+/// Reorders lights and returns where the second part begins.
 fn split(lights: &[Emitter], order: &mut [u32]) -> usize {
     let light = |index: u32| &lights[index as usize];
     let (mut min, mut max) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
@@ -304,13 +308,13 @@ fn split(lights: &[Emitter], order: &mut [u32]) -> usize {
         if size[axis] <= 0.0 {
             continue;
         }
-        // sort lights into buckets along the axis, and cost each cut between buckets
+        // sort lights into buckets along the axis, and compute the cost of each cut between buckets
         let mut buckets: [Option<Emitter>; BUCKETS] = [None; BUCKETS];
         for &index in order.iter() {
             let bucket = &mut buckets[bucket_of(light(index), axis, min, size)];
             *bucket = Some(bucket.map_or(*light(index), |before| before.union(light(index))));
         }
-        // long boxes are cut across
+        // cuts across the longest axis are preferred
         let stretch = size.max_element() / size[axis];
         for cut in 1..BUCKETS {
             let joined = |side: &[Option<Emitter>]| {
@@ -324,7 +328,7 @@ fn split(lights: &[Emitter], order: &mut [u32]) -> usize {
             }
         }
     }
-    // partition the lights by the cheapest cut, or in halves where none separates them
+    // partition the lights by the cheapest cut, or in halves if no cut separates them
     let Some((_, axis, cut)) = best else { return order.len() / 2 };
     let mut middle = 0;
     for k in 0..order.len() {
@@ -347,7 +351,7 @@ mod tests {
     use lumistack_core::seed::Stream;
     use lumistack_testkit::statistics::{FALSE_ALARM_RATE, assert_counts};
 
-    /// Small one-sided and two-sided panels and points, scattered over a box of 10 × 2 × 10.
+    /// Small one-sided and two-sided panels and point lights, scattered over a box of 10 × 2 × 10.
     fn lights(count: usize, seed: u64) -> Vec<Emitter> {
         let mut stream = Stream::new(seed);
         let mut unit = || stream.next_f32();
@@ -382,7 +386,7 @@ mod tests {
         ]
     }
 
-    /// Irradiance at a receiver, unshadowed, with a panel taken as a point at its centre.
+    /// Irradiance at a receiver without shadows; a panel is treated as a point at its centre.
     fn irradiance(light: &Emitter, receiver: &Receiver) -> f32 {
         let to_receiver = receiver.position - light.centre();
         let direction = to_receiver.normalize();
@@ -423,9 +427,9 @@ mod tests {
                     }
                 }
                 let mut expected: Vec<f64> = chances.iter().map(|chance| chance * f64::from(draws)).collect();
-                // the missing chance led to nodes from which no light arrives
+                // the missing chance belongs to nodes from which no light arrives
                 expected.push((1.0 - sum).max(0.0) * f64::from(draws));
-                // a single light that is certain leaves nothing to test
+                // a single light with chance 1 leaves nothing to test
                 if expected.iter().filter(|&&expected| expected > 10.0).count() > 1 {
                     assert_counts(&counts, &expected, FALSE_ALARM_RATE);
                 }
@@ -433,7 +437,7 @@ mod tests {
         }
     }
 
-    /// Every light that reaches the receiver can be chosen, in every tree.
+    /// Every light that reaches the receiver has a chance, in every tree.
     #[test]
     fn whatever_arrives_can_be_chosen() {
         for seed in 0..20 {
@@ -448,8 +452,8 @@ mod tests {
         }
     }
 
-    /// The sum Σ E²/p of irradiance estimated from one light, against that of a choice by power
-    /// alone: exact, without noise.
+    /// The exact mean square Σ E²/p of irradiance estimated from one light, compared with a choice
+    /// by power alone.
     #[test]
     fn the_tree_beats_a_choice_by_power() {
         let mut ratios = Vec::new();
@@ -490,8 +494,8 @@ mod tests {
         assert!(geometric > 2.0, "{geometric}");
     }
 
-    /// With n stratified numbers each light gets n times its chance, a whole number. Unrounded
-    /// chances would give one more or less.
+    /// With n stratified numbers each light is chosen n times its chance, which is a whole number.
+    /// With chances that are not rounded it would be chosen once more or less.
     #[test]
     fn a_few_lights_get_whole_parts() {
         for parts in [16u32, 64] {
@@ -510,7 +514,8 @@ mod tests {
                     for (light, &count) in counts.iter().enumerate() {
                         let expected = tree.chance(light, &receiver, parts) * parts as f32;
                         let exact = tree.chance(light, &receiver, 0) * parts as f32;
-                        // a light too weak for a part takes it from another by chance
+                        // a light that is too weak for a whole part takes one from another light by
+                        // chance
                         let least = (0..4).map(|other| tree.chance(other, &receiver, parts) * parts as f32);
                         let whole = least.into_iter().all(|share| (share - share.round()).abs() < 1e-3);
                         assert!(!whole || (expected - count as f32).abs() < 1e-3, "{count} of {expected}");
@@ -530,7 +535,7 @@ mod tests {
             assert!((tree.chance(light, &receiver, 0) * 1000.0 - 1.0).abs() < 0.05);
         }
         assert!(LightTree::new(&[]).is_none());
-        // geometric spacing is the deepest that buckets make
+        // positions in a geometric sequence give the deepest tree that buckets make
         let mut line: Vec<Emitter> = (0..100).map(|k| lights(1, 4)[0].moved(Vec3::X * 0.5f32.powi(k))).collect();
         line.reverse();
         let tree = LightTree::new(&line).unwrap();

@@ -1,5 +1,5 @@
-//! Rays of a view's samples. Everything that is computed of those samples takes the same rays and
-//! the same random numbers.
+//! Rays of a view's samples. All results for those samples use the same rays and the same random
+//! numbers.
 
 use lumistack_core::seed;
 
@@ -9,14 +9,14 @@ use crate::primary::{PixelRays, PrimaryRays};
 use crate::sampler::{Draws, SampleBank};
 use crate::settings::Settings;
 
-/// The pairs of random numbers of primary rays.
+/// Pairs of random numbers of primary rays: the position in the pixel, and the slope.
 const PLACE_PAIR: u64 = 0;
 const SLOPE_PAIR: u64 = 1;
 
 /// Samples of a view.
 pub(super) struct ViewSamples<'a> {
     rays: PrimaryRays<'a>,
-    /// Display space, in which surfaces are given.
+    /// Display space, in which surfaces are reported.
     pub(super) axes: DisplayAxes,
     bank: SampleBank,
     count: u32,
@@ -24,7 +24,7 @@ pub(super) struct ViewSamples<'a> {
 }
 
 impl<'a> ViewSamples<'a> {
-    /// As many samples per pixel as the settings have; `view` = [view_y, view_x].
+    /// Samples of the view [view_y, view_x], as many per pixel as the settings say.
     pub(super) fn new(rays: PrimaryRays<'a>, axes: DisplayAxes, view: [usize; 2], settings: &Settings) -> Self {
         let seed = seed::derive(settings.seed, &[view[0] as u64, view[1] as u64]);
         Self { rays, axes, bank: SampleBank::new(settings.samples), count: settings.samples, seed }
@@ -35,7 +35,7 @@ impl<'a> ViewSamples<'a> {
         seed::derive(self.seed, &[row as u64, col as u64])
     }
 
-    /// Calls `take` with the rays of a pixel, at most [`BEAM`] at once, and with their random
+    /// Calls `take` with the rays of a pixel, at most [`BEAM`] per call, and with their random
     /// numbers, which follow from `pixel_seed`.
     #[inline]
     pub(super) fn for_each_beam(
@@ -56,12 +56,12 @@ impl<'a> ViewSamples<'a> {
     }
 }
 
-/// Place of a ray of a beam, in pixels from the pixel's centre.
+/// Position of a ray of a beam, in pixels from the pixel's centre.
 pub(super) fn place_in_pixel(draws: &Draws<'_>, index: usize) -> [f32; 2] {
     centred(draws.pair(PLACE_PAIR).of(index))
 }
 
-/// Numbers in 0..1 as offsets from a centre.
+/// Numbers in 0..1 as offsets −0.5..0.5 from a centre.
 fn centred(pair: [f32; 2]) -> [f32; 2] {
     pair.map(|u| u - 0.5)
 }

@@ -1,5 +1,5 @@
-//! A few pixels of a view rendered again, twice, independently of all else: the yardstick of a
-//! denoiser.
+//! A few pixels of a view rendered again, twice, independently of all other renders. They measure
+//! the error of a denoised picture.
 //!
 //! ```text
 //! E[(F − c₁)(F − c₂)] = E[(F − truth)²]
@@ -17,10 +17,10 @@ use super::{RenderError, Renderer};
 use crate::clamp::Clamped;
 use crate::settings::Settings;
 
-/// Pixels from one check to the next.
+/// Edge of the squares of pixels, each of which holds one check.
 const SPACING: usize = 8;
-/// Streams of random numbers that no view's radiance uses: one chooses the pixels, one renders
-/// them.
+/// Streams of random numbers that no view uses for its radiance: one chooses the pixels, the other
+/// renders them.
 const PLACES: u64 = 0xc4ec_0001;
 const RADIANCE: u64 = 0xc4ec_0002;
 
@@ -39,8 +39,8 @@ pub(crate) struct Check {
 }
 
 impl Renderer {
-    /// Renders a sixty-fourth of the pixels of a view twice with `settings`, whose seed is that of
-    /// the views. Does not advance the progress.
+    /// Renders a sixty-fourth of the pixels of a view twice. `settings` have the seed of the views.
+    /// Does not advance the progress.
     ///
     /// # Errors
     /// As [`render_view`](Self::render_view).
@@ -79,7 +79,7 @@ impl Renderer {
     }
 }
 
-/// True if a pixel is the one that is drawn in its square.
+/// True if the pixel is the check of its square.
 fn is_drawn(seed: u64, row: usize, col: usize) -> bool {
     let chosen = seed::derive(seed, &[(row / SPACING) as u64, (col / SPACING) as u64]) as usize % (SPACING * SPACING);
     chosen == row % SPACING * SPACING + col % SPACING

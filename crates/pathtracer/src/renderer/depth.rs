@@ -1,4 +1,4 @@
-//! Depth of the scene: z of the first hits of a view's rays, in display space.
+//! Depth of the scene: z in display space of the first hits of a view's rays.
 //!
 //! ```text
 //! z = ẑ · display_from_scene(o + t d)          in millimetres towards the viewer
@@ -6,7 +6,7 @@
 //! for the nearest hit at t along the central ray of a pixel
 //! ```
 //!
-//! It is the depth of surfaces, not of their images in a mirror or through a pane.
+//! It is the depth of surfaces, not of pictures in a mirror or behind a pane.
 
 use glam::DVec3;
 use lumistack_core::{NoProgress, Task, Tensor};
@@ -18,8 +18,8 @@ use crate::settings::AngularFilter;
 
 impl Renderer {
     /// Depth of a view, `view` = [view_y, view_x] of the geometry's grid: `[row][col]`, in
-    /// millimetres. It is z in display space of the first hit of every pixel's central ray; NaN
-    /// where it hits nothing. Does not advance the progress.
+    /// millimetres. It is z in display space of the first hit of each pixel's central ray; NaN if
+    /// that ray hits nothing. Does not advance the progress.
     ///
     /// # Errors
     /// If the geometry or the view is out of range, or when cancelled.
@@ -60,7 +60,7 @@ mod tests {
 
     use super::*;
 
-    /// Millimetres; the scene is about 100 mm large and rays are 32-bit.
+    /// Tolerance in millimetres; the scene is about 100 mm large and rays are 32-bit.
     const ROUNDED: f32 = 2e-3;
 
     /// A plane z = slant · x around `centre` in scene units, as two triangles of half size `half`.
@@ -85,7 +85,7 @@ mod tests {
             ..SceneParts::default()
         };
         let renderer = Renderer::new(Arc::new(parts.validate(task).unwrap()), task).unwrap();
-        // a millimetre is 0.1 units; the plane goes through (0, 0, 12 mm)
+        // a millimetre is 0.1 units; the plane passes through (0, 0, 12 mm)
         let map = Similarity {
             rotation: DQuat::IDENTITY,
             scale: 0.1,

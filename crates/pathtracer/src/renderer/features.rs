@@ -1,8 +1,8 @@
-//! First surfaces of a view: the guides of a denoiser, and layers of pictures.
+//! Data of a view's first surfaces: they guide a denoiser, and make layers of pictures.
 //!
-//! Every number is the mean over the paths of a pixel that hit a surface, and these are the paths
-//! of the light. [`Renderer::render_view_and_features`] keeps the surfaces that its paths hit.
-//! [`Renderer::render_features`] traces the same rays, to the first hit alone.
+//! Every value is a mean over those paths of a pixel that hit a surface, which are the same paths
+//! that give the light. [`Renderer::render_view_and_features`] records the surfaces while it
+//! renders. [`Renderer::render_features`] traces the same rays only to their first hits.
 
 use glam::Vec3;
 use lumistack_core::{NoProgress, Task, Tensor};
@@ -21,53 +21,54 @@ pub struct Features {
     pub(super) values: Tensor<3>,
 }
 
-/// A view, and what its paths hit first.
+/// A view, and data of the surfaces that its paths hit first.
 #[derive(Clone, Debug)]
 pub struct GuidedView {
     /// Scene-linear radiance, `[row][col][rgb]`.
     pub radiance: Tensor<3>,
-    /// Variance of every mean, likewise: the variance of the samples over their number. Samples are
-    /// stratified, so the means scatter less than this says. NaN where fewer than two samples are
-    /// finite numbers.
+    /// Variance of every pixel's mean, `[row][col][rgb]`: the variance of the samples over their
+    /// number. Samples are stratified, so the true variance of the means is smaller. NaN if fewer
+    /// than two samples are finite numbers.
     pub variance: Tensor<3>,
-    /// Guides.
+    /// Guides of the view.
     pub features: Features,
 }
 
 /// The guides of a pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Feature {
-    /// Share of the pixel where a surface is seen, 0..1; the other values are means over that part,
-    /// and 0 where it is empty.
+    /// Fraction of the pixel in which a surface is seen, 0..1. The other values are means over that
+    /// fraction, and 0 if no surface is seen.
     pub covered: f32,
-    /// Reflectance, 0..1: base colour plus a dielectric's few percent.
+    /// Reflectance, 0..1: base colour plus the few percent that a dielectric reflects.
     pub albedo: Vec3,
-    /// Shading normal on the viewer's side, display axes; shorter than 1 where the pixel sees
-    /// several.
+    /// Mean of the shading normals on the viewer's side, in display space. It is shorter than 1 if
+    /// the pixel shows several normals.
     pub normal: Vec3,
-    /// Depth in display space, millimetres, towards the viewer.
+    /// Depth in display space, towards the viewer, in millimetres.
     pub z_mm: f32,
-    /// Share of the reflectance that goes with the viewer's direction (mirrors, metals, glass),
+    /// Fraction of the reflectance that depends on the viewer's direction (mirrors, metals, glass),
     /// 0..1.
     pub gloss: f32,
-    /// Width of that lobe: squared roughness, 0..1.
+    /// Width of the lobe of that reflectance: squared roughness, 0..1.
     pub alpha: f32,
-    /// Depth of the surface on the path nearest to the pixel's centre; `None` where that hits
-    /// nothing.
+    /// Depth in display space of the surface on the path nearest to the pixel's centre, in
+    /// millimetres; `None` if that path hits nothing.
     pub central_z_mm: Option<f32>,
 }
 
 impl Features {
-    /// Values of a pixel.
+    /// Number of values per pixel.
     pub const VALUES: usize = FEATURES;
 
-    /// From values as [`values`](Self::values) gives them; `None` where they have another shape.
+    /// Guides from the tensor that [`values`](Self::values) returns; `None` for another number of
+    /// values per pixel.
     pub fn from_values(values: Tensor<3>) -> Option<Self> {
         (values.shape()[2] == FEATURES).then_some(Self { values })
     }
 
-    /// `[row][col][covered, albedo rgb, normal xyz, z_mm, gloss, alpha, central z_mm]`, as
-    /// [`Feature`] has them; the last is NaN where it is `None`.
+    /// `[row][col][covered, albedo rgb, normal xyz, z_mm, gloss, alpha, central z_mm]`. [`Feature`]
+    /// describes them; an absent central depth is NaN.
     pub fn values(&self) -> &Tensor<3> {
         &self.values
     }
@@ -87,11 +88,11 @@ impl Features {
         [rows, cols]
     }
 
-    /// Guides of all samples of two renders of equally many. The central depth is that of the
-    /// first.
+    /// Guides of all samples of two renders with the same number of samples each. The central depth
+    /// is from the first.
     ///
     /// # Panics
-    /// If their sizes differ.
+    /// If the sizes of the two differ.
     #[must_use]
     pub fn joined(mut self, other: &Self) -> Self {
         assert_eq!(self.size(), other.size(), "guides of one view");
@@ -109,8 +110,8 @@ impl Features {
 }
 
 impl Renderer {
-    /// [`render_view`](Self::render_view), the variance of every mean, and the first surfaces of
-    /// all paths. The radiance is the same to the bit.
+    /// As [`render_view`](Self::render_view), with the variance of every mean and the first
+    /// surfaces of all paths. The radiance is the same to the bit.
     ///
     /// # Errors
     /// As [`render_view`](Self::render_view).
@@ -134,8 +135,8 @@ impl Renderer {
         Ok(GuidedView { radiance, variance, features: Features { values } })
     }
 
-    /// Guides of one view from the rays that [`render_view`](Self::render_view) traces with the
-    /// same settings, without their light. Does not advance the progress.
+    /// Guides of one view, from the rays that [`render_view`](Self::render_view) traces with the
+    /// same settings, but without their light. Does not advance the progress.
     ///
     /// # Errors
     /// As [`render_view`](Self::render_view).

@@ -6,15 +6,15 @@ use lumistack_scene::Window;
 use crate::geometry::RenderSpace;
 use crate::tracer::First;
 
-/// Values of a pixel of the guides.
+/// Number of values per pixel of the guides.
 pub(crate) const FEATURES: usize = 11;
-/// Values of a pixel of a view in parts.
+/// Number of values per pixel of a view whose diffuse and other light are separate.
 pub(super) const PARTS: usize = 13;
 
-/// Display space, as render space sees it.
+/// Directions and depth of display space, for points in render space.
 pub(super) struct DisplayAxes {
     display_from_scene: Quat,
-    /// z in millimetres of a point of render space: a product and a sum.
+    /// Coefficients of z in millimetres for a point of render space: along · point + offset.
     along: DVec3,
     offset: f64,
 }
@@ -30,7 +30,7 @@ impl DisplayAxes {
         }
     }
 
-    /// Depth in display space of a point in render space, millimetres towards the viewer.
+    /// Depth in display space of a point in render space, towards the viewer, in millimetres.
     fn z_mm(&self, point: Vec3) -> f32 {
         (point.as_dvec3().dot(self.along) + self.offset) as f32
     }
@@ -42,7 +42,7 @@ impl DisplayAxes {
 pub(super) struct FirstSums {
     hits: u32,
     z_mm: f32,
-    /// Geometric normal, and reflectance of the diffuse lobe.
+    /// Geometric normals, and reflectances of the diffuse lobe.
     normal: Vec3,
     reflectance: Vec3,
     /// Guides.
@@ -50,14 +50,16 @@ pub(super) struct FirstSums {
     shading: Vec3,
     gloss: f32,
     alpha: f32,
-    /// Squared distance from the pixel's centre of the path nearest to it, and the depth it hits.
+    /// For the path nearest to the pixel's centre: the squared distance from the centre, and the
+    /// depth of its hit.
     nearest: Option<(f32, Option<f32>)>,
-    /// Light that is scattered alike to all viewers, of the samples that count.
+    /// Light that is scattered alike to all viewers, over the samples that are finite.
     diffuse: Vec3,
 }
 
 impl FirstSums {
-    /// Adds the surface of a path through `place`, in pixels from the pixel's centre.
+    /// Adds the first surface of a path. `place` is the path's position, in pixels from the pixel's
+    /// centre.
     #[inline]
     pub(super) fn add(&mut self, first: &First, place: [f32; 2], axes: &DisplayAxes) {
         let z_mm = first.is_there.then(|| axes.z_mm(first.position));
@@ -89,7 +91,7 @@ impl FirstSums {
         self
     }
 
-    /// The guides of a pixel of so many samples.
+    /// The guides of a pixel with this number of samples.
     pub(super) fn features(&self, samples: u32) -> [f32; FEATURES] {
         let share = 1.0 / self.hits.max(1) as f32;
         let [r, g, b] = (share * self.albedo).to_array();
@@ -99,10 +101,11 @@ impl FirstSums {
         [covered, r, g, b, x, y, z, share * self.z_mm, share * self.gloss, share * self.alpha, central]
     }
 
-    /// A pixel in two parts: `mean` is the light of all samples, `finite` of which count.
+    /// The values of a pixel with its diffuse and other light separate. `mean` is the mean light of
+    /// the samples; `finite` of the samples are finite.
     pub(super) fn split(&self, mean: Vec3, finite: u32, samples: u32) -> [f32; PARTS] {
-        // light is a mean over the samples that count, reflectance over all, normal and depth over
-        // those with a surface
+        // light is a mean over the finite samples, reflectance over all samples, normal and depth
+        // over the samples with a surface
         let diffuse = self.diffuse / finite.max(1) as f32;
         let share = 1.0 / self.hits.max(1) as f32;
         let mut values = [0.0; PARTS];

@@ -1,4 +1,4 @@
-//! Share of a view's samples that miss all surfaces: where a background shows.
+//! Fraction of a view's samples that miss all surfaces, and so show a background.
 
 use lumistack_core::{NoProgress, Task, Tensor};
 use lumistack_display::FieldGeometry;
@@ -8,9 +8,9 @@ use super::{RenderError, Renderer};
 use crate::settings::Settings;
 
 impl Renderer {
-    /// Share 0..1 of the primary rays of every pixel that miss all surfaces, `[row][col]`. These
-    /// are the very rays that [`render_view`](Self::render_view) traces with the same settings.
-    /// Does not advance the progress.
+    /// Fraction, 0..1, of the primary rays of every pixel that miss all surfaces, `[row][col]`.
+    /// [`render_view`](Self::render_view) traces exactly these rays with the same settings. Does
+    /// not advance the progress.
     ///
     /// # Errors
     /// As [`render_view`](Self::render_view).

@@ -1,13 +1,14 @@
-//! Views in two parts: light that the first surface scatters alike to all viewers, and all else.
+//! Views whose light is divided in two: light that the first surface scatters alike to all viewers,
+//! and all other light.
 //!
 //! ```text
 //! L = D + G,   D: scattered by Lambert's law at the first surface, with the reflectance ρ_d
 //!             E = D / ρ_d does not depend on the view
 //! ```
 //!
-//! Where a path's light is weighted by the share of the diffuse lobe in the scattering function at
-//! its first vertex, the mean of that is D. It is the same light, of the same rays and random
-//! numbers, that [`render_view`](Renderer::render_view) adds up.
+//! D is the mean of the light of all paths, each weighted by a fraction: the diffuse lobe's in the
+//! scattering function at its first vertex. It is the same light that
+//! [`render_view`](Renderer::render_view) adds up, of the same rays and random numbers.
 
 use glam::Vec3;
 use lumistack_core::{Task, Tensor};
@@ -19,25 +20,26 @@ use super::first::{FEATURES, FirstSums, PARTS};
 use super::{PixelMean, RenderError, Renderer, ranges};
 use crate::settings::Settings;
 
-/// A view's light in two parts, with data of the surfaces that it comes from: means over the
-/// samples of every pixel.
+/// A view whose diffuse and other light are separate, with data of the surfaces that the light
+/// comes from. All are means over the samples of every pixel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SplitView {
-    /// `[row][col][diffuse rgb, other rgb, reflectance rgb, normal x y z, z_mm]`. The normal has
-    /// display axes, z_mm is depth in display space towards the viewer; both are 0 where no surface
-    /// is seen.
+    /// `[row][col][diffuse rgb, other rgb, reflectance rgb, normal x y z, z_mm]`. The normal is in
+    /// display space, and z_mm is the depth in display space towards the viewer. Both are 0 if no
+    /// surface is seen.
     values: Tensor<3>,
 }
 
-/// A view in parts, and what its paths hit first.
+/// A view whose diffuse and other light are separate, with data of the surfaces that its paths hit
+/// first.
 #[derive(Clone, Debug)]
 pub struct GuidedSplit {
-    /// The parts.
+    /// The view's diffuse and other light.
     pub split: SplitView,
-    /// Variance of every mean of their sum, `[row][col][rgb]`; NaN where fewer than two samples are
-    /// finite numbers.
+    /// Variance of every mean of the whole light, `[row][col][rgb]`; NaN if fewer than two samples
+    /// are finite numbers.
     pub variance: Tensor<3>,
-    /// Guides.
+    /// Guides of the view.
     pub features: Features,
 }
 
@@ -52,16 +54,17 @@ pub(crate) struct SplitPixel {
 }
 
 impl SplitView {
-    /// Values of a pixel.
+    /// Number of values per pixel.
     pub const VALUES: usize = PARTS;
 
-    /// From values as [`values`](Self::values) gives them; `None` where they have another shape.
+    /// A view from the tensor that [`values`](Self::values) returns; `None` for another number of
+    /// values per pixel.
     pub fn from_values(values: Tensor<3>) -> Option<Self> {
         (values.shape()[2] == PARTS).then_some(Self { values })
     }
 
-    /// `[row][col][diffuse rgb, other rgb, reflectance rgb, normal xyz, z_mm]`: radiance, display
-    /// axes, millimetres.
+    /// `[row][col][diffuse rgb, other rgb, reflectance rgb, normal xyz, z_mm]`. Light is radiance,
+    /// normals are in display space, z is in millimetres.
     pub fn values(&self) -> &Tensor<3> {
         &self.values
     }
@@ -72,7 +75,7 @@ impl SplitView {
         [rows, cols]
     }
 
-    /// The view: the sum of both parts, `[row][col][rgb]`.
+    /// The whole light of the view, the sum of diffuse and other light: `[row][col][rgb]`.
     pub fn radiance(&self) -> Tensor<3> {
         let [rows, cols] = self.size();
         let mut radiance = Tensor::zeros(["row", "col", "rgb"], [rows, cols, 3]);
@@ -82,7 +85,7 @@ impl SplitView {
         radiance
     }
 
-    /// Returns for each pixel, row by row, if a sample of it hits a surface.
+    /// Returns for each pixel, row by row, true if a sample of it hits a surface.
     pub fn surfaces(&self) -> impl Iterator<Item = bool> {
         self.values.data().chunks_exact(PARTS).map(|values| values[9..12].iter().any(|normal| *normal != 0.0))
     }
@@ -95,8 +98,9 @@ impl SplitView {
 }
 
 impl Renderer {
-    /// One view in two parts, by the samples of [`render_view`](Self::render_view) with the same
-    /// settings. Advances the progress as that does.
+    /// One view with its diffuse and other light separate, from the samples of
+    /// [`render_view`](Self::render_view) with the same settings. Advances the progress as that
+    /// function does.
     ///
     /// # Errors
     /// As [`render_view`](Self::render_view).
@@ -115,9 +119,8 @@ impl Renderer {
         Ok(SplitView { values })
     }
 
-    /// [`render_split`](Self::render_split), the variance of every mean as in
-    /// [`render_view_and_features`](Self::render_view_and_features), and the first surfaces of all
-    /// paths.
+    /// As [`render_split`](Self::render_split), with the variance of every mean and the first
+    /// surfaces of all paths, like [`render_view_and_features`](Self::render_view_and_features).
     ///
     /// # Errors
     /// As [`render_view`](Self::render_view).
@@ -144,7 +147,7 @@ impl Renderer {
     }
 }
 
-/// Radiance of values that begin with two parts of it.
+/// Radiance of a pixel whose first six values are its diffuse and its other light.
 fn both_parts(values: &[f32]) -> [f32; 3] {
     [0, 1, 2].map(|c| values[c] + values[3 + c])
 }

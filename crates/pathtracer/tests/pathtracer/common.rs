@@ -9,7 +9,8 @@ use lumistack_pathtracer::{Renderer, Settings};
 use lumistack_scene::{Environment, Image, Instance, Material, Mesh, Pixels, SceneParts, Window};
 use lumistack_testkit::statistics::Mean;
 
-/// A window of this many millimetres is as wide in scene units: display space is scene space.
+/// Width of the test window: in millimetres, and equally in scene units, so display space is scene
+/// space.
 pub const WINDOW_MM: f64 = 2.0;
 
 /// Lambert's law without any gloss: an index of refraction of 1 reflects nothing.
@@ -24,7 +25,7 @@ pub fn diffuse(albedo: f32) -> Material {
     }
 }
 
-/// Black surface that emits the same radiance to both sides.
+/// A black surface that emits the same radiance from both sides.
 pub fn glowing(radiance: Vec3) -> Material {
     Material { emission: radiance, ..diffuse(0.0) }
 }
@@ -43,7 +44,7 @@ impl Builder {
         self
     }
 
-    /// Light from infinity: `rows` of one texel each, from +y to −y.
+    /// Light from infinity: a map of one column, with `rows` from +y to −y.
     pub fn sky(&mut self, rows: &[f32]) -> &mut Self {
         let texels = rows.iter().map(|&row| [row; 3]).collect();
         self.parts.images.push(Image {
@@ -67,7 +68,8 @@ impl Builder {
     }
 }
 
-/// Rectangle with corners centre ± u ± v; its front, and its unmirrored texture, faces u × v.
+/// A rectangle with the corners centre ± u ± v. Its front faces u × v, and its texture is not
+/// mirrored as seen from there.
 pub fn rectangle(centre: Vec3, u: Vec3, v: Vec3) -> Mesh {
     Mesh {
         positions: vec![centre - u - v, centre + u - v, centre + u + v, centre - u + v],
@@ -118,17 +120,17 @@ pub fn sphere(centre: Vec3, radius: f32, divisions: usize) -> Mesh {
     mesh
 }
 
-/// The window of display space = scene space.
+/// The window for which display space is scene space.
 pub fn window() -> Window {
     Window::given(DVec3::ZERO, DVec3::NEG_Z, DVec3::Y, WINDOW_MM, [WINDOW_MM, WINDOW_MM]).unwrap()
 }
 
-/// A window of the given width at a point, looking along −z.
+/// A window of the given width around a point, seen along −z.
 pub fn window_at(centre: DVec3, width: f64) -> Window {
     Window::given(centre, DVec3::NEG_Z, DVec3::Y, width, [WINDOW_MM, WINDOW_MM]).unwrap()
 }
 
-/// `size` × `size` pixels over the window, one view of the given slope.
+/// `size` × `size` pixels over the window, for one view of the given slope.
 pub fn one_view(size: usize, slope: [f64; 2]) -> FieldGeometry {
     FieldGeometry {
         rows: size,
@@ -159,7 +161,7 @@ pub fn mean_of(radiance: &Tensor<3>, channel: usize) -> Mean {
     Mean::of(radiance.data().iter().skip(channel).step_by(3).map(|&v| f64::from(v)))
 }
 
-/// Settings with this many samples and hardly any limit on the length of paths.
+/// Settings with this many samples and almost no limit on the length of paths.
 pub fn long_paths(samples: u32) -> Settings {
     Settings { samples, max_bounces: 1000, ..Settings::default() }
 }

@@ -1,5 +1,5 @@
-//! The denoiser on rendered views, against long renders: its own figures are true, means stay,
-//! edges stay.
+//! The denoiser on rendered views, compared with long renders: its reported figures are true, and
+//! means and edges are kept.
 
 use crate::common::{Builder, WINDOW_MM, diffuse, glowing, rectangle, window};
 use glam::{Quat, Vec3, Vec4};
@@ -10,12 +10,13 @@ use lumistack_pathtracer::{Renderer, Settings, SplitView};
 use lumistack_scene::Material;
 
 const SIZE: usize = 64;
-/// Column of the edge of the pole, whose depth, and of the back wall, whose colour changes.
+/// Column of the pole's edge, where the depth changes, and column of the back wall where the colour
+/// changes.
 const POLE: usize = 16;
 const COLOUR: usize = 44;
 
-/// A corner of a room: a back wall of two colours, a floor, and a pole before the wall, lit by a
-/// lamp and a dim sky.
+/// A corner of a room: a back wall of two colours, a floor, and a pole in front of the wall. A lamp
+/// and a dim sky light it.
 fn room() -> Renderer {
     let x = |col: usize| WINDOW_MM as f32 * (col as f32 / SIZE as f32 - 0.5);
     let mut builder = Builder::default();
@@ -27,7 +28,7 @@ fn room() -> Renderer {
     builder.add(rectangle(Vec3::new(0.0, -0.7, 0.0), 2.0 * Vec3::X, 0.6 * Vec3::NEG_Z), diffuse(0.5));
     let pole = rectangle(Vec3::new(x(POLE) - 0.1, 0.2, 0.0), 0.1 * Vec3::X, 0.5 * Vec3::Y);
     builder.add(pole, diffuse(0.7));
-    // faces down and forwards, above the picture
+    // the lamp faces down and forwards, above the picture
     let turn = Quat::from_rotation_x(0.6);
     builder.add(
         rectangle(Vec3::new(0.3, 1.6, 0.8), turn * (0.3 * Vec3::X), turn * (0.3 * Vec3::Z)),
@@ -52,7 +53,7 @@ fn mean(picture: &Tensor<3>) -> f64 {
     picture.data().iter().map(|value| f64::from(*value)).sum::<f64>() / picture.data().len() as f64
 }
 
-/// Mean of a column between the floor and the top of the pole.
+/// Mean of the pixels of a column that are between the floor and the top of the pole.
 fn column(picture: &Tensor<3>, col: usize) -> f64 {
     (20..40).map(|row| f64::from(picture.get([row, col, 0]))).sum::<f64>() / 20.0
 }
@@ -80,7 +81,7 @@ fn the_report_is_true_and_means_and_edges_stay() {
         let settings = Settings { samples: 16, ..Settings::default() };
         let checks = renderer.render_checks(&window(), &geometry, view, &settings, task).unwrap();
         told.push(figures(picture, &noisy.mean(), &checks));
-        // two long renders: the product of differences is free of their noise
+        // two long renders: the product of the differences to them is free of their noise
         let [a, b] = [11, 12].map(|seed| render(&renderer, view, 256, seed));
         let error = |picture: &Tensor<3>| {
             let pixels = picture.data().iter().zip(a.data()).zip(b.data());
@@ -91,9 +92,9 @@ fn the_report_is_true_and_means_and_edges_stay() {
         after += error(picture);
         let truth = 0.5 * (mean(&a) + mean(&b));
         assert!((mean(picture) / truth - 1.0).abs() < 0.01, "{} instead of {truth}", mean(picture));
-        // either side of both edges of the middle view, where they stand between two columns, and
-        // the columns beside. In other views they run through pixels, whose four samples locate
-        // them with noise of their own.
+        // the columns on either side of both edges, and their neighbours, in the middle view, where
+        // the edges are between two columns. In other views the edges pass through pixels, and the
+        // four samples of a pixel locate them only roughly.
         for col in [POLE - 2, POLE - 1, POLE, POLE + 1, COLOUR - 2, COLOUR - 1, COLOUR, COLOUR + 1] {
             let (found, truth) = (column(picture, col), 0.5 * (column(&a, col) + column(&b, col)));
             assert!((found / truth - 1.0).abs() < 0.15, "view {view:?}, column {col}: {found} instead of {truth}");
@@ -102,15 +103,15 @@ fn the_report_is_true_and_means_and_edges_stay() {
     let [told_before, told_after] =
         [Estimate::joined(told.iter().map(|f| f.mse_before)), Estimate::joined(told.iter().map(|f| f.mse_after))];
     println!("{before} {told_before:?} {}, {after} {told_after:?} {}", told_before.error(), told_after.error());
-    // four standard errors: a false alarm in one of 16,000, were it not for fixed seeds
+    // four standard errors: with random seeds a false alarm in one of 16,000 runs
     assert!((told_before.value() - before).abs() < 4.0 * told_before.error(), "{before} {told_before:?}");
     assert!((told_after.value() - after).abs() < 4.0 * told_after.error(), "{after} {told_after:?}");
     assert!(after < 0.35 * before, "{after} of {before}");
     assert!(told_after.error() < 0.2 * before, "{told_after:?}");
 }
 
-/// Both parts of a view add up to the view itself. Diffuse surfaces have one part, mirrors the
-/// other.
+/// Diffuse and other light of a view add up to the view itself. Diffuse surfaces have only the
+/// first, mirrors only the second.
 #[test]
 fn parts_add_up_to_the_view() {
     let (collector, cancel) = (Collector::default(), Cancel::default());
@@ -137,7 +138,7 @@ fn parts_add_up_to_the_view() {
     }
 }
 
-/// Light that the views of a room share lowers the error of every one; means and edges stay.
+/// Light that the views of a room share lowers the error of every view; means and edges are kept.
 #[test]
 fn shared_light_has_the_samples_of_all_views() {
     let (collector, cancel) = (Collector::default(), Cancel::default());
@@ -178,10 +179,10 @@ fn shared_light_has_the_samples_of_all_views() {
         }
     }
     println!("{before} {after}");
-    // 35 views; the noise of edges inside of pixels stays, and so does that of points that few
-    // views see
+    // there are 35 views; the noise of edges inside of pixels remains, and so does the noise of
+    // points that few views see
     assert!(after < 0.35 * before, "{before} {after}");
-    // no other view, nothing to share
+    // without another view nothing is shared
     let alone = geometry.with_grid(ViewGrid::single(Projection::Oblique, [0.0; 2]));
     let same = share(&alone, &splits[..1]);
     for (a, b) in same[0].data().iter().zip(splits[0].radiance().data()) {

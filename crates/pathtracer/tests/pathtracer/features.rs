@@ -20,7 +20,7 @@ fn depth_normal_and_reflectance_are_those_of_the_first_surface() {
     let turn = Quat::from_rotation_y(0.4);
     let metal = Material { base_color: Vec4::new(0.9, 0.6, 0.3, 1.0), metallic: 1.0, roughness: 0.5, ..diffuse(0.5) };
     builder.add(rectangle(Vec3::new(0.0, 0.0, -0.2), turn * (4.0 * Vec3::X), 4.0 * Vec3::Y), metal);
-    // never seen
+    // hidden by the other surface
     builder.add(rectangle(Vec3::new(0.0, 0.0, -3.0), 9.0 * Vec3::X, 9.0 * Vec3::Y), diffuse(0.1));
     let (size, slope) = (16, [0.25, -0.1]);
     let found = features(&builder, size, slope);
@@ -32,13 +32,13 @@ fn depth_normal_and_reflectance_are_those_of_the_first_surface() {
             assert_eq!((covered, gloss, alpha), (1.0, 1.0, 0.25));
             assert!((albedo - Vec3::new(0.9, 0.6, 0.3)).abs().max_element() < 1e-5, "{albedo}");
             assert!((seen - normal).length() < 1e-5, "{seen}");
-            // (x + s z, y, z) lies on the plane through (0, 0, −0.2) with that normal
+            // (x + s z, y, z) is on the plane through (0, 0, −0.2) with that normal
             let [nx, nz] = [f64::from(normal.x), f64::from(normal.z)];
             let z = (-0.2 * nz - geometry.x_mm(col) * nx) / (nz + slope[0] * nx);
-            // rays are spread over the pixel: the mean of 16 stratified ones stands off its centre
-            // by a small part of it
+            // rays are spread over the pixel, so the mean of 16 stratified rays is off the pixel's
+            // centre by a small fraction of its size
             assert!((f64::from(z_mm) - z).abs() < 0.2 * geometry.pitch_mm, "{z_mm} {z}");
-            // one of 16 stratified samples is within a quarter of a pixel of the centre, along each
+            // one of 16 stratified samples is within a quarter of a pixel of the centre along each
             // axis
             let central = f64::from(central_z_mm.unwrap());
             assert!((central - z).abs() < 0.3 * geometry.pitch_mm, "{central} {z}");
@@ -49,7 +49,7 @@ fn depth_normal_and_reflectance_are_those_of_the_first_surface() {
 #[test]
 fn a_pixel_at_an_edge_tells_its_share() {
     let mut builder = Builder::default();
-    // the right half of the window, and a quarter of one more column of pixels
+    // the right half of the window, and a quarter of the column of pixels next to it
     let size = 8;
     let pitch = 2.0 / size as f32;
     builder.add(
@@ -95,14 +95,14 @@ fn mixture() -> Builder {
     builder
 }
 
-/// Keeping the first surfaces changes no bit of the light. They are those of the same rays traced
-/// alone.
+/// Recording the first surfaces changes no bit of the light. The surfaces equal those of the same
+/// rays traced to their first hits alone.
 #[test]
 fn surfaces_come_with_the_light_at_no_change_of_it() {
     let (collector, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&collector, &cancel);
     let (renderer, geometry) = (mixture().renderer(), one_view(24, [0.2, 0.1]));
-    // NaN is a value too
+    // equal bits, since NaN is compared too
     let same = |a: &Tensor<3>, b: &Tensor<3>| {
         a.shape() == b.shape() && a.data().iter().map(|v| v.to_bits()).eq(b.data().iter().map(|v| v.to_bits()))
     };
@@ -114,7 +114,7 @@ fn surfaces_come_with_the_light_at_no_change_of_it() {
             let alone = renderer.render_features(&window(), &geometry, [0, 0], &settings, task).unwrap();
             assert!(same(&guided.radiance, &plain), "{samples} {max_bounces}");
             assert!(same(guided.features.values(), alone.values()), "{samples} {max_bounces}");
-            // both parts, with and without guides
+            // diffuse and other light, with and without guides
             let split = renderer.render_split(&window(), &geometry, [0, 0], &settings, task).unwrap();
             let parts = renderer.render_split_and_features(&window(), &geometry, [0, 0], &settings, task).unwrap();
             let features = &parts.features;
@@ -128,7 +128,7 @@ fn surfaces_come_with_the_light_at_no_change_of_it() {
                 assert_eq!(feature.covered > 0.0, pixel[9..12].iter().any(|normal| *normal != 0.0));
                 for c in 0..3 {
                     assert!((pixel[c] + pixel[3 + c] - rgb[c]).abs() <= 1e-6 * rgb[c].max(1.0));
-                    // no more is scattered than arrives
+                    // no more light is scattered than arrives
                     assert!(pixel[c] >= 0.0 && pixel[3 + c] >= -1e-6 * rgb[c].max(1.0));
                 }
             }
@@ -137,7 +137,7 @@ fn surfaces_come_with_the_light_at_no_change_of_it() {
     }
 }
 
-/// Halves of the samples have the guides of all of them.
+/// Two renders with half of the samples each give the guides of all samples.
 #[test]
 fn guides_of_halves_are_joined() {
     let (collector, cancel) = (Collector::default(), Cancel::default());

@@ -10,9 +10,9 @@ use lumistack_testkit::statistics::FALSE_ALARM_RATE;
 
 /// Rounding of f32 sums over long paths.
 const ROUNDING: f64 = 2e-4;
-/// Energy that microfacet surfaces may miss: the interpolation error of the albedo table.
+/// Energy that microfacet surfaces may lose: the interpolation error of the albedo table.
 const ALBEDO_TABLE: f64 = 5e-3;
-/// The same on a sphere of triangles, where the shading normal leans away from the surface and
+/// Energy that a sphere of triangles may lose: its shading normals lean away from the surface, and
 /// light from below it is lost.
 const TRIANGLES: f64 = 1e-2;
 
@@ -25,7 +25,7 @@ fn a_closed_room_radiates_the_geometric_series() {
         for wall in cube(Vec3::ZERO, 1.0) {
             scene.add(wall, Material { emission: Vec3::new(1.0, 0.5, 0.25), ..diffuse(albedo) });
         }
-        // the near wall must not hide the room: its back face is invisible
+        // the near wall must not hide the room, so back faces are invisible
         for material in &mut scene.parts.materials {
             material.double_sided = false;
         }
@@ -42,7 +42,7 @@ fn a_closed_room_radiates_the_geometric_series() {
     }
 }
 
-/// Roulette and the limit on bounces: the series is cut after the given number of terms.
+/// The limit on bounces, with roulette, cuts the series after the given number of terms.
 #[test]
 fn the_limit_on_bounces_cuts_the_series() {
     let mut scene = Builder::default();
@@ -60,7 +60,7 @@ fn the_limit_on_bounces_cuts_the_series() {
     }
 }
 
-/// Where all light is the same and nothing is absorbed, everything looks like the background.
+/// If all light is the same and nothing is absorbed, every surface looks like the background.
 #[test]
 fn lossless_spheres_are_invisible_in_a_uniform_environment() {
     let white = Material { base_color: Vec4::ONE, ..diffuse(1.0) };
@@ -85,8 +85,8 @@ fn lossless_spheres_are_invisible_in_a_uniform_environment() {
     }
 }
 
-/// A flat white metal without curvature or shading normals returns all light of the environment, at
-/// every roughness.
+/// A flat white metal returns all light of the environment at every roughness; it has neither
+/// curvature nor shading normals.
 #[test]
 fn a_flat_white_metal_is_invisible_at_every_roughness() {
     for roughness in [0.05, 0.2, 0.4, 0.6, 0.8, 1.0] {
@@ -100,7 +100,7 @@ fn a_flat_white_metal_is_invisible_at_every_roughness() {
     }
 }
 
-/// A lossy sphere must be darker than a lossless one, so that the tests above can fail.
+/// A sphere that absorbs light is darker than a lossless one, so the tests above can fail.
 #[test]
 fn an_absorbing_sphere_is_visible() {
     let mut scene = Builder::default();
@@ -113,8 +113,8 @@ fn an_absorbing_sphere_is_visible() {
     black.assert_is(0.7 * (1.0 - std::f64::consts::PI * 0.81 / 4.0), 5e-3, 0.5);
 }
 
-/// Layers that absorb nothing are as invisible as the surface below. These are coats with and
-/// without roughness, stretched metal, rough glass, and glass that disperses.
+/// Layers that absorb nothing are as invisible as the surface below them: coats with and without
+/// roughness, stretched metal, rough glass, and glass that disperses.
 #[test]
 fn lossless_layers_are_invisible_in_a_uniform_environment() {
     let white = Material { base_color: Vec4::ONE, ..diffuse(1.0) };
@@ -144,7 +144,8 @@ fn lossless_layers_are_invisible_in_a_uniform_environment() {
     }
 }
 
-/// A coat dims the emission below it: the clear coat of index 1.5 passes 1 − 0.04 straight up.
+/// A coat dims the emission below it: a clear coat of index 1.5 passes 1 − 0.04 of it along its
+/// normal.
 #[test]
 fn a_coat_dims_emission() {
     let mut scene = Builder::default();

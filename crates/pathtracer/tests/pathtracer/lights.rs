@@ -1,5 +1,5 @@
-//! Every kind of light against its closed form, on a diffuse plane of albedo ρ at z = 0 seen from
-//! the front: L = ρ E / π.
+//! Compares every kind of light with its closed form, on a diffuse plane of albedo ρ at z = 0 seen
+//! from the front: L = ρ E / π.
 
 use std::f64::consts::PI;
 
@@ -26,13 +26,14 @@ fn point_light(position: Vec3, kind: LightKind, direction: Vec3) -> Light {
     Light { position, direction, intensity: Vec3::new(5.0, 2.0, 1.0), kind }
 }
 
-/// Irradiance at a point of z = 0 from a small light at `position`, without falloff of its own.
+/// Irradiance at a point of z = 0 from a small light at `position` that shines alike in all
+/// directions.
 fn inverse_square(position: DVec3, at: DVec3) -> f64 {
     let to_light = position - at;
     to_light.z / to_light.length().powi(3)
 }
 
-/// Mean of a function over the pixels of the window, on a fine grid.
+/// Mean of a function over every pixel of the window, from a fine grid.
 fn over_window(size: usize, f: impl Fn(f64, f64) -> f64) -> Vec<f64> {
     let fine = 8;
     let at = |i: usize, k: usize| ((i as f64 + (k as f64 + 0.5) / fine as f64) / size as f64 - 0.5) * 2.0;
@@ -44,8 +45,8 @@ fn over_window(size: usize, f: impl Fn(f64, f64) -> f64) -> Vec<f64> {
         .collect()
 }
 
-/// Asserts that every pixel is the expected value up to a relative tolerance, for light without
-/// variance other than the pixel's area.
+/// Asserts that every pixel has the expected value up to a relative tolerance. It is for light
+/// whose only variance comes from the area of the pixel.
 fn assert_pixels(radiance: &Tensor<3>, expected: &[f64], relative: f64) {
     for (pixel, expected) in radiance.data().chunks(3).zip(expected) {
         let found = f64::from(pixel[0]);
@@ -53,8 +54,8 @@ fn assert_pixels(radiance: &Tensor<3>, expected: &[f64], relative: f64) {
     }
 }
 
-/// Samples in a pixel sample its gradient too; with 64 stratified ones the rest is below this
-/// share.
+/// Relative error of a pixel with 64 stratified samples, since the samples also sample the light's
+/// gradient within the pixel.
 const PIXEL_AREA: f64 = 1e-2;
 
 #[test]
@@ -86,7 +87,7 @@ fn a_spot_light_fades_between_its_cones() {
         f64::from(ALBEDO) / PI * 5.0 * falloff * inverse_square(light, at)
     });
     assert!(expected[0] == 0.0 && radiance.data()[0] == 0.0, "outside the cone");
-    // the cone's edge is steep: compare with the brightest value
+    // the cone's edge is steep, so the tolerance is relative to the brightest value
     let brightest = expected.iter().copied().fold(0.0, f64::max);
     for (pixel, expected) in radiance.data().chunks(3).zip(&expected) {
         assert!((f64::from(pixel[0]) - expected).abs() < PIXEL_AREA * brightest, "{} is not {expected}", pixel[0]);
@@ -100,15 +101,16 @@ fn a_directional_light_gives_its_irradiance_times_the_cosine() {
     scene.parts.lights.push(point_light(Vec3::ZERO, LightKind::Directional, direction));
     let radiance = render(&scene.renderer(), &window(), &one_view(8, [0.0, 0.0]), &long_paths(4));
     assert_pixels(&radiance, &[f64::from(ALBEDO) / PI * 5.0 * 0.8; 64], ROUNDING);
-    // from behind the plane nothing arrives
+    // light from behind the plane does not arrive
     scene.parts.lights[0].direction = Vec3::Z;
     let radiance = render(&scene.renderer(), &window(), &one_view(8, [0.0, 0.0]), &long_paths(4));
     assert!(radiance.data().iter().all(|&v| v == 0.0));
 }
 
-/// A disc of the sky that faces a plane squarely has the irradiance of its definition, at any
-/// width. One that is turned aside and wholly above the horizon has the cosine's share: the
-/// projected solid angle of a cone is π sin²θ times the cosine of its axis.
+/// A disc of the sky around the plane's normal gives the plane the irradiance that the light
+/// states, at any width. A disc that is tilted, but wholly above the horizon, gives that irradiance
+/// times a cosine. The reason: the projected solid angle of a cone is π sin²θ times the cosine
+/// between its axis and the normal.
 #[test]
 fn a_distant_light_gives_its_irradiance_times_the_cosine_of_its_centre() {
     for (half_angle_rad, direction) in
@@ -138,14 +140,15 @@ fn irradiance_below_square(radiance: f64, half_width: f64, height: f64) -> f64 {
 
 #[test]
 fn a_square_light_has_its_form_factor() {
-    // from a small light far above to one so near that the plane sees little else
+    // from a small light far above to a light so near that it fills nearly the whole view of the
+    // plane
     for (half_width, height) in [(0.1, 2.0), (0.5, 1.0), (1.0, 0.1)] {
         let mut scene = plane();
         let light = rectangle(Vec3::new(0.0, 0.0, height), -half_width * Vec3::X, half_width * Vec3::Y);
         scene.add(light, Material { double_sided: false, ..glowing(Vec3::splat(3.0)) });
         let renderer = scene.renderer();
-        // the light's back is invisible, so the view looks through it; the window is a speck below
-        // its centre
+        // the light's back is invisible, so the view sees the plane through it; the window is tiny
+        // and below the light's centre
         let window = window_at(DVec3::ZERO, 1e-3);
         let radiance = render(&renderer, &window, &one_view(32, [0.0, 0.0]), &long_paths(64));
         let irradiance = irradiance_below_square(3.0, f64::from(half_width), f64::from(height));
@@ -157,7 +160,7 @@ fn a_square_light_has_its_form_factor() {
 #[test]
 fn an_emission_texture_shines_where_it_is_bright() {
     use lumistack_scene::{Filter, Image, Pixels, Texture, TextureUse, Wrap};
-    // only the left half of the light shines; the whole window is below it
+    // only the left half of the light shines; the whole window is under the light
     let mut scene = plane();
     let texels = [[255, 255, 255, 255], [0, 0, 0, 255]];
     scene.parts.images.push(Image { name: "half".into(), width: 2, height: 1, pixels: Pixels::Rgba8(texels.to_vec()) });
@@ -192,8 +195,8 @@ fn environment_light_agrees_with_its_integral() {
     mean_of(&radiance, 0).assert_is(expected, 2e-3 * expected, FALSE_ALARM_RATE);
 }
 
-/// The same surroundings once as an environment and once as glowing walls must look the same on a
-/// glossy plane; the two weigh light sampling against scattering quite differently.
+/// The same surroundings, once as an environment and once as glowing walls, look the same on a
+/// glossy plane. The weights of light sampling and of scattering are quite different in the two.
 #[test]
 fn sampling_lights_and_sampling_the_surface_agree() {
     let metal = Material { metallic: 1.0, roughness: 0.4, ..diffuse(0.8) };
@@ -222,7 +225,7 @@ fn the_mean_does_not_depend_on_the_number_of_samples() {
     scene.add(common::sphere(Vec3::new(0.3, 0.0, 0.5), 0.4, 16), Material { ior: 1.5, roughness: 0.3, ..diffuse(0.7) });
     scene.parts.lights.push(point_light(Vec3::new(-0.5, 0.5, 1.0), LightKind::Point, Vec3::NEG_Z));
     let renderer = scene.renderer();
-    // the scene varies between pixels, so each pixel is compared with itself
+    // radiance varies between pixels, so each pixel is compared with the same pixel
     let render_with = |samples: u32, seed: u64| {
         render(&renderer, &window(), &one_view(48, [0.0, 0.0]), &Settings { samples, seed, ..Settings::default() })
     };
@@ -234,8 +237,8 @@ fn the_mean_does_not_depend_on_the_number_of_samples() {
     }
 }
 
-/// Hundreds of points, spots and panels above a plane: every pixel against the sum over all of
-/// them.
+/// Hundreds of points, spots and panels above a plane: every pixel is compared with the sum over
+/// all lights.
 #[test]
 fn hundreds_of_lights_add_up() {
     let mut scene = plane();
@@ -246,7 +249,7 @@ fn hundreds_of_lights_add_up() {
         let position = Vec3::new(3.0 * unit() - 1.5, 3.0 * unit() - 1.5, 0.1 + 0.4 * unit());
         let strength = 0.01 * (0.2 + unit());
         if k % 3 == 0 {
-            // a panel so small that it is a point with a cosine: half of them face away
+            // a panel so small that it acts as a point with a cosine; half of the panels face away
             let half = 0.002;
             let up = if unit() < 0.5 { -half } else { half };
             let radiance = strength / (4.0 * half * half);
@@ -278,7 +281,7 @@ fn hundreds_of_lights_add_up() {
         };
         f64::from(ALBEDO) / PI * places.iter().map(arrives).sum::<f64>()
     });
-    // panels hide a speck of the plane from the view, so pixels with one are left out
+    // a panel hides a tiny area of the plane from the view, so pixels with a panel are left out
     let hidden = |pixel: usize| {
         let (col, row) = (pixel % size, pixel / size);
         panels.iter().any(|place| {
@@ -294,14 +297,15 @@ fn hundreds_of_lights_add_up() {
     let mean = Mean::of(relative.iter().copied());
     println!("{} pixels: {mean:?}", relative.len());
     assert!(relative.len() > 30);
-    // the function varies within a pixel
+    // tolerance, since the function varies within a pixel
     mean.assert_is(0.0, 2e-3, FALSE_ALARM_RATE);
     assert!(relative.iter().all(|error| error.abs() < 0.25), "one light of 300 per path: {relative:?}");
 }
 
-/// On a sphere of few triangles the edge between light and dark is the sphere's, not that of
-/// triangles. A point of a chord has the interpolated normal P/|P|, so L = ρ E max(P·d, 0) / (π
-/// |P|), and |P| lies between the radius and its part at the middle of the largest triangle.
+/// On a sphere of few triangles, the edge between light and dark is the edge of the smooth sphere.
+/// It does not follow the triangles. A point P of a triangle has the interpolated normal P/|P|, so
+/// L = ρ E max(P·d, 0) / (π |P|). The length |P| is between the radius and the distance of the
+/// largest triangle's middle.
 #[test]
 fn hard_light_ends_where_the_smooth_surface_turns_away() {
     let (radius, divisions, irradiance) = (0.9f64, 12usize, 2.0f64);
@@ -334,7 +338,7 @@ fn hard_light_ends_where_the_smooth_surface_turns_away() {
                 continue;
             }
             let on = |radius: f64| DVec3::new(x, y, (radius * radius - x * x - y * y).sqrt()).dot(towards) / radius;
-            // over a pixel the cosine changes by this much
+            // change of the cosine over a pixel
             let pixel_wide = 2.0 / (size as f64 * radius);
             let (low, high) = (on(radius).min(on(radius * flattest)), on(radius).max(on(radius * flattest)));
             let cosine = f64::from(pixel[0]) * PI / (f64::from(ALBEDO) * irradiance);

@@ -1,4 +1,4 @@
-//! The renderer against closed forms and long renders.
+//! Compares the renderer with closed forms and long renders.
 //!
 //! All files are one program, so that they share the processors.
 //! `cargo test -p lumistack-pathtracer --test pathtracer denoise::` runs the tests of one file.

@@ -1,5 +1,5 @@
-//! Companions of a view's radiance: the share of a pixel without a surface, and the variance of its
-//! mean.
+//! Results that come with a view's radiance: the fraction of a pixel without a surface, and the
+//! variance of the pixel's mean.
 
 use crate::common::{Builder, diffuse, one_view, rectangle, sphere, window};
 use glam::Vec3;
@@ -9,7 +9,7 @@ use lumistack_pathtracer::{AngularFilter, Renderer, Settings};
 /// Relative rounding of f32 sums.
 const ROUNDING: f32 = 1e-5;
 
-/// Two balls of which the one behind shows beside the other, under a sky of one radiance.
+/// Two balls under a sky of one radiance; the farther ball is partly visible.
 fn balls(sky: f32) -> Renderer {
     let mut scene = Builder::default();
     scene.add(sphere(Vec3::new(0.2, 0.1, 0.0), 0.6, 12), diffuse(0.7));
@@ -18,8 +18,8 @@ fn balls(sky: f32) -> Renderer {
     scene.renderer()
 }
 
-/// With the environment hidden, each pixel lacks exactly its share of the background:
-/// L = L_hidden + m · L_sky.
+/// If the environment is hidden, each pixel lacks exactly its fraction m of the background: L =
+/// L_hidden + m · L_sky.
 #[test]
 fn hiding_the_environment_takes_its_share_away_and_no_light() {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
@@ -44,14 +44,14 @@ fn hiding_the_environment_takes_its_share_away_and_no_light() {
     }
 }
 
-/// The variance that one render reports against that of many: the samples' own is an upper bound,
-/// since they are stratified, and no loose one where light is random.
+/// Compares the variance that one render reports with the variance over many renders. The reported
+/// one is an upper bound, since the samples are stratified. It is a close bound for random light.
 #[test]
 fn the_reported_variance_is_that_of_the_mean() {
     const RENDERS: usize = 200;
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
-    // a floor under a bright part of the sky: much noise, of which stratification takes a part
+    // a floor under a bright area of the sky: much noise, which stratification reduces
     let mut scene = Builder::default();
     scene.add(rectangle(Vec3::ZERO, 3.0 * Vec3::X, 3.0 * Vec3::Y), diffuse(0.8));
     scene.add(sphere(Vec3::new(0.0, 0.0, 0.6), 0.4, 12), diffuse(0.8));
@@ -80,7 +80,7 @@ fn the_reported_variance_is_that_of_the_mean() {
     let measured: f64 = (0..count).map(|i| (squares[i] - sum[i] * sum[i] / n) / (n - 1.0)).sum();
     let reported: f64 = reported.iter().map(|sum| sum / n).sum();
     let ratio = reported / measured;
-    // some 13000 degrees of freedom in all: the ratio itself is known to a few percent
+    // some 13,000 degrees of freedom in all, so the ratio is known to a few percent
     assert!((0.95..10.0).contains(&ratio), "reported {reported}, measured {measured}");
     let one = Settings { samples: 1, ..Settings::default() };
     let guided = renderer.render_view_and_features(&window(), &geometry, [0, 0], &one, task).unwrap();

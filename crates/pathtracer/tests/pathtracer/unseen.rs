@@ -1,5 +1,5 @@
-//! Scenery that primary rays pass: all before a near plane, lamps that are not seen, and the
-//! environment behind a backdrop. Light is the same with and without.
+//! Things that primary rays pass through: all that is in front of a near plane, lamps that viewers
+//! do not see, and the environment behind a backdrop. The light is the same as without them.
 
 use crate::common::{Builder, WINDOW_MM, diffuse, glowing, long_paths, mean_of, one_view, rectangle, render, window};
 use glam::{Vec3, Vec4};
@@ -10,11 +10,12 @@ use lumistack_scene::{AlphaMode, Lamp, Material, Window};
 use lumistack_testkit::statistics::FALSE_ALARM_RATE;
 
 const SIZE: usize = 40;
-/// Share of a half space that a lamp of this half width, a unit away, does not fill.
+/// Half width of a lamp at a distance of 1, and the fraction of the half space that it does not
+/// fill.
 const HALF_WIDTH: f32 = 300.0;
 const MISSING: f64 = 2e-5;
 
-/// A green card behind the window and a red one before it, larger than every view.
+/// A green card behind the window and a red card in front of it, larger than every view.
 #[test]
 fn nothing_before_the_near_plane_is_seen() {
     let mut scene = Builder::default();
@@ -53,8 +54,8 @@ fn nothing_before_the_near_plane_is_seen() {
     }
 }
 
-/// A wall under a lamp that fills the half space before it, and the viewer too: radiance ρ L, and L
-/// in a mirror.
+/// A lamp fills the half space in front of a wall, and the viewer looks through the lamp. The
+/// wall's radiance is ρ L, and L if it is a mirror.
 #[test]
 fn a_lamp_that_is_not_seen_lights_as_ever() {
     let (albedo, radiance) = (0.8, 2.5);
@@ -86,14 +87,14 @@ fn a_lamp_that_is_not_seen_lights_as_ever() {
         let (collector, cancel) = (Collector::default(), Cancel::default());
         scene.parts.validate(Task::quiet(&collector, &cancel)).unwrap()
     };
-    // framing uses the bounds of seen surfaces
+    // framing uses the bounds of visible surfaces
     assert_eq!(seen(Lamp::Unseen).seen_bounds().max, Vec3::new(1.0, 1.0, 0.0));
     assert_eq!(seen(Lamp::Seen).seen_bounds(), seen(Lamp::Seen).bounds());
     assert_eq!(seen(Lamp::Unseen).bounds().max, Vec3::new(50.0, 50.0, 1.0));
 }
 
-/// A sky of radiance 1 behind a backdrop of 1/4: surfaces, mirrors and refracted rays see the sky.
-/// The viewer sees the backdrop, through panes as well.
+/// A sky of radiance 1 and a backdrop of 1/4: surfaces, mirrors and refracted rays see the sky. The
+/// viewer sees the backdrop, also through panes.
 #[test]
 fn a_backdrop_is_seen_and_lights_nothing() {
     let backdrop = 0.25;
@@ -112,7 +113,7 @@ fn a_backdrop_is_seen_and_lights_nothing() {
     };
     let mirror = Material { base_color: Vec4::ONE, metallic: 1.0, roughness: 0.0, ..diffuse(1.0) };
     let veil = Material { base_color: Vec4::new(0.0, 0.0, 0.0, 0.4), alpha_mode: AlphaMode::Blend, ..diffuse(0.0) };
-    // the share of light that passes a veil of 0.4 is 0.6
+    // a veil of alpha 0.4 passes the fraction 0.6 of light
     let cases = [(diffuse(0.6), 0.6, 0.6), (mirror, 1.0, 1.0), (veil, 0.6, 0.6 * backdrop)];
     for (material, before_sky, before_ground) in cases {
         for (ground, right, left) in [(None, 1.0, before_sky), (Some(backdrop), backdrop, before_ground)] {
@@ -122,10 +123,10 @@ fn a_backdrop_is_seen_and_lights_nothing() {
             assert!((found[1] - f64::from(right)).abs() < 1e-6, "{found:?}, expected {right} on the right");
         }
     }
-    // glass as thin as a pane lets the viewer see through; its reflection is the sky's
+    // glass as thin as a pane shows the backdrop through it, and reflects the sky
     let pane =
         Material { base_color: Vec4::ONE, metallic: 0.0, roughness: 0.0, transmission: 1.0, ior: 1.5, ..diffuse(1.0) };
     let through = mean(&render_of(pane, Some(backdrop)), 0..SIZE / 2);
-    // a pane reflects 2 R / (1 + R) of R = 0.04 at most
+    // for R = 0.04 a pane reflects at most 2 R / (1 + R)
     assert!(through > f64::from(backdrop) && through < 0.35, "{through}");
 }

@@ -1,5 +1,5 @@
-//! Where things appear in the views: parallax, orientation, occlusion, both projections, filters;
-//! and the same bytes on any number of threads.
+//! Tests where things appear in the views: parallax, orientation, occlusion, both projections,
+//! filters. Any number of threads gives the same bytes.
 
 use crate::common::{self, Builder, WINDOW_MM, diffuse, glowing, one_view, rectangle, render, render_view, window};
 use glam::{Affine3A, DVec3, Quat, Vec3, Vec4};
@@ -8,7 +8,7 @@ use lumistack_display::{FieldGeometry, Projection, ViewGrid};
 use lumistack_pathtracer::{AngularFilter, RenderError, Renderer, Settings};
 use lumistack_scene::{AlphaMode, Filter, Image, Material, Pixels, Texture, TextureUse, Window, Wrap};
 
-/// Enough samples that every pixel of a card's interior is hit.
+/// Settings with enough samples that every pixel in a card's interior hits it.
 const SAMPLES: Settings = Settings {
     hide_environment: false,
     samples: 4,
@@ -21,10 +21,10 @@ const SAMPLES: Settings = Settings {
 /// Pixels per edge of the test views: the pitch is 1/50 of the window.
 const SIZE: usize = 50;
 const PITCH: f64 = WINDOW_MM / SIZE as f64;
-/// A centroid of jittered samples at a card's rim, in pixels.
+/// Tolerance for a centroid of jittered samples at a card's edges, in pixels.
 const CENTROID_TOLERANCE: f64 = 0.1;
 
-/// Centre of brightness of a channel as (x, y) on z = 0.
+/// Centre of brightness of a channel, as (x, y) on z = 0.
 fn centroid(image: &Tensor<3>, channel: usize) -> (f64, f64) {
     let [rows, cols, _] = image.shape();
     let (mut sum, mut x, mut y) = (0.0, 0.0, 0.0);
@@ -51,8 +51,8 @@ fn card(centre: Vec3, half: f32, radiance: Vec3) -> Builder {
     scene
 }
 
-/// The ray of slope s through (x, y) of the display reaches the viewer from x + z s. So a card at z
-/// appears at x_card − z s, on either side of the display, and rows count down.
+/// The ray of slope s through (x, y) of the display comes from x + z s at depth z. So a card at z
+/// appears at x_card − z s, on either side of the display. Rows are counted from the top.
 #[test]
 fn a_card_appears_where_its_rays_cross_the_display() {
     for (x, y, z) in [(0.2, 0.3, 0.5), (-0.2, 0.1, -0.6), (0.1, -0.3, 0.0)] {
@@ -65,7 +65,8 @@ fn a_card_appears_where_its_rays_cross_the_display() {
     }
 }
 
-/// Perspective: the card's rays to the eye e = D s cross z = 0 at x_card + (x_card − e) z/(D − z).
+/// In perspective, the card's rays to the eye at e = D s cross z = 0 at x_card + (x_card − e) z/(D
+/// − z).
 #[test]
 fn perspective_views_meet_at_the_eye() {
     let distance = 3.0;
@@ -87,8 +88,8 @@ fn perspective_views_meet_at_the_eye() {
     }
 }
 
-/// Views at scaled slopes: everything moves that much less from view to view, as if it lay at the
-/// scaled depth. The view from straight ahead has the same bytes.
+/// With scaled slopes all parallax is scaled too, as if each object were at the scaled depth. The
+/// view from straight ahead has the same bytes.
 #[test]
 fn scaled_slopes_scale_parallax_and_leave_the_middle_alone() {
     let factor = 0.4;
@@ -111,7 +112,7 @@ fn scaled_slopes_scale_parallax_and_leave_the_middle_alone() {
                     (part - factor * whole).abs() < 2.0 * CENTROID_TOLERANCE * PITCH,
                     "{projection:?} {whole} {part}"
                 );
-                // a card at the shown depth moves as much
+                // a card at the scaled depth moves by the same distance
                 let shown = geometry.disparity_px(projection.scaled_depth(z.into(), factor), grid.slope_x[x]);
                 assert!((part / PITCH + shown).abs() < 2.0 * CENTROID_TOLERANCE, "{projection:?} {part} {shown}");
             }
@@ -131,8 +132,8 @@ fn perspective_views_do_not_see_behind_the_eye() {
 
 #[test]
 fn the_window_maps_display_to_scene() {
-    // the window is turned by a quarter around y, moved far away and scaled; a card 100 units
-    // before it in its own frame
+    // the window is turned by a quarter around y, moved far away and scaled; a card is 100 units in
+    // front of the window
     let centre = DVec3::new(1e4, -2e3, 5e3);
     let scale = 250.0;
     let window = Window::given(centre, DVec3::NEG_X, DVec3::Y, scale * WINDOW_MM, [WINDOW_MM, WINDOW_MM]).unwrap();
@@ -199,12 +200,12 @@ fn masked_and_blended_surfaces_let_light_through() {
     let many = Settings { samples: 256, ..SAMPLES };
     let image = render(&scene.renderer(), &window(), &geometry, &many);
     let alpha = 100.0 / 255.0;
-    // stratified: the share of samples that hit the surface is exact to one of 256
+    // stratified samples: the fraction of samples that hit the surface is exact to one of 256
     assert!((image.get([6, 6, 0]) - (alpha + (1.0 - alpha) * 0.5)).abs() < 1.0 / 256.0, "{}", image.get([6, 6, 0]));
 }
 
-/// Surfaces that cover one another decide independently in every pixel: noise must vanish with more
-/// samples.
+/// Blended surfaces that cover one another decide independently in every pixel, so noise vanishes
+/// with more samples.
 #[test]
 fn layers_of_blended_surfaces_converge() {
     let mut scene = card(Vec3::new(0.0, 0.0, -0.5), 2.0, Vec3::Z);
@@ -223,7 +224,7 @@ fn layers_of_blended_surfaces_converge() {
     }
 }
 
-/// The transmitted share of light reaches the surfaces behind a blended surface.
+/// The light that a blended surface passes reaches the surfaces behind it.
 #[test]
 fn blended_surfaces_cast_partial_shadows() {
     use lumistack_scene::{Light, LightKind};
@@ -231,7 +232,7 @@ fn blended_surfaces_cast_partial_shadows() {
         let mut scene = Builder::default();
         scene.add(rectangle(Vec3::new(0.0, 0.0, -0.5), 2.0 * Vec3::X, 2.0 * Vec3::Y), diffuse(0.5));
         if let Some(alpha) = alpha {
-            // above the plane and beside the view, in the way of the slanted light
+            // above the plane and outside of the view, where it blocks the slanted light
             let mut veil = diffuse(0.0);
             veil.base_color.w = alpha;
             veil.alpha_mode = AlphaMode::Blend;
@@ -250,8 +251,8 @@ fn blended_surfaces_cast_partial_shadows() {
     assert!((lit(Some(0.25)) / open - 0.75).abs() < 1e-5 && lit(Some(1.0)) == 0.0);
 }
 
-/// A normal map whose picture is lit from its upper left must look so on every placement: turned,
-/// mirrored, scaled unevenly.
+/// A normal map whose picture is lit from its upper left shows the same relief on every placement:
+/// turned, mirrored, scaled unevenly.
 #[test]
 fn normal_maps_keep_their_relief() {
     use lumistack_scene::{Light, LightKind};
@@ -261,7 +262,7 @@ fn normal_maps_keep_their_relief() {
         ("stretched", Affine3A::from_scale(Vec3::new(1.0, 3.0, 2.0))),
         ("turned", Affine3A::from_rotation_z(std::f32::consts::PI)),
     ] {
-        // the whole surface leans 45° towards the picture's right (u) and not at all along v
+        // the whole surface leans 45° towards the picture's right (u), and not along v
         let texel = [217, 128, 217, 255];
         let mut scene = Builder::default();
         scene.parts.images.push(Image { name: "n".into(), width: 1, height: 1, pixels: Pixels::Rgba8(vec![texel]) });
@@ -285,16 +286,16 @@ fn normal_maps_keep_their_relief() {
             render(&scene.renderer(), &window(), &one_view(4, [0.0, 0.0]), &SAMPLES).get([1, 1, 0])
         };
         let from_right = lit_from(picture_right + Vec3::Z);
-        // bumps of 45° shadow light at 45°: 2 / (1 + √(9/8))
+        // bumps of 45° shadow light at 45° to 2 / (1 + √(9/8)) of it
         assert!((from_right - 0.971).abs() < 0.01, "{name}: the relief faces this light, {from_right}");
         let from_left = lit_from(-picture_right + Vec3::Z);
         assert!(from_left < 0.01, "{name}: and is edge-on to this one, {from_left}");
     }
 }
 
-/// A diffuse surface is equally bright from all sides, with any normal map: only gloss has its
-/// normals bent towards the viewer. The bumps that light passes weaken it by 2 cos θ / (cos θ +
-/// √(cos² θ + α² sin² θ)) with α² = tan² 45° / 8.
+/// A diffuse surface with a normal map is equally bright from all sides, since only specular
+/// normals are bent towards the viewer. Its bumps reduce the light to 2 cos θ / (cos θ + √(cos² θ +
+/// α² sin² θ)) with α² = tan² 45° / 8.
 #[test]
 fn diffuse_normal_maps_do_not_depend_on_the_viewer() {
     use lumistack_scene::{Light, LightKind};
@@ -339,7 +340,7 @@ fn single_sided_backs_are_invisible_and_mirrored_copies_keep_their_front() {
 
 #[test]
 fn a_fine_texture_is_filtered_to_its_mean() {
-    // a checkerboard of 512 × 512 texels seen by 4 × 4 pixels: each pixel is near the mean even
+    // 4 × 4 pixels show a checkerboard of 512 × 512 texels, so each pixel is near the mean even
     // with one sample
     let mut scene = Builder::default();
     let size = 512;
@@ -355,13 +356,13 @@ fn a_fine_texture_is_filtered_to_its_mean() {
     for slope in [[0.0, 0.0], [0.8, -0.3]] {
         let one = Settings { samples: 1, ..SAMPLES };
         let image = render(&scene.renderer(), &window(), &one_view(4, slope), &one);
-        // 8-bit levels of the pyramid: half of a code in the mid greys is 0.2 %
+        // levels of the pyramid have 8 bits: half of a code in the mid greys is 0.2 %
         assert!(image.data().iter().all(|v| (v - 0.5).abs() < 5e-3), "{:?}", &image.data()[..6]);
     }
 }
 
-/// A card off the display plane is blurred by its parallax over the bin: a box of width z·Δs, while
-/// one on the plane stays sharp.
+/// A card off the display plane is blurred by its parallax over the bin: a box of width z·Δs. A
+/// card on the plane stays sharp.
 #[test]
 fn the_angular_filter_blurs_what_is_off_the_plane() {
     let grid = ViewGrid { projection: Projection::Oblique, slope_x: vec![-0.4, 0.0, 0.4], slope_y: vec![0.0] };
@@ -372,7 +373,7 @@ fn the_angular_filter_blurs_what_is_off_the_plane() {
         let (image, _) = render_view(&renderer, &window(), &geometry, [0, 1], &settings(AngularFilter::Bin));
         let (sharp, _) = render_view(&renderer, &window(), &geometry, [0, 1], &settings(AngularFilter::Point));
         let row: Vec<f32> = (0..SIZE).map(|col| image.get([SIZE / 2, col, 0])).collect();
-        // columns that are neither dark nor full, on both rims of the card
+        // columns on both edges of the card that are neither dark nor full
         let partial = row.iter().filter(|&&v| v > 0.02 && v < 0.98).count() as f64;
         assert!((partial * PITCH - 2.0 * width).abs() < 4.5 * PITCH, "{z}: {partial} columns");
         assert_centroid(&image, 0, (0.0, 0.0));
@@ -381,9 +382,9 @@ fn the_angular_filter_blurs_what_is_off_the_plane() {
     }
 }
 
-/// A lens focused on the display plane blurs the edge of a card at depth z over a disc of diameter
-/// z times the lens. The profile is the share of a disc on one side of a chord: 1/2 + (u√(1 − u²) +
-/// asin u)/π at u radii from the middle.
+/// A lens focused on the display plane blurs the edge of a card at depth z over a disc. Its
+/// diameter is z times the lens's. The profile is the fraction of a disc on one side of a chord:
+/// 1/2 + (u√(1 − u²) + asin u)/π at u radii from the middle.
 #[test]
 fn a_lens_blurs_with_a_disc() {
     let geometry = one_view(SIZE, [0.0, 0.0]);
@@ -394,7 +395,8 @@ fn a_lens_blurs_with_a_disc() {
         let (image, _) = render_view(&renderer, &window(), &geometry, [0, 0], &settings);
         let radius = (0.5 * 0.8 * z.abs()) as f64;
         for col in 0..SIZE {
-            // from the left rim of the card; the mean over a pixel is that of its ends and middle
+            // x is the distance from the card's left edge; the mean over a pixel is estimated from
+            // its ends and its middle
             let profile = |x: f64| {
                 let u = if radius > 0.0 { (x / radius).clamp(-1.0, 1.0) } else { x.signum() };
                 0.5 + (u * (1.0 - u * u).sqrt() + u.asin()) / std::f64::consts::PI
@@ -405,8 +407,8 @@ fn a_lens_blurs_with_a_disc() {
             }
             let expected = (profile(x - 0.5 * PITCH) + 4.0 * profile(x) + profile(x + 0.5 * PITCH)) / 6.0;
             let found = f64::from(image.get([SIZE / 2, col, 0]));
-            // 256 stratified samples of a share: far below one standard deviation of independent
-            // ones, 0.03
+            // the error of 256 stratified samples is far below 0.03, one standard deviation of
+            // independent samples
             assert!((found - expected).abs() < 0.03, "z {z}, {x} from the rim: {found} instead of {expected}");
         }
     }
@@ -439,15 +441,15 @@ fn the_same_bytes_come_out_on_one_and_two_threads() {
     let (one, two) = (on_threads(1), on_threads(2));
     assert!(one.data().iter().zip(two.data()).all(|(a, b)| a.to_bits() == b.to_bits()));
     assert!(one.data().iter().all(|v| v.is_finite()) && one.data().iter().any(|&v| v > 0.0));
-    // another scene object made from the same parts, too; another seed differs
+    // equal also for another scene object from the same parts; different for another seed
     assert_eq!(one, render(&busy_scene(), &window(), &geometry, &settings));
     assert_ne!(one, render(&renderer, &window(), &geometry, &Settings { seed: 1, ..settings }));
 }
 
 #[test]
 fn views_are_decorrelated() {
-    // two views of the same slope: same expectation, different noise; a diffuse scene, whose noise
-    // has no heavy tails
+    // two views of the same slope have the same expectation and different noise; the noise of this
+    // diffuse scene has no heavy tails
     let mut scene = Builder::default();
     scene.add(rectangle(Vec3::new(0.0, 0.0, -0.5), 3.0 * Vec3::X, 3.0 * Vec3::Y), diffuse(0.7)).sky(&[1.0, 0.2]);
     let renderer = scene.renderer();
@@ -515,8 +517,8 @@ fn a_scene_without_light_is_reported() {
 
 #[test]
 fn samples_that_overflow_are_counted_and_left_out() {
-    // so bright that the sum of emitted and reflected light overflows f32; directly seen emission
-    // does not
+    // so bright that the sum of emitted and reflected light overflows f32, but directly seen
+    // emission does not
     let mut scene = card(Vec3::new(0.0, 0.0, -0.5), 1.0, Vec3::splat(3e38));
     scene.parts.materials[0].base_color = Vec4::ONE;
     scene.add(rectangle(Vec3::new(0.0, -0.9, 0.0), Vec3::X, Vec3::NEG_Z), glowing(Vec3::splat(3e38)));
@@ -528,7 +530,7 @@ fn samples_that_overflow_are_counted_and_left_out() {
 
 #[test]
 fn extreme_scenes_stay_finite() {
-    // huge and tiny scales, far from the origin, light on the surface itself, black and white,
+    // huge and tiny scales, far from the origin, lights on the surface itself, black and white,
     // roughness 0
     for (scale, at) in [(1e-6, 0.0), (1e6, 0.0), (1.0, 1e4)] {
         let mut scene = Builder::default();
@@ -555,8 +557,8 @@ fn extreme_scenes_stay_finite() {
     }
 }
 
-/// A limit dims brighter samples and reports the light that it removes; without one nothing is
-/// dimmed.
+/// A limit dims brighter samples, and the light that it removes is reported. Without a limit
+/// nothing is dimmed.
 #[test]
 fn a_clamp_is_reported() {
     let mut scene = Builder::default();

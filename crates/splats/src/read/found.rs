@@ -1,4 +1,4 @@
-//! The result of every reader, and the activation functions that the formats share.
+//! The result of every reader, and functions of stored values that the formats share.
 
 use glam::{Quat, Vec3};
 use lumistack_scene::Cloud;
@@ -15,7 +15,7 @@ pub enum Axes {
 }
 
 impl Axes {
-    /// Rotation from the file's axes to those of a scene.
+    /// Rotation from the file's axes to the scene's.
     pub fn scene_from_file(self) -> Quat {
         match self {
             Self::RightUpBack => Quat::IDENTITY,
@@ -28,11 +28,11 @@ impl Axes {
 /// A cloud as read from a file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Found {
-    /// The splats, not validated.
+    /// The splats, before validation.
     pub cloud: Cloud,
-    /// The axes of its positions and rotations.
+    /// The axes of the cloud's positions and rotations.
     pub axes: Axes,
-    /// Parts of the file that were not read, one message each.
+    /// One message for each kind of data in the file that was not read.
     pub left_out: Vec<String>,
 }
 
@@ -57,24 +57,24 @@ impl ReadError {
 /// Largest size of a decompressed file, in bytes.
 pub const MAX_BYTES: u64 = 8 << 30;
 
-/// Activation of opacity: trainers store logits, 1/(1 + e^−x).
+/// Opacity from the logit that trainers store: 1/(1 + e^−x).
 pub(super) fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())
 }
 
-/// Coefficient of the constant harmonic for a colour of 0..1.
+/// Coefficient of the constant harmonic, for a colour in 0..1.
 pub(super) fn constant(colour: f32) -> f32 {
     (colour - 0.5) / 0.282_094_8
 }
 
-/// Degree of the harmonics that have this many coefficients without the constant one.
+/// Degree of harmonics with this number of coefficients, not counting the constant one.
 pub(super) fn degree_of(coefficients: usize) -> Option<usize> {
     [0, 3, 8, 15].iter().position(|known| *known == coefficients)
 }
 
-/// Restores a quaternion from its three smaller components; the sum of squares is 1.
+/// Restores a unit quaternion from its three smaller components.
 ///
-/// `rest` holds them in the order of the result without entry `largest`.
+/// `rest` is the result without its component `largest`, in the same order.
 pub(super) fn from_smallest_three(rest: [f32; 3], largest: usize) -> [f32; 4] {
     let mut all = [0.0; 4];
     let others = (0..4).filter(|i| *i != largest);
@@ -97,7 +97,7 @@ pub(super) fn cloud(place: &str, count: usize, degree: usize) -> Cloud {
     }
 }
 
-/// Activation of scales: files store logarithms.
+/// Scales from the logarithms that files store.
 pub(super) fn exp(log: Vec3) -> Vec3 {
     Vec3::new(log.x.exp(), log.y.exp(), log.z.exp())
 }

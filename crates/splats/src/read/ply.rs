@@ -1,4 +1,4 @@
-//! `.ply`, as the reference trainers write it, and PlayCanvas' compressed form of it.
+//! `.ply` files, as the reference trainers write them, and PlayCanvas' compressed form of them.
 //!
 //! ```text
 //! trainers' form
@@ -16,7 +16,7 @@ use glam::{Quat, Vec3};
 
 use super::found::{Axes, Found, ReadError, cloud, constant, degree_of, exp, from_smallest_three, sigmoid};
 
-/// Longest header in bytes; a file without an end of its header is not searched further.
+/// Largest size of a header in bytes; the end of the header is searched only so far.
 const MAX_HEADER: usize = 1 << 16;
 /// Splats per chunk of the compressed form.
 const CHUNK: usize = 256;
@@ -73,7 +73,7 @@ struct Element<'a> {
     rows: &'a [u8],
 }
 
-/// One property of all rows.
+/// One property, in all rows.
 #[derive(Clone, Copy)]
 struct Column<'a> {
     rows: &'a [u8],
@@ -130,7 +130,7 @@ impl<'a> Element<'a> {
         Err(ReadError::new(format!("element {}, property {name}", self.name), "uint", format!("{:?}", column.kind)))
     }
 
-    /// The columns `f_rest_0`, `f_rest_1`, ... and the degree of their harmonics.
+    /// The columns `f_rest_0`, `f_rest_1`, …, and the degree of the harmonics that they hold.
     fn rest(&self) -> Result<(Vec<Column<'a>>, usize), ReadError> {
         let rest: Vec<Column<'a>> = (0..).map_while(|i| self.find(&format!("f_rest_{i}"))).take(73).collect();
         let degree = rest.len().is_multiple_of(3).then(|| degree_of(rest.len() / 3)).flatten();
@@ -159,14 +159,14 @@ fn plain(vertices: &Element<'_>) -> Result<lumistack_scene::Cloud, ReadError> {
     let base = vertices.columns(["f_dc_0", "f_dc_1", "f_dc_2"])?;
     let opacity = vertices.column("opacity")?;
     let scale = vertices.columns(["scale_0", "scale_1"])?;
-    // flat splats have two scales
+    // flat splats have only two scales
     let thickness = vertices.find("scale_2");
     let rotation = vertices.columns(["rot_0", "rot_1", "rot_2", "rot_3"])?;
     let (rest, degree) = vertices.rest()?;
     let mut cloud = cloud("element vertex", vertices.count, degree);
     for i in 0..vertices.count {
-        // A splat per row: position and rotation as stored, scales and opacity through their
-        // activations.
+        // Read a row per splat: positions and rotations as stored, scales and opacities from
+        // logarithms and logits.
         cloud.positions.push(Vec3::from(position.map(|column| column.float(i))));
         let [w, x, y, z] = rotation.map(|column| column.float(i));
         cloud.rotations.push(Quat::from_xyzw(x, y, z, w));
@@ -198,12 +198,12 @@ fn packed(
         let expected = format!("{} chunks of {CHUNK} splats", vertices.count.div_ceil(CHUNK));
         return Err(ReadError::new("element chunk", expected, chunks.count));
     }
-    // Each chunk holds the bounds that its splats are quantized between.
+    // Each chunk holds the bounds of its quantized splats.
     let low = chunks.columns(["min_x", "min_y", "min_z"])?;
     let high = chunks.columns(["max_x", "max_y", "max_z"])?;
     let least = chunks.columns(["min_scale_x", "min_scale_y", "min_scale_z"])?;
     let most = chunks.columns(["max_scale_x", "max_scale_y", "max_scale_z"])?;
-    // older files store no bounds of colours: those are 0 and 1
+    // older files store no bounds of colours, which are then 0 and 1
     let dark = ["min_r", "min_g", "min_b"].map(|name| chunks.find(name));
     let bright = ["max_r", "max_g", "max_b"].map(|name| chunks.find(name));
     let [position, rotation] = [vertices.words("packed_position")?, vertices.words("packed_rotation")?];
@@ -213,7 +213,7 @@ fn packed(
         Some(sh) => return Err(ReadError::new("element sh", format!("{} rows", vertices.count), sh.count)),
         None => (Vec::new(), 0),
     };
-    // Expand the words of each splat: 11, 10 and 11 bits of x, y and z between the chunk's bounds.
+    // Expand the words of each splat: 11, 10 and 11 bits are x, y and z between the chunk's bounds.
     let word = |column: &Column<'_>, i: usize| u32::from_le_bytes(column.bytes(i));
     let three = |word: u32| [unit(word, 21, 11), unit(word, 11, 10), unit(word, 0, 11)];
     let lerp = |low: f32, high: f32, t: f32| low + t * (high - low);
@@ -226,12 +226,12 @@ fn packed(
         cloud.positions.push(between(&low, &high, three(word(&position, i))));
         cloud.scales.push(exp(between(&least, &most, three(word(&scale, i)))));
         let bits = word(&rotation, i);
-        // The rotation has the index of its largest component in the upper two bits.
+        // The upper two bits of a rotation are the index of its largest component.
         let rest_of = [20, 10, 0].map(|shift| (unit(bits, shift, 10) - 0.5) * std::f32::consts::SQRT_2);
         let [w, x, y, z] = from_smallest_three(rest_of, (bits >> 30) as usize);
         cloud.rotations.push(Quat::from_xyzw(x, y, z, w));
         let bits = word(&colour, i);
-        // Colours and opacity are stored activated, so the colour becomes a coefficient again.
+        // Colours and opacities are stored as such, so a colour is converted to a coefficient.
         let rgb = [24, 16, 8].map(|shift| unit(bits, shift, 8));
         cloud.harmonics.extend([0, 1, 2].map(|c| {
             let [low, high] =
@@ -243,7 +243,8 @@ fn packed(
         for coefficient in 0..count {
             cloud.harmonics.extend([0, 1, 2].map(|channel| {
                 let value = rest[channel * count + coefficient].float(i);
-                // A byte is the middle of its step; the lowest and the highest are exact.
+                // A byte represents the middle of its step, except the lowest and the highest byte,
+                // which are exact.
                 let share = if value <= 0.0 || value >= 255.0 { value / 255.0 } else { (value + 0.5) / 256.0 };
                 8.0 * (share - 0.5)
             }));
@@ -252,7 +253,8 @@ fn packed(
     Ok(cloud)
 }
 
-/// Reads the header and splits the data into the rows of its elements, each checked for its size.
+/// Reads the header, and splits the data into the rows of its elements. The size of each element is
+/// checked.
 fn elements(bytes: &[u8]) -> Result<Vec<Element<'_>>, ReadError> {
     // The header is text up to the line `end_header`; the rows follow it.
     let header = &bytes[..bytes.len().min(MAX_HEADER)];
@@ -262,7 +264,7 @@ fn elements(bytes: &[u8]) -> Result<Vec<Element<'_>>, ReadError> {
     let line_end = header[at..].iter().position(|byte| *byte == b'\n');
     let mut rest = &bytes[at + line_end.ok_or_else(|| ReadError::new("header", "a line end", "none"))? + 1..];
     let text = std::str::from_utf8(&header[..at]).map_err(|error| ReadError::new("header", "text", error))?;
-    // Sum the sizes of properties to their offsets in a row.
+    // The offset of a property in a row is the sum of the sizes of the properties in front of it.
     let mut elements: Vec<Element<'_>> = Vec::new();
     for line in text.lines() {
         let words: Vec<&str> = line.split_whitespace().collect();

@@ -17,7 +17,7 @@ use super::found::{Axes, Found, MAX_BYTES, ReadError, cloud, degree_of, exp, fro
 
 /// Largest file in a bundle, in bytes.
 const MAX_PICTURE: u64 = 1 << 30;
-/// Palette entries per row of the picture of harmonics.
+/// Entries of the palette per row of the picture of harmonics.
 const PER_ROW: usize = 64;
 
 #[derive(Deserialize)]
@@ -47,7 +47,7 @@ struct Part {
     files: Vec<String>,
 }
 
-/// Bounds: one number for all channels, or one per channel.
+/// Bounds: one number for all channels, or one number per channel.
 #[derive(Default, Deserialize)]
 #[serde(untagged)]
 enum Numbers {
@@ -80,7 +80,7 @@ impl Texels {
     }
 }
 
-/// Maps a channel's bytes to values: linear between two bounds, or by a codebook.
+/// Maps a channel's bytes to values, linearly between two bounds or by a codebook.
 enum Values<'a> {
     Range(f32, f32),
     Book(&'a [f32]),
@@ -128,7 +128,7 @@ impl Part {
     }
 }
 
-/// Reads a `.sog` file: a zip archive of `meta.json` and its pictures.
+/// Reads a `.sog` file, which is a zip archive of `meta.json` and its pictures.
 pub(super) fn read_bundle(bytes: &[u8]) -> Result<Found, ReadError> {
     let open = || zip::ZipArchive::new(Cursor::new(bytes));
     open().map_err(|error| ReadError::new("zip", "an archive", error))?;
@@ -145,14 +145,14 @@ pub(super) fn read_bundle(bytes: &[u8]) -> Result<Found, ReadError> {
 
 /// Reads `meta.json` and the pictures that it names.
 pub(super) fn read(meta: &[u8], beside: &dyn Fn(&str) -> Result<Vec<u8>, String>) -> Result<Found, ReadError> {
-    // The number of splats bounds every allocation below, so it is checked first.
+    // The number of splats bounds every allocation that follows, so it is checked first.
     let meta: Meta = serde_json::from_slice(meta).map_err(|error| ReadError::new("meta.json", "a SOG", error))?;
     let count = meta.count.or(meta.means.shape.first().copied());
     let count = count.ok_or_else(|| ReadError::new("/count", "the number of splats", "none"))?;
     if count as u64 * 64 > MAX_BYTES {
         return Err(ReadError::new("/count", format!("at most {} splats", MAX_BYTES / 64), count));
     }
-    // Decode the pictures; each needs a pixel per splat.
+    // Decode the pictures; each must have a pixel per splat.
     let enough = |texels: Texels, name: &str| {
         if texels.rgba.len() / 4 < count {
             return Err(ReadError::new(format!("/{name}"), format!("{count} pixels"), texels.rgba.len() / 4));
@@ -164,7 +164,7 @@ pub(super) fn read(meta: &[u8], beside: &dyn Fn(&str) -> Result<Vec<u8>, String>
     let scales = enough(meta.scales.picture("scales", 0, beside)?, "scales")?;
     let quats = enough(meta.quats.picture("quats", 0, beside)?, "quats")?;
     let sh0 = enough(meta.sh0.picture("sh0", 0, beside)?, "sh0")?;
-    // Bounds and codebooks map bytes to values.
+    // Bounds and codebooks convert bytes to values.
     let three = |part: &'_ Part, name: &str| -> Result<Vec<(f32, f32)>, ReadError> {
         let missing = || ReadError::new(format!("/{name}"), "mins and maxs of three axes", "fewer");
         (0..3).map(|axis| Some((part.mins.get(axis)?, part.maxs.get(axis)?))).collect::<Option<_>>().ok_or_else(missing)
@@ -178,7 +178,7 @@ pub(super) fn read(meta: &[u8], beside: &dyn Fn(&str) -> Result<Vec<u8>, String>
     let degree = palette.as_ref().map_or(0, |palette| palette.degree);
     let mut cloud = cloud("splats", count, degree);
     for i in 0..count {
-        // positions are finer near the origin
+        // positions are logarithmic, so they are finer near the origin
         let (l, h) = (low.at(i), high.at(i));
         cloud.positions.push(Vec3::from([0, 1, 2].map(|axis: usize| {
             let n = f32::from(u16::from_le_bytes([l[axis], h[axis]])) / 65535.0;
@@ -188,7 +188,7 @@ pub(super) fn read(meta: &[u8], beside: &dyn Fn(&str) -> Result<Vec<u8>, String>
         let bytes = scales.at(i);
         cloud.scales.push(exp(Vec3::from([0, 1, 2].map(|axis: usize| of_scales[axis].of(bytes[axis])))));
         let [a, b, c, largest] = quats.at(i);
-        // Alpha stores the index of the largest component, which the sum of squares restores.
+        // Alpha is the index of the largest component, which follows from the other three.
         let Some(largest) = largest.checked_sub(252) else {
             return Err(ReadError::new(format!("/quats, splat {i}"), "alpha from 252 to 255", largest));
         };
@@ -208,7 +208,7 @@ pub(super) fn read(meta: &[u8], beside: &dyn Fn(&str) -> Result<Vec<u8>, String>
     Ok(Found { cloud, axes: Axes::RightDownFront, left_out: Vec::new() })
 }
 
-/// Harmonics above degree 0, which splats share by a label each.
+/// Harmonics above degree 0. Splats share them: each has a label, which is the index of an entry.
 struct Palette<'a> {
     degree: usize,
     coefficients: usize,
@@ -229,7 +229,7 @@ impl<'a> Palette<'a> {
             return Err(ReadError::new("/shN/files/1", format!("{count} pixels"), labels.rgba.len() / 4));
         }
         let palette = Self { degree, coefficients, centroids, labels, values };
-        // checked here, so that `extend` can index without an error
+        // labels are checked here, so that `extend` can use them as indices
         let entries = palette.centroids.rgba.len() / 4 / coefficients.max(1);
         match (0..count).map(|i| palette.label(i)).find(|label| *label >= entries) {
             Some(label) => Err(ReadError::new("/shN/files/1", format!("labels below {entries}"), label)),

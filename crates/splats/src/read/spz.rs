@@ -1,4 +1,5 @@
-//! `.spz`, versions 1 to 4: quantized attributes, each in a stream of its own.
+//! `.spz`, versions 1 to 4: quantized attributes, each stored for all splats in turn (in version 4
+//! as separate streams).
 //!
 //! ```text
 //! position   24-bit fixed point (version 1: half floats)
@@ -22,12 +23,12 @@ use ruzstd::StreamingDecoder;
 use super::found::{Axes, Found, ReadError, cloud, exp, from_smallest_three};
 
 const MAGIC: u32 = 0x5053_474e;
-/// Bytes of the headers of versions 1 to 3, and of version 4.
+/// Sizes of the headers in bytes: of versions 1 to 3, and of version 4.
 const HEADER: usize = 16;
 const HEADER_4: usize = 32;
-/// Bit of the flags for vendors' records in the header.
+/// Bit of the header's flags that marks records of vendors.
 const EXTENSIONS: u8 = 2;
-/// Most fractional bits of a 24-bit position.
+/// Largest number of fractional bits of a 24-bit position.
 const MAX_FRACTION: u8 = 23;
 
 struct Header {
@@ -71,7 +72,8 @@ impl Header {
 
 /// Reads an `.spz` file whose decompressed size is at most `max_bytes`.
 ///
-/// If the header is not that of an `.spz` file, or its data are short or not valid.
+/// # Errors
+/// If the header is not valid, or if the data are too short or not valid.
 pub fn read_spz(bytes: &[u8], max_bytes: u64) -> Result<Found, ReadError> {
     // Versions 1 to 3 are one gzip stream: the header, then the attributes one after another.
     if bytes.starts_with(&[0x1f, 0x8b]) {
@@ -99,7 +101,7 @@ pub fn read_spz(bytes: &[u8], max_bytes: u64) -> Result<Found, ReadError> {
         });
         return splats(&header, parts);
     }
-    // Version 4 has an open header, a table of sizes, and a Zstandard stream per attribute.
+    // Version 4 has an uncompressed header, a table of sizes, and a Zstandard stream per attribute.
     let header = Header::parse(bytes)?;
     if header.version < 4 || bytes.len() < HEADER_4 {
         return Err(ReadError::new("header", "version 4 with 32 bytes, or a gzip stream", header.version));
@@ -115,7 +117,7 @@ pub fn read_spz(bytes: &[u8], max_bytes: u64) -> Result<Found, ReadError> {
     let entries = bytes.get(table..).and_then(|rest| rest.get(..16 * streams)).ok_or_else(room)?;
     let mut rest = &bytes[table + 16 * streams..];
     size(strides.iter().sum(), &header, max_bytes)?;
-    // Decompress each stream to the size that the count of splats demands.
+    // Decompress each stream to the size that the number of splats requires.
     let mut parts: Vec<Vec<u8>> = Vec::new();
     for (number, entry) in entries.chunks_exact(16).take(6).enumerate() {
         let (packed, unpacked) = entry.split_at(8);
@@ -150,7 +152,7 @@ pub fn read_spz(bytes: &[u8], max_bytes: u64) -> Result<Found, ReadError> {
     Ok(found)
 }
 
-/// Decompressed bytes of all splats; an error if they exceed `max_bytes`.
+/// Size of all splats after decompression, in bytes; an error if it exceeds `max_bytes`.
 fn size(stride: usize, header: &Header, max_bytes: u64) -> Result<u64, ReadError> {
     let bytes = stride as u64 * header.count as u64;
     if bytes > max_bytes {
@@ -160,7 +162,8 @@ fn size(stride: usize, header: &Header, max_bytes: u64) -> Result<u64, ReadError
     Ok(bytes)
 }
 
-/// Reads at most `most` bytes. Memory grows with the data, not with a header's claim.
+/// Reads at most `most` bytes. Memory grows with the data that exists, not with the size that a
+/// header states.
 fn read_up_to(from: &mut impl Read, most: u64, place: &str) -> Result<Vec<u8>, ReadError> {
     let mut bytes = Vec::new();
     from.take(most).read_to_end(&mut bytes).map_err(|error| ReadError::new(place, "packed data", error))?;
@@ -172,7 +175,7 @@ fn splats(header: &Header, parts: [&[u8]; 6]) -> Result<Found, ReadError> {
     let [position, _, _, _, rotation, harmonic] = header.strides();
     let degree = header.degree.min(MAX_DEGREE);
     let mut cloud = cloud("splats", header.count, degree);
-    // Positions of version 1 are half floats; later versions have fixed-point numbers.
+    // Positions are half floats in version 1, and fixed-point numbers in later versions.
     let unit =
         1.0 / f32::from(1u8 << (header.fractional_bits % 8)) / 256f32.powi(i32::from(header.fractional_bits / 8));
     let fixed = |bytes: &[u8]| (i32::from_le_bytes([0, bytes[0], bytes[1], bytes[2]]) >> 8) as f32 * unit;
@@ -197,7 +200,8 @@ fn splats(header: &Header, parts: [&[u8]; 6]) -> Result<Found, ReadError> {
     Ok(Found { cloud, axes: Axes::RightUpBack, left_out })
 }
 
-/// Rotation of 32 bits: three components of ten bits, sign first, below the index of the largest.
+/// A rotation in 32 bits: the upper two are the index of the largest component; then ten bits for
+/// each other component, with the sign first.
 fn smallest_three(bytes: &[u8]) -> Quat {
     let word = u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
     let part = |shift: u32| {
@@ -208,7 +212,7 @@ fn smallest_three(bytes: &[u8]) -> Quat {
     Quat::from_array(from_smallest_three([part(20), part(10), part(0)], (word >> 30) as usize))
 }
 
-/// Rotation of three bytes: x, y and z; w is positive.
+/// A rotation in three bytes: x, y and z; w is positive.
 fn first_three(bytes: &[u8]) -> Quat {
     let rest = [0, 1, 2].map(|axis: usize| f32::from(bytes[axis]) / 127.5 - 1.0);
     Quat::from_array(from_smallest_three(rest, 3))

@@ -1,11 +1,11 @@
-//! The kernel that blends splats front to back over a block of 4 × 4 pixels.
+//! The kernel that blends splats from front to back into a block of 4 × 4 pixels.
 //!
 //! ```text
 //! α_i = o_i exp(−u_i),   C += T α_i c_i,   T ← T (1 − α_i),   z = z_i where T falls below ½
 //! ```
 //!
-//! A block's sums stay in registers for all splats. e^(−u) = (e^(−u/16))^16. For v ≤ u_max/16,
-//! e^(−v) is a polynomial of degree 4 with an error below 2·10⁻⁷.
+//! A block's sums stay in registers for all splats. e^(−u) is (e^(−u/16))^16. For v = u/16 within a
+//! splat's extent, e^(−v) is a polynomial of degree 4 with an error below 2·10⁻⁷.
 
 use lumistack_simd::{Kernel, Lanes};
 
@@ -13,14 +13,14 @@ use super::prepare::CUTOFF;
 
 /// Edge of a block in pixels.
 pub(crate) const EDGE: usize = 4;
-/// Pixels of a block: a multiple of the lanes of every vector.
+/// Number of pixels of a block: a multiple of the lanes of every vector type.
 pub(crate) const PIXELS: usize = EDGE * EDGE;
 /// A pixel with less transmittance than this is finished.
 pub(crate) const DARK: f32 = 1e-4;
-/// Largest u/16 of a splat's extent.
+/// Largest value of u/16 within a splat's extent.
 const LIMIT: f32 = 0.5 * CUTOFF * CUTOFF / 16.0;
 
-/// A splat as projected into one view.
+/// The projection of a splat into one view.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Flat {
     pub(crate) at: [f32; 2],
@@ -48,16 +48,16 @@ impl Sums {
 /// A block of pixels and the splats that cover it.
 pub(crate) struct Args<'a> {
     pub(crate) splats: &'a [Flat],
-    /// Indices of the splats to blend, nearest first.
+    /// Indices of the splats that are blended, nearest first.
     pub(crate) chosen: &'a [u16],
     /// Column and row of the first pixel.
     pub(crate) first: [f32; 2],
-    /// Depth of a surface, which hides splats behind it; −∞ without one.
+    /// Depth of a surface per pixel, which hides splats behind it; −∞ without a surface.
     pub(crate) cuts: &'a [f32; PIXELS],
     pub(crate) sums: &'a mut Sums,
 }
 
-/// Column and row of the pixels of a block.
+/// Columns and rows of the pixels of a block, relative to its first pixel.
 const OFFSETS: [[f32; PIXELS]; 2] = {
     let mut offsets = [[0.0; PIXELS]; 2];
     let mut i = 0;
@@ -100,8 +100,8 @@ impl Kernel for Blend {
                     let [a, b, c] = splat.conic.map(|value| V::splat(value));
                     let v = dx.mul(a).mul_add(dx, b.mul(dx).mul_add(dy, c.mul(dy).mul(dy)));
                     let z = V::splat(splat.z);
-                    // A splat counts within its extent, before the pixel's surface, while the pixel
-                    // is open.
+                    // A splat contributes to pixels within its extent that are unfinished, if it is
+                    // in front of the pixel's surface.
                     let lit = V::both(V::both(v.at_most(limit), dark.at_most(through)), cut.at_most(z));
                     if V::bits(lit) == 0 {
                         continue;
@@ -119,7 +119,8 @@ impl Kernel for Blend {
                     red = weight.mul_add(V::splat(splat.colour[0]), red);
                     green = weight.mul_add(V::splat(splat.colour[1]), green);
                     blue = weight.mul_add(V::splat(splat.colour[2]), blue);
-                    // Depth is that of the splat at which the transmittance crosses one half.
+                    // The depth is that of the splat at which the transmittance falls below one
+                    // half.
                     let left = through.sub(weight);
                     depth = z.where_else(V::both(half.at_most(through), left.below(half)), depth);
                     through = left;

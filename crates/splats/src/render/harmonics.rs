@@ -1,11 +1,11 @@
-//! Real spherical harmonics to degree 3, with the Condon-Shortley phase.
+//! Real spherical harmonics up to degree 3, with the Condon-Shortley phase.
 //!
 //! Source: KHR_gaussian_splatting, appendix A.
 
-/// Functions of the basis to degree 3.
+/// Number of basis functions up to degree 3.
 pub(crate) const MOST: usize = 16;
 
-/// Y_lm of a unit direction, by degree l, then order m.
+/// Y_lm of a unit direction, in the order of degree l, then of order m.
 #[inline]
 pub(crate) fn basis([x, y, z]: [f32; 3]) -> [f32; MOST] {
     let (xx, yy, zz) = (x * x, y * y, z * z);

@@ -1,23 +1,23 @@
 //! The kernel that projects and shades one splat for all views of a block, a view per lane.
 //!
-//! Views differ only in slope or eye position, so a splat and its harmonics are read once for all.
-//! The loops over [`VIEWS`] values become vector instructions.
+//! Views differ only in slope or eye position, so a splat and its harmonics are read once for all
+//! views. The loops over [`VIEWS`] values compile to vector instructions.
 
 use lumistack_simd::{Kernel, Lanes};
 
 use super::harmonics::{MOST, basis};
 use super::prepare::{CUTOFF, Eye, NEAREST, PIXEL_VARIANCE, Splat, TILE};
 
-/// Views of a block. More views save sorting; fewer save memory and splats that only some views
-/// show.
+/// Number of views of a block. More views save sorting; fewer views save memory, and the projection
+/// of splats that only some views show.
 pub(crate) const VIEWS: usize = 16;
 /// One value per view.
 pub(crate) type Lane = [f32; VIEWS];
 
-/// The eyes of a block. The last is repeated if there are fewer than [`VIEWS`].
+/// The eyes of the views of a block. The last one is repeated if there are fewer than [`VIEWS`].
 #[derive(Clone, Debug)]
 pub(crate) struct Eyes {
-    /// Slopes of parallel rays, or columns (x) and rows (y) of eyes.
+    /// Slopes of parallel rays, or the eyes' columns (x) and rows (y).
     pub(crate) x: Lane,
     pub(crate) y: Lane,
     /// Distance of the eyes from the window, in pixels; `None` for parallel rays.
@@ -25,7 +25,7 @@ pub(crate) struct Eyes {
 }
 
 impl Eyes {
-    /// From 1 to [`VIEWS`] eyes of one kind.
+    /// Eyes of one kind, 1 to [`VIEWS`] of them.
     pub(crate) fn new(eyes: &[Eye]) -> Self {
         let of = |i: usize| match eyes[i.min(eyes.len() - 1)] {
             Eye::Slope(slope) => (slope, None),
@@ -35,20 +35,20 @@ impl Eyes {
     }
 }
 
-/// A splat as projected into all views.
+/// The projections of a splat into all views of a block.
 #[derive(Clone, Debug)]
 pub(crate) struct Projected {
     /// Column and row of the projected centre.
     pub(crate) at: [Lane; 2],
     /// a, b, c of u/16 = a dx² + b dx dy + c dy².
     pub(crate) conic: [Lane; 3],
-    /// Half extent along each axis, in pixels.
+    /// Half the extent along each axis, in pixels.
     pub(crate) reach: [Lane; 2],
     pub(crate) opacity: Lane,
     pub(crate) colour: [Lane; 3],
-    /// Key of the order in which the view blends, rising with the distance from the viewer.
+    /// Key of the view's blending order; it increases with the distance from the viewer.
     pub(crate) distance: Lane,
-    /// One bit per view in which it is visible in the tile.
+    /// One bit per view in which the splat is visible in the tile.
     pub(crate) seen: u32,
 }
 
@@ -64,17 +64,17 @@ impl Projected {
     };
 }
 
-/// A splat, the views, and the place of the result.
+/// A splat, the views, and the destination of the result.
 pub(crate) struct Args<'a> {
     pub(crate) splat: &'a Splat,
     pub(crate) eyes: &'a Eyes,
     /// Column and row of the first pixel of the tile.
     pub(crate) origin: [f32; 2],
-    /// `[coefficient][rgb]`; empty if no colours are computed.
+    /// Coefficients of the splat, `[coefficient][rgb]`; empty if no colours are computed.
     pub(crate) harmonics: &'a [f32],
-    /// For parallel rays, the harmonics of each view's direction.
+    /// The harmonics of each view's direction, for parallel rays.
     pub(crate) bases: &'a [Lane; MOST],
-    /// Map of directions in pixels to directions of the cloud, by columns.
+    /// Columns of the map from directions in pixels to directions of the cloud.
     pub(crate) cloud_from_pixels: &'a [[f32; 3]; 3],
     pub(crate) to: &'a mut Projected,
 }
@@ -91,8 +91,8 @@ impl Kernel for Project {
         let Args { splat, eyes, origin, harmonics, bases, cloud_from_pixels, to } = args;
         let [x, y, z] = splat.centre;
         let [xx, xy, xz, yy, yz, zz] = splat.covariance;
-        // Per view, the slope of the ray through the centre, and the magnification m of the
-        // splat's depth; both are those of `prepare.rs`.
+        // Compute per view the slope of the ray through the centre, and the magnification m at the
+        // splat's depth; `prepare.rs` defines both.
         let (mut slope_x, mut slope_y, mut m) = (eyes.x, eyes.y, 1.0);
         match eyes.distance {
             None => {
@@ -115,7 +115,8 @@ impl Kernel for Project {
                 }
             }
         }
-        // Per view, the projected covariance with the pixel's variance, its inverse and its extent.
+        // Compute per view the projected covariance with the pixel's variance, its inverse, and the
+        // splat's extent.
         let square = m * m;
         let last = TILE as f32 - 1.0;
         let mut seen = [0.0f32; VIEWS];
@@ -152,7 +153,7 @@ impl Kernel for Project {
         if to.seen == 0 || harmonics.is_empty() {
             return;
         }
-        // Directions from an eye depend on the splat; parallel rays share one direction per view.
+        // Directions from an eye differ between splats; parallel rays have one direction per view.
         let mut own = [[0.0; VIEWS]; MOST];
         let bases = match eyes.distance {
             None => bases,
@@ -161,7 +162,7 @@ impl Kernel for Project {
                 &own
             }
         };
-        // Colour is the sum of harmonics plus one half, not negative.
+        // The colour is the sum of harmonics plus one half, but not negative.
         let coefficients = harmonics.as_chunks::<3>().0;
         let mut v = 0;
         while v < VIEWS {
@@ -185,7 +186,8 @@ impl Kernel for Project {
     }
 }
 
-/// Harmonics of the directions from the eyes to a point; z is its depth relative to the eyes.
+/// Harmonics of the directions from the eyes to a point; z is the point's depth relative to the
+/// eyes.
 #[inline(always)]
 fn directions(eyes: &Eyes, [x, y, z]: [f32; 3], map: &[[f32; 3]; 3], values: usize, to: &mut [Lane; MOST]) {
     let mut of_axis = [[0.0; VIEWS]; 3];

@@ -1,15 +1,16 @@
-//! Splats in the coordinates of a window: the part of the work that all views share.
+//! Splats in the coordinates of a window: the work that all views share.
 //!
-//! Coordinates are pixels of the light field. x is the column and y the row, both of pixel centres;
-//! z points from the window to the viewer. A ray of slope s = (s_x, s_y), with y downwards, is p +
-//! z s. The projection of a splat onto z = 0 along it is linear, so it is exact:
+//! Coordinates are pixels of the light field. The column is x and the row is y; both are whole
+//! numbers at the centres of pixels. The axis z points from the window to the viewer. A ray of
+//! slope s = (s_x, s_y), with y downwards, is p + z s. The projection of a splat onto z = 0 along
+//! such rays is linear, so it is exact:
 //!
 //! ```text
 //! p = (x − z s_x, y − z s_y),   Σ' = J Σ Jᵀ,   J = m (1 0 −s_x; 0 1 −s_y),   m = 1
 //! ```
 //!
-//! The ray from an eye at e through the centre μ has s = (e − μ)/(D − z) and m = D/(D − z), with D
-//! the distance of the eye. Rays count as parallel across one splat. This is the affine
+//! The ray from an eye at e through the centre μ has s = (e − μ)/(D − z) and m = D/(D − z). Here D
+//! is the distance of the eye. Within one splat rays are treated as parallel. This is the affine
 //! approximation that KHR_gaussian_splatting prescribes, for the sheared frustum of the window.
 
 use glam::{DMat3, DVec3, Mat3, Vec3};
@@ -22,9 +23,9 @@ use rayon::prelude::*;
 pub(crate) const TILE: usize = 16;
 /// Variance of a box as wide as a pixel, pixels².
 pub(crate) const PIXEL_VARIANCE: f32 = 1.0 / 12.0;
-/// Mahalanobis distance at which splats end.
+/// Mahalanobis distance from the centre at which a splat ends.
 pub(crate) const CUTOFF: f32 = 3.0;
-/// Splats closer to the eye than this share of its distance are not shown.
+/// Splats closer to the eye than this fraction of the eye's distance from the window are not shown.
 pub(crate) const NEAREST: f32 = 0.05;
 
 /// A splat in the window's coordinates, in pixels.
@@ -35,7 +36,7 @@ pub(crate) struct Splat {
     /// Covariance: xx, xy, xz, yy, yz, zz.
     pub(crate) covariance: [f32; 6],
     pub(crate) opacity: f32,
-    /// Index into the placed clouds, and the splat in its cloud.
+    /// Index of the placed cloud (`placed`), and of the splat in the cloud (`index`).
     pub(crate) placed: u32,
     pub(crate) index: u32,
 }
@@ -48,7 +49,7 @@ pub(crate) enum Eye {
     At([f32; 2], f32),
 }
 
-/// A splat's projection onto the window.
+/// The projection of a splat onto the window.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Seen {
     pub(crate) at: [f32; 2],
@@ -69,7 +70,8 @@ impl Eye {
         }
     }
 
-    /// Slopes of the ray through a splat's centre, and the magnification m; `None` behind the eye.
+    /// Slopes of the ray through a splat's centre, and the magnification m; `None` for a splat
+    /// behind the eye.
     #[inline]
     fn ray(&self, [x, y, z]: [f32; 3]) -> Option<([f32; 2], f32)> {
         match *self {
@@ -82,7 +84,7 @@ impl Eye {
         }
     }
 
-    /// Projects a splat onto the window; `None` behind the eye.
+    /// Projects a splat onto the window; `None` for a splat behind the eye.
     #[inline]
     pub(crate) fn project(&self, splat: &Splat) -> Option<Seen> {
         let ([sx, sy], m) = self.ray(splat.centre)?;
@@ -99,7 +101,7 @@ impl Eye {
         })
     }
 
-    /// Direction from the viewer to a point, y downwards, not of unit length.
+    /// Direction from the viewer to a point, with y downwards and of any length.
     #[inline]
     pub(crate) fn direction(&self, [x, y, z]: [f32; 3]) -> [f32; 3] {
         match *self {
@@ -109,15 +111,15 @@ impl Eye {
     }
 }
 
-/// Column and row of the middle of the field.
+/// Column and row of the light field's centre.
 fn middle(geometry: &FieldGeometry) -> [f64; 2] {
     [geometry.cols, geometry.rows].map(|count| 0.5 * (count as f64 - 1.0))
 }
 
-/// The eyes with the least and the largest coordinates of all views.
+/// Two eyes, with the smallest and with the largest coordinates of all eyes.
 ///
-/// The bounds of a projected splat are a linear and a convex function of each coordinate. Thus the
-/// union of both projections contains those of all views.
+/// The bounds of a projected splat are the sum of a linear and a convex function of each coordinate
+/// of the eye. So the bounds of these two projections contain the projections into all views.
 pub(crate) fn ends(eyes: &[Eye]) -> Vec<Eye> {
     let both = |of: fn(f32, f32) -> f32| {
         eyes.iter().copied().reduce(|a, b| match (a, b) {
@@ -131,7 +133,8 @@ pub(crate) fn ends(eyes: &[Eye]) -> Vec<Eye> {
 
 /// All splats that a window can show, with their order.
 pub(crate) struct Prepared {
-    /// In the order of their clouds, in which neighbours in space are neighbours in memory.
+    /// The splats in the order of their clouds, in which neighbours in space are neighbours in
+    /// memory.
     pub(crate) splats: Vec<Splat>,
     /// Indices of the splats, nearest to the viewer first.
     pub(crate) by_depth: Vec<u32>,
@@ -146,7 +149,7 @@ impl Prepared {
         let display_from_scene = DMat3::from_quat(map.rotation.inverse());
         let flip = DMat3::from_diagonal(DVec3::new(1.0, -1.0, 1.0));
         let middle = middle(geometry);
-        // Splats before the near plane are left out.
+        // Splats in front of the near plane are left out.
         let near = window.near_mm.map_or(f32::INFINITY, |near| (near / geometry.pitch_mm) as f32);
         let mut splats = Vec::new();
         let mut cloud_from_pixels = Vec::new();
@@ -156,7 +159,7 @@ impl Prepared {
             let linear = flip * display_from_scene * axes * (1.0 / per_pixel);
             let moved = placed.scene_from_cloud.translation.as_dvec3() - map.translation;
             let moved = flip * display_from_scene * moved / per_pixel + DVec3::new(middle[0], middle[1], 0.0);
-            // Harmonics depend on direction alone, so their map has no scale.
+            // Harmonics depend only on the direction, so the map of directions has no scale.
             let unit = DMat3::from_cols(
                 axes.x_axis.normalize_or_zero(),
                 axes.y_axis.normalize_or_zero(),
@@ -185,7 +188,7 @@ impl Prepared {
             #[cfg(not(feature = "parallel"))]
             splats.extend((0..cloud.len()).filter_map(one));
         }
-        // Equal depths keep the order of the cloud, so that the order is the same in every run.
+        // Splats of equal depth keep the order of the cloud, so that every run has the same order.
         let mut order: Vec<u64> =
             splats.iter().zip(0u64..).map(|(splat, i)| u64::from(!sortable(splat.centre[2])) << 32 | i).collect();
         #[cfg(feature = "parallel")]

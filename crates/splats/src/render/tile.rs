@@ -1,8 +1,8 @@
-//! A tile of all views of a block.
+//! Renders a tile of all views of a block.
 //!
-//! The splats that any view shows in the tile arrive in order of depth, a chunk at a time. A chunk
-//! is projected for all views at once. Each view blends in its own order: a splat is blended as
-//! soon as no later splat can be nearer,
+//! The splats that any view shows in the tile come in order of depth, a chunk at a time. A chunk is
+//! projected for all views together. Each view blends in its own order. A splat is blended as soon
+//! as no later splat can be nearer. That follows from these bounds of distances:
 //!
 //! ```text
 //! parallel rays:   distance = −(s·p + z (1 + s²)) ≥ −s·c − |s|₁ r − z₁ (1 + s²)
@@ -13,7 +13,8 @@
 //! z₁   depth of the chunk's first splat
 //! ```
 //!
-//! The tile is finished when all of its pixels are, so hidden splats are never projected.
+//! A tile is finished when all of its pixels are, so splats that are hidden behind them are never
+//! projected.
 
 use glam::Vec3;
 use lumistack_core::colour::{srgb_decode, srgb_encode};
@@ -25,16 +26,16 @@ use super::harmonics::{MOST, basis};
 use super::lanes::{self, Eyes, Lane, Project, Projected, VIEWS};
 use super::prepare::{CUTOFF, Eye, PIXEL_VARIANCE, Prepared, Splat, TILE, ends, sortable};
 
-/// Blocks of pixels along a tile's edge, and in the tile.
+/// Number of blocks of pixels along a tile's edge, and in the tile.
 const ALONG: usize = TILE / EDGE;
 const BLOCKS: usize = ALONG * ALONG;
-/// Splats that are projected before any of them is blended.
+/// Number of splats that are projected before any of them is blended.
 const CHUNK: usize = 384;
-/// Splats are scattered in memory, so they are prefetched this many ahead.
+/// Number of splats by which prefetching is ahead, since splats are scattered in memory.
 const AHEAD: usize = 12;
-/// Values of a pixel: red, green, blue, transmittance, depth in pixels.
+/// Number of values per pixel: red, green, blue, transmittance, depth in pixels.
 pub(crate) const VALUES: usize = 5;
-/// Bounds of the rounding of distances: in pixels, and as a share of squares.
+/// Bounds of the rounding error of distances: in pixels, and as a fraction of squared distances.
 const ROUNDED: f32 = 0.05;
 const ROUNDED_SHARE: f32 = 1e-5;
 
@@ -62,7 +63,7 @@ impl<'a> Shared<'a> {
         }
     }
 
-    /// `[coefficient][rgb]` of a splat; empty if no colours are computed.
+    /// Coefficients of a splat, `[coefficient][rgb]`; empty if no colours are computed.
     fn harmonics(&self, splat: &Splat) -> &'a [f32] {
         if !self.with_colour {
             return &[];
@@ -74,7 +75,7 @@ impl<'a> Shared<'a> {
 
     /// Prefetches the harmonics of a splat.
     fn request(&self, splat: &Splat) {
-        // 16 floats are a cache line
+        // a cache line holds 16 floats
         self.harmonics(splat).chunks(16).for_each(|line| prefetch(line.as_ptr()));
     }
 
@@ -82,12 +83,12 @@ impl<'a> Shared<'a> {
         &self.scene.clouds[self.scene.placed_clouds[splat.placed as usize].cloud]
     }
 
-    /// True if a splat's colours are in the space that is blended in.
+    /// True if a splat's colours are in the space in which splats are blended.
     fn is_same_space(&self, splat: &Splat) -> bool {
         self.cloud(splat).encoding == self.space
     }
 
-    /// Converts a splat's colour to the space that is blended in.
+    /// Converts a splat's colour to the space in which splats are blended.
     fn in_space(&self, splat: &Splat, rgb: [f32; 3]) -> [f32; 3] {
         match (self.cloud(splat).encoding, self.space) {
             (Encoding::Linear, Encoding::Srgb) => rgb.map(srgb_encode),
@@ -97,7 +98,7 @@ impl<'a> Shared<'a> {
     }
 }
 
-/// Depths of surfaces in a view, `[row][col][sample]` in pixels, −∞ for a miss.
+/// Depths of the surfaces in a view, `[row][col][sample]`, in pixels; −∞ for a miss.
 #[derive(Clone, Copy)]
 pub(crate) struct Cuts<'a> {
     pub(crate) z: &'a [f32],
@@ -109,18 +110,18 @@ pub(crate) struct Cuts<'a> {
 /// The views of a block.
 pub(crate) struct Views<'a> {
     pub(crate) eyes: Vec<Eye>,
-    /// Two eyes that bound all others.
+    /// Two eyes whose projections bound those of all others.
     pub(crate) ends: Vec<Eye>,
     cuts: Vec<Option<Cuts<'a>>>,
     lanes: Eyes,
-    /// Per placed cloud, the harmonics of each view's direction; used for parallel rays.
+    /// Per placed cloud, the harmonics of each view's direction, for parallel rays.
     bases: Vec<[Lane; MOST]>,
-    /// Per placed cloud, the map of directions, by columns.
+    /// Per placed cloud, the columns of the map of directions.
     cloud_from_pixels: Vec<[[f32; 3]; 3]>,
 }
 
 impl<'a> Views<'a> {
-    /// From 1 to [`VIEWS`] views.
+    /// Makes 1 to [`VIEWS`] views.
     pub(crate) fn new(eyes: Vec<Eye>, cuts: Vec<Option<Cuts<'a>>>, prepared: &Prepared) -> Self {
         let of_cloud = |map: &glam::Mat3| {
             let mut bases = [[0.0; VIEWS]; MOST];
@@ -139,14 +140,14 @@ impl<'a> Views<'a> {
 
 /// One view of a tile during blending.
 struct Canvas {
-    /// `[sample][block]`.
+    /// Sums, `[sample][block]`.
     sums: Vec<[Sums; BLOCKS]>,
     cuts: Vec<[[f32; PIXELS]; BLOCKS]>,
     /// Per sample, one bit for each block with an unfinished pixel.
     open: Vec<u16>,
-    /// Splats that are projected and not yet blended: key of the order, and index into `flats`.
+    /// Splats that are projected but not yet blended: key of the order, and index into `flats`.
     pending: Vec<(u64, u32)>,
-    /// Splats with a bit for each block that they cover; the first `used` are valid.
+    /// Projected splats, with a bit for each block that they cover; the first `used` are valid.
     flats: Vec<(Flat, u16)>,
     used: usize,
 }
@@ -178,12 +179,12 @@ impl Canvas {
         }
     }
 
-    /// Blocks through which light comes.
+    /// Blocks in which a sample has an unfinished pixel.
     fn open(&self) -> u16 {
         self.open.iter().fold(0, |all, open| all | open)
     }
 
-    /// Closes the blocks whose surfaces hide all splats at depth `z` and behind it.
+    /// Closes the blocks whose surfaces hide all splats at depth `z` and farther.
     fn close_behind(&mut self, z: f32) {
         for (open, cuts) in self.open.iter_mut().zip(&self.cuts) {
             for (block, cuts) in cuts.iter().enumerate() {
@@ -195,12 +196,12 @@ impl Canvas {
     }
 }
 
-/// Renders a whole tile of every view: `[view][row][col]` of [`VALUES`].
+/// Renders a whole tile in every view: `[view][row][col]`, with [`VALUES`] values each.
 pub(crate) fn render(shared: &Shared<'_>, views: &Views<'_>, list: &[u32], tile: [usize; 2]) -> Vec<f32> {
     let origin = tile.map(|number| (number * TILE) as f32);
     let mut canvases: Vec<Canvas> = views.cuts.iter().map(|cuts| Canvas::new(*cuts, tile)).collect();
     let splat = |number: usize| &shared.prepared.splats[list[number] as usize];
-    // Per chunk, the depth of its first splat and its largest extent.
+    // Compute per chunk the depth of its first splat, and its largest extent.
     let mut chunks = Vec::with_capacity(list.len().div_ceil(CHUNK));
     for first in (0..list.len()).step_by(CHUNK) {
         let mut most = 0.0f32;
@@ -212,7 +213,7 @@ pub(crate) fn render(shared: &Shared<'_>, views: &Views<'_>, list: &[u32], tile:
         }
         chunks.push((splat(first).centre[2], most));
     }
-    // Per chunk and view, a lower bound of the distances in this chunk and all later ones.
+    // Compute per chunk and view a lower bound of the distances in this chunk and all later ones.
     let mut least: Vec<[f32; VIEWS]> = vec![[f32::INFINITY; VIEWS]; chunks.len() + 1];
     for (number, (z, reach)) in chunks.iter().enumerate().rev() {
         for (v, eye) in views.eyes.iter().enumerate() {
@@ -259,7 +260,7 @@ pub(crate) fn render(shared: &Shared<'_>, views: &Views<'_>, list: &[u32], tile:
         }
         for (v, canvas) in canvases.iter_mut().enumerate() {
             if open & 1 << v != 0 {
-                // Blend the splats that no later chunk can precede.
+                // Blend the splats that are nearer than all splats of later chunks.
                 blend_up_to(shared, canvas, least[number + 1][v], origin, &mut scratch);
             }
         }
@@ -269,16 +270,17 @@ pub(crate) fn render(shared: &Shared<'_>, views: &Views<'_>, list: &[u32], tile:
     out
 }
 
-/// Extent of a splat around its centre in any view between `ends`, by its longest axis, in pixels.
+/// Extent of a splat from its centre, along its longest axis, in pixels, in any view between
+/// `ends`.
 fn reach(splat: &Splat, ends: &[Eye]) -> f32 {
     let seen = ends.iter().filter_map(|eye| eye.project(splat));
     let variance = seen.map(|seen| seen.covariance[0].max(seen.covariance[2])).fold(0.0, f32::max);
     CUTOFF * (variance + PIXEL_VARIANCE).sqrt()
 }
 
-/// Lower bound of the distances of splats that the eye shows in the tile.
+/// Lower bound of the distances of the splats that the eye shows in the tile.
 ///
-/// Their depth is at most `z`, and they extend at most `reach` around their centres.
+/// The depths of the splats are at most `z`, and they extend at most `reach` from their centres.
 fn least_distance(eye: Eye, origin: [f32; 2], z: f32, reach: f32) -> f32 {
     let half = 0.5 * (TILE as f32 - 1.0);
     let (centre, reach) = (origin.map(|first| first + half), half + reach);
@@ -295,7 +297,7 @@ fn least_distance(eye: Eye, origin: [f32; 2], z: f32, reach: f32) -> f32 {
     }
 }
 
-/// Adds a splat to the pending ones if it covers an unfinished block.
+/// Adds a splat to the pending splats if it covers an unfinished block.
 fn take(
     shared: &Shared<'_>,
     canvas: &mut Canvas,
@@ -306,10 +308,10 @@ fn take(
     origin: [f32; 2],
     same_space: bool,
 ) {
-    // Bits of the blocks, per axis, with a pixel centre in the splat's extent.
+    // Bits of the blocks, per axis, that have a pixel's centre within the splat's extent.
     let blocks = |axis: usize| -> u32 {
         let (middle, reach) = (projected.at[axis][v] - origin[axis], projected.reach[axis][v]);
-        // the conversions truncate
+        // the conversions to integers truncate
         let (low, last) = ((middle - reach).max(0.0), (middle + reach).min(TILE as f32 - 1.0) as i32);
         let first = low as i32 + i32::from(low > low as i32 as f32);
         if first > last || middle + reach < 0.0 {
@@ -326,7 +328,7 @@ fn take(
     if canvas.used == canvas.flats.len() {
         canvas.flats.push((Flat::default(), 0));
     }
-    // field by field: a whole struct would be copied through memory
+    // field by field, since a whole struct would be copied through memory
     let (flat, own) = &mut canvas.flats[canvas.used];
     *own = mask;
     (0..2).for_each(|axis| flat.at[axis] = projected.at[axis][v]);
@@ -341,7 +343,7 @@ fn take(
     canvas.used += 1;
 }
 
-/// Key of the order by distance, then by depth.
+/// Key of the blending order: by distance, then by depth.
 fn key(distance: f32, number: u32) -> u64 {
     u64::from(sortable(distance)) << 32 | u64::from(number)
 }
@@ -349,16 +351,16 @@ fn key(distance: f32, number: u32) -> u64 {
 #[derive(Default)]
 struct Scratch {
     ordered: Vec<Flat>,
-    /// Per block, the splats that cover it, in order.
+    /// Per block, the splats that cover it, in blending order.
     over: [Vec<u16>; BLOCKS],
     kept: Vec<(Flat, u16)>,
 }
 
-/// Blends the pending splats that are nearer than `distance`.
+/// Blends the pending splats whose distance is less than `distance`.
 fn blend_up_to(shared: &Shared<'_>, canvas: &mut Canvas, distance: f32, origin: [f32; 2], scratch: &mut Scratch) {
     canvas.pending.sort_unstable_by_key(|(key, _)| *key);
     let ready = canvas.pending.partition_point(|(found, _)| *found < key(distance, 0));
-    // Chunks keep indices within 16 bits. Each splat is listed for the blocks that it covers.
+    // Chunks keep the indices within 16 bits. Each splat is listed in the blocks that it covers.
     for part in canvas.pending[..ready].chunks(1 << 12) {
         scratch.ordered.clear();
         scratch.over.iter_mut().for_each(Vec::clear);
@@ -390,7 +392,7 @@ fn blend_up_to(shared: &Shared<'_>, canvas: &mut Canvas, distance: f32, origin: 
             }
         }
     }
-    // Move the remaining splats to the front of their store.
+    // Move the remaining splats to the front of `flats`.
     canvas.pending.drain(..ready);
     scratch.kept.clear();
     for (i, (_, place)) in canvas.pending.iter_mut().enumerate() {
@@ -418,7 +420,7 @@ fn write(canvas: &Canvas, out: &mut Vec<f32>) {
     }
 }
 
-/// Row and column in the tile of a block's pixel.
+/// Row and column of a block's pixel in the tile.
 fn place(block: usize, pixel: usize) -> [usize; 2] {
     [block / ALONG * EDGE + pixel / EDGE, block % ALONG * EDGE + pixel % EDGE]
 }

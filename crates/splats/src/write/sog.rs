@@ -1,4 +1,4 @@
-//! Writer of SOG version 2: bytes in pictures, quantized by codebooks.
+//! Writer of SOG, version 2: pictures whose bytes are indices into codebooks.
 
 use std::io::{Cursor, Error, ErrorKind, Result};
 
@@ -6,15 +6,17 @@ use image::{ImageFormat, Rgba, RgbaImage};
 use lumistack_scene::Cloud;
 use serde_json::json;
 
-/// Most entries of the palette of harmonics, and its entries per row of the picture.
+/// Largest number of entries of the palette of harmonics, and number of entries per row of the
+/// palette's picture.
 const MOST: usize = 1 << 16;
 const PER_ROW: usize = 64;
 
-/// The files of a SOG of version 2 with their names, `meta.json` first.
+/// The files of a SOG of version 2, with their names; `meta.json` is the first.
 ///
 /// All colours share 256 values, and so do all scales. Positions have 2¹⁶ values per axis.
 ///
-/// If the cloud is empty, if more than 65,536 splats have harmonics above degree 0, or if the
+/// # Errors
+/// If the cloud is empty, if it has harmonics above degree 0 and more than 65,536 splats, or if the
 /// compressor fails.
 pub fn sog(cloud: &Cloud) -> Result<Vec<(String, Vec<u8>)>> {
     if cloud.is_empty() || (cloud.degree > 0 && cloud.len() > MOST) {
@@ -28,7 +30,8 @@ pub fn sog(cloud: &Cloud) -> Result<Vec<(String, Vec<u8>)>> {
             Rgba(if i < cloud.len() { texel(i) } else { [0; 4] })
         }))
     };
-    // Positions in a logarithmic scale, finer near the origin, in 16 bits between their bounds.
+    // Positions are stored in a logarithmic scale, finer near the origin, with 16 bits between
+    // their bounds.
     let places: Vec<[f32; 3]> =
         cloud.positions.iter().map(|at| at.to_array().map(|x| x.signum() * x.abs().ln_1p())).collect();
     let ends = [0, 1, 2].map(|axis: usize| {
@@ -42,7 +45,7 @@ pub fn sog(cloud: &Cloud) -> Result<Vec<(String, Vec<u8>)>> {
             ((65535.0 * share).round() as u16).to_le_bytes()
         })
     };
-    // Scales and colours by codebooks.
+    // Scales and colours are indices into codebooks.
     let byte = |value: f32| (255.0 * value).round().clamp(0.0, 255.0) as u8;
     let values = 3 * cloud.coefficients();
     let logs = |i: usize| cloud.scales[i].to_array().map(f32::ln);
@@ -56,7 +59,7 @@ pub fn sog(cloud: &Cloud) -> Result<Vec<(String, Vec<u8>)>> {
         "quats": {"files": ["quats.webp"]},
         "sh0": {"codebook": of_colours.0, "files": ["sh0.webp"]},
     });
-    // A picture per attribute; positions have one for each byte.
+    // Make a picture per attribute, and two for positions, one for each byte.
     let part = |half: usize| move |i: usize| steps(i).map(|step| step[half]);
     let opaque = |[x, y, z]: [u8; 3]| [x, y, z, 255];
     let colour = |i: usize| {
@@ -70,7 +73,7 @@ pub fn sog(cloud: &Cloud) -> Result<Vec<(String, Vec<u8>)>> {
         ("quats.webp", picture(&|i| smallest_three(cloud.rotations[i]))?),
         ("sh0.webp", picture(&colour)?),
     ];
-    // Harmonics above degree 0 are a palette of their own, with a label per splat.
+    // Harmonics above degree 0 become a palette, with a label per splat.
     if cloud.degree > 0 {
         let own = |i: usize| &cloud.harmonics[values * i + 3..values * (i + 1)];
         let book = Book::of((0..cloud.len()).flat_map(|i| own(i).iter().copied()));
@@ -89,11 +92,11 @@ pub fn sog(cloud: &Cloud) -> Result<Vec<(String, Vec<u8>)>> {
     Ok(std::iter::once(("meta.json".to_owned(), meta.to_string().into_bytes())).chain(named).collect())
 }
 
-/// A codebook: 256 values in rising order.
+/// A codebook: 256 values in increasing order.
 struct Book(Vec<f32>);
 
 impl Book {
-    /// The values themselves if there are at most 256, else even steps between their bounds.
+    /// The values themselves if there are at most 256; otherwise even steps between their bounds.
     fn of(values: impl Iterator<Item = f32>) -> Self {
         let mut all: Vec<f32> = values.collect();
         all.sort_unstable_by(f32::total_cmp);
@@ -114,8 +117,8 @@ impl Book {
     }
 }
 
-/// Packs a rotation: a byte for each of w, x, y, z but the largest, and 252 plus the largest's
-/// index.
+/// Packs a rotation: a byte for each of w, x, y and z except the largest, and 252 plus the index of
+/// the largest.
 fn smallest_three(rotation: glam::Quat) -> [u8; 4] {
     let [x, y, z, w] = rotation.normalize().to_array();
     let parts = [w, x, y, z];

@@ -1,7 +1,7 @@
 //! Limit positions and normals of a refined mesh's vertices.
 //!
-//! Weights apply to the control points of a level where all faces are quadrilaterals (triangles for
-//! Loop). A vertex v has n neighbours e and n opposite corners f.
+//! Weights apply to the control points of a level at which all faces are quadrilaterals (triangles
+//! for Loop). A vertex v has n neighbours e and n opposite corners f.
 //!
 //! ```text
 //! Catmull–Clark   position  (n v + Σ (4 e + f)/n) / (n + 5)
@@ -12,7 +12,7 @@
 //! creases, boundaries       (e₀ + 4 v + e₁)/6
 //! ```
 //!
-//! The second tangent has sines in place of cosines. Sharpness that remains at the last level is
+//! The second tangent has sines instead of cosines. Sharpness that remains at the last level is
 //! treated as infinite.
 
 use std::f64::consts::{PI, TAU};
@@ -56,14 +56,14 @@ pub(super) fn positions(topology: &Topology, scheme: Scheme) -> Stencils {
     stencils
 }
 
-/// The opposite vertex of the quadrilateral.
+/// The vertex of the quadrilateral that is opposite to a corner.
 fn opposite(topology: &Topology, corner: u32) -> u32 {
     topology.corners[topology.next(topology.next(corner)) as usize]
 }
 
 /// Unit normals, and the index of the normal of each corner. `control` are the level's points,
-/// `surface` their limit positions. The weights do not apply at level 0, at corners and to bilinear
-/// surfaces. There the normal is the mean of the faces, weighted by angle.
+/// `surface` their limit positions. At level 0, at corners and for bilinear surfaces the weights do
+/// not apply, and a normal is the mean of the faces' normals, weighted by angle.
 pub(super) fn normals(
     topology: &Topology,
     scheme: Scheme,
@@ -95,7 +95,8 @@ pub(super) fn normals(
     (values, indices)
 }
 
-/// Neighbours along the edges of a fan, counter-clockwise; an open fan has one more than corners.
+/// Neighbours along the edges of a fan, counter-clockwise. An open fan has one more neighbour than
+/// corners.
 fn spokes(topology: &Topology, fan: &Fan) -> Vec<u32> {
     let end = |corner: u32| topology.corners[topology.next(corner) as usize];
     let mut spokes: Vec<u32> = fan.corners.iter().map(|&corner| end(corner)).collect();

@@ -1,16 +1,16 @@
 //! Subdivision surfaces: Catmull–Clark, Loop and bilinear, with semi-sharp creases and corners,
 //! boundaries, holes and face-varying data.
 //!
-//! A level is a sparse linear map ([`Stencils`]) from the values at its vertices to those of the
-//! next level. It depends on the topology alone, so all vertex data share its weights. Refinement
-//! is uniform, and each level reduces sharpness by 1 (DeRose, Kass, Truong 1998). A fractional
-//! sharpness blends two rules. The last level is projected to the limit surface, whose exact
-//! tangent plane gives the normals.
+//! A level is a sparse linear map ([`Stencils`]) from the values at its vertices to the values of
+//! the next level. It depends on the topology alone, so all vertex data share its weights.
+//! Refinement is uniform, and each level reduces sharpness by 1 (DeRose, Kass, Truong 1998). A
+//! fractional sharpness blends two rules. The last level is projected to the limit surface, and the
+//! normals are those of its exact tangent planes.
 //!
 //! Face-varying data are vertex data of a second mesh. It has the same faces, and one vertex per
 //! distinct value at a vertex, so seams are its boundaries.
 //!
-//! Source: the rules of OpenSubdiv 3 that UsdGeomMesh refers to (interpolateBoundary,
+//! Source: the rules of OpenSubdiv 3 to which UsdGeomMesh refers (interpolateBoundary,
 //! faceVaryingLinearInterpolation, triangleSubdivisionRule). Limits and tangents: Halstead, Kass,
 //! DeRose 1993 and Biermann, Levin, Zorin 2000.
 
@@ -28,33 +28,33 @@ pub(crate) use self::scheme::Scheme;
 use self::stencils::Stencils;
 use self::topology::Topology;
 
-/// `interpolateBoundary`.
+/// Rules for the boundary of a mesh (`interpolateBoundary`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Boundary {
     /// Faces at the boundary are left out.
     None,
     /// The boundary is a smooth curve.
     EdgeOnly,
-    /// As `EdgeOnly`, and vertices with one face keep their position.
+    /// As `EdgeOnly`, but vertices with one face keep their positions.
     #[default]
     EdgeAndCorner,
 }
 
-/// `faceVaryingLinearInterpolation`: the places where face-varying data are not smoothed.
+/// Rules for where face-varying data are not smoothed (`faceVaryingLinearInterpolation`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum FaceVarying {
-    /// Smooth also at seams and their corners.
+    /// Data are smoothed everywhere, also at seams and their corners.
     None,
-    /// Values of a single face at a vertex stay.
+    /// A value of a single face at a vertex is not smoothed.
     CornersOnly,
-    /// Also where three or more values share a vertex.
+    /// As `CornersOnly`, also where three or more values share a vertex.
     #[default]
     CornersPlus1,
-    /// Also where seams end or surround a single face.
+    /// As `CornersPlus1`, also where a seam ends or surrounds a single face.
     CornersPlus2,
-    /// All values at seams stay.
+    /// Values at seams are not smoothed.
     Boundaries,
-    /// No smoothing.
+    /// No value is smoothed.
     All,
 }
 
@@ -69,33 +69,33 @@ pub(crate) struct Cage<'a> {
     pub(crate) hole_indices: &'a [i32],
     pub(crate) crease_indices: &'a [i32],
     pub(crate) crease_lengths: &'a [i32],
-    /// One per crease, or one per edge.
+    /// One value per crease, or one value per edge.
     pub(crate) crease_sharpnesses: &'a [f32],
     pub(crate) corner_indices: &'a [i32],
     pub(crate) corner_sharpnesses: &'a [f32],
     pub(crate) scheme: Scheme,
     pub(crate) boundary: Boundary,
-    /// `triangleSubdivisionRule` "smooth".
+    /// True if `triangleSubdivisionRule` is "smooth".
     pub(crate) smooth_triangles: bool,
 }
 
-/// Number of levels.
+/// Number of levels of refinement for most meshes.
 const LEVEL: u32 = 2;
-/// If the triangles exceed this number, refinement stops one level earlier: a dense mesh is already
-/// smooth.
+/// If more triangles than this would result, refinement stops one level earlier, since a dense mesh
+/// is already smooth.
 const MOST_TRIANGLES: usize = 200_000;
-/// Number of levels for a mesh of few faces: after [`LEVEL`] its outline would show corners.
+/// Number of levels for a mesh of few faces, whose outline would show corners after [`LEVEL`].
 const SPARSE_LEVEL: u32 = 4;
-/// Limit for the triangles of [`SPARSE_LEVEL`].
+/// Largest number of triangles for which [`SPARSE_LEVEL`] applies.
 const SPARSE_TRIANGLES: usize = 8_000;
 
-/// The number of levels for a mesh, by the number of its faces' corners.
+/// The number of levels for a mesh, by the number of corners of its faces.
 pub(crate) fn level_for(corner_count: usize) -> u32 {
     let usual = affordable_level(corner_count, LEVEL, MOST_TRIANGLES);
     usual.max(affordable_level(corner_count, SPARSE_LEVEL, SPARSE_TRIANGLES))
 }
 
-/// The largest number of levels, up to `wanted`, with at most `most_triangles` triangles.
+/// The largest number of levels, up to `wanted`, that gives at most `most_triangles` triangles.
 fn affordable_level(corner_count: usize, wanted: u32, most_triangles: usize) -> u32 {
     // a corner becomes a quadrilateral at the first level, and each quadrilateral four at the next
     (1..=wanted).rev().find(|&level| corner_count.saturating_mul(2 << (2 * (level - 1))) <= most_triangles).unwrap_or(0)
@@ -104,23 +104,23 @@ fn affordable_level(corner_count: usize, wanted: u32, most_triangles: usize) -> 
 /// A refined mesh, ready to interpolate values.
 pub(crate) struct Refinement {
     cage: Topology,
-    /// Corner of the input's faces, for each corner of `cage`.
+    /// Index of the corner of the input's faces, for each corner of `cage`.
     source_corners: Vec<u32>,
     source_corner_count: usize,
     scheme: Scheme,
     smooth_triangles: bool,
     level: u32,
     levels: Vec<Stencils>,
-    /// The last level, before the projection to the limit.
+    /// The topology of the last level, before the projection to the limit.
     finest: Topology,
-    /// Face of the input, for each face of `finest`; `None` in holes.
+    /// Index of the face of the input, for each face of `finest`; `None` in holes.
     sources: Vec<Option<u32>>,
 }
 
-/// Values, and the index of a value for each corner of [`Refinement::faces`].
+/// Values, and the index of the value for each corner of [`Refinement::faces`].
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Indexed {
-    /// `width` numbers per value.
+    /// The values, with `width` numbers each.
     pub(crate) values: Vec<f32>,
     pub(crate) indices: Vec<u32>,
 }
@@ -145,7 +145,7 @@ impl Refinement {
                 }
             }
         }
-        // Mark holes: their faces shape their neighbours, and are left out at the end.
+        // Mark holes: their faces affect their neighbours, and are left out at the end.
         let mut sources: Vec<Option<u32>> = polygons.sources.into_iter().map(Some).collect();
         let holes: HashSet<u32> = cage.hole_indices.iter().filter_map(|&face| u32::try_from(face).ok()).collect();
         for (face, source) in (0..).zip(&mut sources) {
@@ -180,8 +180,8 @@ impl Refinement {
         self.shown().filter_map(|face| Some((self.sources[face as usize]?, self.finest.face_vertices(face))))
     }
 
-    /// Interpolates data of "vertex" primvars, `width` numbers per vertex, to the refined vertices
-    /// on the limit surface.
+    /// Interpolates data of "vertex" primvars, with `width` numbers per vertex, at the refined
+    /// vertices on the limit surface.
     pub(crate) fn vertex(&self, values: &[f32], width: usize) -> Vec<f32> {
         let refined = self.refine_values(&self.levels, values, width);
         self.limit(&self.finest).map_or(refined.clone(), |limit| limit.apply(&refined, width))
@@ -196,8 +196,9 @@ impl Refinement {
         self.refine_values(&levels, values, width)
     }
 
-    /// Interpolates data of "faceVarying" primvars: `indices` has one value index per corner of the
-    /// input. Equal values at a vertex are joined. `None` if `indices` does not fit.
+    /// Interpolates data of "faceVarying" primvars. `indices` has the index of a value per corner
+    /// of the input. Equal values at a vertex are joined. `None` if `indices` does not fit the
+    /// mesh.
     pub(crate) fn face_varying(
         &self,
         rule: FaceVarying,
@@ -210,7 +211,7 @@ impl Refinement {
             return None;
         }
         let value = |index: u32| &values[index as usize * width..][..width];
-        // Group equal values at each vertex, in the order of vertices, so the numbering is
+        // Group equal values at each vertex, in the order of vertices, so that the numbering is
         // reproducible.
         let mut groups: Vec<u32> = Vec::new();
         let mut corners = vec![0; self.cage.corners.len()];
@@ -228,7 +229,7 @@ impl Refinement {
             }
             groups_of_vertex[vertex as usize] = first..groups.len();
         }
-        // Build the second mesh: a vertex per group, with the sharpness of the control mesh.
+        // Build the second mesh, with a vertex per group and the sharpness of the control mesh.
         let starts = (0..=self.cage.face_count() as u32).map(|face| match face as usize == self.cage.face_count() {
             true => corners.len() as u32,
             false => self.cage.face(face).start as u32,
@@ -236,7 +237,7 @@ impl Refinement {
         let starts = starts.collect();
         let mut sharpness = vec![0.0; groups.len()];
         for (vertex, range) in groups_of_vertex.iter().enumerate() {
-            // the rule of interpolation, not of the mesh, applies at a boundary corner
+            // at a boundary corner, the rule of the data applies, not the rule of the mesh
             let given = self.cage.vertex_sharpness[vertex];
             let lone = self.cage.corners_at(vertex as u32).len() == 1;
             sharpness[range.clone()].fill(if lone && rule == FaceVarying::None { 0.0 } else { given });
@@ -250,7 +251,7 @@ impl Refinement {
         for (vertex, range) in (0..).zip(groups_of_vertex) {
             pin(&mut topology, rule, range.start as u32..range.end as u32, !self.cage.is_boundary(vertex));
         }
-        // Refine it and project it to the limit.
+        // Refine the second mesh, and project it to the limit.
         let (levels, finest, _) = match rule {
             FaceVarying::All => refine_linearly(&topology, self.scheme, self.level),
             _ => refine(&topology, self.scheme, self.smooth_triangles, self.level),
@@ -266,7 +267,7 @@ impl Refinement {
         Some(Indexed { values: refined, indices })
     }
 
-    /// Unit normals of the surface with these control points: one per smooth part around each
+    /// Unit normals of the surface with these control points: one per smooth region around each
     /// vertex.
     pub(crate) fn normals(&self, points: &[f32]) -> Indexed {
         let control = vectors(&self.refine_values(&self.levels, points, 3));
@@ -281,8 +282,8 @@ impl Refinement {
         levels.iter().fold(values.to_vec(), |values, stencils| stencils.apply(&values, width))
     }
 
-    /// The projection to the limit surface; `None` where it does not apply: level 0 and bilinear
-    /// surfaces.
+    /// The projection to the limit surface; `None` if it does not apply, at level 0 and for
+    /// bilinear surfaces.
     fn limit(&self, finest: &Topology) -> Option<Stencils> {
         (self.level > 0 && self.scheme != Scheme::Bilinear).then(|| limit::positions(finest, self.scheme))
     }
@@ -351,14 +352,14 @@ fn crease(topology: &mut Topology, cage: &Cage<'_>) {
     }
 }
 
-/// Makes the face-varying values at a vertex infinitely sharp where the rule requires it. `inside`:
-/// the vertex is not on the mesh's boundary.
+/// Makes face-varying values at a vertex infinitely sharp if the rule requires it. `inside` is true
+/// if the vertex is not on the mesh's boundary.
 fn pin(topology: &mut Topology, rule: FaceVarying, values: Range<u32>, inside: bool) {
     let lone = |value: u32| topology.corners_at(value).len() == 1;
     let at_seam = |value: u32| topology.is_boundary(value);
     let many = values.len() >= 3;
     let cornered = values.len() == 2 && values.clone().any(lone);
-    // a seam ends at a vertex inside the mesh with one value that is on a seam
+    // a seam ends at a vertex inside the mesh that has a single value on a seam
     let ends = |value: u32| inside && values.len() == 1 && at_seam(value);
     let pinned: Vec<u32> = values
         .clone()
@@ -373,8 +374,8 @@ fn pin(topology: &mut Topology, rule: FaceVarying, values: Range<u32>, inside: b
     pinned.into_iter().for_each(|value| topology.vertex_sharpness[value as usize] = f32::INFINITY);
 }
 
-/// Refines a mesh: stencils of each level, the last level, and for each of its faces the face of
-/// the input.
+/// Refines a mesh. Returns the stencils of each level, the topology of the last level, and the
+/// index of the input's face for each of its faces.
 fn refine(cage: &Topology, scheme: Scheme, smooth_triangles: bool, level: u32) -> (Vec<Stencils>, Topology, Vec<u32>) {
     let mut topology = cage.clone();
     let mut parents: Vec<u32> = (0..cage.face_count() as u32).collect();

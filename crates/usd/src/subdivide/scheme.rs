@@ -3,11 +3,11 @@
 /// The subdivision scheme.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Scheme {
-    /// Any polygons; each becomes quadrilaterals.
+    /// For any polygons, each of which becomes quadrilaterals.
     #[default]
     CatmullClark,
-    /// Triangles. Other polygons are cut into fans first.
+    /// For triangles. Other polygons are cut into fans of triangles first.
     Loop,
-    /// Any polygons, cut into quadrilaterals and not smoothed.
+    /// For any polygons, which are cut into quadrilaterals and not smoothed.
     Bilinear,
 }

@@ -1,19 +1,19 @@
 //! One level of refinement: the weights of each child vertex, and the topology of the children.
 //!
-//! Children are numbered in the order of vertices, edges, faces; triangles have no children of
-//! faces.
+//! Child vertices are numbered in the order of the parent's vertices, edges and faces. In triangle
+//! meshes faces have no child vertices.
 
 use std::f64::consts::TAU;
 
 use super::topology::{Edge, Rule, Topology, weaker};
 
-/// Weight of a triangle's midpoint for the child of an edge, under the triangle rule "smooth".
+/// Weight of a triangle's midpoint for the child of an edge, with the triangle rule "smooth".
 const SMOOTH_TRIANGLE_WEIGHT: f64 = 0.47;
 
-/// Children as weighted sums of parents.
+/// Child values as weighted sums of parent values.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Stencils {
-    /// First entry of each child, and the total number of entries.
+    /// Index of the first entry of each child, and the total number of entries.
     starts: Vec<u32>,
     parents: Vec<u32>,
     weights: Vec<f32>,
@@ -31,18 +31,18 @@ impl Stencils {
         self.weights.push(weight as f32);
     }
 
-    /// Adds the midpoint of a face.
+    /// Adds the midpoint of a face to the sum.
     fn add_face(&mut self, topology: &Topology, face: u32, weight: f64) {
         let vertices = topology.face_vertices(face);
         vertices.iter().for_each(|&vertex| self.add(vertex, weight / vertices.len() as f64));
     }
 
-    /// Completes the child whose parents have been added.
+    /// Completes the child to which parents have been added.
     pub(super) fn end(&mut self) {
         self.starts.push(self.parents.len() as u32);
     }
 
-    /// Values of the children; `width` numbers per child.
+    /// Values of the children, with `width` numbers per child.
     pub(super) fn apply(&self, values: &[f32], width: usize) -> Vec<f32> {
         let mut children = vec![0.0; (self.starts.len() - 1) * width];
         for (child, range) in children.chunks_exact_mut(width.max(1)).zip(self.starts.windows(2)) {
@@ -57,7 +57,7 @@ impl Stencils {
     }
 }
 
-/// Catmull–Clark's weights.
+/// The weights of Catmull and Clark.
 pub(super) fn catmull_clark(topology: &Topology, smooth_triangles: bool) -> Stencils {
     let children = topology.vertex_count + topology.edges.len() + topology.face_count();
     let mut stencils = Stencils::with_capacity(children);
@@ -76,7 +76,8 @@ pub(super) fn catmull_clark(topology: &Topology, smooth_triangles: bool) -> Sten
             }
         });
     }
-    // Children of edges: the midpoint of a crease; otherwise the faces' midpoints take part.
+    // Add the children of edges: the midpoint for a crease, otherwise with the midpoints of the
+    // faces.
     for edge in &topology.edges {
         let crease = if edge.joined { f64::from(edge.sharpness.min(1.0)) } else { 1.0 };
         let faces = edge.corners.map(|corner| topology.face_of_corner.get(corner as usize));
@@ -100,7 +101,7 @@ pub(super) fn catmull_clark(topology: &Topology, smooth_triangles: bool) -> Sten
     stencils
 }
 
-/// Loop's weights, with his own for extraordinary vertices.
+/// Loop's weights, with his own weights for extraordinary vertices.
 pub(super) fn loop_scheme(topology: &Topology) -> Stencils {
     let mut stencils = Stencils::with_capacity(topology.vertex_count + topology.edges.len());
     for vertex in 0..topology.vertex_count as u32 {
@@ -133,7 +134,7 @@ pub(super) fn loop_weight(count: usize) -> f64 {
     (0.625 - beta * beta) / count as f64
 }
 
-/// Weights without smoothing: midpoints of edges and, except for triangles, of faces.
+/// Weights without smoothing: midpoints of edges and, except for triangles, midpoints of faces.
 pub(super) fn linear(topology: &Topology, triangles: bool) -> Stencils {
     let faces = if triangles { 0 } else { topology.face_count() };
     let mut stencils = Stencils::with_capacity(topology.vertex_count + topology.edges.len() + faces);
@@ -156,8 +157,8 @@ pub(super) fn other_end(edge: &Edge, vertex: u32) -> u32 {
     edge.ends[usize::from(edge.ends[0] == vertex)]
 }
 
-/// Adds the child of a vertex. Where sharpness ends between two levels, the rules of both are
-/// blended.
+/// Adds the child of a vertex. If its sharpness ends between two levels, the rules of both levels
+/// are blended.
 fn child_vertex(stencils: &mut Stencils, topology: &Topology, vertex: u32, smooth: impl Fn(&mut Stencils, f64)) {
     let mut add = |rule: Rule, weight: f64| match rule {
         Rule::Smooth => smooth(stencils, weight),
@@ -182,12 +183,12 @@ fn child_vertex(stencils: &mut Stencils, topology: &Topology, vertex: u32, smoot
     stencils.end();
 }
 
-/// The topology after one level, and the parent of each face.
+/// The topology after one level, and the index of the parent of each face.
 pub(super) fn split(topology: &Topology, triangles: bool) -> (Topology, Vec<u32>) {
     let edge_child = |corner: u32| topology.vertex_count as u32 + topology.edge_of_corner[corner as usize];
     let face_child = |face: u32| (topology.vertex_count + topology.edges.len()) as u32 + face;
     let size = if triangles { 3 } else { 4 };
-    // Cut each face: a quadrilateral per corner, or four triangles.
+    // Cut each face into a quadrilateral per corner, or into four triangles.
     let mut corners = Vec::with_capacity(topology.corners.len() * size);
     let mut parents = Vec::with_capacity(topology.corners.len());
     for face in 0..topology.face_count() as u32 {
@@ -213,8 +214,8 @@ pub(super) fn split(topology: &Topology, triangles: bool) -> (Topology, Vec<u32>
     let mut finer = Topology::new(topology.vertex_count + added, starts, corners, sharpness);
     let first_edge_child = topology.vertex_count as u32;
     for edge in &mut finer.edges {
-        // One end of half an edge is a vertex of the parent (the lower index), the other the edge's
-        // midpoint.
+        // One end of half an edge is a vertex of the parent (the lower index), the other end is the
+        // edge's midpoint.
         let [low, high] = edge.ends;
         if edge.joined
             && low < first_edge_child

@@ -3,10 +3,10 @@ use lumistack_core::seed::Stream;
 
 use super::*;
 
-/// Tolerance for rounding: a few levels of f32 sums over coordinates of size 1.
+/// Tolerance for rounding: sums of f32 numbers over a few levels, for coordinates of size 1.
 const ROUNDING: f32 = 2e-6;
 
-/// A mesh that owns its lists.
+/// A mesh with its own lists.
 #[derive(Clone, Default)]
 struct Mesh {
     points: Vec<Vec3>,
@@ -20,7 +20,7 @@ impl Mesh {
         Self { points, counts, indices: faces.concat() }
     }
 
-    /// Corners at ±1.
+    /// A cube with corners at ±1.
     fn cube() -> Self {
         let points =
             (0..8).map(|i| Vec3::new((i & 1) as f32, (i >> 1 & 1) as f32, (i >> 2) as f32) * 2.0 - 1.0).collect();
@@ -95,8 +95,8 @@ fn a_cube_has_the_points_of_the_textbook() {
     for face in &first[20..] {
         assert!((face.length() - 1.0).abs() < ROUNDING);
     }
-    // Limits: corners at half the cube's, since their weights hold on the cube itself; centres of
-    // faces at 68/81.
+    // Limits: corners are at half the cube's corners, since the weights also hold on the cube
+    // itself; centres of faces are at 68/81.
     for level in 1..=4 {
         let surface = limit(&cage, level, &cube.flat());
         for (point, on_surface) in cube.points.iter().zip(&surface) {
@@ -169,7 +169,7 @@ fn a_regular_mesh_is_a_bicubic_b_spline() {
     let slope = |t: f64| {
         [-3.0 * (1.0 - t).powi(2), 9.0 * t * t - 12.0 * t, -9.0 * t * t + 6.0 * t + 3.0, 3.0 * t * t].map(|b| b / 6.0)
     };
-    // Only the inner parts are compared: there x and y of the surface are the parameters.
+    // Only the inner faces are compared: in them x and y of the surface are the parameters.
     let mut checked = 0;
     let mut corner = 0;
     for (_, face) in refinement.faces() {
@@ -206,8 +206,8 @@ fn a_regular_mesh_is_a_bicubic_b_spline() {
 }
 
 /// The limit does not depend on the level at which it is computed, so weights, creases, boundaries
-/// and refinement agree. Creases are closed or end at boundaries. Where a crease ends inside, the
-/// smooth weights are only an approximation, as in OpenSubdiv.
+/// and refinement agree. All creases are closed or end at boundaries. Where a crease ends inside,
+/// the smooth weights are only an approximation, as in OpenSubdiv.
 #[test]
 fn limits_are_the_same_from_every_level() {
     let (open, cube) = (Mesh::grid(4, false, 11), Mesh::cube());
@@ -246,8 +246,8 @@ fn normals_are_those_of_the_fine_surface() {
                 });
                 by_vertex
             };
-            // Vertices keep their indices: compare exact normals at level 1 with the small faces of
-            // level 5.
+            // Vertices keep their indices: exact normals at level 1 are compared with the small
+            // faces of level 5.
             let count = mesh.points.len();
             let fine = Refinement::new(&cage, 5);
             let surface = vectors(&fine.vertex(&mesh.flat(), 3));
@@ -279,11 +279,11 @@ fn sharp_edges_stay_and_sharpness_falls_by_one_a_level() {
     for point in creased(&[10.0; 12], 3) {
         assert!((point.abs().max_element() - 1.0).abs() < ROUNDING, "on the cube: {point}");
     }
-    // for one level, sharpness 1 is as sharp as infinity
+    // for one level, sharpness 1 has the effect of infinite sharpness
     assert_eq!(creased(&[1.0; 12], 1), creased(&[f32::INFINITY; 12], 1));
     assert!(creased(&[1.0; 12], 2)[0].x > -1.0 + 0.1);
     assert_eq!(creased(&[0.0; 12], 2), control(&cube.cage(Scheme::CatmullClark), 2, &cube.flat()));
-    // half the sharpness gives the midpoint
+    // half the sharpness gives the midpoint of both results
     let (smooth, half, sharp) = (creased(&[0.0; 12], 1), creased(&[0.5; 12], 1), creased(&[1.0; 12], 1));
     for ((smooth, half), sharp) in smooth.iter().zip(&half).zip(&sharp) {
         assert_near(*half, smooth.midpoint(*sharp), ROUNDING);
@@ -294,7 +294,7 @@ fn sharp_edges_stay_and_sharpness_falls_by_one_a_level() {
     let points = control(&cage, 1, &cube.flat());
     let middle = |a: usize, b: usize| cube.points[a].midpoint(cube.points[b]);
     assert!(points[8..20].contains(&middle(1, 3)) && !points[8..20].contains(&middle(0, 1)));
-    // a corner
+    // a sharp corner
     let mut cage = cube.cage(Scheme::CatmullClark);
     (cage.corner_indices, cage.corner_sharpnesses) = (&[5], &[10.0]);
     let surface = limit(&cage, 2, &cube.flat());
@@ -325,7 +325,7 @@ fn creased_normals_part_at_the_crease_alone() {
         }
     }
     assert!(values.len() > refinement.finest.vertex_count);
-    // smooth: one normal per vertex
+    // a smooth surface has one normal per vertex
     let smooth = Refinement::new(&cube.cage(Scheme::CatmullClark), 2);
     assert_eq!(smooth.normals(&cube.flat()).values.len(), 3 * smooth.finest.vertex_count);
 }
@@ -383,7 +383,7 @@ fn bilinear_surfaces_are_only_cut() {
     let normals = refinement.normals(&cube.flat());
     let flat = vectors(&normals.values);
     assert!(flat.iter().all(|normal| normal.abs().max_element() > 0.999_99));
-    // varying data of a smooth surface are those of the bilinear one
+    // varying data of a smooth surface equal those of the bilinear surface
     let smooth = Refinement::new(&cube.cage(Scheme::CatmullClark), 2);
     assert_eq!(smooth.varying(&cube.flat(), 3), refinement.vertex(&cube.flat(), 3));
 }

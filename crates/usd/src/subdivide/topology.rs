@@ -2,13 +2,13 @@
 
 use std::ops::Range;
 
-/// No such corner.
+/// Marks a corner that does not exist.
 pub(super) const NONE: u32 = u32::MAX;
 
 /// From this sharpness on, USD treats a crease as infinitely sharp.
 const INFINITE: f32 = 10.0;
 
-/// Lists of numbers, one list per item.
+/// Lists of numbers: one list per item.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Lists {
     starts: Vec<u32>,
@@ -37,16 +37,16 @@ impl Lists {
     }
 }
 
-/// An edge, and the corners from which it starts: the edge of a corner leads from its vertex to the
-/// vertex of the next corner of the face.
+/// An edge, and the corners at which it starts. The edge of a corner leads from the corner's vertex
+/// to the vertex of the face's next corner.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Edge {
     pub(super) ends: [u32; 2],
-    /// One or two of the corners.
+    /// Indices of one or two of these corners.
     pub(super) corners: [u32; 2],
     /// True if the edge has exactly two faces that agree on the front side.
     pub(super) joined: bool,
-    /// 0 is smooth; infinite if not joined.
+    /// Sharpness: 0 is smooth; infinite if the edge is not joined.
     pub(super) sharpness: f32,
 }
 
@@ -54,7 +54,7 @@ pub(super) struct Edge {
 #[derive(Clone, Debug)]
 pub(super) struct Topology {
     pub(super) vertex_count: usize,
-    /// First corner of each face, and the total number of corners.
+    /// Index of the first corner of each face, and the total number of corners.
     starts: Vec<u32>,
     /// Vertex of each corner.
     pub(super) corners: Vec<u32>,
@@ -64,16 +64,16 @@ pub(super) struct Topology {
     pub(super) edges: Vec<Edge>,
     corners_of_vertex: Lists,
     edges_of_vertex: Lists,
-    /// 0 is smooth.
+    /// Sharpness of each vertex; 0 is smooth.
     pub(super) vertex_sharpness: Vec<f32>,
 }
 
-/// Treatment of a vertex, by the sharp edges around it.
+/// Treatment of a vertex, which depends on the sharp edges around it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Rule {
-    /// At most one sharp edge ends here.
+    /// At most one sharp edge ends at the vertex.
     Smooth,
-    /// Two sharp edges, to these vertices: the vertex moves along the crease.
+    /// Two sharp edges lead to these vertices: the vertex moves along the crease.
     Crease([u32; 2]),
     /// The vertex keeps its position.
     Corner,
@@ -82,13 +82,13 @@ pub(super) enum Rule {
 /// Corners around a vertex, counter-clockwise, without a gap.
 pub(super) struct Fan {
     pub(super) corners: Vec<u32>,
-    /// True if the last corner is next to the first.
+    /// True if the last corner is next to the first, so that the fan surrounds the vertex.
     pub(super) closed: bool,
 }
 
 impl Topology {
     /// Builds a topology. All vertices of faces must be below `vertex_count`; `starts` is as in the
-    /// field. Vertices that separate fans of faces share become infinitely sharp.
+    /// field. A vertex that several separate fans share becomes infinitely sharp.
     pub(super) fn new(vertex_count: usize, starts: Vec<u32>, corners: Vec<u32>, vertex_sharpness: Vec<f32>) -> Self {
         let mut face_of_corner = vec![0; corners.len()];
         for face in 0..starts.len() - 1 {
@@ -181,7 +181,7 @@ impl Topology {
         &self.edges[self.edge_of_corner[corner as usize] as usize]
     }
 
-    /// True if a vertex lies on an edge with faces on one side only.
+    /// True if a vertex is on an edge with a face on one side only.
     pub(super) fn is_boundary(&self, vertex: u32) -> bool {
         self.edges_at(vertex).any(|edge| !edge.joined)
     }
@@ -213,7 +213,7 @@ impl Topology {
         }
     }
 
-    /// Runs of corners around a vertex. Gaps and edges for which `splits` is true separate them.
+    /// Runs of corners around a vertex, separated by gaps and by edges for which `splits` is true.
     pub(super) fn fans(&self, vertex: u32, splits: impl Fn(&Edge) -> bool) -> Vec<Fan> {
         let corners = self.corners_at(vertex);
         let across = |edge: &Edge, corner: u32| {
@@ -225,7 +225,7 @@ impl Topology {
             let before = self.previous(corner);
             across(self.edge(before), before)
         };
-        // Collect each fan: turn clockwise to its start, then counter-clockwise to its end.
+        // Collect each fan: go clockwise to its start, then counter-clockwise to its end.
         let mut seen: Vec<u32> = Vec::with_capacity(corners.len());
         let mut fans = Vec::new();
         for &corner in corners {

@@ -1,5 +1,5 @@
 //! Public files in the folder that `LUMISTACK_ASSETS` names, read by the Python that
-//! `LUMISTACK_PYTHON` names. Tests are skipped without either.
+//! `LUMISTACK_PYTHON` names. Without the folder or the Python, the tests are skipped.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -24,7 +24,7 @@ struct Counted {
     meshes: usize,
     #[serde(default)]
     points: usize,
-    /// Visible meshes of render geometry with faces.
+    /// Number of visible meshes of render geometry that have faces.
     #[serde(default)]
     shown: usize,
     /// The reason why there is no package.
@@ -42,7 +42,7 @@ fn assets() -> Option<PathBuf> {
     lumistack_testkit::skip::folder("LUMISTACK_ASSETS", "../shared/scenes")
 }
 
-/// Walks all USD files below a folder of the assets; `None` if the folder or a Python is missing.
+/// Walks all USD files in a folder of the assets; `None` if the folder or a Python is missing.
 fn walk(folder: &str) -> Option<Walked> {
     let (assets, python) = (assets()?, common::python()?);
     let mut paths = Vec::new();
@@ -63,7 +63,7 @@ fn walk(folder: &str) -> Option<Walked> {
         }
     }
     paths.sort();
-    // Read all of them in one process, since importing OpenUSD is slow.
+    // Read all files in one process, since importing OpenUSD is slow.
     let packages = tempfile::tempdir().unwrap();
     let mut child = Command::new(python)
         .arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/walk_all.py"))
@@ -84,7 +84,7 @@ fn walk(folder: &str) -> Option<Walked> {
 }
 
 impl Walked {
-    /// Runs `check` on all files in two threads, and fails with all its errors.
+    /// Runs `check` on all files in two threads, and fails with all errors that it returns.
     fn check(&self, check: impl Fn(&str, &[u8], &Counted) -> Result<(), String> + Sync) {
         let (next, faults) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
         std::thread::scope(|scope| {
@@ -107,7 +107,7 @@ impl Walked {
     }
 }
 
-/// Expects a scene, or a reason that agrees with OpenUSD's view of the file.
+/// Expects a scene, or an error that agrees with OpenUSD's result for the file.
 fn opens_or_fails_by_design(name: &str, bytes: &[u8], counted: &Counted) -> Result<(), String> {
     if let Some(reason) = &counted.refused {
         return if counted.opens { Err(format!("refused: {reason}")) } else { Ok(()) };
@@ -133,7 +133,7 @@ fn every_file_opens_or_fails_by_design() {
     walked.check(opens_or_fails_by_design);
 }
 
-/// Hostile files cause errors or warnings and no crash. Some contain only inconsistent meshes.
+/// Hostile files cause errors or warnings, but no crash. Some contain only inconsistent meshes.
 #[test]
 fn hostile_files_do_no_harm() {
     let Some(walked) = walk("hostile/usd") else { return };
@@ -154,14 +154,14 @@ fn composed_counts_are_those_of_openusd() {
     });
 }
 
-/// An arm that bends: the same arm with points that OpenUSD baked for every time code.
+/// An arm that bends, compared with the same arm whose points OpenUSD baked for every time code.
 #[test]
 fn posed_points_are_those_that_openusd_baked() {
     let (Some(assets), Some(_)) = (assets(), common::python()) else { return };
     let folder = Path::new(&assets).join("usd/OpenUSD-UsdSkel");
     let mut heights = Vec::new();
-    // only at the baked time codes 1, 4 and 10: between them the baked points move in straight
-    // lines
+    // only at the baked time codes 1, 4 and 10, since the baked points move in straight lines
+    // between them
     for time_s in [0.0, 0.125, 0.375] {
         let [posed, baked] = ["arm.usda", "arm_baked.usda"].map(|file| {
             let (warnings, cancel) = (Collector::default(), Cancel::default());

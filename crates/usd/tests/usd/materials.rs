@@ -1,4 +1,4 @@
-//! Materials, textures and lights of packages written by the test; no Python is needed.
+//! Materials, textures and lights of packages that the test writes; no Python is needed.
 
 use std::io::Cursor;
 
@@ -8,7 +8,8 @@ use lumistack_scene::{AlphaMode, LightKind, Material, Pixels, Scene};
 use lumistack_usd::{Package, scene_from_package};
 use serde_json::{Value, json};
 
-/// A scene of one plane with one material, lights and one picture of 2 × 1 texels.
+/// A scene of one plane with one material and lights. It has a picture of 2 × 1 texels, and one
+/// that is missing.
 fn scene(material: Value, lights: Value) -> (Scene, Vec<Warning>) {
     let mut png = Vec::new();
     let texels = vec![255, 0, 51, 255, 0, 102, 204, 128];
@@ -48,7 +49,7 @@ fn preview(inputs: Value) -> (Scene, Material, Vec<Warning>) {
     shader("UsdPreviewSurface", inputs)
 }
 
-/// A texture that reads channels of the picture.
+/// A texture that reads these channels of the picture.
 fn texture(channels: &[usize], scale: f32, bias: f32, space: &str) -> Value {
     let list = |value: f32| vec![value; channels.len()];
     json!({"texture": {
@@ -104,16 +105,16 @@ fn opacity_cuts_or_blends_and_shares_the_texture_of_the_colour() {
     let (scene, material, _) =
         preview(json!({"diffuseColor": colour, "opacity": alpha, "opacityThreshold": {"value": [0.25]}}));
     assert_eq!(material.alpha_mode, AlphaMode::Mask { cutoff: 0.25 });
-    // the picture itself: colours and alpha are in place for the slot
+    // the picture itself, since colours and alpha are where the slot reads them
     assert_eq!(texels(&scene, material.base_color_texture.unwrap().texture), [[255, 0, 51, 255], [0, 102, 204, 128]]);
-    // opacity from green beside a constant colour: white with alpha in its channel
+    // opacity from green, with a constant colour: the texture is white with that alpha
     let (scene, material, _) = preview(json!({"opacity": texture(&[1], 1.0, 0.0, "raw")}));
     assert_eq!((material.alpha_mode, material.base_color), (AlphaMode::Blend, Vec4::new(0.18, 0.18, 0.18, 1.0)));
     assert_eq!(
         texels(&scene, material.base_color_texture.unwrap().texture),
         [[255, 255, 255, 0], [255, 255, 255, 102]]
     );
-    // a constant above the threshold hides nothing
+    // a constant opacity above the threshold hides nothing
     let (_, material, _) = preview(json!({"opacity": {"value": [0.5]}, "opacityThreshold": {"value": [0.25]}}));
     assert_eq!(material.alpha_mode, AlphaMode::Opaque);
 }
@@ -125,13 +126,13 @@ fn roughness_and_metalness_are_packed_from_any_channels() {
     assert_eq!((material.roughness, material.metallic), (1.0, 1.0));
     let packed = texels(&scene, material.metallic_roughness_texture.unwrap().texture);
     assert_eq!(packed.map_channels(), [[255, 0], [0, 102]]);
-    // roughness in green and metallic in blue are in place: the picture is used itself, the scale
-    // is the factor
+    // roughness is in green and metallic in blue, where the slot reads them: the picture itself is
+    // used, and the scale is the factor
     let (scene, material, _) =
         preview(json!({"roughness": texture(&[1], 0.5, 0.0, "raw"), "metallic": texture(&[2], 1.0, 0.0, "raw")}));
     assert_eq!((material.roughness, material.metallic), (0.5, 1.0));
     assert_eq!(texels(&scene, material.metallic_roughness_texture.unwrap().texture)[1], [0, 102, 204, 128]);
-    // 1 − texel is no factor
+    // 1 − texel is not a multiple of the texel, so a picture is baked
     let (scene, material, _) = preview(json!({"roughness": texture(&[0], -1.0, 1.0, "raw")}));
     let packed = texels(&scene, material.metallic_roughness_texture.unwrap().texture);
     assert_eq!([packed[0][1], packed[1][1]], [0, 255]);
@@ -142,7 +143,7 @@ trait Channels {
 }
 
 impl Channels for Vec<[u8; 4]> {
-    /// Roughness and metallic.
+    /// Roughness and metallic of every texel.
     fn map_channels(&self) -> Vec<[u8; 2]> {
         self.iter().map(|&[_, g, b, _]| [g, b]).collect()
     }
@@ -154,7 +155,7 @@ fn colour_spaces_scale_and_bias_act_in_linear_light() {
     let (scene, material, _) = preview(json!({"diffuseColor": texture(&[0, 1, 2], 1.0, 0.0, "raw")}));
     let expected = lumistack_core::colour::srgb_code(0.4);
     assert_eq!(texels(&scene, material.base_color_texture.unwrap().texture)[1][1], expected);
-    // a scale is a factor; "auto" with 8 bits is sRGB
+    // a scale becomes a factor; "auto" with 8 bits is sRGB
     let (scene, material, _) = preview(json!({"diffuseColor": texture(&[0, 1, 2], 0.5, 0.0, "auto")}));
     assert_eq!(material.base_color.truncate(), Vec3::splat(0.5));
     assert_eq!(texels(&scene, material.base_color_texture.unwrap().texture)[0], [255, 0, 51, 255]);
@@ -178,7 +179,7 @@ fn normal_maps_are_decoded_as_the_shader_says() {
     assert_eq!(material.normal_scale, 1.0);
     assert_eq!(texels(&scene, material.normal_texture.unwrap().texture)[0], [255, 0, 51, 255]);
     assert_eq!(scene.meshes[0].tangents.len(), scene.meshes[0].positions.len());
-    // inverted green, as some programs bake it
+    // green is inverted, as some programs bake it
     let mut flipped = texture(&[0, 1, 2], 2.0, -1.0, "raw");
     (flipped["texture"]["scale"][1], flipped["texture"]["bias"][1]) = (json!(-2.0), json!(1.0));
     let (scene, material, _) = preview(json!({"normal": flipped}));
@@ -198,7 +199,8 @@ fn textures_are_placed_by_their_primvar_and_transform() {
     other["texture"]["primvar"] = json!("lightmap");
     let (scene, material, _) = preview(json!({"diffuseColor": moved, "roughness": other}));
     let base = material.base_color_texture.unwrap();
-    // USD's (0.5, 0.25) is (0.5, 0.75) here. It maps to (1.25, 1.25), here (1.25, −0.25).
+    // USD's (0.5, 0.25) is (0.5, 0.75) in the scene. It maps to (1.25, 1.25), in the scene (1.25,
+    // −0.25).
     let found = base.texture_from_mesh.transform_point2(Vec2::new(0.5, 0.75));
     assert!((found - Vec2::new(1.25, -0.25)).length() < 1e-6, "{found}");
     assert_eq!((base.uv_set, material.metallic_roughness_texture.unwrap().uv_set), (0, 1));
@@ -283,12 +285,12 @@ fn lit(light: Value) -> (Scene, Vec<Warning>) {
     scene(json!({"place": "/m", "name": "m", "model": "UsdPreviewSurface", "inputs": {}}), json!([light]))
 }
 
-/// Scaled by 2, at (1, 2, 3).
+/// A matrix that scales by 2 and moves to (1, 2, 3).
 fn placed() -> Value {
     json!([2, 0, 0, 0, 0, 2, 0, 0, 0, 0, 2, 0, 1, 2, 3, 1])
 }
 
-/// Emission and power Σ L A π of the light's mesh.
+/// Emission, and power Σ L A π, of the light's mesh.
 fn light_mesh(scene: &Scene) -> (Vec3, f64) {
     let mesh = &scene.meshes[1];
     let radiance = scene.materials[mesh.material].emission;
@@ -342,7 +344,7 @@ fn shaped_and_small_lights_are_points_of_the_same_intensity() {
     assert!((light.intensity.x - PI).abs() < 1e-3 && light.direction == Vec3::NEG_Z);
     let LightKind::Spot { inner_cone_rad, outer_cone_rad } = light.kind else { panic!("{light:?}") };
     assert!((inner_cone_rad.to_degrees() - 15.0).abs() < 1e-4 && (outer_cone_rad.to_degrees() - 30.0).abs() < 1e-4);
-    // a distant light has the irradiance of a cone of its radiance
+    // a distant light has the irradiance of a cone with its radiance
     let light = point(json!({"kind": "distant", "angle": 60, "radiance": [8, 8, 8]}));
     assert!((light.intensity.x - 2.0 * PI).abs() < 1e-4);
     assert_eq!(light.kind, LightKind::Distant { half_angle_rad: 30f32.to_radians() });

@@ -1,11 +1,11 @@
-//! Packages without Python: a valid one becomes a scene, and no damage to one can cause a panic.
+//! Packages without Python: a valid package becomes a scene, and no damage to it can cause a panic.
 
 use lumistack_core::{Cancel, Collector, Task, seed};
 use lumistack_scene::Scene;
 use lumistack_usd::{Package, UsdError, scene_from_package};
 use serde_json::{Value, json};
 
-/// Arrays in sequence, as in a file.
+/// Arrays, one after another as in a file.
 #[derive(Default)]
 struct Buffers {
     bytes: Vec<u8>,
@@ -35,7 +35,7 @@ impl Buffers {
     }
 }
 
-/// A file: a header and its arrays.
+/// A file of a header and its arrays.
 fn file(header: &Value, data: &[u8]) -> Vec<u8> {
     let text = header.to_string();
     let mut bytes = b"LUMIPKG1".to_vec();
@@ -46,8 +46,8 @@ fn file(header: &Value, data: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// A mesh of two squares, one of them a subset. An instancer has five copies, three with this
-/// prototype; each occurs twice. A camera.
+/// A mesh of two squares, one of which is a subset; and a camera. An instancer has five copies,
+/// three of which have this prototype. Each copy occurs twice.
 fn sample() -> (Value, Vec<u8>) {
     let mut buffers = Buffers::default();
     let header = json!({
@@ -82,7 +82,7 @@ fn sample() -> (Value, Vec<u8>) {
     (header, buffers.bytes)
 }
 
-/// `None` if the file is no package.
+/// Loads a package; `None` if the file is not a package.
 fn load(bytes: &[u8]) -> Option<Result<Scene, UsdError>> {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let package = Package::parse(bytes).ok()?;
@@ -100,7 +100,7 @@ fn a_package_becomes_a_scene() {
     assert_eq!(scene.cameras[0].focus_distance, Some(2.0));
 }
 
-/// Replaces every number of the header, one at a time, by wrong values.
+/// Replaces every number of the header, one at a time, with wrong values.
 #[test]
 fn numbers_that_lie_do_no_harm() {
     let (header, data) = sample();
@@ -142,7 +142,8 @@ fn pointers(value: &Value, place: String, places: &mut Vec<String>) {
     }
 }
 
-/// Writes random bytes to random positions of the arrays, where every pattern is a number.
+/// Writes random bytes to random positions of the arrays, in which every pattern of bits is a
+/// number.
 #[test]
 fn arrays_that_lie_do_no_harm() {
     let (header, data) = sample();
@@ -163,7 +164,7 @@ fn arrays_that_lie_do_no_harm() {
     }
 }
 
-/// A few bytes that request 10^18 copies are refused before any copy is made.
+/// A few bytes that request 10^18 copies: the file is refused before any copy is made.
 #[test]
 fn copies_of_copies_are_counted_before_they_are_made() {
     let (mut header, data) = sample();
@@ -171,5 +172,5 @@ fn copies_of_copies_are_counted_before_they_are_made() {
     let chain = header["instances"][0]["chain"].as_array_mut().unwrap();
     chain.extend(vec![link; 60]);
     let error = load(&file(&header, &data)).unwrap().unwrap_err().to_string();
-    assert!(error.starts_with("sample: /a: expected at most 67108864 placed shapes"), "{error}");
+    assert!(error.starts_with("sample: /a: expected at most 67108864 instances and splat clouds"), "{error}");
 }

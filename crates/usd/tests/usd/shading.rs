@@ -1,5 +1,5 @@
-//! Shader networks and lights of small stages, read by the user's OpenUSD. Tests need
-//! `LUMISTACK_PYTHON` and are skipped without it.
+//! Shader networks and lights of small stages, which the user's OpenUSD reads. The tests need
+//! `LUMISTACK_PYTHON`, and are skipped without it.
 
 use glam::{Vec2, Vec3, Vec4};
 use lumistack_core::{Cancel, Collector, Task, Warning};
@@ -8,7 +8,7 @@ use lumistack_usd::{LoadOptions, load};
 
 use crate::common;
 
-/// The scene of a stage with pictures beside it; `None` (after a report) without a Python.
+/// The scene of a stage that has pictures next to it; `None`, after a report, without a Python.
 fn scene(text: &str) -> Option<(Scene, Vec<Warning>)> {
     common::python()?;
     let folder = tempfile::tempdir().unwrap();
@@ -74,7 +74,8 @@ fn networks_of_the_preview_surface_are_followed() {
     assert_eq!(material.base_color, Vec4::new(0.5, 0.5, 0.5, 1.0));
     assert_eq!((material.roughness, material.metallic), (0.75, 0.5));
     let base = material.base_color_texture.unwrap();
-    // (1, 1) is scaled to (2, 3), rotated to (−3, 2), moved to (−2.75, 2.5); v points down here
+    // (1, 1) is scaled to (2, 3), rotated to (−3, 2), moved to (−2.75, 2.5); in the scene v points
+    // down
     let found = base.texture_from_mesh.transform_point2(Vec2::new(1.0, 0.0));
     assert!((found - Vec2::new(-2.75, -1.5)).length() < 1e-5, "{found}");
     assert_eq!(scene.textures[base.texture].wrap_u, lumistack_scene::Wrap::ClampToEdge);
@@ -160,7 +161,8 @@ fn materialx_nodes_become_scale_and_bias() {
     assert_eq!(found.roughness, 0.625);
 }
 
-/// Other programs put nodes between a normal map and the surface; all of these keep the map.
+/// Other programs put nodes between a normal map and the surface. All of the nodes tested here keep
+/// the map.
 #[test]
 fn normal_maps_arrive_through_the_nodes_that_lie_behind_them() {
     const SHADERS: &str = r#"
@@ -223,7 +225,7 @@ fn normal_maps_arrive_through_the_nodes_that_lie_behind_them() {
         node("ND_remap_vector3FA", "tex", ends).replace("\"last\"", "\"remapped\"")
     });
     assert_eq!(through(&decoded), Some(plain.clone()));
-    // the strength of a map is a mix with the surface's normal
+    // the strength of a map is the weight of a mix with the surface's normal
     let mixed = r#"def Shader "last" {
             uniform token info:id = "ND_mix_vector3"
             float3 inputs:fg.connect = </m/map.outputs:out>
@@ -234,7 +236,7 @@ fn normal_maps_arrive_through_the_nodes_that_lie_behind_them() {
     assert_eq!(through(mixed), Some(plain.clone()));
     let half = through(&mixed.replace("mix = 1", "mix = 0.5")).unwrap();
     assert!(half != plain && half.len() == plain.len());
-    // inverted green
+    // the map with inverted green
     let flipped = through(&node("ND_normalmap", "flipped", "")).unwrap();
     let directions = |pixels: &Pixels| -> Vec<Vec3> {
         let texels: Vec<Vec3> = match pixels {
@@ -341,7 +343,8 @@ fn curves_and_points_without_widths_take_a_share_of_their_spacing() {
         let mesh = scene.meshes.iter().find(|mesh| mesh.place == place).unwrap();
         mesh.positions.iter().map(|p| p.x).fold(f32::INFINITY, f32::min)
     };
-    // spacing 1, bounds 9 × 9 × 9: the width is at most 0.5 % of their diagonal 15.6
+    // the spacing is 1 and the bounds are 9 × 9 × 9: the width is at most 0.5 % of their diagonal,
+    // 15.6
     assert!((lowest("/hair") + 0.5 * 0.005 * 243f32.sqrt()).abs() < 1e-4, "{}", lowest("/hair"));
     assert!((lowest("/alone") + 0.5 * 0.005 * 1000.0).abs() < 1e-2, "{}", lowest("/alone"));
     assert!((lowest("/dots") + 0.5 * 0.75 * 2.0).abs() < 1e-3, "{}", lowest("/dots"));
@@ -418,7 +421,7 @@ fn shapes_other_than_meshes_are_there() {
     near(extent("/can"), Vec3::new(2.0, 1.0, 1.0));
     near(extent("/dots"), Vec3::new(1.0, 1.0, 10.0));
     assert!((extent("/hair").y - 5.0).abs() < 1e-5);
-    // the limit surface of a cube: the middle of a face at 68/81, four levels of 6 faces
+    // the limit surface of a cube: the middle of a face is at 68/81; four levels, of 6 faces
     near(extent("/smooth"), Vec3::splat(68.0 / 81.0));
     let smooth = scene.meshes.iter().find(|mesh| mesh.place == "/smooth").unwrap();
     assert_eq!((smooth.triangles.len(), smooth.positions.len()), (3072, 1538));

@@ -1,4 +1,4 @@
-//! Particle fields in every OpenUSD: 26.03 and newer know the schema, older ones only the
+//! Particle fields in all versions of OpenUSD: 26.03 and newer know the schema, older ones only the
 //! attributes.
 
 use glam::{Quat, Vec3};

@@ -1,5 +1,5 @@
-//! Small stages, read by the user's OpenUSD. Tests need `LUMISTACK_PYTHON` to name a Python with
-//! usd-core, and are skipped without it.
+//! Small stages, which the user's OpenUSD reads. The tests need `LUMISTACK_PYTHON` to name a Python
+//! with usd-core, and are skipped without it.
 
 use std::path::Path;
 
@@ -46,7 +46,7 @@ const TRIANGLE: &str = r#"
     uniform token subdivisionScheme = "none"
 "#;
 
-/// A material that reads texture coordinates for the picture beside the layer.
+/// A material that shows the picture next to the layer, by texture coordinates.
 const BLUE: &str = r#"
 def Material "blue" {
     token outputs:surface.connect = </blue/surface.outputs:surface>
@@ -229,7 +229,7 @@ fn time_is_counted_from_the_first_time_code() {
     }
 }
 
-/// A leg of three joints, with the knee at (0, 1, 0) rotated by 90° about z, and meshes on it.
+/// A leg of three joints, with meshes on it. The knee at (0, 1, 0) is rotated by 90° about z.
 fn leg(meshes: &str) -> String {
     let matrices = [0, 1, 2].map(|y| format!("((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, {y}, 0, 1))")).join(", ");
     let local = [0, 1, 1].map(|y| format!("((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, {y}, 0, 1))")).join(", ");
@@ -254,7 +254,8 @@ fn leg(meshes: &str) -> String {
     )
 }
 
-/// A triangle on the leg: corner i follows the joint `indices[i]` of the mesh's own list.
+/// A triangle on the leg: corner i follows the joint with index `indices[i]` in the mesh's own
+/// list.
 fn on_leg(name: &str, joints: &str, indices: [usize; 3], interpolation: &str) -> String {
     format!(
         r#"def Mesh "{name}" (prepend apiSchemas = ["SkelBindingAPI"]) {{
@@ -281,13 +282,14 @@ fn on_leg(name: &str, joints: &str, indices: [usize; 3], interpolation: &str) ->
     )
 }
 
-/// A mesh may list its own joints in its own order; its authored normals rotate with them.
+/// A mesh may list its own joints in its own order. Its authored normals are rotated with the
+/// joints.
 #[test]
 fn meshes_with_joints_of_their_own_are_posed_with_their_normals() {
     if common::python().is_none() {
         return;
     }
-    // the face's corners are in the order 0, 2, 1, and so are face-varying normals
+    // the face has its corners in the order 0, 2, 1, so face-varying normals have that order too
     let both = [("vertex", [Vec3::X, Vec3::Y, Vec3::Z]), ("faceVarying", [Vec3::X, Vec3::Z, Vec3::Y])];
     for (interpolation, normals) in both {
         let scene = scene(&leg(&on_leg("shin", "\"hip/knee\", \"hip\"", [1, 0, 0], interpolation)));
