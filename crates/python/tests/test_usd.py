@@ -87,7 +87,7 @@ def test_variants_of_a_file(tmp_path: Path) -> None:
     assert scene.variants == ["/World/Box0{look=green}", "/World/Box0{look=red}"]
     with pytest.raises(lumistack.SceneError, match=r"expected one of the variants \(/World/Box0\{look\}: green, red\), found look=blue"):
         Scene(path, variants=["look=blue"])
-    with pytest.raises(lumistack.SettingError, match="variants: expected none beside a stage"):
+    with pytest.raises(lumistack.SettingError, match="variants: expected none with a stage"):
         Scene(stage_of_boxes(), variants=["look=red"])
 
 
