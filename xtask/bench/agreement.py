@@ -142,7 +142,7 @@ def compare(ours, theirs):
         error = np.sqrt((a.var(0, ddof=1) + b.var(0, ddof=1)) / count)
         excess = np.maximum(np.abs(difference) - granted, 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            # without noise, a difference within SYSTEMATIC is agreement
+            # values without noise agree if they differ by at most SYSTEMATIC
             return np.where(excess > 0.0, excess / error, 0.0), error, difference
 
     freedom = count - 1

@@ -1,4 +1,4 @@
-"""USD, read in this process by its own OpenUSD: files, and stages in memory."""
+"""USD, read in this process by this Python's OpenUSD: files, and stages in memory."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def stage_of_boxes(count: int = 2) -> Any:
 
 
 def file_of_boxes(folder: Path) -> Path:
-    stage = stage_of_boxes()  # its layer lives as long as it does
+    stage = stage_of_boxes()  # the root layer exists as long as the stage
     path = folder / "boxes.usda"
     stage.GetRootLayer().Export(str(path))
     return path
