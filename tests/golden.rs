@@ -22,7 +22,7 @@ use lumistack_testkit::statistics::z_limit;
 
 use crate::common::{lumistack, root, succeed};
 
-/// Cases that have scenes of their own.
+/// Cases that have their own scenes.
 const CASES: [&str; 3] = ["glass", "letters", "still-life"];
 /// Columns and rows of the pictures of all cases.
 const SIZE: [usize; 2] = [84, 52];

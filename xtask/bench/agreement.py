@@ -9,8 +9,8 @@ Both renderers make independent batches. Three tests compare them:
 - the mean of t^2 over pixels (grey), which detects small differences in many pixels
 
 A correct pair fails one run in 1000: FALSE_ALARM_RATE is divided by the number of tests (Bonferroni). A relative
-difference of SYSTEMATIC is allowed. It covers float32, and the masking-shadowing term: Mitsuba multiplies those of both
-directions, where the other side uses the joint term.
+difference of SYSTEMATIC is allowed. It covers float32, and the masking-shadowing term: Mitsuba multiplies the terms of both
+directions, whereas our path tracer uses the joint term.
 """
 
 import json

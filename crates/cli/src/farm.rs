@@ -321,7 +321,7 @@ fn print(plan: &FarmPlan, dir: &Path, workers: &[usize], json: bool) {
         );
         return;
     }
-    // A table for the user, with the prediction below it.
+    // Print a table for the user, and the prediction after it.
     let width = graph.units.iter().map(|unit| unit.id.chars().count()).max().unwrap_or(0).max(4);
     say!("{:width$}  {:8}  {:4}  {:>8}  {:>8}  inputs", "unit", "kind", "done", "time", "memory");
     for (unit, done) in graph.units.iter().zip(&done) {
