@@ -27,8 +27,8 @@ use crate::work::long;
 /// * callback: callback(stage, fraction) receives progress
 ///
 /// These keys of light belong to the scene: environment (a Radiance HDR or OpenEXR file),
-/// environment_strength, environment_rotation_deg, from_splats, visible, and automatic (studio
-/// light for a scene without light). The other keys are defaults for render().
+/// environment_strength, environment_rotation_deg, from_splats, visible and automatic. The last
+/// adds a studio light to a scene without light. The other keys are defaults for render().
 ///
 /// The file is read once, and its acceleration structures are kept: render() may be called many
 /// times.
