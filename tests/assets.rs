@@ -3,15 +3,15 @@
 
 use crate::common::{assets, lumistack, number, report, succeed};
 
-/// Least share of the window that the object covers. All of the object is visible, so a slender one
-/// fills no more of a wide window.
+/// Smallest fraction of the window that the object must cover. The whole object is visible, so a
+/// slender object covers only this much of a wide window.
 const COVERAGE: f64 = 0.13;
-/// Least distance between the 1st and the 99th percentile of the target.
+/// Smallest difference between the 1st and the 99th percentile of the target.
 const SPAN: f64 = 0.3;
-/// Least PSNR over the whole zone at β = 0.2, dB.
+/// Smallest PSNR over the whole zone at β = 0.2, dB.
 const PSNR_DB: f64 = 23.0;
 
-/// Files that need no settings besides the display.
+/// Files that need no settings except the display.
 const FILES: [&str; 5] = [
     "FlightHelmet/FlightHelmet.gltf",
     "CornellBox/CornellBox.glb",
@@ -45,7 +45,7 @@ fn files_with_nothing_set_small() {
     check(&["--resolution", "112x70", "--samples", "16"]);
 }
 
-/// The same at the display's own resolution and frames.
+/// Renders the same files at the display's own resolution and frames.
 #[test]
 #[ignore = "slow: renders five scenes at 840 × 525"]
 fn files_with_nothing_set() {

@@ -1,5 +1,5 @@
-//! Presentation to people: the preview in a window, flat pictures, test patterns on every output,
-//! and calibration from photographs of them.
+//! Presentations for users: the preview in a window, flat pictures, test patterns on every output,
+//! and calibration from photographs of the patterns.
 
 #![cfg(feature = "panels")]
 
@@ -13,7 +13,7 @@ use crate::common::session::{Picture, SWAY, Session, wait_for};
 use crate::common::show::Show;
 use crate::common::{self, poke, session};
 
-/// A run whose layers contain smooth pictures, for people and for comparisons.
+/// Makes a run whose layers contain smooth pictures, to look at and to compare.
 fn write_waves(folder: &Path) -> Display {
     let mut display = Display::uniform([96, 60], 2.0, [3, 3], [24.0, 16.0], &[-20.0, 0.0, 20.0], 2);
     display.brightness = 0.5;
@@ -89,7 +89,7 @@ fn the_preview_window_shows_the_view_that_the_pointer_selects() {
         // the pointer must move: its initial position causes no event
         poke.point([at[0] - 1, at[1]]);
         poke.point(at);
-        // the window covers the field of view and a fifth more
+        // the window covers 1.2 times the field of view
         let share = [2.0 * f64::from(at[0]) / 768.0 - 1.0, 1.0 - 2.0 * f64::from(at[1]) / 480.0];
         let from = [0, 1].map(|axis| 1.2 * share[axis] * 0.5 * display.field.fov_deg[axis]);
         let shot = wait_for(&format!("the view from {from:?}"), || {
@@ -115,7 +115,7 @@ fn a_flat_picture_has_all_pixels_of_its_panel() {
     display.layers[2].panel = Some(Panel { flip: Flip::Horizontal, ..Panel::default() });
     std::fs::write(folder.path().join("display.toml"), display.to_toml()).unwrap();
     // The third panel has 640 × 360 pixels, four per pixel of its mask; it is mirrored and linear.
-    // The picture has as many.
+    // The picture has 640 × 360 pixels too.
     let mut random = Stream::new(5);
     let picture = image::RgbImage::from_fn(640, 360, |x, y| {
         let ring = (f64::from(x) - 320.0).hypot(f64::from(y) - 180.0) < 120.0;
@@ -140,7 +140,8 @@ fn a_flat_picture_has_all_pixels_of_its_panel() {
     let wanted = Picture { size: [640, 360], rgb };
     let shot = wait_for("the picture", || session.grim("HEADLESS-3").filter(|shown| *shown == wanted));
     keep(&shot, "flat_2");
-    // the others are clear within their masks, 320 × 180 pixels in the middle, and dark outside
+    // the other panels are clear within their masks, 320 × 180 pixels in the middle, and dark
+    // outside of them
     for (name, [cols, rows], _) in &SWAY[..2] {
         let mut rgb = Vec::new();
         for (y, x) in (0..*rows).flat_map(|y| (0..*cols).map(move |x| (y, x))) {
@@ -189,7 +190,7 @@ fn masks_for_other_panels_cause_a_warning_and_fit_scales_them() {
 /// Columns and rows of the panels that are photographed.
 const PANEL: [usize; 2] = [840, 525];
 const PITCH_MM: f64 = 0.55;
-/// Largest error of places after calibration, panel pixels.
+/// Largest error of positions after calibration, panel pixels.
 const ERROR_PX: f64 = 0.1;
 const EYE: [f64; 3] = [12.0, -8.0, 2000.0];
 
@@ -308,7 +309,7 @@ fn photographs_correct_the_pose_of_panels() {
         println!("{found}");
         assert!(found["moved_mm"].as_f64().unwrap() < ERROR_PX * PITCH_MM, "{found}");
     }
-    // the stack appears at the places of its mask pixels
+    // the stack appears at the positions of its mask pixels
     let mut show = Show::start(&session, folder.path(), &["--hold", "0"]);
     show.event("swapped");
     for (n, (name, ..)) in OUTPUTS.iter().enumerate() {

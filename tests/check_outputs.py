@@ -150,7 +150,7 @@ def web_simulator(folder):
 
 
 def image_magick(folder):
-    """Checks the whole folder with a third reader of PNG files."""
+    """Checks all PNG files of the folder with a third reader of PNG files."""
     if not shutil.which("identify"):
         return print("skipped: no ImageMagick")
     for file in folder.rglob("*.png"):

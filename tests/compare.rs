@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use crate::common::{fail, lumistack, report, succeed};
 
-/// A run of two displays with cards before and behind them.
+/// Makes a run of two displays, with cards in front of and behind the display plane.
 fn run_of_two(folder: &Path) -> PathBuf {
     let (job, out) = (folder.join("two.toml"), folder.join("two"));
     let text = "outputs = []\n[source]\nplugin = \"test_views\"\nparams = { pattern = \"cards\", depth_mm = 60.0 }\n\n[display]\npreset = \"fig7-uniform\"\nresolution = [64, 40]\n\n\
@@ -79,7 +79,7 @@ impl Camera {
                 (0..3).for_each(|c| light[c] += 0.25 * if inside { f64::from(shown[at + c]) } else { ROOM });
             }
             for value in light {
-                // a sum of twelve uniform numbers is nearly Gaussian
+                // a sum of twelve uniform numbers is nearly normal
                 let noise = NOISE * ((0..12).map(|_| f64::from(stream.next_f32())).sum::<f64>() - 6.0);
                 codes.push(srgb_code((exposure * value + noise) as f32));
             }

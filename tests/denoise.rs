@@ -103,7 +103,7 @@ fn a_missing_program_is_named_before_anything_is_rendered() {
     assert!(!traced, "views were traced before the filter was looked for");
 }
 
-/// A stand-in for the program, which returns its input.
+/// Makes a program that replaces `oidnDenoise` and returns its input.
 #[cfg(unix)]
 #[test]
 fn the_external_denoiser_receives_pictures_and_its_result_is_used() {
@@ -119,7 +119,7 @@ test -s "$alb" && test -s "$nrm" && cp "$in" "$out"
     std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
     succeed(still_life(&run, "oidn").env("LUMISTACK_OIDN", &program));
     let reported = report(&run)["denoising"].clone();
-    // it changes nothing, so errors and mean stay the same
+    // this program changes nothing, so errors and mean stay the same
     assert_eq!(reported["mse_before"], reported["mse_after"], "{reported}");
     assert!(
         pair(&reported["mean_change"])[0].abs() < 1e-6 && reported["name"].as_str().unwrap().contains("Open Image")

@@ -213,14 +213,14 @@ fn the_committed_tables_show_the_papers_trends() {
         let found = figure_7.iter().find(|row| row.0 == display && row.1 == layers && row.2 == frames);
         found.unwrap_or_else(|| panic!("{display}, {layers} layers, {frames} frames")).4
     };
-    // chance in the result of 50 updates from random patterns, dB
+    // random variation of the result of 50 iterations from random patterns, dB
     const CHANCE: f64 = 0.5;
     let frames = [1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0];
     for display in ["fig7-uniform", "fig7-directional"] {
         for layers in 1..=8 {
             let layers = f64::from(layers);
-            // a single layer before a uniform backlight shows the same picture in all directions,
-            // for any number of frames
+            // a single layer in front of a uniform backlight shows the same picture in all
+            // directions, for any number of frames
             if display == "fig7-directional" || layers > 1.0 {
                 for pair in frames.windows(2).filter(|pair| at(display, layers, pair[0]) < 40.0) {
                     assert!(

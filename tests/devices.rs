@@ -8,7 +8,8 @@ use crate::live::{Live, write_job};
 
 /// Largest difference of a device's score from the processor's, dB.
 const SAME_DB: f64 = 0.01;
-/// The same in a live display, whose steps have as many updates as fit into their time.
+/// Largest difference in a live display, dB. The number of iterations in its steps depends on the
+/// time that they take.
 const LIVE_DB: f64 = 0.3;
 
 /// Solves a light field on a device.
@@ -60,7 +61,7 @@ fn an_adapter_solves_as_the_processor_does() {
     succeed(&mut solve(folder.path(), "device", &on_device));
     let [here, there] = ["cpu", "device"].map(|run| number(&report(&folder.path().join(run)), "psnr_view"));
     assert!((here - there).abs() < SAME_DB, "{here} dB and {there} dB");
-    // cached results of one do not serve the other
+    // results that the device has cached are not used for the processor, nor the reverse
     let run = folder.path().join("device");
     succeed(&mut solve(folder.path(), "device", &on_device));
     assert!(cached(&run, "factorize"));
@@ -68,7 +69,7 @@ fn an_adapter_solves_as_the_processor_does() {
     assert!(!cached(&run, "factorize"));
 }
 
-/// Live displays solve on the device too.
+/// Live displays also solve on the device.
 #[test]
 fn a_live_display_solves_on_an_adapter() {
     if !cfg!(feature = "gpu") {
@@ -85,7 +86,7 @@ fn a_live_display_solves_on_an_adapter() {
         let mut live = Live::start(&job, &folder.path().join("run"), &["--device", &device]);
         live.state(|_| true);
         live.command(&serde_json::json!({"set": {"display.brightness": 0.4}}));
-        // 60 updates of a light field end the solve
+        // the solve of a light field ends after 60 iterations
         let last = live.state(|state| state["content"] == 2 && state["updates"] == 60);
         live.stop();
         last["psnr_view"].as_f64().unwrap()

@@ -10,10 +10,10 @@ use crate::common::{lumistack, number, report, root, succeed};
 
 /// Largest difference of the traced views from the report's figures, dB.
 const DECIBELS: f64 = 0.5;
-/// Half width of a pupil as a share of a view's bin, and steps per axis.
+/// Half width of a pupil as a fraction of a view's bin, and steps per axis.
 const PUPIL: f64 = 0.3;
 const PUPIL_STEPS: i32 = 3;
-/// One ray of so many is traced, different ones in each view.
+/// One ray out of this number is traced; the traced rays differ between views.
 const EVERY: usize = 23;
 
 /// The light of a panel: red, green and blue in rows of pixels.
@@ -24,7 +24,7 @@ struct Panel {
 }
 
 impl Panel {
-    /// From codes as they are sent: red, green, blue and a fourth byte.
+    /// Converts codes as they are sent: red, green, blue and a fourth byte.
     fn new(codes: &[u8], size: [usize; 2], pitch_mm: f64) -> Self {
         // IEC 61966-2-1, which the display file declares
         let decoded = |code: u8| {
@@ -43,8 +43,8 @@ impl Panel {
     }
 }
 
-/// The point of the rear panel from which a ray comes that leaves the lens array at a point with a
-/// slope; `None` beside the array.
+/// Returns the origin on the rear panel of a ray that leaves the lens array at a point with a
+/// slope; `None` if the point is not on the array.
 ///
 /// The ray goes back to the lens plane, through a thin lens of this focal length, and to its focal
 /// plane.
@@ -72,7 +72,7 @@ fn rays_through_lenses_and_layer_see_the_target() {
     let run = folder.path().join("run");
     let job = folder.path().join("job.toml");
     let scene = root().join("scenes/letters/letters.gltf");
-    // the rays replace the score
+    // the traced rays replace the zone score, so no score is computed
     let text = format!(
         "scene = {scene:?}\noutputs = []\n[display]\npreset = \"paper-directional\"\nresolution = [84, 52]\nframes = 2\n\
          [render]\nsamples = 3\n[factorize]\niterations = 8\n[report]\nzone_directions = 0\n"

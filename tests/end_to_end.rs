@@ -13,12 +13,12 @@ const PSNR_AGREEMENT_DB: f64 = 0.01;
 /// Largest loss of a case against the PSNR in its file, dB. Other instruction sets round
 /// differently, which also changes noise.
 const MAY_LOSE_DB: f64 = 0.3;
-/// Largest gain of a case before its file must be renewed, dB: an outdated figure would hide a
+/// Largest gain of a case before its file must be written again, dB: an outdated value would hide a
 /// loss.
 const MAY_GAIN_DB: f64 = 1.0;
 
 /// Each folder of `tests/cases` has a job and `expected.json`: its PSNR, and files that must exist.
-/// LUMISTACK_WRITE=1 measures the figures anew.
+/// LUMISTACK_WRITE=1 measures the values again.
 #[test]
 fn every_case_gives_its_expected_psnr() {
     let renew = std::env::var_os("LUMISTACK_WRITE").is_some();
@@ -123,7 +123,7 @@ fn a_numpy_model_of_the_seen_picture_gives_the_reports_zone() {
     }
 }
 
-/// An array of f32 as `.npy`.
+/// Encodes an array of f32 as `.npy`.
 fn write_array(path: &Path, shape: &[u64], values: impl IntoIterator<Item = f32>) {
     use npyz::WriterBuilder;
     let file = std::fs::File::create(path).unwrap();
@@ -204,8 +204,8 @@ fn weights_of_zero_are_an_error() {
     assert!(error.contains("weights.npy") && error.contains("at least one weight above 0"), "{error}");
 }
 
-/// One layer can show this view exactly: its patterns are β times the input, not times the nearest
-/// half floats.
+/// One layer can show this view exactly. Its patterns are β times the input itself, not β times the
+/// nearest half floats.
 #[test]
 fn a_view_that_one_layer_can_show_is_not_rounded() {
     let folder = tempfile::tempdir().unwrap();
@@ -228,7 +228,7 @@ fn a_view_that_one_layer_can_show_is_not_rounded() {
     assert!(psnr > 110.0, "{psnr} dB");
 }
 
-/// Frames so many that the display's panels would flicker.
+/// Arguments for so many frames that the display's panels would flicker.
 const SMALL_RUN: [&str; 10] =
     ["--resolution", "84x52", "--frames", "3", "--samples", "4", "--iterations", "10", "--max-bounces", "3"];
 
@@ -252,7 +252,8 @@ fn the_same_bytes_on_one_and_two_threads() {
     check_views_beyond_the_zone(&report(&one));
 }
 
-/// Checks the figures of views one view spacing outside the outermost views, on both sides.
+/// Checks the scores of the views that are one view spacing outside of the outermost views, on both
+/// sides.
 fn check_views_beyond_the_zone(report: &serde_json::Value) {
     let slopes = |field: &str| -> Vec<f64> {
         report[field]["slope_x"].as_array().unwrap().iter().map(|slope| slope.as_f64().unwrap()).collect()
@@ -407,7 +408,7 @@ fn one_render_feeds_two_displays_and_five_outputs() {
     assert!((number(&nodes[1], "brightness") - 1.0 / 9.0).abs() < 1e-6);
     let views = files(&run.join("target"));
     assert_eq!(views.len(), 1 + 9, "one light field for both");
-    // each node's folder is enough to simulate its display
+    // the folder of a node has all that simulates its display
     let picture = folder.path().join("barrier.png");
     succeed(lumistack().arg("simulate").arg(run.join("nodes/barrier")).arg("-o").arg(&picture));
     let picture = image::open(&picture).unwrap().into_rgb8();

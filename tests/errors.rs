@@ -63,8 +63,8 @@ fn scenes() {
     assert!(text.contains("expected a file .gltf, .glb") && text.contains("`stl`"), "{text}");
 }
 
-/// A scene file may be untrusted: it reads regular files beside it only, unless the user permits
-/// others.
+/// A scene file may be untrusted: it reads only regular files in its own folder, unless the user
+/// permits others.
 #[cfg(unix)]
 #[test]
 fn a_scene_reads_no_files_elsewhere() {
@@ -99,8 +99,8 @@ fn a_scene_reads_no_files_elsewhere() {
         assert!(names_all && text.contains("outside of the folder"), "{text}");
         succeed(&mut info(uri, &["--allow-outside"]));
     }
-    // no device and no pipe, even with that permission; without this check these runs would never
-    // end
+    // Even with that permission it reads no device and no pipe. Without this check these runs would
+    // never end.
     for (uri, found) in [("/dev/zero", "a device"), ("pipe", "a pipe"), ("/", "a folder")] {
         let text = fail(&mut info(uri, &["--allow-outside"]));
         assert!(text.contains(&format!("expected a regular file, found {found}")), "{text}");
@@ -360,7 +360,7 @@ fn a_preview_needs_a_run() {
     assert!(text.contains("name one of its times"), "{text}");
     let text = fail(lumistack().arg("preview").arg(folder.path().join("nothing")).arg("--no-open"));
     assert!(text.contains("nothing: folder: expected a run or a preview"), "{text}");
-    // a run with damaged patterns: no server is started
+    // for a run with damaged patterns no server is started
     std::fs::create_dir(folder.path().join("layers")).unwrap();
     std::fs::write(folder.path().join("layers/stack.json"), "{").unwrap();
     let text = fail(lumistack().arg("preview").arg(folder.path()).arg("--no-open"));

@@ -2,15 +2,15 @@
 //! of the whole. Random numbers may change, the mean may not.
 //!
 //! `golden.exr` in a case's folder is a view of its scene with many samples, linear, and the
-//! variance of that mean. For a picture x of n samples of the same scene,
+//! variance of that mean. For a picture x of n samples per pixel of the same scene,
 //!
 //! ```text
 //! z = |x − μ| / √(σ²/n + var μ)        σ² = samples of the golden picture · var μ
 //! ```
 //!
 //! is within the bounds of chance, with Šidák's correction for the number of tests. The test per
-//! pixel is that of Mitsuba's own suite, some outliers included. Sums detect small differences that
-//! cover large areas.
+//! pixel is that of Mitsuba's own suite, which also permits some outliers. Sums over blocks detect
+//! small differences that cover large areas.
 
 use std::path::Path;
 
@@ -22,18 +22,18 @@ use lumistack_testkit::statistics::z_limit;
 
 use crate::common::{lumistack, root, succeed};
 
-/// Cases that have scenes of their own.
+/// Cases that have their own scenes.
 const CASES: [&str; 3] = ["glass", "letters", "still-life"];
-/// Columns and rows of the pictures, for all cases.
+/// Columns and rows of the pictures of all cases.
 const SIZE: [usize; 2] = [84, 52];
-/// Samples of a golden picture, and of the picture that is compared with it.
+/// Samples per pixel of a golden picture, and of the picture that is compared with it.
 const SAMPLES: [usize; 2] = [4096, 64];
-/// Pixels of a block's side.
+/// Side of a block, pixels.
 const BLOCK: usize = 4;
-/// Probability that any of a case's tests fails by chance.
+/// Probability that at least one of a case's tests fails by chance.
 const FALSE_ALARM_RATE: f64 = 1e-2;
-/// Share of pixels that may fail in a correct picture: 64 samples of a caustic are not normally
-/// distributed.
+/// Fraction of the pixels that may fail in a correct picture: 64 samples of a caustic are not
+/// normally distributed.
 const OUTLIERS: f64 = 0.0025;
 /// Golden pictures are rounded to 11 bits.
 const ROUNDING: f64 = 1.0 / 2048.0;
@@ -48,7 +48,7 @@ struct Picture {
 }
 
 impl Picture {
-    /// The first view of a job's scene.
+    /// Renders the first view of a job's scene.
     fn render(job: &Path, samples: usize, seed: u64, folder: &Path) -> Self {
         let mut command = lumistack();
         command.arg("render").arg(job).arg("-o").arg(folder);
@@ -71,7 +71,7 @@ impl Picture {
         Self { mean: three(), variance: three() }
     }
 
-    /// Writes with few bits, since the others are noise that does not compress.
+    /// Writes values with few bits, since the other bits are noise that cannot be compressed.
     fn write(&self, path: &Path) {
         let rounded = |values: &Vec<f64>| -> Vec<f32> {
             values
@@ -134,7 +134,7 @@ impl Picture {
     }
 }
 
-/// All channels of a file with their names, sorted by name as in the file.
+/// Reads all channels of a file with their names, sorted by name as in the file.
 fn channels(path: &Path) -> Vec<(String, Vec<f64>)> {
     let image = read().no_deep_data().largest_resolution_level().all_channels().first_valid_layer().all_attributes();
     let image = image.from_file(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
@@ -143,7 +143,7 @@ fn channels(path: &Path) -> Vec<(String, Vec<f64>)> {
     list.map(|channel| (channel.name.to_string(), of(&channel.sample_data))).collect()
 }
 
-/// LUMISTACK_WRITE=1 renders the golden pictures anew.
+/// LUMISTACK_WRITE=1 renders the golden pictures again.
 #[test]
 fn renders_differ_from_golden_pictures_only_by_noise() {
     let renew = std::env::var_os("LUMISTACK_WRITE").is_some();
@@ -165,7 +165,7 @@ fn renders_differ_from_golden_pictures_only_by_noise() {
             std::fs::create_dir_all(&left).unwrap();
             Picture::save_png(|c, i| now.mean[c][i], &left.join("picture.png"));
             Picture::save_png(|c, i| golden.mean[c][i], &left.join("reference.png"));
-            // grey for equal values; the unit is the standard error
+            // grey means equal values; one standard error is one unit of the difference
             let error = |c: usize, i: usize| (golden.variance[c][i] * (SAMPLES[0] / SAMPLES[1] + 1) as f64).sqrt();
             let off = |c: usize, i: usize| 0.2 + 0.04 * (now.mean[c][i] - golden.mean[c][i]) / (error(c, i) + 1e-9);
             Picture::save_png(off, &left.join("difference.png"));

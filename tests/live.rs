@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use crate::common::{fail, lumistack, number, report, succeed, write_test_field};
 
-/// Longest time until an awaited event.
+/// Longest wait for an event.
 const PATIENCE: Duration = Duration::from_secs(120);
 
 /// A running display.
@@ -27,7 +27,7 @@ impl Live {
         Self::start_by(lumistack(), job, run, options)
     }
 
-    /// The same by a command that sets the session.
+    /// Starts a job through a command that also sets the windowing session.
     fn start_by(mut command: Command, job: &Path, run: &Path, options: &[&str]) -> Self {
         command.args(["--json", "live", "--no-open"]).arg(job).arg("-o").arg(run).args(options);
         let mut process = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
@@ -45,7 +45,7 @@ impl Live {
         writeln!(self.input, "{command}").unwrap();
     }
 
-    /// Waits for an event that fits.
+    /// Waits for an event that satisfies a condition.
     pub(crate) fn event(&self, fits: impl Fn(&Value) -> bool) -> Value {
         let mut all = Vec::new();
         loop {
@@ -57,12 +57,12 @@ impl Live {
         }
     }
 
-    /// Waits for a state that fits.
+    /// Waits for a state that satisfies a condition.
     pub(crate) fn state(&self, fits: impl Fn(&Value) -> bool) -> Value {
         self.event(|event| event["event"] == "state" && fits(event))
     }
 
-    /// Ends it by a command. Returns the last event.
+    /// Ends the display by a command. Returns the last event.
     pub(crate) fn stop(mut self) -> Value {
         self.command(&json!({"stop": true}));
         let done = self.event(|event| event["event"] == "done");
@@ -97,7 +97,7 @@ fn states_follow_commands_files_and_heads_and_the_last_is_a_run() {
     let first = live.state(|_| true);
     assert_eq!((&first["number"], &first["content"], &first["zone"]), (&json!(1), &json!(1), &json!(1.0)));
 
-    // a key of the job, and a wrong one
+    // set a key of the job, then a key that does not exist
     live.command(&json!({"set": {"display.brightness": 0.4}}));
     let changed = live.state(|state| state["content"] == 2);
     assert!(changed["number"].as_u64() > first["number"].as_u64(), "{first} {changed}");
@@ -105,16 +105,17 @@ fn states_follow_commands_files_and_heads_and_the_last_is_a_run() {
     let refused = live.event(|event| event["event"] == "refused");
     assert!(refused["message"].as_str().unwrap().contains("did you mean `brightness`?"), "{refused}");
 
-    // the light field's file; its length differs, since some file systems store coarse times
+    // Write the light field's file again. Its length differs, since some file systems store coarse
+    // times.
     write_test_field(&folder.path().join("views.npy"), [3, 3, 20, 24], 20.0, 3.0);
     live.state(|state| state["content"] == 3);
 
-    // a head of a tracker: six little-endian doubles, centimetres and degrees
+    // send the head of a tracker: six little-endian doubles, centimetres and degrees
     let tracker = UdpSocket::bind("127.0.0.1:0").unwrap();
     let packet: Vec<u8> = [5.0f64, 0.0, 10.0, 30.0, 0.0, 0.0].iter().flat_map(|value| value.to_le_bytes()).collect();
     tracker.send_to(&packet, ("127.0.0.1", port)).unwrap();
     live.state(|state| state["zone"] == 0.0);
-    // without news of it the zone comes back
+    // without further positions the whole zone has its weights again
     live.state(|state| state["zone"] == 1.0);
     // the same on standard input
     live.command(&json!({"viewers": [[50, 0, 600]]}));
@@ -170,7 +171,8 @@ fn errors_of_the_start_end_it_with_one_message() {
     }
 }
 
-/// In the window of a bare X server the pointer moves a head, who stays there while it rests.
+/// In the window of an X server without a window manager the pointer moves a head. While the
+/// pointer rests, the head stays where it is.
 #[cfg(feature = "panels")]
 #[test]
 fn the_mouse_in_the_window_acts_as_a_tracked_head() {
@@ -194,7 +196,7 @@ fn the_mouse_in_the_window_acts_as_a_tracked_head() {
         zone_within(Duration::from_millis(100)) == Some(0.0)
     });
     assert!(followed, "no state follows the pointer");
-    // longer than the silence after which the zone comes back
+    // wait longer than the silence after which the whole zone has its weights again
     let rest = zone_within(Duration::from_secs(4));
     assert!(rest.is_none_or(|zone| zone == 0.0), "{rest:?}");
     live.stop();

@@ -38,7 +38,7 @@ def smooth(seed, rows, cols):
 
 
 def picture(formula, shape):
-    """Code values of "KIND:NUMBER" over shape = [rows, cols]."""
+    """Code values of the test picture "KIND:NUMBER", of shape [rows, cols]."""
     kind, number = formula.split(":")
     number, (rows, cols) = int(number), (range(shape[0]), range(shape[1]))
     if kind == "flat":

@@ -6,7 +6,7 @@ use std::process::Command;
 
 use crate::common::{fail, files, lumistack, number, report, root, succeed};
 
-/// True if a stage was cached by an earlier run.
+/// Returns whether the result of a stage came from an earlier run.
 fn cached(run: &Path, name: &str) -> bool {
     let report = report(run);
     let stages = report["stages"].as_array().unwrap();
@@ -60,7 +60,7 @@ fn a_source_makes_the_light_field_once() {
     std::fs::write(&job, NUMBERS.replace("12 }", "6 }")).unwrap();
     run_job(&job, &run);
     assert!(!cached(&run, "test_views") && made != files(&run.join("target")));
-    // the job in the run's folder describes the same run
+    // the job file in the run's folder describes the same run
     run_job(&run.join("job.toml"), &run);
     assert!(cached(&run, "test_views"));
 }
@@ -122,7 +122,7 @@ fn files_in_parameters_are_the_jobs_own() {
     let before = native();
     run_job(&job, &run);
     assert!(cached(&run, "output-quilt"));
-    // a different calibration of the same length and name
+    // the content of the calibration changes, but neither its length nor its name
     screen(0.75);
     run_job(&job, &run);
     assert!(!cached(&run, "output-quilt") && cached(&run, "factorize") && before != native());

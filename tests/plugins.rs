@@ -1,4 +1,4 @@
-//! Plugins in libraries, which the program runs in child processes: these may end in any way.
+//! Plugins in libraries, which the program runs in child processes. A child may end in any way.
 
 #![cfg(unix)]
 
@@ -22,7 +22,7 @@ fn hostile(folder: &Path, id: &str, in_entry: &str) {
     assert!(cc.status().expect("a C compiler").success());
 }
 
-/// A small job with two outputs, of which one has this fault.
+/// Makes a small job with two outputs; one of them has this fault.
 fn job(folder: &Path, fault: &str) -> PathBuf {
     let text = format!(
         "[source]\nplugin = \"test_views\"\nparams = {{ pattern = \"cards\", depth_mm = 12 }}\n\n\

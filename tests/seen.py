@@ -21,7 +21,7 @@ distance = views["distance_mm"]
 layers = [np.load(f"{run}/layers/layer_{n}.npy").astype(np.float64) for n in range(len(display["layers"]))]
 lenslets = display["backlight"] if display.get("backlight", {}).get("kind", "uniform") != "uniform" else None
 emission = np.load(f"{run}/layers/emission.npy").astype(np.float64) if lenslets else None
-# every part with its [columns, rows]
+# every layer, and the backlight, with its [columns, rows]
 parts = [(part, (values.shape[2], values.shape[1])) for part, values in zip(display["layers"], layers)]
 parts += [(lenslets, (emission.shape[4], emission.shape[3]))] if lenslets else []
 
@@ -35,7 +35,7 @@ def picture(direction, half):
 
 
 def runs(slope, side):
-    """Along one axis (0: x), `many` rays through every pixel, and of those that read the same everywhere one, with their share of the pixel's width.
+    """Traces `many` rays per pixel along one axis (0: x). Returns one ray of each group that reads the same pixels of all layers, with the group's fraction of the pixel's width.
 
     Gives places[part][run, pixel], bins[run, pixel], shares[run, pixel] and whether the run crosses all parts.
     """

@@ -8,10 +8,10 @@ use serde_json::Value;
 
 use crate::common::{fail, files, lumistack, number, report, root, succeed, write_test_field};
 
-/// Largest deficit of 5 iterations from a warm start against 30 from a fresh start, dB, with the
-/// paper's rule.
+/// Largest loss of 5 iterations from a warm start, compared with 30 iterations from a fresh start,
+/// with the paper's rule, dB.
 const WARM_LOSS_DB: f64 = 1.0;
-/// Least gain over 5 iterations from a fresh start, dB, with any solver.
+/// Smallest gain over 5 iterations from a fresh start, with any solver, dB.
 const WARM_GAIN_DB: f64 = 1.0;
 /// Largest relative difference of exposures within a sequence.
 const SAME_EXPOSURE: f64 = 1e-9;
@@ -74,7 +74,7 @@ fn a_warm_start_saves_iterations() {
     for solver in ["multiplicative", "auto"] {
         let sequence = ["--sequence", "--solver", solver, "--iterations", "30"];
         let text = succeed(factorize(&input, &run).args(sequence));
-        assert!(text.contains("over 4 times, flicker"), "{text}");
+        assert!(text.contains("over 4 time steps, flicker"), "{text}");
         let times = times(&run);
         assert_eq!(times.iter().map(|t| t["iterations"].as_u64().unwrap()).collect::<Vec<_>>(), [30, 5, 5, 5]);
         let warm = number(&times[3], "psnr_view");
@@ -95,8 +95,8 @@ fn a_warm_start_saves_iterations() {
     }
 }
 
-/// A cut in the middle of a sequence: the patterns of the previous time step are not a good start
-/// there.
+/// In the middle of a sequence there is a cut. There the patterns of the previous time step are not
+/// a good start.
 #[test]
 fn a_cut_starts_fresh() {
     let folder = tempfile::tempdir().unwrap();
@@ -114,7 +114,7 @@ fn a_cut_starts_fresh() {
     succeed(factorize(&shot(2), &alone).args(["--iterations", "5"]));
     let (cut, fresh) = (number(&times[2], "psnr_view"), number(&report(&alone), "psnr_view"));
     assert!(cut > fresh - 1e-6, "{cut} dB at the cut, {fresh} dB from a fresh start");
-    // the time step's own job states its start, and repeats it
+    // the job file of the time step states the start, and a run of it has the same start
     let patterns = files(&run.join("t0003/layers"));
     let again = folder.path().join("again");
     succeed(lumistack().arg("run").arg(run.join("t0003/job.toml")).arg("-o").arg(&again));
@@ -132,7 +132,7 @@ fn static_content_does_not_flicker() {
     assert_eq!((&frozen[0]["psnr_change"], &frozen[1]["psnr_change"]), (&Value::Null, &"Infinity".into()));
     assert_eq!((number(&frozen[2], "still_share"), number(&frozen[2], "psnr_still")), (1.0, f64::INFINITY));
     assert!(files(&run.join("t0001/layers")) == files(&run.join("t0003/layers")));
-    // a solver that continues changes little, and less with each time step
+    // the warm-started solver changes little, and less with each time step
     succeed(factorize(&input, &run).args(flags).arg("5"));
     let settling = times(&run);
     let change = [1, 2].map(|time| number(&settling[time], "psnr_change"));
@@ -176,7 +176,7 @@ fn a_mismatched_light_field_stops_a_sequence_and_finished_time_steps_are_kept() 
     }
 }
 
-/// All files below a folder with their times.
+/// Returns all files in a folder and its subfolders with their times.
 fn written(folder: &Path) -> Vec<(PathBuf, std::time::SystemTime)> {
     let mut list = Vec::new();
     for (path, _) in files(folder) {
@@ -232,7 +232,7 @@ fn a_window_moves_through_a_scene() {
     assert!(files(&run.join("t0001/target")) != files(&run.join("t0002/target")));
     assert!(times(&run)[1]["source"].as_str().unwrap().contains("turned by 15.0°, moved by (10.0, 0.0, 0.0) mm"));
     assert!(!run.join("t0002/report.html").exists());
-    // every time step is a job of its own
+    // every time step has its own job
     let patterns = files(&run.join("t0002/layers"));
     succeed(lumistack().arg("run").arg(run.join("t0002/job.toml")).arg("-o").arg(run.join("t0002")));
     let stages = report(&run.join("t0002"))["stages"].clone();
@@ -291,8 +291,8 @@ fn an_animated_scene_plays() {
     let target = |run: &Path| files(&run.join("target"));
     assert!(target(&run.join("t0001")) != target(&run.join("t0002")));
     assert!(target(&run.join("t0002")) != target(&run.join("t0003")));
-    // The last time step is a job of its own, with its pose. Another pose in the same folder is not
-    // taken from the cache.
+    // The last time step has its own job, with its pose. For another pose in the same folder, no
+    // cached result is used.
     let last = run.join("t0003");
     let before = target(&last);
     succeed(lumistack().arg("run").arg(last.join("job.toml")).arg("-o").arg(&last));

@@ -16,8 +16,8 @@ use crate::common::{self, poke};
 
 const FRAMES: usize = 4;
 
-/// Three layers for the three outputs. One is pixel for pixel; one is upside down with a gamma of
-/// its own; one is mirrored, and its mask pixels are 2 × 2 panel pixels.
+/// Three layers for the three outputs. The mask pixels of one are panel pixels; one is upside down
+/// and has another gamma; one is mirrored, and its mask pixels are 2 × 2 panel pixels.
 fn display(outputs: &[Screen]) -> Display {
     let mut display = Display::uniform([320, 180], 0.5, [3, 3], [10.0, 10.0], &[-10.0, 0.0, 10.0], FRAMES);
     display.brightness = 0.5;
@@ -34,14 +34,14 @@ fn display(outputs: &[Screen]) -> Display {
     display
 }
 
-/// Codes of a mask, `[row][col][rgb]`: noise that differs by frame and stack, under a strip that
-/// identifies the frame.
+/// Returns the codes of a mask, `[row][col][rgb]`: noise that differs by frame and stack. A strip
+/// above the noise identifies the frame.
 fn codes(seed: u64, layer: usize, frame: usize, [cols, rows]: [usize; 2]) -> Vec<u8> {
     let mut random = Stream::new(1000 * seed + 100 * layer as u64 + frame as u64);
     let noise = (0..rows * cols * 3).map(|_| (random.next_u64() & 255) as u8);
     let mut codes: Vec<u8> = noise.collect();
     for (i, pixel) in codes.chunks_exact_mut(3).enumerate().take(20 * cols) {
-        // one stripe per frame, bright for the current one
+        // one stripe per frame; the stripe of the current frame is bright
         let lit = i % cols * FRAMES / cols == frame;
         pixel.fill(if lit { 255 } else { 20 });
     }
@@ -54,7 +54,7 @@ fn write_run(folder: &Path, display: &Display, seed: u64) {
     for (n, layer) in stack.layers.iter_mut().enumerate() {
         for frame in 0..FRAMES {
             let codes = codes(seed, n, frame, display.layers[n].resolution);
-            // the light that has this code
+            // the linear value that is encoded as this code
             let light = |code: u8| {
                 let code = f32::from(code) / 255.0;
                 if n == 1 { code * code } else { code }
@@ -66,7 +66,7 @@ fn write_run(folder: &Path, display: &Display, seed: u64) {
     lumistack_field_io::write_stack(&folder.join("layers"), display, &stack).unwrap();
 }
 
-/// The expected picture of an output, computed pixel by pixel from the codes and the mounting of
+/// Computes the expected picture of an output, pixel by pixel, from the codes and the mounting of
 /// the panel.
 fn expected(seed: u64, n: usize, frame: usize, [cols, rows]: [usize; 2]) -> Picture {
     let mask = if n == 2 { [cols / 2, rows / 2] } else { [cols, rows] };
@@ -83,7 +83,7 @@ fn expected(seed: u64, n: usize, frame: usize, [cols, rows]: [usize; 2]) -> Pict
     Picture { size: [cols, rows], rgb }
 }
 
-/// The seed of the stack and the frame that equal a picture exactly.
+/// Finds the seed of the stack, and the frame, whose picture equals this picture exactly.
 fn frame_of(picture: &Picture, n: usize, seeds: &[u64]) -> Option<(u64, usize)> {
     let all = seeds.iter().flat_map(|seed| (0..FRAMES).map(move |frame| (*seed, frame)));
     all.into_iter().find(|(seed, frame)| *picture == expected(*seed, n, *frame, picture.size))
@@ -103,7 +103,7 @@ fn every_output_shows_its_layer_pixel_for_pixel() {
             wait_for(&format!("frame {frame} on {name}"), || session.grim(name).filter(|shown| *shown == wanted));
         }
     }
-    // a nudge moves the picture at once, and is saved in the file
+    // a nudge moves the picture immediately, and is saved in the file
     show.tell("nudge 0 3 -2");
     let plain = expected(1, 0, 0, SWAY[0].1);
     let moved = wait_for("the nudge", || session.grim(SWAY[0].0).filter(|shown| *shown != plain));
@@ -171,7 +171,7 @@ fn a_stack_that_is_written_anew_replaces_the_old_one() {
     assert!(show.quit()["swaps"].as_u64().unwrap() >= 3);
 }
 
-/// Every screenshot of the whole layout must be one frame of one stack, the same on every output.
+/// Every screenshot of all outputs must show one frame of one stack, the same on every output.
 fn one_frame_per_capture(
     capture: impl Fn() -> Option<Picture>,
     outputs: &[Screen],
@@ -402,7 +402,7 @@ fn late_frames_and_skew_follow_from_reported_presentation_times() {
         assert!(shown["shown"].as_u64().unwrap() > 20, "{report}");
         assert_eq!(shown["out_of_order"], 0, "{report}");
     }
-    // outputs of one server on a busy machine: above 0, below a second
+    // the skew of outputs of one server on a busy machine is above 0 and below a second
     let skew = report["skew_mean_s"].as_f64().unwrap();
     assert!((0.0..1.0).contains(&skew), "{report}");
 }
@@ -414,7 +414,7 @@ fn a_bare_x_server_sends_keys_to_the_presentation() {
     let folder = tempfile::tempdir().unwrap();
     write_run(folder.path(), &display(&XORG), 1);
     let mut poke = poke::Poke::new(session.x_display());
-    // outside the preview window, so that no key arrives by way of the pointer
+    // the pointer is outside of the preview window, so that keys arrive only through the focus
     poke.point([1300, 300]);
     let (root, other) = (poke.root, poke.window());
     for options in [&["--hold", "1"][..], &["--span"], &["--preview"]] {
@@ -435,7 +435,7 @@ fn a_bare_x_server_sends_keys_to_the_presentation() {
     std::thread::sleep(Duration::from_millis(300));
     assert_eq!(poke.focused(), root);
     poke.manage(false);
-    // a window that takes the focus keeps it, and when it closes the focus returns
+    // a window that takes the focus keeps it; when that window closes, the focus returns
     poke.focus(other);
     std::thread::sleep(Duration::from_millis(300));
     assert_eq!(poke.focused(), other);
@@ -460,8 +460,8 @@ fn a_bare_x_server_sends_keys_to_the_presentation() {
     assert!(show.ended().0.success());
 }
 
-/// Presentations that are ended at any time, in every way, end quickly and without a crash, some
-/// before they have begun. `LUMISTACK_PANELS_TURNS` is their number.
+/// Presentations are ended in every way and at any time, some before they have begun. They must end
+/// quickly and without a crash. `LUMISTACK_PANELS_TURNS` is their number.
 fn starts_and_stops(session: &Session, name: &str, turns: usize, key: &mut dyn FnMut(u32)) {
     let turns = std::env::var("LUMISTACK_PANELS_TURNS").ok().and_then(|turns| turns.parse().ok()).unwrap_or(turns);
     let folder = tempfile::tempdir().unwrap();

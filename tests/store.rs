@@ -1,7 +1,7 @@
 //! Stored results: damaged and stale results are made again, and `clean` removes unneeded ones.
 //!
-//! A folder has one owner, and no foreign file is replaced. Outputs that would fail do so before
-//! the work, or affect only themselves.
+//! A folder has one owner, and no foreign file is replaced. If an output cannot be written, this is
+//! found before the work, or only this output fails.
 
 use std::fs::{self, File};
 use std::io::{BufRead, BufReader};
@@ -163,10 +163,10 @@ fn a_preview_of_other_patterns_is_made_anew_for_any_time() {
     assert!(image::open(&shown).is_ok());
 }
 
-/// A key of `lumistack info`.
+/// Returns the value of a key of `lumistack info`.
 const WOULD_REFUSE: &str = "outputs that a run would refuse";
 
-/// An output of a quilt that needs this many columns of views.
+/// Returns the table of a quilt output that needs this many columns of views.
 fn quilt(columns: usize) -> String {
     format!(
         "[[outputs]]\nplugin = \"quilt\"\nfrom = \"light_field\"\n\
@@ -330,7 +330,7 @@ fn neither_foreign_files_nor_inputs_are_written_over() {
     let text = fs::read_to_string(&own).unwrap();
     let error = fail(lumistack().current_dir(here).args(["run", "job.toml", "-o", "."]));
     assert!(error.contains("job.toml") && error.contains("job file"), "{error}");
-    // files of another program beside it
+    // files of another program next to the run's files
     let error = fail(factorize(&here.join("views.npy"), Path::new("."), 2).current_dir(here));
     assert!(error.contains("job.toml") && error.contains("something else"), "{error}");
     assert_eq!(fs::read_to_string(&own).unwrap(), text);
@@ -342,7 +342,7 @@ fn neither_foreign_files_nor_inputs_are_written_over() {
     succeed(lumistack().arg("run").arg(&own).arg("-o").arg(&run));
     succeed(lumistack().arg("run").arg(run.join("job.toml")).arg("-o").arg(&run).args(["--iterations", "3"]));
     assert!(fs::read_to_string(run.join("job.toml")).unwrap().contains("iterations = 3"));
-    // until a user changes it by hand
+    // after a user has changed a file by hand, the run refuses the folder
     let changed = fs::read_to_string(run.join("job.toml")).unwrap().replace("iterations = 3", "iterations = 4");
     fs::write(run.join("job.toml"), &changed).unwrap();
     let error = fail(lumistack().arg("run").arg(&own).arg("-o").arg(&run));
@@ -427,7 +427,7 @@ fn unneeded_files_are_removed_and_reported() {
 fn sequences_sweeps_nodes_and_views_are_cleaned_too() {
     let folder = tempfile::tempdir().unwrap();
     let out = |name: &str| folder.path().join(name);
-    // time steps of a scene, each with views of its own
+    // time steps of a scene, each with its own views
     let sequence = out("sequence");
     let times = |seed: &str| {
         let mut command = render(&sequence);

@@ -1,4 +1,4 @@
-//! `lumistack render` for uses besides a display: scene-linear views, layers, selected views, a
+//! `lumistack render` for other uses than a display: scene-linear views, layers, selected views, a
 //! rotated environment, and a background.
 
 use std::path::Path;
@@ -166,7 +166,7 @@ fn some_views_are_those_of_the_whole() {
     for name in list("row") {
         assert!(view(&at("row"), &name) == view(&at("all"), &name), "{name} is another picture");
     }
-    // whole rows form a light field
+    // complete rows form a light field
     let row = index(&at("row"));
     assert_eq!((&row["slope_x"], row["slope_y"].as_array().unwrap().len()), (&index(&at("all"))["slope_x"], 1));
     assert_eq!(row["info"]["part_of"]["rows"], serde_json::json!([2]));

@@ -9,7 +9,7 @@ use crate::common;
 use crate::common::triangle::write_triangle;
 use crate::common::{fail, lumistack, report, succeed};
 
-/// Frames so many that the display's panels would flicker.
+/// Arguments for so many frames that the display's panels would flicker.
 const SMALL: [&str; 10] =
     ["--resolution", "24x15", "--samples", "2", "--max-bounces", "2", "--frames", "3", "--iterations", "3"];
 
@@ -23,7 +23,7 @@ fn said(command: &mut Command) -> String {
 
 fn run(scene: &Path, folder: &Path) -> Command {
     let mut command = lumistack();
-    // cargo sets variables for tests as for programs that it runs
+    // cargo sets the same variables for tests as for programs that it runs
     command.env_remove("CARGO").arg("run").arg(scene).arg("-o").arg(folder).args(SMALL);
     command
 }
@@ -206,7 +206,7 @@ fn a_closed_pipe_ends_quietly() {
         run(&write_triangle(folder.path()), &out).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     drop(child.stderr.take());
     assert!(child.wait().unwrap().success() && out.join("report.html").is_file());
-    // wrong usage still ends with its exit code
+    // after wrong usage the exit code is still that of wrong usage
     let mut child = lumistack().arg("rum").stderr(Stdio::piped()).spawn().unwrap();
     drop(child.stderr.take());
     assert_eq!(child.wait().unwrap().code(), Some(2));

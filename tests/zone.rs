@@ -22,8 +22,8 @@ fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
 }
 
-/// A sweep scores a design like the report of its own run, and ranks by that score. Comparisons
-/// report the same.
+/// A sweep gives a design the same score as the report of a run of this design, and ranks by this
+/// score. Comparisons report the same score.
 #[test]
 fn sweeps_reports_and_comparisons_give_one_score() {
     let folder = tempfile::tempdir().unwrap();
@@ -86,7 +86,7 @@ fn a_given_light_field_is_judged_by_the_views_that_are_left_out() {
     let of_some = report(&some);
     assert!(said.contains("dB over the zone"), "{said}");
     assert_eq!(of_some["zone"]["directions"].as_array().unwrap().len(), 25 - 9);
-    // no held-out view is used by the solver, and all lie between its views
+    // the solver uses no held-out view, and all held-out views lie between the solver's views
     let kept = &of_some["views"]["slope_x"];
     let (low, high) = (number(&kept[0]), number(&kept[2]));
     for direction in of_some["zone"]["directions"].as_array().unwrap() {
@@ -100,8 +100,8 @@ fn a_given_light_field_is_judged_by_the_views_that_are_left_out() {
     assert!(number(&of_some["psnr_zone"]) < number(&of_some["psnr_view"]), "views that were solved for are shown best");
 }
 
-/// A display of 7 × 7 native views: three layers, 40 mm apart, of 48 × 30 pixels of 2 mm. Arguments
-/// add lines for all layers and for the front one.
+/// Writes a display of 7 × 7 native views: three layers, 40 mm apart, of 48 × 30 pixels of 2 mm.
+/// The arguments add lines to all layers, and to the front layer.
 fn display(head: &str, every_layer: &str, front: &str, backlight: &str, layers: &[f64]) -> String {
     let mut text = format!(
         "name = \"test\"\nframes = 4\nbrightness = 0.2\n{head}\n[field]\nresolution = [48, 30]\npitch_mm = 2.0\nviews = \"auto\"\nfov_deg = [20.0, 20.0]\n\
@@ -114,8 +114,8 @@ fn display(head: &str, every_layer: &str, front: &str, backlight: &str, layers: 
     text
 }
 
-/// A display that is solved for its native views scores higher over its zone than one solved for 3
-/// × 3. This holds for any hardware, brightness and number of frames.
+/// A display that is solved for its native views scores higher over its zone than a display solved
+/// for 3 × 3 views. This holds for any hardware, brightness and number of frames.
 #[test]
 fn native_views_pay_with_any_hardware() {
     let three = [-40.0, 0.0, 40.0];

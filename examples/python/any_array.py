@@ -12,7 +12,7 @@ import lumistack
 
 
 def discs(display: lumistack.Display) -> NDArray[np.float32]:
-    """Coloured discs at several depths before a striped wall: radiance [view_y, view_x, row, col, rgb]."""
+    """Coloured discs at several depths in front of a striped wall: radiance [view_y, view_x, row, col, rgb]."""
     slope_x, slope_y = (np.array(slopes) for slopes in display.slopes)
     _, _, rows, cols, _ = display.light_field_shape
     pitch = display.pitch_mm

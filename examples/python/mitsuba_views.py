@@ -21,7 +21,8 @@ import lumistack
 
 #: Scene units per millimetre of the display.
 SCENE_PER_MM = 0.02
-#: Distance of the eyes from the window, millimetres: 3.9 units, as far as the box's own camera.
+#: Distance of the eyes from the window, millimetres: 3.9 scene units, the distance of the scene's
+#: own camera.
 DISTANCE_MM = 195.0
 
 
@@ -34,7 +35,7 @@ def camera(display: lumistack.Display, slope: tuple[float, float], samples: int)
         "type": "perspective",
         "fov_axis": "x",
         "fov": float(np.degrees(2 * np.arctan(0.5 * width_mm / DISTANCE_MM))),
-        # shares of the film by which its middle moves against the axis of the camera
+        # fractions of the film's size by which its middle is shifted from the camera's axis
         "principal_point_offset_x": -eye_mm[0] / width_mm,
         "principal_point_offset_y": eye_mm[1] / height_mm,
         "to_world": mi.ScalarTransform4f().look_at(origin=[x, y, z], target=[x, y, 0], up=[0, 1, 0]),
@@ -87,7 +88,7 @@ def main() -> None:
     del box["sensor"]
     radiance = render(display, mi.load_dict(box), arguments.samples)
 
-    # one exposure for all views, as every display needs; brighter values are clipped
+    # all views of a display need the same exposure; values above 1 are clipped
     radiance = np.minimum(radiance * (0.9 / np.quantile(radiance.max(axis=-1), 0.98)), 1.0)
     light_field = lumistack.LightField(radiance, display=display)
     stack = lumistack.factorize(light_field, iterations=30)

@@ -42,7 +42,7 @@ def metric(light_field: lumistack.LightField, white: float, distance_mm: float) 
 
 
 def displays(run: Path) -> list[tuple[str, Path]]:
-    """Finds the folders of a run that hold patterns, with their names."""
+    """Finds the folders of a run that contain patterns, with their names."""
     nodes = sorted(folder for folder in (run / "nodes").glob("*") if (folder / "layers").is_dir())
     return [(folder.name, folder) for folder in nodes] or [(run.name, run)]
 

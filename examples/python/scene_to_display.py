@@ -1,4 +1,4 @@
-"""Renders a scene, factorizes it and looks at the display, all in memory.
+"""Renders a scene, factorizes its light field and simulates the display, all in memory.
 
     python examples/python/scene_to_display.py scenes/still-life/still-life.gltf out
 """

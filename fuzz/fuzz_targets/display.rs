@@ -1,4 +1,5 @@
-//! Display files, with the calibration of their panels. A display survives writing and reading.
+//! Display files, with the calibration of their panels. A display is the same after it is written
+//! and read.
 
 #![no_main]
 

@@ -1,4 +1,4 @@
-//! Job files. A job survives writing and reading.
+//! Job files. A job is the same after it is written and read.
 
 #![no_main]
 

@@ -1,5 +1,6 @@
-//! Any bytes into the glTF reader. Their start selects the use: a whole file, or a packed picture,
-//! primitive or view of a valid file. A panic, a hang or memory past the limit is a finding.
+//! The glTF reader gets any bytes. The first bytes select their use: a whole file, or a packed
+//! picture, primitive or buffer view in a valid file. A panic, a hang or memory above the limit is
+//! a finding.
 
 #![no_main]
 
@@ -22,7 +23,7 @@ impl AssetResolver for Content<'_> {
 
 const TRIANGLE: &str = "data:;base64,AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA";
 
-/// A triangle with the content as its picture, and with `sky` as its environment.
+/// Makes a triangle with the content as its picture, and with `sky` as its environment.
 fn picture(sky: bool) -> String {
     let extras = if sky { r#","extras":{"lumistack":{"environment":{"image":"content"}}}"# } else { "" };
     format!(
@@ -36,7 +37,7 @@ fn picture(sky: bool) -> String {
     )
 }
 
-/// A primitive whose Draco stream is the content.
+/// Makes a primitive whose Draco stream is the content.
 fn draco(length: usize) -> String {
     format!(
         r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0}}],
@@ -47,7 +48,7 @@ fn draco(length: usize) -> String {
     )
 }
 
-/// Positions or indices whose meshopt stream is the content.
+/// Makes positions or indices whose meshopt stream is the content.
 fn meshopt(length: usize, mode: &str, filter: &str, stride: usize, count: usize) -> String {
     let (bytes, kind) = (count * stride, if mode == "ATTRIBUTES" { "VEC3" } else { "SCALAR" });
     let (component, attribute) = if mode == "ATTRIBUTES" { (5126, "\"POSITION\":0") } else { (5125, "\"POSITION\":1") };

@@ -1,4 +1,5 @@
-//! `.npy` arrays, alone and as light fields with a JSON file: the JSON, a separator, the array.
+//! `.npy` arrays, alone and as light fields with a JSON file. The input is the JSON, a separator
+//! and the array.
 
 #![no_main]
 

@@ -1,5 +1,5 @@
-//! OBJ files with their MTL file: the shapes, a separator, the materials. The importer must write a
-//! valid glTF file.
+//! OBJ files with their MTL file. The input is the shapes, a separator and the materials. The
+//! importer must write a valid glTF file.
 
 #![no_main]
 

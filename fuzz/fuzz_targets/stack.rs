@@ -1,4 +1,5 @@
-//! Layer stacks: `stack.json`, a separator, and one array for all layers and the emission.
+//! Layer stacks. The input is `stack.json`, a separator, and one array, which all layers and the
+//! emission share.
 
 #![no_main]
 

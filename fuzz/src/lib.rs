@@ -18,8 +18,8 @@ pub fn parts<const N: usize>(mut data: &[u8]) -> [&[u8]; N] {
     })
 }
 
-/// Makes a folder that holds these files alone. It belongs to this process, and lies in memory
-/// where the system allows that.
+/// Makes a folder that contains only these files. It belongs to this process, and is in memory if
+/// the system allows that.
 pub fn folder(files: &[(&str, &[u8])]) -> &'static Path {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
     let folder = FOLDER.get_or_init(|| {

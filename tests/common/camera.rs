@@ -48,9 +48,9 @@ impl Camera {
         v
     }
 
-    /// Renders a photograph of the plane at `d_mm`. `light` returns its light (0 to 255) at a point
-    /// in millimetres. Noise has a standard deviation of `noise` codes and uses `uniform` numbers
-    /// of 0..1.
+    /// Renders a photograph of the plane at `d_mm`. `light` returns the light (0 to 255) that the
+    /// plane emits at a point in millimetres. Noise has a standard deviation of `noise` codes.
+    /// `uniform` returns random numbers in 0..1.
     pub fn photograph(
         &self,
         d_mm: f64,

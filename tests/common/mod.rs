@@ -55,12 +55,12 @@ pub fn cached(run_dir: &Path, stage: &str) -> bool {
     stage.expect("the report lists the stage")["cached"].as_bool().expect("cached is true or false")
 }
 
-/// A number in `report.json`.
+/// Returns a number in `report.json`.
 pub fn number(value: &serde_json::Value, key: &str) -> f64 {
     value[key].as_f64().or_else(|| value[key].as_str()?.parse().ok()).unwrap_or_else(|| panic!("{key} of {value}"))
 }
 
-/// All files below a folder with their bytes, sorted, without `cache`.
+/// Returns all files in a folder and its subfolders with their bytes, sorted, without `cache`.
 pub fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     fn walk(folder: &Path, base: &Path, list: &mut Vec<(PathBuf, Vec<u8>)>) {
         for entry in std::fs::read_dir(folder).expect("the folder is there") {
@@ -89,7 +89,7 @@ pub fn light_fields() -> Option<PathBuf> {
     lumistack_testkit::skip::folder("LUMISTACK_LIGHTFIELDS", "../shared/lightfields")
 }
 
-/// A Python with NumPy: that of `cargo xtask ci`, or another that has it.
+/// Finds a Python with NumPy: the environment of `cargo xtask ci`, or any other Python that has it.
 pub fn python() -> Option<PathBuf> {
     lumistack_testkit::skip::python_with("numpy")
 }

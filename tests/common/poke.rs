@@ -21,7 +21,7 @@ pub const NOBODY: u32 = 0;
 /// Focus value: the window under the pointer has the keyboard focus.
 pub const POINTER_ROOT: u32 = 1;
 
-/// A connection whose requests act like a user's input.
+/// A connection whose requests have the effect of a user's input.
 pub struct Poke {
     stream: UnixStream,
     pub root: u32,
@@ -87,8 +87,8 @@ impl Poke {
         u32::from_le_bytes(answer[8..12].try_into().unwrap())
     }
 
-    /// Becomes the window manager, or stops: the client that receives requests for the root
-    /// window's children.
+    /// Makes this client the window manager, or no longer: the window manager is the client that
+    /// receives requests for the root window's children.
     pub fn manage(&mut self, is: bool) {
         // ChangeWindowAttributes: the event mask, with or without SubstructureRedirect
         self.say(2, 0, &[self.root, 1 << 11, u32::from(is) << 20]);
@@ -116,7 +116,8 @@ impl Poke {
         self.focused();
     }
 
-    /// Sends FakeInput and a request with a reply: once that arrives, the input has been processed.
+    /// Sends FakeInput and a request with a reply. When the reply arrives, the input has been
+    /// processed.
     fn fake(&mut self, kind: u8, detail: u8, [x, y]: [i16; 2]) {
         let mut request = vec![self.xtest, 2, 9, 0, kind, detail, 0, 0, 0, 0, 0, 0];
         request.extend_from_slice(&self.root.to_le_bytes());

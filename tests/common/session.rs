@@ -1,5 +1,6 @@
-//! Windowing sessions without hardware: sway with headless outputs, Xorg's dummy driver, and sway
-//! whose outputs are windows of one of these. Each is a child process of the test and ends with it.
+//! Windowing sessions without hardware: sway with headless outputs, Xorg's dummy driver, and a
+//! nested sway whose outputs are windows of one of these. Each server is a child process of the
+//! test and ends with it.
 
 #![allow(dead_code, reason = "every test file uses a part of this")]
 
@@ -10,24 +11,25 @@ use std::time::{Duration, Instant};
 /// Name, [columns, rows] and [x, y] of an output.
 pub type Screen = (&'static str, [usize; 2], [i32; 2]);
 
-/// The outputs that tests use on sway.
+/// Outputs of a sway session that are not nested.
 pub const SWAY: [Screen; 3] =
     [("HEADLESS-1", [320, 240], [0, 0]), ("HEADLESS-2", [400, 300], [320, 0]), ("HEADLESS-3", [640, 360], [720, 0])];
 
-/// The outputs on Xorg.
+/// Outputs of an Xorg session.
 pub const XORG: [Screen; 3] =
     [("DUMMY0", [320, 240], [0, 0]), ("DUMMY1", [400, 300], [320, 0]), ("DUMMY2", [640, 360], [720, 0])];
 
-/// The outputs on a sway in sway, which can be unplugged: each is a window that can be closed.
+/// Outputs of a sway session nested in another sway. Each is a window of the outer session, so
+/// closing the window unplugs the output.
 pub const NESTED: [Screen; 3] =
     [("WL-1", [320, 240], [0, 0]), ("WL-2", [400, 300], [320, 0]), ("WL-3", [640, 360], [720, 0])];
 
-/// The outputs on a sway on Xorg, which reports presentation times and has a keyboard and a
+/// Outputs of a sway session nested in Xorg. It reports presentation times and has a keyboard and a
 /// pointer.
 pub const ON_X: [Screen; 3] =
     [("X11-1", [320, 240], [0, 0]), ("X11-2", [400, 300], [320, 0]), ("X11-3", [640, 360], [720, 0])];
 
-/// Limit of every wait.
+/// Time limit of every wait.
 const PATIENCE: Duration = Duration::from_secs(20);
 
 /// A running session.
@@ -35,7 +37,7 @@ pub struct Session {
     server: Child,
     folder: tempfile::TempDir,
     env: Vec<(&'static str, String)>,
-    /// The session whose windows are this one's outputs.
+    /// The outer session, whose windows are this session's outputs.
     outer: Option<Box<Session>>,
 }
 
@@ -61,7 +63,8 @@ impl Session {
     }
 }
 
-/// True if a session can be started. It needs the machine for itself, so a variable must permit it.
+/// Returns whether a session can be started. Sessions need the machine for themselves, so an
+/// environment variable must permit them.
 fn has(program: &str) -> bool {
     if std::env::var_os("LUMISTACK_SESSIONS").is_none() {
         lumistack_testkit::skip::runs_in("panels");
@@ -101,7 +104,7 @@ impl Session {
     /// sway with outputs that can be unplugged, see [`NESTED`].
     pub fn nested(outputs: &[Screen]) -> Option<Self> {
         let outer = Self::sway(&[("HEADLESS-1", [1600, 900], [0, 0])])?;
-        // a tiled window would change its output's size
+        // a tiled window would change the size of the output that it shows
         assert!(outer.command("swaymsg").arg("for_window [app_id=\".*\"] floating enable").status().unwrap().success());
         // an absolute path, since a relative one would refer to the outer session's folder
         let display = format!("{}/{}", outer.env("XDG_RUNTIME_DIR"), outer.env("WAYLAND_DISPLAY"));
@@ -139,7 +142,7 @@ impl Session {
         }
         std::fs::write(runtime.join("config"), config).unwrap();
         let mut server = if is_root() {
-            // sway does not run as root; its clients may
+            // sway does not run as root, but its clients may
             assert!(Command::new("chown").args(["-R", "nobody"]).arg(&runtime).status().unwrap().success());
             let mut drop_rights = Command::new("setpriv");
             drop_rights.args(["--reuid=nobody", "--regid=nogroup", "--clear-groups", "--", "sway"]);
@@ -177,13 +180,13 @@ impl Session {
         Some(session)
     }
 
-    /// Removes an output of a nested sway for good.
+    /// Unplugs an output of a nested sway permanently.
     pub fn unplug(&self, output: &str) {
         let window = format!("[title=\"{output}$\"] kill");
         assert!(self.outer().command("swaymsg").arg(window).status().unwrap().success());
     }
 
-    /// The session around this one.
+    /// Returns the outer session.
     pub fn outer(&self) -> &Self {
         self.outer.as_ref().expect("a nested session")
     }
@@ -213,7 +216,7 @@ Section \"Device\"\nIdentifier \"d\"\nDriver \"dummy\"\nVideoRam 256000\nEndSect
 Section \"Monitor\"\nIdentifier \"m\"\nHorizSync 5.0-1000.0\nVertRefresh 5.0-200.0\nEndSection\n\
 Section \"Screen\"\nIdentifier \"s\"\nDevice \"d\"\nMonitor \"m\"\nDefaultDepth 24\nSubSection \"Display\"\nDepth 24\nVirtual 3840 2160\nEndSubSection\nEndSection\n";
         std::fs::write(folder.path().join("xorg.conf"), config).unwrap();
-        // the server chooses a free display and writes its number
+        // the server chooses a free display number and writes it to this pipe
         let mut server = Command::new("Xorg");
         server
             .args(["-displayfd", "1", "-noreset", "-nolisten", "tcp", "-config"])
@@ -246,7 +249,7 @@ Section \"Screen\"\nIdentifier \"s\"\nDevice \"d\"\nMonitor \"m\"\nDefaultDepth 
         Some(session)
     }
 
-    /// A program in this session.
+    /// Returns the command of a program that runs in this session.
     pub fn command(&self, program: &str) -> Command {
         let mut command = Command::new(program);
         command.env_remove("DISPLAY").env_remove("WAYLAND_DISPLAY").env_remove("SWAYSOCK");
@@ -295,7 +298,7 @@ impl Picture {
         (numbers[2] == 255 && rgb.len() == 3 * size[0] * size[1]).then_some(Self { size, rgb })
     }
 
-    /// A part of the picture.
+    /// Returns a rectangle of the picture.
     pub fn part(&self, [x, y]: [i32; 2], [cols, rows]: [usize; 2]) -> Self {
         let lines = (y as usize..y as usize + rows).flat_map(|row| {
             let start = 3 * (row * self.size[0] + x as usize);
@@ -304,7 +307,7 @@ impl Picture {
         Self { size: [cols, rows], rgb: lines.collect() }
     }
 
-    /// Saves the picture beside other test files, for people.
+    /// Saves the picture in the folder of test files, so that a developer can look at it.
     pub fn save(&self, path: &std::path::Path) {
         let image = image::RgbImage::from_raw(self.size[0] as u32, self.size[1] as u32, self.rgb.clone()).unwrap();
         image.save(path).unwrap();

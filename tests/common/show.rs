@@ -65,13 +65,13 @@ impl Show {
         text
     }
 
-    /// Waits until it has ended by itself; returns its exit status and its standard error.
+    /// Waits until the program has ended by itself; returns its exit status and standard error.
     pub fn ended(&mut self) -> (ExitStatus, String) {
         let status = wait_for("the end", || self.child.try_wait().unwrap());
         (status, self.errors())
     }
 
-    /// Ends it and returns its report.
+    /// Ends the program and returns its report.
     pub fn quit(mut self) -> Value {
         self.tell("quit");
         let report = self.event("report");

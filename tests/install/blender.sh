@@ -1,6 +1,6 @@
 #!/bin/sh
-# The extension with its wheel: installed by Blender's own command in Debian's Blender, and its button pressed. Where there is no
-# Debian, in the module bpy that $BLENDER_PYTHON has: `cargo xtask blender` fetches it.
+# Installs the extension with its wheel by Blender's own command in Debian's Blender, and presses its button. If there is no
+# clean Debian, it uses the module bpy of $BLENDER_PYTHON, which `cargo xtask blender` fetches.
 . "$(dirname "$0")/common.sh"
 case $(uname -m) in x86_64) platform=linux_x64 ;; *) platform=linux_arm64 ;; esac
 zip=$(one "lumistack-blender-*-$platform.zip")

@@ -1,4 +1,5 @@
-# For the other scripts: what is in $DIST, and the first job in little. CLEAN is set where the whole machine is the test's own.
+# Functions for the other scripts: they find files in $DIST, and run the first job in a small size. CLEAN is set if the whole
+# machine belongs to the test.
 set -eu
 : "${DIST:?names the folder target/dist}"
 HERE=$(cd "$(dirname "$0")" && pwd)
@@ -15,7 +16,7 @@ one() {
     echo "$1"
 }
 
-# programs of the system that the user has already
+# installs programs of the system that a user has already
 packages() {
     if [ -n "${CLEAN:-}" ]; then
         apt-get update -qq
@@ -23,7 +24,7 @@ packages() {
     fi
 }
 
-# the one command that installs: run, and timed
+# runs and times the command that installs
 installs() {
     start=$(date +%s.%N)
     "$@"
@@ -34,13 +35,13 @@ no_rust() {
     if command -v cargo >/dev/null; then echo "cargo is on PATH: this is no clean machine" >&2; exit 1; fi
 }
 
-# the tarball, which other ways use for its scenes
+# unpacks the tarball; other ways use its scenes
 tarball() {
     mkdir -p "$HOME/.local"
     installs tar xzf "$(one "lumistack-*-$(uname -m)-unknown-linux-gnu.tar.gz")" -C "$HOME/.local" --strip-components=1
 }
 
-# README's first job, small: first_job PROGRAM SCENES
+# runs README's first job in a small size: first_job PROGRAM SCENES
 first_job() {
     "$1" --version
     "$1" doctor
@@ -50,7 +51,7 @@ first_job() {
     done
     "$1" simulate "$WORK/run" --view 4,-2 -o "$WORK/view.png"
     [ -s "$WORK/view.png" ]
-    # all results are current
+    # the second run finds all results cached
     small "$@" | grep PSNR
 }
 

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Debian's package: installed, used and removed where the machine is the test's own, else unpacked.
+# Installs, uses and removes the Debian package if the machine belongs to the test; otherwise only unpacks it.
 . "$(dirname "$0")/common.sh"
 no_rust
 deb=$(one "lumistack_*_$(dpkg --print-architecture).deb")

@@ -1,5 +1,5 @@
 #!/bin/sh
-# The npm package: installed by npm, and shown by a browser in a page of one's own.
+# Installs the npm package by npm, and shows it by a browser in a separate page.
 . "$(dirname "$0")/common.sh"
 packages nodejs npm chromium
 tarball

@@ -1,4 +1,4 @@
-"""Runs every command of the first pages in order, each page in a folder of its own: pages.py FOLDER. Runs have few pixels and paths."""
+"""Runs every command of the first pages in order, each page in its own folder: pages.py FOLDER. Runs have few pixels and paths."""
 
 import re
 import shlex
@@ -10,7 +10,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ["docs/FIRST_HOUR.md", *sorted(str(path.relative_to(ROOT)) for path in (ROOT / "docs/start").glob("*.md"))]
-#: Added to commands that render; the last of repeated flags counts.
+#: Added to commands that render; of repeated flags the last takes effect.
 SMALL = ["--resolution", "64x40", "--views", "3x3", "--zone-samples", "20", "--iterations", "3"]
 FENCE = re.compile(r"^```(sh|python)\n(.*?)^```$", re.M | re.S)
 
@@ -27,7 +27,7 @@ def serves(words: list[str], folder: Path) -> None:
 def page(path: str, folder: Path) -> int:
     folder.mkdir(parents=True)
     shutil.copytree(ROOT / "scenes/letters", folder, dirs_exist_ok=True)
-    # a model of the reader, with any name
+    # stands for a model of the reader, which may have any name
     (folder / "letters.gltf").rename(folder / "model.gltf")
     (folder / "job.toml").unlink()
     count = 0

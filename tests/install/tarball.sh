@@ -1,5 +1,5 @@
 #!/bin/sh
-# The tarball, into ~/.local.
+# Installs the tarball into ~/.local.
 . "$(dirname "$0")/common.sh"
 no_rust
 tarball

@@ -1,5 +1,5 @@
 #!/bin/sh
-# The wheel, into a Python environment of its own.
+# Installs the wheel into a separate Python environment.
 . "$(dirname "$0")/common.sh"
 no_rust
 packages python3 python3-venv python3-numpy

@@ -9,8 +9,8 @@ Both renderers make independent batches. Three tests compare them:
 - the mean of t^2 over pixels (grey), which detects small differences in many pixels
 
 A correct pair fails one run in 1000: FALSE_ALARM_RATE is divided by the number of tests (Bonferroni). A relative
-difference of SYSTEMATIC is allowed. It covers float32, and the masking-shadowing term: Mitsuba multiplies those of both
-directions, where the other side uses the joint term.
+difference of SYSTEMATIC is allowed. It covers float32, and the masking-shadowing term: Mitsuba multiplies the terms of both
+directions, whereas our path tracer uses the joint term.
 """
 
 import json
@@ -142,7 +142,7 @@ def compare(ours, theirs):
         error = np.sqrt((a.var(0, ddof=1) + b.var(0, ddof=1)) / count)
         excess = np.maximum(np.abs(difference) - granted, 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            # without noise, a difference within SYSTEMATIC is agreement
+            # values without noise agree if they differ by at most SYSTEMATIC
             return np.where(excess > 0.0, excess / error, 0.0), error, difference
 
     freedom = count - 1

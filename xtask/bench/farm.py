@@ -106,7 +106,7 @@ def seams(place: Path, job: Path, times: int) -> dict[str, Any]:
         if warm_up > chunk:
             continue
         folder = place / f"chunks-{warm_up}"
-        # the views are those of the chain
+        # both runs have the same views
         subprocess.run(["cp", "-r", str(place / "plain"), str(folder)], check=True)
         cut = report(folder, "--chunk-times", str(chunk), "--warm-up-times", str(warm_up))
         starts = range(chunk, times, chunk)

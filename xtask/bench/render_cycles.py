@@ -154,8 +154,8 @@ def timed(samples, seed):
 
 
 def render(sampler, samples, seed):
-    # time that does not grow with the samples does not count, such as preparing the scene and
-    # writing the file
+    # Time that does not grow with the samples is subtracted, such as that of preparing the scene
+    # and writing the file.
     start, _ = timed(1, seed)
     seconds, picture = timed(samples, seed)
     return (seconds - start) * samples / max(samples - 1, 1), picture

@@ -1,4 +1,4 @@
-// Times of the simulator's page in headless Chromium: `node web.mjs FOLDER`, a site with references.json beside it.
+// Times of the simulator's page in headless Chromium: `node web.mjs FOLDER`, a folder with the site and references.json.
 //
 // From the start of the navigation: until the poster is painted, until one can look around, until the picture is that of the patterns. The longest task is that
 // of the page's own thread until two seconds after everything has arrived. Frame time: a picture drawn and read back by the simulator's thread; WebGL2 is a software one here.

@@ -13,7 +13,7 @@ It answers requests, one line of text each, with one line of JSON each:
     update VARIANT          one more update; {"seconds": time that it took}
 
 The geometry is derived again from the display's numbers, with oblique views and nearest sampling. Rays that leave a
-layer do not count. So every view hits every layer in one rectangle of pixels, a slice of the arrays.
+layer are ignored. So every view hits every layer in one rectangle of pixels, a slice of the arrays.
 """
 import json
 import math

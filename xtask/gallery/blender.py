@@ -208,7 +208,7 @@ def picture(scene, path, mode):
 
 
 def coverage(scene, folder):
-    """Measures the covered share of every pixel, from the alpha of a short render without background."""
+    """Measures the covered fraction of every pixel, from the alpha of a short render without background."""
     scene.render.film_transparent = True
     scene.cycles.film_transparent_glass = False
     scene.cycles.samples = 16

@@ -16,76 +16,76 @@ cargo xtask bench [what]
 
   (nothing)     `factorize --no-peers`, then `render`
   factorize     the paper's main case, 840×525 pixels, 5×5 views, 3 layers, 6 frames: time per update of every
-                solver, time to the quality of 50 updates of the paper's rule, and shares of what the machine can
-                do, beside the same update in NumPy and PyTorch, run in turn on the same data (some minutes)
+                solver, time to the quality of 50 iterations of the paper's rule, and the fractions of the machine's
+                limits; compared with the same update in NumPy and PyTorch, run in turn on the same data (some minutes)
       --quick        a quarter of the resolution
       --no-peers     without NumPy and PyTorch
-      --rounds N     how often everything is timed, at least 3; default 9
-      --json FILE    also every single time, as JSON
+      --rounds N     number of times that every case is timed, at least 3; default 9
+      --json FILE    also write every measured time, as JSON
   convergence   PSNR after 1 to 500 iterations of every solver, start and number of coarser levels, beside
                 reference figures
       --quick        50 iterations at most
       --json FILE    also as JSON
   gpu           the paper's case with 12 frames on a graphics processor, or an adapter in software where there is none: updates per second
-                beside the processor, bytes and arithmetic against what the adapter does at most
+                compared with the processor, bytes and arithmetic compared with the adapter's limits
       --quick        a sixteenth of the pixels
       NAME           an adapter whose name contains this
   stream        a display whose target does not fit into memory: 3840×2160 pixels, 9×9 views, 3 layers, 12 frames
   outputs       memory of the outputs `images` and `web_simulator` with 4 and with 12 frames of three 4K layers
-  render [scene.gltf]   the path tracer on two cores: rays per second of the tree beside Embree, and one view of diffuse
-                scenes beside Mitsuba 3 and Blender's Cycles at equal scene, camera, light and bounces: time, samples per
+  render [scene.gltf]   the path tracer on two cores: rays per second of the tree compared with Embree, and one view of diffuse
+                scenes compared with Mitsuba 3 and Blender's Cycles at equal scene, camera, light and bounces: time, samples per
                 second, mean squared error × time; memory. Scenes: the one named, or FlightHelmet where LUMISTACK_ASSETS
                 has it, and still-life (about 3 minutes each with peers)
       --full         twice the resolution, more samples in the references: 25 minutes each
-      --no-peers     our own figures alone
+      --no-peers     only our own measurements
   big [scene.gltf]      a scene of 1,100 copies, 100 million triangles with FlightHelmet, in the memory of one
-  field [scene.gltf]    light fields with the light that views share averaged, beside the same views one by one: processor time at equal
-                squared error, bias included; 5×5 and 13×13 views over 20°, a quilt's 45, many copies. Then both filters beside
-                views alone in equal time, with 4, 16 and 64 samples. Scenes as for `render` (some ten minutes)
+  field [scene.gltf]    light fields with averaged shared light, compared with the same views rendered one by one: processor time at equal
+                squared error, including bias; 5×5 and 13×13 views over 20°, a quilt's 45, many copies. Then both filters compared with
+                unfiltered views in equal time, with 4, 16 and 64 samples. Scenes as for `render` (some ten minutes)
   splats        13×13 views of a million Gaussian splats: all together, one by one, and by a naive renderer (some minutes); then
-                views beside Mitsuba's, which traces rays through the same Gaussians
-      --agreement    those views alone
-  agreement     the path tracer against Mitsuba 3 on scenes that both express exactly: a test per pixel over
-                converged renders, a table, and an error where they differ (some minutes); then FlightHelmet and OpenChessSet as diffuse
+                views compared with Mitsuba's, which traces rays through the same Gaussians
+      --agreement    only the comparison with Mitsuba
+  agreement     the path tracer compared with Mitsuba 3 on scenes that both can represent exactly: a test per pixel of
+                converged renders, a table, and an error if they differ (some minutes); then FlightHelmet and OpenChessSet as diffuse
                 scenes with their textures against Mitsuba and Cycles: means within 0.3 %, relative RMSE below 3 %
       --quick        a quarter of the samples
-  design        predicted against solved quality of 40 random designs, and 100 small designs in a sweep that is killed again and
+  design        predicted quality of 40 random designs compared with their solved quality, and 100 small designs in a sweep that is killed again and
                 again, which must end with the same bytes (a minute or two)
-  farm          a sequence of 48 times on one and on two workers: time against prediction, twenty kills of workers and one of the client,
-                a full disk where this is root; bytes must be those of one machine (some ten minutes)
-      --quick        12 small times (two minutes)
-      --times N, --samples N     others than 48 times of 32 samples per pixel
+  farm          a sequence of 48 time steps on one and on two workers: time compared with the prediction, twenty kills of workers and one of the client,
+                a full disk if the user is root; the bytes must equal those of one machine (some ten minutes)
+      --quick        12 small time steps (two minutes)
+      --times N, --samples N     instead of 48 time steps and 32 samples per pixel
       --json FILE    also as JSON
   film          patterns of 30,000 × 54,000 pixels, written tile by tile, and a film of them by `transparencies`, each in a process with a gigabyte of
                 memory (some ten minutes, 25 GB of disk in the folder for temporary files)
       COLUMNS ROWS   a film of another size
-  zone [scene.gltf]     how right displays are all over their zone: those that choose their views beside those for 5×5, whole runs in turn:
+  zone [scene.gltf]     quality over the whole zone of displays that choose their views, compared with displays of 5×5 views; whole runs in turn:
                 quality, wall and processor time. Scenes: the ones named, or still-life, glass, letters (directional) and, where
                 LUMISTACK_ASSETS has them, FlightHelmet and 2CylinderEngine (about 4 minutes each)
-      --rounds N     how often each is run; default 1
+      --rounds N     number of runs of each; default 1
       --large        a zone of 50° × 20°, 840×525 pixels, the directional prototype
-      --views        one scene, against the number of views at equal samples
-      --iterations   one scene, against the solver's time
-  live          `lumistack live` under 1,000 random edits in five minutes: two pages must get whole states of rising numbers, memory
-                must stay flat, and Ctrl-C must freeze the display at once. Linux
+      --views        one scene with different numbers of views and equal samples
+      --iterations   one scene with different numbers of iterations
+  live          `lumistack live` under 1,000 random edits in five minutes: two pages must receive complete states with rising numbers, memory
+                must not grow, and Ctrl-C must freeze the display immediately. Needs Linux
       --quick        100 edits in half a minute
   web           the simulator's page in headless Chromium, 420×262 pixels, 3 layers, 6 frames: time to the first picture
                 and per frame, through WebGL2 and on the processor
-  fuzz          random changes to files of every kind that is read, whole and packed, from our own and the corpora of
-                others; anything but a value or a message is a failure. Needs a C++ compiler, takes a nightly Rust where there is one; fetches
+  fuzz          random changes to files of every kind that is read, whole and packed, from our own corpora and those of
+                other projects; any end except a value or an error message is a failure. Needs a C++ compiler, uses a nightly Rust if there is one; fetches
                 cargo-fuzz
-      --minutes N    for each target, default 10
+      --minutes N    time for each target; default 10
       --target NAME  one only: load (glTF and its pictures), light_field, quilt, npy, picture, obj, splats, display, job, stack, calibration
 
 NumPy and PyTorch are fetched into target/python-bench at the first `factorize` (on x86-64 Linux 3 GB to fetch and
-6 GB on disk, since PyTorch's package brings its GPU libraries along); where they cannot be had, the bench says so
-and goes on without. LUMISTACK_BENCH_PYTHON names a Python that has them already. `render` fetches Mitsuba, bpy 5.0.1 (which needs
+6 GB on disk, since PyTorch's package contains libraries for graphics processors). If they cannot be installed, the benchmark reports it
+and continues without them. LUMISTACK_BENCH_PYTHON names a Python that has them already. `render` fetches Mitsuba, bpy 5.0.1 (which needs
 Python 3.11) and Embree's wheel into target/python-render-bench in the same way (1 GB on disk), `agreement` Mitsuba (60 MB) into
 target/python-bench; Mitsuba also needs an LLVM
 library of the system (Debian: libllvm19).
 ";
 
-/// Runs the bench that the words after `bench` select; `None` if they are wrong.
+/// Runs the benchmark that the arguments after `bench` select; `None` if they are wrong.
 pub fn run(arguments: &[&str]) -> Option<Outcome> {
     Some(match arguments {
         [] => factorize(&["--no-peers"])?.and_then(|()| bench_render::render(&["--no-peers"]).unwrap_or(Ok(()))),
@@ -237,7 +237,7 @@ fn peers() -> Vec<[PathBuf; 2]> {
         let fetched = if there() || given.is_some() { Ok(()) } else { fetch(module, &python) };
         match fetched {
             Ok(()) if there() => peers.push([python.clone(), tools::root().join("xtask/bench").join(script)]),
-            Ok(()) => println!("bench: without {name}: {} does not import it", python.display()),
+            Ok(()) => println!("bench: without {name}: {} cannot import it", python.display()),
             Err(error) => println!("bench: without {name}: {error}"),
         }
     }

@@ -1,10 +1,10 @@
-//! `cargo xtask bench render`: the path tracer beside Embree, Mitsuba 3 and Cycles.
+//! `cargo xtask bench render`: the path tracer compared with Embree, Mitsuba 3 and Cycles.
 
 use std::path::{Path, PathBuf};
 
 use crate::tools::{self, Outcome, absolute, command, example, output_of, text};
 
-/// The peers: package for pip, module, and the script that renders with it.
+/// The other renderers (peers): package for pip, module, and script that renders with it.
 const MITSUBA: [&str; 3] = ["mitsuba==3.*", "mitsuba", "render_mitsuba.py"];
 const CYCLES: [&str; 3] = ["bpy==5.0.1", "bpy", "render_cycles.py"];
 const EMBREE: [&str; 2] = ["embreex==4.*", "embreex"];
@@ -39,7 +39,7 @@ pub fn render(options: &[&str]) -> Option<Outcome> {
             peers.push(text(&tools::root().join("xtask/bench").join(script)));
         }
     }
-    // Rays first, then whole views with the peers.
+    // Measure rays first, then whole views with the peers.
     let run = || -> Outcome {
         for scene in &scenes {
             for copies in ["1", COPIES] {
@@ -90,12 +90,12 @@ pub fn big(options: &[&str]) -> Option<Outcome> {
     Some(example("lumistack-pathtracer", "bench_render", &words))
 }
 
-/// Views, zone in degrees and samples of light fields: those of the paper's prototypes, of a
-/// display's native views, and of a quilt.
+/// Views, zone in degrees, and samples of the measured light fields: that of the paper's
+/// prototypes, that of a display's native views, and a quilt.
 const FIELDS: [[&str; 3]; 3] = [["5x5", "20", "16"], ["13x13", "20", "2"], ["1x45", "35", "4"]];
 
 /// Renders light fields view by view and with shared light: diffuse surfaces, the files' own
-/// materials, and many copies. Then views with filters beside views alone, in equal time.
+/// materials, and many copies. Then compares views with filters and views without, in equal time.
 pub fn field(options: &[&str]) -> Option<Outcome> {
     let mut scenes: Vec<String> = options.iter().map(|scene| absolute(scene)).collect();
     if options.iter().any(|word| word.starts_with("--")) {
@@ -147,7 +147,7 @@ fn default_scenes() -> Vec<String> {
     scenes
 }
 
-/// A file in LUMISTACK_ASSETS. Where it is missing, a message is printed.
+/// Returns a file in LUMISTACK_ASSETS. If it is missing, a message is printed.
 pub fn asset(file: &str) -> Option<String> {
     let path = std::env::var_os("LUMISTACK_ASSETS").map(|assets| Path::new(&assets).join(file));
     let found = path.filter(|path| path.is_file());
@@ -157,7 +157,7 @@ pub fn asset(file: &str) -> Option<String> {
     found.map(|path| text(&path))
 }
 
-/// A Python for the peers, made at the first call.
+/// Returns a Python for the peers, which is made at the first call.
 fn python() -> Option<PathBuf> {
     if let Some(given) = std::env::var_os("LUMISTACK_BENCH_PYTHON") {
         return Some(given.into());
@@ -192,7 +192,7 @@ fn has(python: &Path, [package, module]: &[&str; 2]) -> bool {
     there
 }
 
-/// The path of Embree's library in its wheel.
+/// Returns the path of Embree's library in its wheel.
 fn embree_library(python: &Path) -> Option<PathBuf> {
     let code = "import embreex, glob, os; f = os.path.dirname(os.path.dirname(embreex.__file__)); print(glob.glob(f + '/embreex.libs/libembree4*')[0])";
     let path = output_of(command(python).args(["-c", code]))?;

@@ -1,5 +1,5 @@
-//! `cargo xtask bench zone`: zone scores of displays, beside displays with the 5 × 5 views of the
-//! paper's prototypes.
+//! `cargo xtask bench zone`: zone scores of displays that choose their views, compared with
+//! displays with the 5 × 5 views of the paper's prototypes.
 
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
@@ -10,7 +10,7 @@ use serde_json::Value;
 use crate::bench_render::asset;
 use crate::tools::{Outcome, absolute, cargo, command, root, text};
 
-/// Samples per pixel of all views together, in every run.
+/// Samples per pixel, summed over all views, in every run.
 const SAMPLES: u32 = 400;
 /// Views, samples, filter and iterations of the displays for comparison: the defaults before
 /// displays chose their views.
@@ -78,13 +78,13 @@ impl Run {
         format!("{zone:.2} | {worst:.2} | {ssim:.3} | {flip:.3}")
     }
 
-    /// Columns × rows of the solved views, of which the report shows some.
+    /// Columns × rows of the solved views.
     fn views(&self) -> String {
         let count = |key| self.target[key].as_array().map_or(0, Vec::len);
         format!("{} × {}", count("slope_x"), count("slope_y"))
     }
 
-    /// Seconds of a stage; 0 where it was cached.
+    /// Time of a stage, seconds; 0 if its result was cached.
     fn stage(&self, name: &str) -> f64 {
         let stages = self.report["stages"].as_array().into_iter().flatten();
         let of = stages.filter(|stage| stage["name"] == name && stage["cached"] == false);
@@ -171,7 +171,7 @@ fn beside_fixed(cases: &[Case], rounds: usize) -> Outcome {
 
 /// Measures the zone score against the number of views, with the same number of samples in total.
 fn by_views(case: &Case) -> Outcome {
-    println!("\n{}: {SAMPLES} samples per pixel of all views together, rounded up per view", case.name);
+    println!("\n{}: {SAMPLES} samples per pixel, summed over all views and rounded up per view", case.name);
     println!("| views | psnr_zone | worst tenth | SSIM | FLIP | wall s | factorize s |\n|---|---|---|---|---|---|---|");
     let fixed = [3, 5, 7, 9, 11, 15, 19].map(|count| format!("views = [{count}, {count}]\n"));
     for views in fixed.into_iter().chain(["views = \"auto\"\n".to_owned()]) {
@@ -228,8 +228,8 @@ fn cpu_of_children() -> f64 {
     /// Clock ticks per second, which Linux fixes for programs.
     const PER_SECOND: f64 = 100.0;
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    // the name in parentheses may hold anything; cutime and cstime are the 14th and 15th word
-    // behind it
+    // The name in parentheses may contain any character. cutime and cstime are the 14th and 15th
+    // word after it.
     let behind = stat.rsplit(')').next().unwrap_or_default();
     let ticks = |word: usize| behind.split_whitespace().nth(word).and_then(|text| text.parse::<f64>().ok());
     ticks(13).zip(ticks(14)).map_or(f64::NAN, |(user, system)| (user + system) / PER_SECOND)

@@ -6,16 +6,17 @@ use std::path::{Path, PathBuf};
 use crate::python;
 use crate::tools::{self, Outcome, command, install, output_of, run};
 
-/// Blender's version in CI, which also validates, and the further versions of `--full`.
+/// The version of Blender in CI, which also validates the zips, and the further versions of
+/// `--full`.
 const BLENDER: &str = "5.0.1";
 const OLDER: [&str; 2] = ["4.5.15", "4.2.23"];
-/// The Python version that all of them need.
+/// The version of Python that all these versions need.
 const PYTHON: &str = "3.11";
 /// Packages that build the wheel.
 const TOOLS: [&str; 3] = ["--only-binary=:all:", "maturin==1.16.*", "numpy"];
 
 /// Builds the extension for users into `target/blender`: a zip for every platform with a wheel.
-/// `wheels` are those of other platforms; this machine's wheel is built if it is missing.
+/// `wheels` are the wheels of other platforms; this machine's wheel is built if it is missing.
 pub fn build(wheels: &[&str]) -> Outcome {
     let python = environment(BLENDER)?;
     let mut wheels: Vec<PathBuf> = wheels.iter().map(PathBuf::from).collect();
@@ -80,7 +81,7 @@ fn fetch_program() -> Outcome {
 }
 
 /// Tests the extension's command in a `blender` process without a window, since the module bpy
-/// always has one. Uses the program on `PATH`, else Debian's.
+/// always has a window. Uses the program on `PATH`, otherwise Debian's.
 fn program(python: &Path, wheel: &Path) -> Outcome {
     if let Err(error) = fetch_program() {
         tools::skipped("blender's program", &error);
@@ -109,7 +110,7 @@ pub fn some(names: &str, version: &str) -> Outcome {
     let python = environment(version)?;
     let zip = zip_of(machine()?);
     if !zip.is_file() {
-        return Err(format!("{}: not there: `cargo xtask blender` makes it", zip.display()));
+        return Err(format!("{}: missing: `cargo xtask blender` makes it", zip.display()));
     }
     cases(&python, &zip, version, names)
 }
@@ -137,7 +138,7 @@ fn environment(version: &str) -> Outcome<PathBuf> {
         run(command(base).args(["-m", "venv", "--clear"]).arg(&folder))?;
         install(&python, &["--no-cache-dir", "--only-binary=:all:", &format!("bpy=={version}"), "numpy"])?;
     }
-    if has(&python) { Ok(python) } else { Err(format!("bpy {version} does not import in {}", folder.display())) }
+    if has(&python) { Ok(python) } else { Err(format!("bpy {version} cannot be imported in {}", folder.display())) }
 }
 
 fn python_of_blender() -> Option<String> {
@@ -238,7 +239,7 @@ const PLATFORMS: [Platform; 6] = [
     Platform { name: "windows-arm64", system: "windows", machine: "aarch64", tag: ["win", "_arm64"] },
 ];
 
-/// Returns the platforms of wheels of this version; each platform may have only one wheel.
+/// Returns the platforms of wheels of this version. Each platform may have only one wheel.
 fn platforms_of(wheels: &[PathBuf]) -> Outcome<Vec<&'static str>> {
     let mut found = Vec::new();
     for wheel in wheels {
@@ -271,7 +272,7 @@ fn cases(python: &Path, zip: &Path, version: &str, names: &str) -> Outcome {
     let place = folder().join(format!("cases-{version}"));
     let mut cases = command(python);
     cases.arg("plugins/blender/tests/cases.py").arg(names).arg(zip).arg(&place);
-    // the OpenUSD of the other tests, for Blenders without one
+    // versions of Blender without OpenUSD use the OpenUSD of the other tests
     run(cases.env("LUMISTACK_PYTHON", tools::python()?))
 }
 

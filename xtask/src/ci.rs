@@ -37,7 +37,7 @@ impl Steps {
 }
 
 /// Runs all checks; `full` adds the slow tests. Processors are the bottleneck, so steps that wait
-/// for the network or other programs run beside steps that compile.
+/// for the network or other programs run in parallel with steps that compile.
 fn run_steps(full: bool, steps: &Steps) -> Outcome {
     let version = output_of(command("rustc").arg("--version")).ok_or("rustc does not start")?;
     let strict = version.contains(&format!("rustc {LINTED_WITH}."));
@@ -76,7 +76,7 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
     )?;
     steps.step("tests", || {
         let mut tests = command("cargo");
-        // presentations run alone, in the step of panels
+        // tests of presentations do not run here, but alone in the step `panels`
         run(tests.arg("test").args(EVERYTHING).args(["--", "--skip", "show::"]).env("LUMISTACK_PYTHON", &python))
     })?;
     beside(
@@ -92,7 +92,7 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
             steps.step("blender", || blender::check(full))
         },
     )?;
-    // alone, since it counts refreshes
+    // no other step runs at the same time, since this step counts refreshes
     steps.step("panels", || panels::check(full))?;
     if full {
         steps.step("slow tests", || {
@@ -104,7 +104,7 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
     Ok(())
 }
 
-/// Runs both at once. Returns the result of the first, or the first error.
+/// Runs both functions in parallel. Returns the result of the first, or the first error.
 fn beside<T: Send>(waits: impl FnOnce() -> Outcome<T> + Send, works: impl FnOnce() -> Outcome) -> Outcome<T> {
     std::thread::scope(|scope| {
         let waits = scope.spawn(waits);
@@ -152,11 +152,11 @@ fn wasm() -> Outcome {
         arguments.extend(["--package", name]);
     }
     cargo(&arguments)?;
-    // there the solver's kernels have their own vectors
+    // in the browser the solver's kernels use the vectors of WebAssembly
     arguments.truncate(5);
     arguments.extend(["--package", "lumistack-factorizer", "--config", SIMD128]);
     cargo(&arguments)
 }
 
-/// Fixed-width vectors of WebAssembly.
+/// Flags of rustc for the fixed-width vectors of WebAssembly.
 const SIMD128: &str = "target.wasm32-unknown-unknown.rustflags=['-Ctarget-feature=+simd128']";

@@ -1,9 +1,9 @@
-//! Cycles of files in a crate that use each other: to read one of them, one must first have read
-//! the others.
+//! Finds cycles of files that use each other in a crate. A reader of one file of a cycle must read
+//! all others first.
 //!
 //! A file uses another one when its code names an item defined there. `use` declarations and whole
-//! paths are followed through re-exports to the definition. Re-exports, `mod` lines and tests do
-//! not count.
+//! paths are followed through re-exports to the definition. Re-exports, `mod` lines and tests are
+//! ignored.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -19,7 +19,7 @@ struct Source {
     path: PathBuf,
     /// Path of its module.
     module: Names,
-    /// Names that `use` imports, each with its whole path.
+    /// Names that `use` declarations import, each with its whole path.
     known: BTreeMap<String, Names>,
     /// Modules of glob imports.
     globs: Vec<Names>,
@@ -34,7 +34,7 @@ struct Source {
 pub fn of_crate(root: &Path) -> Result<Vec<[Vec<String>; 2]>, String> {
     let mut files = BTreeMap::new();
     read(root, Vec::new(), &mut files)?;
-    // for every file the files that it uses, with one name that it uses there
+    // For every file, find the files that it uses, with one name that it uses from each.
     let edges: BTreeMap<&Names, BTreeMap<Names, String>> = files
         .iter()
         .map(|(module, source)| {
@@ -42,7 +42,7 @@ pub fn of_crate(root: &Path) -> Result<Vec<[Vec<String>; 2]>, String> {
             (module, used.filter(|(home, _)| home != module).collect())
         })
         .collect();
-    // Files that a file uses directly or through others.
+    // Find the files that each file uses directly or through others.
     let reached = |from: &Names| -> BTreeSet<Names> {
         let (mut seen, mut todo) = (BTreeSet::new(), vec![from.clone()]);
         while let Some(module) = todo.pop() {
@@ -57,7 +57,7 @@ pub fn of_crate(root: &Path) -> Result<Vec<[Vec<String>; 2]>, String> {
     let reach: BTreeMap<&Names, BTreeSet<Names>> = edges.keys().map(|module| (*module, reached(module))).collect();
     let folder = root.parent().unwrap_or(Path::new(""));
     let name = |module: &Names| files[module].path.strip_prefix(folder).unwrap_or(root).display().to_string();
-    // A file that reaches itself lies in a cycle; its members reach each other.
+    // A file that reaches itself is in a cycle; all files of a cycle reach each other.
     let mut circles = BTreeSet::new();
     for (module, seen) in reach.iter().filter(|(module, seen)| seen.contains(**module)) {
         let back = |other: &Names| seen.contains(other) && reach[other].contains(*module);
@@ -115,8 +115,8 @@ struct Reader {
 }
 
 impl Reader {
-    /// Returns a path of the code from the crate's root. `None` where it leads outside the crate or
-    /// to an item of this file.
+    /// Returns the path from the crate's root that a path in the code means. `None` if it leads
+    /// outside of the crate or to an item of this file.
     fn whole(&self, path: &[String]) -> Option<Names> {
         let here = || self.source.module.iter().chain(&self.inner).cloned();
         let (first, rest) = path.split_first()?;
@@ -174,7 +174,7 @@ impl Reader {
 
 impl<'ast> Visit<'ast> for Reader {
     fn visit_file(&mut self, file: &'ast File) {
-        // modules first: `use` may stand before their lines
+        // read `mod` lines first, since `use` declarations may precede them
         for item in &file.items {
             let name = match item {
                 Item::Const(item) => &item.ident,
@@ -256,7 +256,7 @@ fn home_of(files: &BTreeMap<Names, Source>, path: &[String], depth: usize) -> Op
             let from: Names = from.iter().chain(&path[module.len() + 1..]).cloned().collect();
             return home_of(files, &from, depth + 1);
         }
-        // a name from a glob import belongs to the glob's module if there is only one
+        // if there is only one glob import, an unknown name comes from its module
         if let [glob] = source.globs.as_slice()
             && !source.defined.contains(name)
         {
@@ -296,7 +296,7 @@ mod tests {
         let lib = ("lib.rs", "mod a; mod b; pub use a::A; pub use b::B;");
         let line = [lib, ("a.rs", "use crate::A; pub struct A;"), ("b.rs", "use crate::A; pub struct B(A);")];
         assert!(circles("line", &line).is_empty());
-        // each through the root's re-export, so neither names the other's file
+        // both files use the root's re-export, so neither names the other file
         let both = [lib, ("a.rs", "use crate::B; pub struct A(B);"), ("b.rs", "pub struct B; fn f(_: crate::A) {}")];
         let uses = ["a.rs uses b.rs: B", "b.rs uses a.rs: A"];
         assert_eq!(circles("both", &both), [[vec!["a.rs", "b.rs"], uses.to_vec()]]);

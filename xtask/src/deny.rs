@@ -2,8 +2,8 @@
 //! `deny.toml`.
 //!
 //! Advisories need the RustSec database, which is fetched where the network allows it. cargo-deny
-//! takes two minutes to build, so `ci` uses it only where it is installed. Both depend on more than
-//! this tree, so their absence does not count as a skipped check, which would fail on CI.
+//! takes two minutes to build, so `ci` uses it only if it is installed. Database and tool are not
+//! in this repository. So their absence is not reported as a skipped check, which would fail on CI.
 
 use std::path::{Path, PathBuf};
 
@@ -29,10 +29,10 @@ pub fn check() -> Outcome {
     tools::run(&mut deny(&["--offline", "check", "advisories"]))
 }
 
-/// Checks as a step of `ci`, where installing the tool would take too long.
+/// Checks as a step of `ci`, which does not install the tool, since that takes too long.
 pub fn in_ci() -> Outcome {
     if found().is_none() {
-        println!("dependencies: not checked here, there is no cargo-deny; `cargo xtask deny` installs it");
+        println!("dependencies: not checked, since cargo-deny is not installed; `cargo xtask deny` installs it");
         return Ok(());
     }
     check()

@@ -21,23 +21,23 @@ cargo xtask dist test [WAY...]
 cargo xtask dist sums
 
   tarball   the program with manual pages, completions, documents and the first scene; a zip for Windows
-  deb       the same as a package of Debian's
+  deb       the same files as a Debian package
   wheel     the Python package, for any Python from 3.11 on
   npm       the viewer for web pages
   blender   the extension of Blender, a zip for every wheel
   sbom      all parts with their licences, as CycloneDX
-  test      installs the parts in a clean Debian, or into an empty prefix where there is none, and runs the first job;
+  test      installs the parts in a clean Debian, or into an empty prefix if there is none, and runs the first job;
             WAY is tarball, deb, wheel, npm, blender, or pages: every command of the first pages
   sums      computes the checksums again
 
-Without a PART all parts. On Linux for x86-64 and ARM with a glibc from 2.17 on (zig links); elsewhere for this machine.
-Every part holds the licences of all dependencies. SHA256SUMS holds the checksums of target/dist.
+Without a PART it makes all parts. On Linux they are for x86-64 and ARM with a glibc from 2.17 on (zig links); elsewhere for this machine.
+Every part contains the licences of all dependencies. SHA256SUMS has the checksums of target/dist.
 ";
 
-/// The parts, in the order of their making: extensions hold wheels.
+/// The parts, in the order in which they are made: extensions contain wheels.
 const PARTS: [&str; 6] = ["tarball", "deb", "wheel", "npm", "blender", "sbom"];
 
-/// Makes the parts that the words select; `None` if they are wrong.
+/// Makes the parts that the arguments select; `None` if an argument is wrong.
 pub fn dist(words: &[&str]) -> Option<Outcome> {
     if let ["test", ways @ ..] = words {
         return ways.iter().all(|way| install::WAYS.contains(way)).then(|| install::test(ways, &folder()));

@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 
 use crate::tools::{self, Outcome, command, output_of};
 
-/// Largest seed: small files are mutated fastest.
+/// Largest size of a seed, bytes: small files are mutated fastest.
 const MAX_SEED_BYTES: u64 = 64 << 10;
 
-/// A target in `fuzz/fuzz_targets`. Its seeds lie in `fuzz/seeds/NAME`, in folders of the
+/// A target in `fuzz/fuzz_targets`. Its seeds are in `fuzz/seeds/NAME`, in folders of the
 /// repository and in folders of the assets; `extensions` selects them.
 struct Target {
     name: &'static str,
@@ -51,7 +51,7 @@ pub fn run(minutes: f64, only: Option<&str>) -> Outcome {
     }
     let nightly = output_of(command("rustup").args(["run", "nightly", "cargo", "--version"])).is_some();
     if !nightly {
-        println!("bench: no nightly compiler: this one counts coverage with RUSTC_BOOTSTRAP=1");
+        println!("bench: no nightly compiler: the installed compiler measures coverage with RUSTC_BOOTSTRAP=1");
     }
     let Some(cargo_fuzz) = cargo_fuzz() else {
         println!("bench: nothing is fuzzed: there is no cargo-fuzz, and it could not be installed");
@@ -84,9 +84,9 @@ fn fuzz(target: &Target, minutes: f64, cargo_fuzz: &Path, nightly: bool) -> Outc
     let mut count: usize = folders.map(|folder| copy_seeds(&folder, &seeds, target.extensions)).sum();
     count += copy_seeds(&tools::root().join("fuzz/seeds").join(target.name), &seeds, &["seed"]);
     println!("bench: {}: {count} seeds, {minutes} minutes", target.name);
-    // Start the fuzzer on a clean environment.
+    // Start the fuzzer in a clean environment.
     let mut fuzzer = if nightly { command("rustup") } else { command(cargo_fuzz) };
-    // the toolchain of this task must not build the fuzzer
+    // the fuzzer must not be built by the toolchain that built this task
     for variable in ["CARGO", "RUSTC", "RUSTUP_TOOLCHAIN", "RUSTFLAGS", "CARGO_TARGET_DIR"] {
         fuzzer.env_remove(variable);
     }
@@ -108,7 +108,7 @@ fn fuzz(target: &Target, minutes: f64, cargo_fuzz: &Path, nightly: bool) -> Outc
     tools::run(&mut fuzzer)
 }
 
-/// Finds or installs cargo-fuzz; `None` where that fails.
+/// Finds or installs cargo-fuzz; `None` if that fails.
 fn cargo_fuzz() -> Option<PathBuf> {
     let works = |program: &Path| output_of(command(program).arg("--version")).is_some();
     let installed = PathBuf::from("cargo-fuzz");
@@ -140,7 +140,7 @@ fn copy_seeds(folder: &Path, seeds: &Path, extensions: &[&str]) -> usize {
             } else if is_small && is_input {
                 let name = path.strip_prefix(folder).unwrap_or(&path).display().to_string().replace(['/', '\\'], "-");
                 let Ok(bytes) = std::fs::read(&path) else { continue };
-                // a Draco stream is also a seed of its own
+                // a Draco stream in the file is also a separate seed
                 let stream = bytes.windows(5).position(|window| window == b"DRACO").map(|at| &bytes[at..]);
                 for (name, bytes) in [(name.clone(), Some(&*bytes)), (format!("{name}.drc"), stream)] {
                     count += usize::from(bytes.is_some_and(|bytes| std::fs::write(seeds.join(name), bytes).is_ok()));

@@ -1,4 +1,4 @@
-//! The gallery: Lumistack's renders of glTF files beside Blender's, with the same file, camera and
+//! The gallery: Lumistack's renders of glTF files next to Blender's, with the same file, camera and
 //! light, on one page.
 
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ use crate::tools::{self, Outcome, cargo, command, output_of, run};
 pub const USAGE: &str = "\
 cargo xtask gallery [folder] [options]
 
-  Renders every glTF and USD file below the folder (default: gltf in the folder that LUMISTACK_ASSETS names, or
+  Renders every glTF and USD file in the folder and its subfolders (default: gltf in the folder that LUMISTACK_ASSETS names, or
   ../shared/scenes/gltf) with Lumistack's path tracer and with Blender's Cycles, and writes target/gallery/index.html. Its notes about each
   file come from xtask/gallery/notes.toml. Blender's pictures are kept while its input stays the same.
 
@@ -58,7 +58,7 @@ fn build(scenes: &Path, out: &Path, options: &[&str], threads: &str) -> Outcome 
         cargo.env("RAYON_NUM_THREADS", threads);
         run(cargo.args(words))
     };
-    // Lumistack's renders, Blender's renders, then the page.
+    // Make Lumistack's renders, Blender's renders, then the page.
     example(&[&["render", &scenes, &folder], options].concat())?;
     match blender() {
         Ok(python) => {
@@ -73,7 +73,7 @@ fn build(scenes: &Path, out: &Path, options: &[&str], threads: &str) -> Outcome 
             for entry in entries {
                 let mut blender = command(&python);
                 blender.arg(&script).arg(entry.join("ours.json")).arg(threads);
-                // a file that crashes Blender must not cost the other files
+                // if a file crashes Blender, the other files are rendered nevertheless
                 if !blender.output().is_ok_and(|output| output.status.success()) {
                     println!("gallery: Blender ended early on {}", entry.display());
                 } else {
@@ -98,5 +98,5 @@ fn blender() -> Outcome<PathBuf> {
         println!("fetching: {}, in target/python-gallery (used only for the gallery)", BLENDER.join(", "));
         tools::install(&python, &[&["--no-cache-dir", "--only-binary=:all:"], &BLENDER[..]].concat())?;
     }
-    if there() { Ok(python) } else { Err(format!("{} does not import bpy and numpy", python.display())) }
+    if there() { Ok(python) } else { Err(format!("{} cannot import bpy and numpy", python.display())) }
 }

@@ -1,9 +1,9 @@
-//! The architecture as a check: a crate depends only on lower layers, and some dependencies are
-//! forbidden everywhere.
+//! Checks of the architecture: a crate depends only on crates of lower layers, and some
+//! dependencies are forbidden for almost all crates.
 //!
 //! Each crate states its layer in `[package.metadata.lumistack] layer = n`. Development
-//! dependencies are free. Build dependencies are no part of the program, so a crate of layer 0 may
-//! have one of layer 0.
+//! dependencies are not restricted. Build dependencies are not in the program, so a crate may have
+//! build dependencies of its own layer.
 //!
 //! Within a crate no two files may use each other, directly or through others.
 
@@ -35,7 +35,7 @@ pub const PORTABLE: [&str; 10] = [
     "lumistack-web-solver",
 ];
 
-/// Calls that portable crates must not make; files and times are arguments there.
+/// Calls that portable crates must not make. They receive files and times as arguments.
 const NOT_PORTABLE: [&str; 4] = ["std::fs", "std::time::Instant", "std::time::SystemTime", "std::thread::spawn"];
 
 /// Checks the whole workspace.
@@ -44,7 +44,7 @@ pub fn check() -> Outcome {
         .ok_or("cargo metadata failed")?;
     let metadata: Value = serde_json::from_str(&text).map_err(|error| error.to_string())?;
     let packages = metadata["packages"].as_array().ok_or("cargo metadata lists no packages")?;
-    // The layer of every crate, then every dependency against it.
+    // Read the layer of every crate, then check every dependency.
     let mut layers = HashMap::new();
     for package in packages {
         let name = package["name"].as_str().unwrap_or_default();
@@ -65,7 +65,10 @@ pub fn check() -> Outcome {
             if let Some(layer) = layers.get(to)
                 && (*layer > layers[name] || (*layer == layers[name] && !at_build))
             {
-                problems.push(format!("{name} (layer {}) depends on {to} (layer {layer})", layers[name]));
+                problems.push(format!(
+                    "{name} (layer {}) depends on {to} (layer {layer}): expected a dependency of a lower layer",
+                    layers[name]
+                ));
             }
             for (external, allowed) in FORBIDDEN {
                 if to == external && !allowed.contains(&name) {
@@ -73,7 +76,7 @@ pub fn check() -> Outcome {
                 }
             }
         }
-        // Cycles of files, and calls that wasm32 lacks.
+        // Check for cycles of files, and for calls that wasm32 lacks.
         for target in package["targets"].as_array().into_iter().flatten() {
             let is_code = ["lib", "cdylib", "rlib", "bin"].iter().any(|kind| target["kind"][0] == **kind);
             let root = std::path::Path::new(target["src_path"].as_str().unwrap_or_default());
@@ -91,7 +94,10 @@ pub fn check() -> Outcome {
         }
     }
     if problems.is_empty() {
-        println!("layers: {} crates, no upward or forbidden edge, no circle of files", layers.len());
+        println!(
+            "layers: {} crates, no dependency on the same or a higher layer, no forbidden dependency, no cycle of files",
+            layers.len()
+        );
         Ok(())
     } else {
         Err(format!("layers:\n  {}", problems.join("\n  ")))

@@ -1,10 +1,10 @@
-//! The vector kernels of other machines, against the same oracles: NEON under emulation, and
+//! Compares the vector kernels of other machines with the same oracles: NEON under emulation, and
 //! simd128 in Node.js.
 
 use crate::tools::{Outcome, apt, command, output_of, root, run, skipped};
 
-/// Requirements of a machine beside the Rust target: programs, each with the Debian packages that
-/// contain it.
+/// Requirements of a machine in addition to the Rust target: programs, each with the Debian
+/// packages that contain it.
 struct Machine {
     target: &'static str,
     programs: &'static [(&'static str, &'static str)],

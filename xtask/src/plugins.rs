@@ -19,7 +19,7 @@ const SAMPLE: &str = "examples/rust-plugin";
 
 /// Builds and checks all plugins; `write` rewrites the committed pages.
 pub fn run(write: bool) -> Outcome {
-    // a plugin's library is an example of its crate
+    // the library of a plugin is built as an example of its crate
     build_everything()?;
     let metadata = output_of(command("cargo").args(["metadata", "--format-version", "1", "--no-deps"]))
         .and_then(|text| serde_json::from_str::<Value>(&text).ok())
@@ -27,7 +27,7 @@ pub fn run(write: bool) -> Outcome {
     let target = PathBuf::from(metadata["target_directory"].as_str().ok_or("cargo metadata names no target folder")?);
     pages(&target.join("debug").join(format!("lumistack{EXE_SUFFIX}")), write)?;
     let folder = target.join("plugins");
-    // removes libraries of former plugins
+    // remove the libraries of plugins that no longer exist
     let _ = fs::remove_dir_all(&folder);
     fs::create_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
     for package in metadata["packages"].as_array().into_iter().flatten() {
@@ -44,9 +44,9 @@ pub fn run(write: bool) -> Outcome {
     run_program(tests.env("LUMISTACK_TEST_PLUGINS", &folder))
 }
 
-/// Builds the crate of the tutorial on its own, tests it, and copies its library.
+/// Builds the tutorial's crate outside of the workspace, tests it, and copies its library.
 fn sample(target: &Path, folder: &Path) -> Outcome {
-    // the workspace's versions, so nothing is fetched
+    // the crate uses the workspace's versions of dependencies, so nothing is fetched
     let lock = root().join(SAMPLE).join("Cargo.lock");
     fs::copy(root().join("Cargo.lock"), &lock).map_err(|error| format!("{}: {error}", lock.display()))?;
     for task in ["build", "test"] {
@@ -70,7 +70,7 @@ fn take(built: &Path, package: &str, folder: &Path) -> Outcome {
 fn pages(lumistack: &Path, write: bool) -> Outcome {
     let mut program = command(lumistack);
     program.args(["--json", "plugins"]);
-    // only compiled-in plugins
+    // list compiled-in plugins only
     program.env_remove("LUMISTACK_PLUGIN_PATH").env("XDG_DATA_HOME", root().join("target/no-such-folder"));
     let said = output_of(&mut program).ok_or("`lumistack --json plugins` failed")?;
     let said: Value = serde_json::from_str(&said).map_err(|error| format!("`lumistack --json plugins`: {error}"))?;
@@ -136,7 +136,7 @@ fn page(plugin: &Value) -> String {
         page.push_str("\nThere are no parameters.\n");
         return page;
     }
-    // a file has no default
+    // a parameter that is a file has no default
     let none = json!("");
     page.push_str("\n| parameter | default | values | meaning |\n|---|---|---|---|\n");
     for param in params {

@@ -3,7 +3,7 @@
 
 use crate::tools::{self, Outcome, cargo};
 
-/// Systems with releases, beside Linux. Type checks do not need their libraries.
+/// Systems with releases, in addition to Linux. Type checks do not need the systems' libraries.
 const TARGETS: [&str; 3] = ["x86_64-pc-windows-gnu", "x86_64-apple-darwin", "aarch64-apple-darwin"];
 
 /// Crates whose tests need neither Debian packages nor a display.

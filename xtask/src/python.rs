@@ -19,7 +19,7 @@ const TOOLS: [&str; 10] = [
     "moto[server]==5.*",
 ];
 
-/// Packages for pip that notebooks use: tests pass arrays and plots to them.
+/// Packages for pip that notebooks use; tests exchange arrays and plots with them.
 const NOTEBOOKS: [&str; 4] = ["--only-binary=:all:", "matplotlib==3.*", "xarray", "pillow"];
 
 /// The oldest Python that the wheel supports.
@@ -56,7 +56,7 @@ pub fn fetch(python: &Path) -> Outcome {
     for (modules, packages) in needed {
         if !can_import(python, modules) {
             println!("fetching: {modules}, in target/python (used only to build and check the Python package)");
-            install(python, packages).map_err(|error| format!("{modules} cannot be had: {error}"))?;
+            install(python, packages).map_err(|error| format!("{modules} cannot be installed: {error}"))?;
         }
     }
     Ok(())
@@ -73,7 +73,7 @@ pub fn release() -> Outcome {
     measure(&python, &wheel)
 }
 
-/// A Python with the release wheel, and with all tools of its checks.
+/// Returns a Python with the release wheel, and with all tools that its checks need.
 ///
 /// # Errors
 /// Where the tools cannot be installed or the package does not build.
@@ -103,7 +103,7 @@ pub fn build(python: &Path) -> Outcome<PathBuf> {
 }
 
 /// Packs a wheel from the artefacts of the workspace's tests, which maturin would compile again
-/// with other features, and returns its path. All but the module comes from maturin.
+/// with other features, and returns the wheel's path. maturin adds all files except the module.
 pub fn pack(python: &Path) -> Outcome<PathBuf> {
     tools::build_everything()?;
     let (info, folder) = (empty("target/wheels/info")?, empty("target/wheels/dev")?);

@@ -17,8 +17,8 @@ pub fn cargo(arguments: &[&str]) -> Outcome {
     run(command("cargo").args(arguments))
 }
 
-/// The packages and features that CI compiles, lints and documents: one selection, so that nothing
-/// is compiled twice. It includes the windows of panels.
+/// The packages and features that CI compiles, lints and documents. All steps use this selection,
+/// so that nothing is compiled twice. It includes the windows of panels.
 pub const EVERYTHING: [&str; 3] = ["--workspace", "--features", "lumistack-plugin-panels/window,lumistack-cli/panels"];
 
 /// Builds all programs, the Python module and all examples into `target/debug`. The examples
@@ -37,8 +37,8 @@ pub fn command(program: impl AsRef<std::ffi::OsStr>) -> Command {
     command
 }
 
-/// Variable with the file of skipped checks; `lumistack_testkit::skip` and the Python tests write
-/// there too.
+/// Environment variable with the path of the list of skipped checks. `lumistack_testkit::skip` and
+/// the Python tests also write to this file.
 const SKIPPED: &str = "LUMISTACK_SKIPPED";
 
 fn skip_list() -> PathBuf {
@@ -50,13 +50,13 @@ fn is_ci() -> bool {
     std::env::var("CI").is_ok_and(|value| !["", "0", "false"].contains(&value.as_str()))
 }
 
-/// Reports that a check is skipped, and why. At the end [`account_of_skipped`] lists it.
+/// Reports that a check is skipped, and the reason. At the end [`account_of_skipped`] lists it.
 pub fn skipped(check: &str, why: &str) {
     use std::io::Write;
     let line = format!("{check}: {}", why.replace('\n', " "));
     println!("skipped: {line}");
     let list = std::fs::OpenOptions::new().create(true).append(true).open(skip_list());
-    // one write, since steps run side by side
+    // one write per line, since steps run in parallel
     if let Err(error) = list.and_then(|mut list| list.write_all(format!("{line}\n").as_bytes())) {
         println!("{}: {error}", skip_list().display());
     }
@@ -100,7 +100,7 @@ fn account(list: &str, is_ci: bool) -> Outcome {
 /// When they cannot be installed.
 pub fn apt(packages: &[&str], purpose: &str) -> Outcome {
     if output_of(command("apt-get").arg("--version")).is_none() {
-        return Err(format!("no apt-get here to install {}", packages.join(", ")));
+        return Err(format!("this machine has no apt-get to install {}", packages.join(", ")));
     }
     println!("\nfetching: the Debian packages {} (used only to {purpose})", packages.join(", "));
     let apt = |arguments: &[&str]| {
@@ -113,7 +113,7 @@ pub fn apt(packages: &[&str], purpose: &str) -> Outcome {
         if result.is_ok() || turn + 1 == TURNS {
             return result;
         }
-        // the lock of the lists has no timeout
+        // apt-get does not wait for the lock of the package lists
         std::thread::sleep(std::time::Duration::from_secs(20 * turn));
         let _ = apt(&["update"]);
     }
@@ -154,8 +154,9 @@ const READERS: [&str; 3] = ["--only-binary=:all:", "pillow", "OpenEXR==3.*"];
 /// OpenUSD with its MaterialX plugin; tests of USD stages skip without it.
 const USD: [&str; 2] = ["--only-binary=:all:", "usd-exchange==3.*"];
 
-/// A Python with NumPy, in `target/python`. Where their wheels exist it also has Pillow, OpenEXR,
-/// scikit-image, flip-evaluator and OpenUSD. Tests check Lumistack's files and metrics with them.
+/// Finds or makes a Python with NumPy, in `target/python`. If wheels of them exist, it also has
+/// Pillow, OpenEXR, scikit-image, flip-evaluator and OpenUSD. With these packages tests check
+/// Lumistack's files and metrics.
 pub fn python() -> Outcome<PathBuf> {
     let folder = root().join("target/python");
     let python = folder.join("bin/python");
@@ -165,12 +166,12 @@ pub fn python() -> Outcome<PathBuf> {
         install(&python, &["numpy==2.*"])?;
     }
     if !imports("numpy") {
-        return Err("numpy was installed into target/python and does not import".into());
+        return Err("numpy was installed into target/python, but cannot be imported".into());
     }
     if !imports("PIL, OpenEXR") {
         println!("fetching: Pillow and OpenEXR, in target/python (used only to check pictures that we write)");
         if let Err(error) = install(&python, &READERS) {
-            skipped("pictures", &format!("other people's readers cannot be had: {error}"));
+            skipped("pictures", &format!("readers of other projects cannot be installed: {error}"));
         }
     }
     if !imports("skimage, flip_evaluator") {
@@ -178,20 +179,20 @@ pub fn python() -> Outcome<PathBuf> {
         if let Err(error) = install(&python, &METRICS) {
             skipped(
                 "metrics",
-                &format!("the reference tools cannot be had, their recorded figures are checked: {error}"),
+                &format!("the reference tools cannot be installed, so only their recorded values are checked: {error}"),
             );
         }
     }
     if !imports("pxr") {
         println!("fetching: usd-exchange (OpenUSD), in target/python (used only to test how USD is read)");
         if let Err(error) = install(&python, &USD) {
-            skipped("USD", &format!("OpenUSD cannot be had: {error}"));
+            skipped("USD", &format!("OpenUSD cannot be installed: {error}"));
         }
     }
     Ok(python)
 }
 
-/// Installs packages; `packages` may also hold options that pip and uv share.
+/// Installs packages; `packages` may also contain options that pip and uv share.
 pub fn install(python: &Path, packages: &[&str]) -> Outcome {
     let mut install = if let Some(uv) = uv() {
         let mut install = command(uv);
@@ -276,7 +277,7 @@ pub fn rust_target(triple: &str) -> Outcome {
     }
     println!("\nfetching: the Rust target {triple}");
     run(command("rustup").args(["target", "add", triple]))?;
-    if installed() { Ok(()) } else { Err(format!("rustup gave no Rust target {triple}")) }
+    if installed() { Ok(()) } else { Err(format!("rustup ran, but the Rust target {triple} is not installed")) }
 }
 
 /// Runs an example of a package as a release build.
@@ -286,7 +287,7 @@ pub fn example(package: &str, name: &str, arguments: &[String]) -> Outcome {
     cargo(&words)
 }
 
-/// Returns a path of the user, relative to the working folder, as an absolute path.
+/// Makes a user's path absolute; it is relative to the folder in which the user works.
 pub fn absolute(path: &str) -> String {
     std::path::absolute(path).map_or_else(|_| path.to_owned(), |path| text(&path))
 }

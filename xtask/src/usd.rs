@@ -1,5 +1,5 @@
 //! Tests of USD with the oldest and the newest OpenUSD for this machine's Python. The other tests
-//! use the one in `target/python`.
+//! use the OpenUSD in `target/python`.
 
 use std::path::{Path, PathBuf};
 
@@ -44,5 +44,5 @@ fn environment(name: &str, package: &str) -> Outcome<PathBuf> {
         make_python(&folder, "to test how USD is read")?;
         install(&python, &["--only-binary=:all:", package])?;
     }
-    if has(&python) { Ok(python) } else { Err(format!("it does not import in {}", folder.display())) }
+    if has(&python) { Ok(python) } else { Err(format!("it cannot be imported in {}", folder.display())) }
 }

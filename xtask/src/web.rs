@@ -2,9 +2,9 @@
 //! with the committed files.
 //!
 //! `web/dist` is committed, so that the program writes previews on machines without a WebAssembly
-//! toolchain. Two hashes lie beside it: of all its sources, and of its files. If one differs, the
-//! page was not rebuilt after a change, or was changed by hand. While both agree, tests take the
-//! committed files: a build of them takes minutes and gives the same.
+//! toolchain. It contains two hashes: of all its sources, and of its files. If one differs, the
+//! page was not rebuilt after a change, or was changed by hand. While both agree, tests use the
+//! committed files: a build of the same sources takes minutes and gives the same bytes.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -38,7 +38,7 @@ const BUDGETS: [(&str, &[&str], usize); 2] = [
     ("page", &["index.html", "viewer.js", "lumistack_web_bg.wasm"], 150_000),
     ("solver", &["solve.html", "solve.js", "lumistack_web_solver_bg.wasm"], 950_000),
 ];
-/// Sources of the pages, beside the lock entries of their dependencies.
+/// Sources of the pages, in addition to the lock entries of their dependencies.
 const SOURCES: [&str; 21] = [
     "crates/core/src",
     "crates/display/src",
@@ -71,7 +71,8 @@ pub fn build() -> Outcome {
     measure()
 }
 
-/// Fails if the committed pages are not those of the sources. Measures and tests them.
+/// Fails if the committed pages were not made from the present sources. Measures and tests the
+/// pages.
 pub fn check() -> Outcome {
     let (now, committed) = (hashes()?, fs::read_to_string(root().join(HASH)).unwrap_or_default());
     for (what, now, committed) in [
@@ -177,7 +178,7 @@ pub fn fixtures() -> Outcome {
 /// Runs the tests of `web/tests` in a headless browser.
 pub fn browser_tests() -> Outcome {
     let chromium = chromium()?;
-    // builds the program for `lumistack preview`
+    // build the program, for the tests of `lumistack preview`
     tools::build_everything()?;
     let binary = target_folder()?.join("debug").join(format!("lumistack{}", std::env::consts::EXE_SUFFIX));
     let mut tests = command("npm");
@@ -229,7 +230,8 @@ fn chromium() -> Outcome<PathBuf> {
 }
 
 /// Prints the sizes of the files of both pages. A size above a budget is an error. The size is that
-/// of Brotli, which static hosts send to all current browsers; gzip is printed beside it.
+/// after compression with Brotli, which static hosts send to all current browsers; the size with
+/// gzip is printed too.
 fn measure() -> Outcome {
     let script = "const z = require('zlib'), b = require('fs').readFileSync(process.argv[1]); \
         console.log(b.length, z.gzipSync(b, { level: 9 }).length, z.brotliCompressSync(b).length)";
@@ -264,7 +266,7 @@ fn sources_hash() -> Outcome<String> {
     let manifest = fs::read_to_string(root().join("Cargo.toml")).map_err(|error| format!("Cargo.toml: {error}"))?;
     let profile = manifest.find("[profile.web]").ok_or("Cargo.toml has no [profile.web]")?;
     hash.update(&manifest.as_bytes()[profile..]);
-    // names, versions and checksums, as cargo prints them
+    // hash names, versions and checksums of dependencies, as cargo prints them
     let mut crates = Vec::new();
     for Module { package, .. } in &MODULES {
         let tree = ["tree", "--package", package, "--target", WASM, "--edges", "normal,build", "--prefix", "none"];

@@ -1,39 +1,40 @@
 //! Plain words as a check: comments, docs and messages of errors follow `docs/GLOSSARY.md`.
 //!
-//! * No word of the glossary's column "not".
-//! * At most 30 words a sentence.
+//! * No word of the glossary's column "not" occurs.
+//! * A sentence has at most 30 words.
 //! * No sentence begins with What, Whether or Of.
-//! * At most 1 `what` in 1000 words of a crate or top folder.
+//! * A crate or top folder has at most one `what` in 1000 words.
 //! * A line that holds nothing but a comment has at most 100 columns.
 //!
-//! All files must keep them, except those of [`EXCEPTIONS`]. `cargo xtask words --all` reports
-//! these too, without failing.
+//! All files must follow these rules, except the files in [`EXCEPTIONS`]. `cargo xtask words --all`
+//! also reports problems of the exceptions, without failing.
 
 use std::collections::BTreeMap;
 
 use crate::prose::{Block, blocks, sentences, words};
 use crate::tools::{Outcome, command, output_of, root};
 
-/// Folders that need not keep the rules.
+/// Folders whose files need not follow the rules.
 #[rustfmt::skip]
 const EXCEPTIONS: &[&str] = &[
     // built from web/src
     "web/dist",
 ];
 
-/// A sentence of more words must be read twice. The style guide says 25.
+/// Largest number of words in a sentence; a longer sentence must be read twice. The style guide
+/// demands 25.
 const LONGEST_SENTENCE: usize = 30;
 
-/// The widest line that holds nothing but a comment, in characters.
+/// Largest width of a line that has only a comment, characters.
 const WIDEST_COMMENT: usize = 100;
 
 /// First words that hide a sentence's subject.
 const NO_BEGINNING: [&str; 3] = ["what", "whether", "of"];
 
-/// Endings of files that have prose.
+/// Endings of the names of files that have prose.
 const READ: [&str; 5] = ["rs", "ts", "py", "wgsl", "md"];
 
-/// Where the banned words stand.
+/// File with the banned words.
 const GLOSSARY: &str = "docs/GLOSSARY.md";
 
 /// A banned phrase and the glossary's term for the thing.
@@ -46,12 +47,13 @@ struct Banned {
 #[derive(Default)]
 struct Sum {
     words: usize,
-    /// Where each `what` stands, as `path:line`.
+    /// Position of each `what`, as `path:line`.
     whats: Vec<String>,
     problems: usize,
 }
 
-/// Checks every file; with `all` also reports those of [`EXCEPTIONS`], without failing for them.
+/// Checks every file. With `all` it also reports problems of [`EXCEPTIONS`], without failing for
+/// them.
 pub fn check(all: bool) -> Outcome {
     let files = output_of(command("git").args(["ls-files", "--cached", "--others", "--exclude-standard"]))
         .ok_or("git ls-files failed")?;
@@ -79,7 +81,7 @@ pub fn check(all: bool) -> Outcome {
         let note = if *excepted { " (an exception)" } else { "" };
         println!("{:8} {:16.1} {:8}  {name}{note}", sum.words, sum.per_thousand(), sum.problems);
     }
-    // A short crate may use `what` once.
+    // A crate may use `what` once, however short it is.
     let checked = crates.iter().filter(|((_, excepted), _)| !excepted);
     for ((name, _), sum) in checked.filter(|(_, sum)| sum.whats.len() > 1 && sum.per_thousand() > 1.0) {
         failed += 1;
@@ -123,7 +125,7 @@ fn crate_of(path: &str) -> String {
 
 /// Reads the last column of the glossary's tables.
 ///
-/// Words in italics have right uses too, so no check finds them.
+/// Words in italics also have right uses, so the check skips them.
 fn banned_words(glossary: &str) -> Vec<Banned> {
     let mut banned = Vec::new();
     let mut in_table = false;
@@ -151,7 +153,7 @@ fn problems_of(path: &str, text: &str, banned: &[Banned]) -> (Vec<String>, Sum) 
     let mut sum = Sum::default();
     for block in blocks(path, text) {
         sum.words += words(&block.text).len();
-        // The glossary's own tables hold the banned words.
+        // The glossary's own tables contain the banned words.
         if path == GLOSSARY && is_row(text, &block) {
             continue;
         }
@@ -178,7 +180,7 @@ fn problems_of_block(path: &str, block: &Block, banned: &[Banned], found: &mut V
             found.push((sentence.line, format!("a sentence of {} words, over {LONGEST_SENTENCE}", words.len())));
         }
         if let Some(first) = words.first().filter(|first| NO_BEGINNING.contains(&first.as_str())) {
-            found.push((sentence.line, format!("a sentence begins with \"{first}\"")));
+            found.push((sentence.line, format!("a sentence begins with \"{first}\", which the style guide forbids")));
         }
         for Banned { phrase, instead } in banned {
             if words.windows(phrase.len()).any(|window| window == phrase) {
@@ -188,8 +190,8 @@ fn problems_of_block(path: &str, block: &Block, banned: &[Banned], found: &mut V
     }
 }
 
-/// Lines that hold nothing but a comment and are too wide. Addresses and rows of tables cannot be
-/// broken, so they may.
+/// Finds lines that have only a comment and are too wide. Lines with an address, and rows of
+/// tables, cannot be broken, so they may be wide.
 fn wide_comments(path: &str, text: &str) -> impl Iterator<Item = (usize, String)> {
     // a line that begins with `*` is a product in Rust, and a comment in TypeScript
     let marks: &[&str] = match path.rsplit_once('.') {
@@ -237,7 +239,7 @@ mod tests {
         assert_eq!(problems(&long), ["1: a sentence of 32 words, over 30"]);
         let beginnings = problems("/// Fine.\n/// What it does.\n/// Whether it does.\n/// Of all, one.\n");
         assert_eq!(beginnings.len(), 3);
-        assert_eq!(beginnings[0], "2: a sentence begins with \"what\"");
+        assert_eq!(beginnings[0], "2: a sentence begins with \"what\", which the style guide forbids");
     }
 
     #[test]

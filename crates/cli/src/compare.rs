@@ -14,41 +14,42 @@ use crate::values::Numbers;
 
 pub(crate) const EXAMPLES: &str = "\
 Examples:
-  lumistack compare runs/three-layer runs/directional -o compared         both at the first run's views, against its target and each other
-  lumistack compare runs/figure-9 -o compared                             all displays of a run with several, in one picture
-  lumistack compare runs/a/nodes/tensor runs/a/nodes/barrier              two of them
+  lumistack compare runs/three-layer runs/directional -o compared         both at the first run's views: against its target, and against each other
+  lumistack compare runs/figure-9 -o compared                             all displays of a run that has several, in one picture
+  lumistack compare runs/a/nodes/tensor runs/a/nodes/barrier              two displays of one run
   lumistack compare runs/a photo.png --eye 0,0,2000 --corners 210,160,1830,150,1850,1170,190,1180 -o compared
-                                                                          a photograph of the panels, brought to the simulation's exposure
+                                                                          a photograph of the panels, scaled to the simulation's exposure
   lumistack compare runs/a photo.jpg --focal-35mm 28 --corners ...        the same, with the camera's position computed from the corners
   lumistack compare runs/a runs/b --focus -60,0,60 --eye 0,0,600 --pupil-mm 4 -o compared
-                                                                          the pictures of an eye that focuses behind, on and before the display";
+                                                                          pictures of an eye that focuses behind, on and in front of the display";
 
-/// Runs and pictures to compare.
+/// The runs or photograph to compare, and how.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Compare {
     /// A run folder
     run: PathBuf,
-    /// Another run folder, or a photograph (PNG, JPEG, EXR, ...). Without it, all displays of a run
-    /// that has several
+    /// Another run folder, or a photograph (PNG, JPEG, EXR, ...). Without it, all displays of the
+    /// first run are compared
     other: Option<PathBuf>,
-    /// Direction of the photograph's camera, far away: angles right and up, degrees
+    /// Direction from the display to the photograph's camera, which is far away: angles right and
+    /// up, degrees [default: 0,0]
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, conflicts_with = "eye")]
     view: Option<Numbers<2>>,
-    /// Position of the photograph's camera, or of the eye: right, up and in front of the display's
-    /// centre, millimetres
+    /// Position of the photograph's camera, or of the eye: right of, above and in front of the
+    /// display's centre, millimetres [default for the eye: 0,0,600]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     eye: Option<Numbers<3>>,
-    /// Focal length of the photograph's lens, converted to a picture of 36 mm × 24 mm, millimetres
-    /// (EXIF: FocalLengthIn35mmFilm). With it the corners give the camera's position. The
+    /// Focal length of the photograph's lens, as for a picture of 36 mm × 24 mm, millimetres (EXIF:
+    /// FocalLengthIn35mmFilm). The camera's position is then computed from the corners. The
     /// photograph must not be cropped
     #[arg(long = "focal-35mm", value_name = "MM", requires = "corners", conflicts_with_all = ["eye", "view"])]
     focal_35mm: Option<f64>,
     /// Corners of the display in the photograph, pixels right and down: top left, top right, bottom
-    /// right, bottom left [default: the photograph's]
+    /// right, bottom left [default: the whole photograph]
     #[arg(long, value_name = "X,Y,X,Y,X,Y,X,Y", allow_hyphen_values = true)]
     corners: Option<Numbers<8>>,
-    /// Depths of focus of the eye, millimetres towards the viewer, separated by commas: a picture
-    /// of each run at each depth
+    /// Distances from the display plane at which an eye focuses, millimetres towards the viewer,
+    /// separated by commas. Each run gives a picture for each distance
     #[arg(long, value_name = "LIST", value_delimiter = ',', allow_hyphen_values = true, requires = "output")]
     focus: Vec<f64>,
     /// Diameter of the pupil, millimetres
@@ -59,7 +60,7 @@ pub(crate) struct Compare {
     output: Option<PathBuf>,
 }
 
-/// Default position of the eye, mm.
+/// Default position of the eye, display space, mm.
 const EYE_MM: [f64; 3] = [0.0, 0.0, 600.0];
 
 pub(crate) fn run(args: &Compare, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
@@ -83,7 +84,7 @@ pub(crate) fn run(args: &Compare, json: bool, task: Task<'_>) -> Result<(), Pipe
         }
         return Ok(());
     }
-    // Two runs, and their pictures at the depths of focus.
+    // Compare two runs, and write their pictures for each distance of focus.
     let found = compare_runs(&args.run, other, out, task)?;
     let focused = match out {
         Some(out) => focus(args, out)?,
@@ -134,12 +135,12 @@ fn print_photo(found: &PhotoComparison) {
         say!("{}", text.replace('-', "−"));
     }
     if found.clipped > 0.0 {
-        say!("Clipped: {:.1} % of the display, which does not count", 100.0 * found.clipped);
+        say!("Clipped: {:.1} % of the display, which is not compared", 100.0 * found.clipped);
     }
     found.pictures.iter().for_each(|path| say!("{}", path.display()));
 }
 
-/// Writes a picture of each run for each depth of focus.
+/// Writes a picture of each run for each distance of focus.
 fn focus(args: &Compare, out: &Path) -> Result<Vec<PathBuf>, PipelineError> {
     let eye = args.eye.map_or(EYE_MM, |eye| eye.0);
     let mut files = Vec::new();

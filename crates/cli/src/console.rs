@@ -1,4 +1,4 @@
-//! Progress and warnings: for a terminal, for log files, and as JSON.
+//! Output of progress and warnings: on a terminal, in log files, and as JSON.
 
 use std::io::{IsTerminal, Write};
 use std::sync::{Arc, Mutex};
@@ -26,7 +26,7 @@ pub(crate) use tell;
 
 pub(crate) fn tell_line(text: std::fmt::Arguments<'_>) {
     // One write per line: standard error has no buffer, and several programs may share it. An error
-    // here cannot be reported anywhere
+    // of this write cannot be reported.
     let _ = std::io::stderr().write_all(format!("{text}\n").as_bytes());
 }
 
@@ -36,11 +36,11 @@ pub(crate) fn print_line(text: std::fmt::Arguments<'_>) {
     }
 }
 
-/// Longest silence of a stage without a terminal.
+/// Longest time without a report from a stage, if there is no terminal.
 const PLAIN_INTERVAL: Duration = Duration::from_millis(2500);
-/// Interval at which a thread checks for silence.
+/// Interval at which a thread checks whether a report is due.
 const TICK: Duration = Duration::from_millis(250);
-/// A stage of a single step is not announced before this time.
+/// Time after which a stage of a single step is announced.
 const LAZY: Duration = Duration::from_secs(1);
 
 /// Output of progress and warnings.
@@ -62,7 +62,7 @@ pub(crate) struct Stage {
     note: String,
     start: Instant,
     shown: Instant,
-    /// A line has announced the stage.
+    /// True if a line has announced the stage.
     announced: bool,
 }
 
@@ -73,7 +73,7 @@ impl Console {
         }
         let state = Arc::<Mutex<Option<Stage>>>::default();
         let watched = Arc::downgrade(&state);
-        // long steps report nothing themselves, so a thread reports for them
+        // a stage reports nothing during a long step, so this thread reports for it
         std::thread::spawn(move || {
             while let Some(state) = watched.upgrade() {
                 if let Some(stage) = lock(&state).as_mut() {
@@ -98,7 +98,7 @@ impl Stage {
         Self { name, unit, done: 0, total, note, start: now, shown: now, announced: false }
     }
 
-    /// Reports the progress of the stage after a long silence.
+    /// Reports the progress of the stage, if the last report is long ago.
     fn tick(&mut self, json: bool) {
         if !json && !self.announced && self.start.elapsed() >= LAZY {
             self.announce();
@@ -135,7 +135,7 @@ impl Progress for Console {
     fn begin(&self, stage: &str, total: u64, unit: &str) {
         match self {
             Self::Bar(bar, _) => {
-                // units may come from plugins
+                // the unit may be a plugin's text, so braces are escaped
                 let unit = unit.replace('{', "{{").replace('}', "}}");
                 let template = ["{prefix:>12} {wide_bar:.cyan/dim} {pos}/{len} ", &unit, " {msg} {eta:>4}"].concat();
                 let style = ProgressStyle::with_template(&template).expect("the template is valid");

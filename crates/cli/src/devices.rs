@@ -1,23 +1,23 @@
-//! `lumistack devices`: the graphics processors that could solve.
+//! `lumistack devices`: the graphics processors that can solve.
 
 use lumistack_pipeline::PipelineError;
 use serde_json::json;
 
 use crate::console::say;
 
-/// An adapter.
+/// A graphics adapter.
 #[cfg_attr(not(feature = "gpu"), allow(dead_code, reason = "without the feature none is listed"))]
 pub(crate) struct Adapter {
     pub(crate) name: String,
     backend: String,
     kind: String,
     driver: String,
-    /// Largest buffer, and largest part of one that a shader reads at once.
+    /// Sizes of the largest buffer, and of the largest piece of it that a shader can read, bytes.
     buffer_bytes: [u64; 2],
     pub(crate) is_hardware: bool,
 }
 
-/// All adapters, or why none is looked for.
+/// Finds all adapters, or returns the reason why it looks for none.
 #[cfg(feature = "gpu")]
 pub(crate) fn found() -> Result<Vec<Adapter>, String> {
     let of = |adapter: lumistack_pipeline::GpuAdapter| Adapter {
@@ -31,23 +31,25 @@ pub(crate) fn found() -> Result<Vec<Adapter>, String> {
     Ok(lumistack_pipeline::gpu_adapters().into_iter().map(of).collect())
 }
 
-/// All adapters, or why none is looked for.
+/// Finds all adapters, or returns the reason why it looks for none.
 #[cfg(not(feature = "gpu"))]
 pub(crate) fn found() -> Result<Vec<Adapter>, String> {
     Err("this program is built without the feature `gpu`".into())
 }
 
-/// An adapter for people.
+/// Describes an adapter in one line.
 pub(crate) fn line(adapter: &Adapter) -> String {
     let Adapter { name, backend, kind, driver, buffer_bytes, .. } = adapter;
     let [buffer, binding] = buffer_bytes.map(|bytes| bytes >> 20);
-    format!("{name}, {kind}, {backend}, {driver}; buffers of {buffer} MiB, {binding} MiB of them at once")
+    format!(
+        "{name}, {kind}, {backend}, {driver}; buffers up to {buffer} MiB, of which a shader reads up to {binding} MiB"
+    )
 }
 
-/// Lists them.
+/// Lists the adapters.
 ///
 /// # Errors
-/// None; commands have the same signature.
+/// Never; all commands have this signature.
 pub(crate) fn run(as_json: bool) -> Result<(), PipelineError> {
     let adapters = found();
     let listed = adapters.as_deref().unwrap_or_default();

@@ -14,15 +14,15 @@ use crate::console::{say, tell};
 use crate::questions::{Questions, asks};
 use crate::values::{Angles, Numbers, Size};
 
-/// Actions on displays.
+/// Actions on display files.
 #[derive(Debug, Subcommand)]
 pub(crate) enum DisplayCommand {
-    /// Writes a display file for your own panels, with questions about missing options
+    /// Write a display file for your own panels; ask questions about missing options
     #[command(
-        after_help = "Examples:\n  lumistack display new my-display.toml\n  lumistack display new my-display.toml --gaps-mm 40,40 --panel-resolution 1680x1050 --diagonal-inch 22 --outputs DP-1,DP-2,DP-3 --no-questions\n\nA display of one layer has --gaps-mm 0. With --lens-pitch-mm another panel stands behind a lens array, and one layer is the default."
+        after_help = "Examples:\n  lumistack display new my-display.toml\n  lumistack display new my-display.toml --gaps-mm 40,40 --panel-resolution 1680x1050 --diagonal-inch 22 --outputs DP-1,DP-2,DP-3 --no-questions\n\nA display of one layer has --gaps-mm 0. With --lens-pitch-mm another panel is behind a lens array, and one layer is the default."
     )]
     New(Box<New>),
-    /// Finds the positions of the panels in photographs of
+    /// Compute the positions of the panels from photographs of
     /// `lumistack show --pattern crosshairs --only N`, one per layer
     #[command(
         after_help = "Example:\n  lumistack display calibrate my-display.toml --eye-mm 0,0,2000 --reference 1=middle.jpg --photo 0=rear.jpg --photo 2=front.jpg\n\ndocs/PANELS.md explains how to take the photographs."
@@ -37,8 +37,8 @@ pub(crate) struct New {
     /// Name of the display
     #[arg(long)]
     pub(crate) name: Option<String>,
-    /// Gaps between layers, rear to front, millimetres: one fewer than the layers; 0 for a single
-    /// layer
+    /// Gaps between neighbouring layers, from rear to front, millimetres: one fewer than there are
+    /// layers; 0 for a single layer
     #[arg(long, value_name = "MM,...", value_delimiter = ',')]
     pub(crate) gaps_mm: Option<Vec<f64>>,
     /// Columns and rows of every panel [default: those of the outputs]
@@ -47,25 +47,26 @@ pub(crate) struct New {
     /// Pixel pitch of every panel, millimetres
     #[arg(long, value_name = "MM", conflicts_with = "diagonal_inch")]
     pub(crate) panel_pitch_mm: Option<f64>,
-    /// Diagonal of every panel, inches; it replaces --panel-pitch-mm
+    /// Diagonal of every panel, inches, instead of --panel-pitch-mm
     #[arg(long, value_name = "IN")]
     pub(crate) diagonal_inch: Option<f64>,
-    /// Names of the outputs, rear to front, as `lumistack show --list` prints them
+    /// Names of the outputs, from rear to front, as `lumistack show --list` prints them
     #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
     pub(crate) outputs: Option<Vec<String>>,
-    /// Panel pixels per pixel of the masks and of the light field, per axis [default: 2]
+    /// Panel pixels per pixel of the masks and of the light field, on each axis [default: 2]
     #[arg(long, value_name = "N")]
     pub(crate) panel_pixels: Option<usize>,
     /// Views of the light field [default: 5x5]
     #[arg(long, value_name = "HxV")]
     pub(crate) views: Option<Size>,
-    /// Fields of view, degrees [default: 20x20, or those of the lenses]
+    /// Full horizontal and vertical field of view, degrees [default: 20x20, or that of the lenses]
     #[arg(long, value_name = "HxV")]
     pub(crate) fov: Option<Angles>,
-    /// Time-multiplexed frames [default: the most that flicker at 60 Hz or more]
+    /// Time-multiplexed frames M [default: the most whose period repeats at least 60 times a
+    /// second]
     #[arg(long, value_name = "M")]
     pub(crate) frames: Option<usize>,
-    /// Refresh rate of the panels [default: that of the outputs, or 60]
+    /// Refresh rate of the panels, hertz [default: that of the outputs, or 60]
     #[arg(long, value_name = "HZ")]
     pub(crate) refresh_hz: Option<f64>,
     /// Brightness scale β [default: 0.2]
@@ -74,11 +75,11 @@ pub(crate) struct New {
     /// Exponent of the panels' transfer function [default: sRGB]
     #[arg(long, value_name = "G")]
     pub(crate) gamma: Option<f64>,
-    /// Contrast of the panels, white : black [default: unlimited]
+    /// Contrast of the panels, the ratio of white to black [default: unlimited]
     #[arg(long, value_name = "N")]
     pub(crate) contrast: Option<f64>,
-    /// Distance between the axes of neighbouring lenses of an array before the rearmost panel,
-    /// millimetres
+    /// Distance between the axes of neighbouring lenses of a lens array in front of the rearmost
+    /// panel, millimetres
     #[arg(long, value_name = "MM", requires_all = ["lens_focal_mm", "lens_gap_mm"])]
     pub(crate) lens_pitch_mm: Option<f64>,
     /// Focal length of the lenses in air, millimetres
@@ -100,16 +101,16 @@ pub(crate) struct New {
 
 #[derive(Debug, ClapArgs)]
 pub(crate) struct Calibrate {
-    /// The display file, which is changed
+    /// The display file; the calibration is written to it
     pub(crate) file: PathBuf,
     /// Reference layer and its photograph; the other layers are aligned with it
     #[arg(long, value_name = "N=FILE")]
     pub(crate) reference: String,
-    /// Layer and photograph; may be given several times
+    /// Another layer and its photograph; the flag may be given several times
     #[arg(long, value_name = "N=FILE", required = true)]
     pub(crate) photo: Vec<String>,
-    /// Position of the camera's lens, as given to `lumistack show` [default: 0,0,2000 or the
-    /// display's viewing distance]
+    /// Position of the camera's lens, the same as --eye-mm of `lumistack show`: X right, Y up, Z in
+    /// front, millimetres [default: that of `lumistack show`]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) eye_mm: Option<Numbers<3>>,
     /// Report the result, but change no file
@@ -135,10 +136,10 @@ pub(crate) fn display_command(command: &DisplayCommand, json: bool) -> Result<()
     }
 }
 
-/// A known output: name, [columns, rows], refresh rate.
+/// An output that the system reports: name, [columns, rows], refresh rate in Hz.
 type Known = (String, [usize; 2], Option<f64>);
 
-/// Finds the outputs of this session, or returns why there are none.
+/// Finds the outputs of this session, or returns the reason why there are none.
 fn system_outputs() -> Result<Vec<Known>, String> {
     let outputs = lumistack_plugin_panels::window::outputs().map_err(|error| error.to_string())?;
     let known: Vec<Known> = outputs.into_iter().map(|output| (output.name, output.size, output.refresh_hz)).collect();
@@ -168,7 +169,7 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
         Some(("my display".into(), "my display".into())),
         |text| Some(text.into()),
     )?;
-    // The number of panels follows from gaps and lenses, so these come first.
+    // Gaps and lenses define the number of panels, so they are requested first.
     let lens_pitch_mm = match args.lens_pitch_mm {
         Some(pitch) => pitch,
         None => ask.value(
@@ -181,7 +182,7 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
     };
     let gaps_mm = ask.value(
         "--gaps-mm",
-        "Distances between the layers, rear to front, mm, between commas (0 for a single layer)",
+        "Gaps between neighbouring layers, from rear to front, mm, separated by commas (0 for a single layer)",
         args.gaps_mm.clone(),
         (lens_pitch_mm > 0.0).then(|| ("0".into(), Vec::new())),
         |text| if text == "0" { Some(Vec::new()) } else { list(text, positive) },
@@ -200,7 +201,7 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
     };
     let names = ask.value(
         "--outputs",
-        "Names of their outputs, rear to front, between commas",
+        "Names of the panels' outputs, from rear to front, separated by commas",
         args.outputs.clone(),
         default,
         |text| list(text, |word| (!word.is_empty()).then(|| word.to_string())),
@@ -266,7 +267,7 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
     let fov_default = lenses.as_ref().map_or(20.0, LensArray::fov_deg);
     let fov = ask.value(
         "--fov",
-        "Full angles of view, degrees",
+        "Full horizontal and vertical field of view, degrees",
         args.fov.map(|fov| fov.0),
         Some((format!("{fov_default:.1}x{fov_default:.1}"), [fov_default; 2])),
         |text| text.parse::<Angles>().ok().map(|angles| angles.0),
@@ -283,7 +284,7 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
     let steady = PanelStack::steady_frames(refresh_hz);
     let frames = ask.value(
         "--frames",
-        "Time-multiplexed frames (more show more, and flicker where a period repeats less than 60 times a second)",
+        "Time-multiplexed frames (more improve the picture, but flicker if a period repeats less than 60 times a second)",
         args.frames,
         Some((steady.to_string(), steady)),
         |text| text.parse().ok().filter(|count| (1..=1000).contains(count)),
@@ -319,8 +320,8 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
         source,
     })?;
     let text = format!(
-        "# Made by `lumistack display new`; millimetres and degrees, docs/JOB.md explains every key.\n\
-         # Put measured values here (black_level, transfer tables, offset_mm, crosstalk). `lumistack show` saves nudges here.\n{}",
+        "# Made by `lumistack display new`; in millimetres and degrees. docs/JOB.md explains every key.\n\
+         # Put measured values here (black_level, transfer tables, offset_mm, crosstalk). `lumistack show` saves shifts of panels (nudge_px) here.\n{}",
         display.to_toml()
     );
     lumistack_field_io::atomic::write_bytes(&args.file, text.as_bytes()).map_err(PipelineError::Field)?;
@@ -374,7 +375,7 @@ fn calibrate_display(args: &Calibrate, json: bool) -> Result<(), PipelineError> 
                 json!({"event": "calibrated", "layer": found.layer, "crosses": found.crosses, "moved_mm": found.moved_mm, "rms_mm": found.rms_mm, "homography": found.homography.0})
             ),
             false => say!(
-                "layer {}: {} crosses were {:.3} mm off, are {:.3} mm off with the homography",
+                "layer {}: {} crosses were {:.3} mm off, and are {:.3} mm off with the homography",
                 found.layer,
                 found.crosses,
                 found.moved_mm,
@@ -388,7 +389,7 @@ fn calibrate_display(args: &Calibrate, json: bool) -> Result<(), PipelineError> 
     if args.dry_run {
         return Ok(());
     }
-    // Change the calibration alone: comments and other keys of the file stay.
+    // Write the calibration alone: comments and other keys of the file stay as they are.
     let read = lumistack_files::read_text(&args.file);
     let text = read.map_err(|source| PipelineError::Read { path: args.file.clone(), source })?;
     let text = with_new_seal(&text, &keep_panels(&text, &display).map_err(PipelineError::command)?);

@@ -11,10 +11,10 @@ use serde_json::json;
 use crate::console::say;
 use crate::program;
 
-pub(crate) const EXAMPLES: &str = "Nothing that is missing here keeps the program from its main job: a glTF scene to patterns, pictures and a page.\n\n\
-    Examples:\n  lumistack doctor\n  lumistack --json doctor      one object";
+pub(crate) const EXAMPLES: &str = "All of this is optional: without it the program still turns a glTF scene into patterns, pictures and a page.\n\n\
+    Examples:\n  lumistack doctor\n  lumistack --json doctor      the same as one JSON object";
 
-/// A run of the paper's size may need more memory or disk than this, MiB.
+/// Memory or disk space that a run of the paper's size may need, MiB.
 const ENOUGH_MIB: u64 = 4096;
 
 /// The result of one check.
@@ -25,9 +25,9 @@ struct Finding {
 
 enum Found {
     Good(String),
-    /// It works, but not well: the state, and how to improve it.
+    /// It works, but not well: its state, and how to improve it.
     Poor(String, String),
-    /// It is missing: the checked places, and how to get it.
+    /// It is missing: the places where it was looked for, and how to get it.
     Missing(String, String),
 }
 
@@ -91,7 +91,7 @@ fn program_itself() -> Found {
     if cfg!(debug_assertions) {
         return Found::Poor(
             found,
-            "this is a development build, some two times slower: `cargo build --release`".into(),
+            "this is a development build, about half as fast as one by `cargo build --release`".into(),
         );
     }
     Found::Good(found)
@@ -108,7 +108,7 @@ fn processor() -> Found {
     Found::Good(found)
 }
 
-/// Memory that is available to programs.
+/// Rates the memory that is available to programs.
 fn memory() -> Found {
     let text = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
     let mib = |key: &str| {
@@ -116,20 +116,20 @@ fn memory() -> Found {
         line.trim_start_matches(':').split_whitespace().next()?.parse::<u64>().ok().map(|kib| kib >> 10)
     };
     let (Some(free), Some(all)) = (mib("MemAvailable"), mib("MemTotal")) else {
-        return Found::Good("not known on this system; `lumistack run --plan` says what a job takes".into());
+        return Found::Good("not known on this system; `lumistack run --plan` estimates the memory of a job".into());
     };
     rated(
         free,
         format!("{free} MiB free of {all}"),
-        "`render.field_mib` in a job bounds what a light field takes: docs/JOB.md",
+        "`render.field_mib` in a job limits the memory of its light field: docs/JOB.md",
     )
 }
 
-/// Free space of the working folder.
+/// Rates the free disk space of the working folder.
 fn disk(folder: &Path) -> Found {
     match free_mib(folder) {
         Some(free) => {
-            rated(free, format!("{free} MiB free in this folder"), "`lumistack clean runs/*` frees what is cached")
+            rated(free, format!("{free} MiB free in this folder"), "`lumistack clean runs/*` removes cached results")
         }
         None => Found::Good("not known on this system".into()),
     }
@@ -171,13 +171,13 @@ fn denoiser() -> Found {
     match oidn_version() {
         Ok(version) => Found::Good(version),
         Err(_) => {
-            let help = "`pip install pyoidn`, or name the program `oidnDenoise` in LUMISTACK_OIDN; the other filters need nothing";
+            let help = "`pip install pyoidn`, or name the program `oidnDenoise` in LUMISTACK_OIDN; the other filters need no other program";
             Found::Missing("Open Image Denoise is not on PATH".into(), help.into())
         }
     }
 }
 
-/// Graphics processors that can solve.
+/// Lists the graphics processors that can solve.
 fn graphics() -> Found {
     let adapters = match crate::devices::found() {
         Ok(adapters) => adapters,
@@ -193,11 +193,11 @@ fn graphics() -> Found {
     }
 }
 
-/// Outputs that `lumistack show` could drive.
+/// Lists the outputs that `lumistack show` can drive.
 fn panels() -> Found {
     match crate::show::outputs() {
         Ok(outputs) if outputs.is_empty() => {
-            Found::Missing("no output".into(), "docs/PANELS.md says how panels are connected".into())
+            Found::Missing("no output".into(), "docs/PANELS.md explains how panels are connected".into())
         }
         Ok(outputs) => Found::Good(format!("{} outputs: {}", outputs.len(), outputs.join(", "))),
         Err(found) => Found::Missing(found, "`lumistack preview RUN` shows a display in the browser instead".into()),

@@ -20,13 +20,13 @@ pub(crate) const EXAMPLES: &str = "\
 Examples:
   lumistack farm job.toml -o runs/shot                                two workers on this machine, through dask.distributed
   lumistack farm job.toml -o /mnt/shots/one --dask tls://head:8786    on the workers of a Dask scheduler, which share the folder
-  lumistack farm plan job.toml -o runs/shot                           the units of work with their inputs, time and memory
-  lumistack farm export makefile job.toml -o runs/shot --to Makefile  and then make -j8
+  lumistack farm plan job.toml -o runs/shot                           the units of work with their inputs, times and memory
+  lumistack farm export makefile job.toml -o runs/shot --to Makefile  then `make -j8` runs the units
   lumistack farm export openjd job.toml -o /mnt/shots/one --to jobs   for a farm manager
 
-Results are those of `lumistack run`, byte for byte. The same command continues a run that was stopped or killed. docs/FARM.md has recipes.";
+The results equal those of `lumistack run`, byte for byte. The same command continues a run that was stopped or killed. docs/FARM.md has recipes.";
 
-/// Time to start a unit, in the prediction, seconds.
+/// Assumed time to start a unit, for predictions, seconds.
 const OVERHEAD_SECONDS: f64 = 0.1;
 
 #[derive(Debug, clap::Args)]
@@ -47,7 +47,7 @@ pub(crate) struct Farm {
 
 #[derive(Debug, clap::Subcommand)]
 enum What {
-    /// Cuts a run into units of work, writes them into its folder, and prints them
+    /// Cut a run into units of work, write them into its folder, and print them
     Plan {
         /// Job file (.toml), with a table [sweep] or without, or a scene
         input: PathBuf,
@@ -59,25 +59,25 @@ enum What {
         #[arg(long, value_name = "LIST", value_delimiter = ',', default_values_t = [1, 2, 10, 100, 1000])]
         workers: Vec<usize>,
     },
-    /// Lists the units of a planned run, and which are done
+    /// List the units of a planned run, and which of them are done
     Show {
         /// The run folder
         dir: PathBuf,
-        /// Numbers of workers for which the total time is predicted; finished units count with
-        /// their measured time
+        /// Numbers of workers for which the total time is predicted, from the measured times of
+        /// finished units and the estimated times of others
         #[arg(long, value_name = "LIST", value_delimiter = ',', default_values_t = [1, 2, 10, 100, 1000])]
         workers: Vec<usize>,
     },
-    /// Executes one unit of work; farms call this
+    /// Execute one unit of work; farms call this
     Unit {
         /// The run folder
         dir: PathBuf,
         /// Id of the unit
         id: String,
-        /// Path mapping from the planning machine to this one; may be given several times
+        /// Path mapping from the planning machine to this one; the flag may be given several times
         #[arg(long, value_name = "/THERE=/HERE")]
         map: Vec<Map>,
-        /// Time to wait for the results of other units, seconds: a network file system may show
+        /// Time to wait for the results of other units, seconds; a network file system may show
         /// files late
         #[arg(long, value_name = "SECONDS", default_value_t = 60)]
         patience: u64,
@@ -85,7 +85,7 @@ enum What {
         #[arg(long)]
         attached: bool,
     },
-    /// Writes the units of a run as a job for a farm manager
+    /// Write the units of a run as a job for a farm manager
     Export {
         /// Format
         format: FormatArg,
@@ -95,19 +95,20 @@ enum What {
         job: JobArgs,
         #[command(flatten)]
         cut: CutArgs,
-        /// File or folder to write. It is a folder, unless the format is a single file and this
-        /// name is a file's
+        /// Folder to write. For a format of one file, also the file: a name with an extension, or
+        /// the file's own name
         #[arg(long, value_name = "FILE|DIR", default_value = ".")]
         to: PathBuf,
-        /// Words that start the program on a worker, separated by spaces [default: this program for
-        /// make and shell, else lumistack]
+        /// Command line that starts the program on a worker; spaces separate its words [default:
+        /// this program for make and shell, otherwise lumistack]
         #[arg(long, value_name = "WORDS")]
         program: Option<String>,
         /// Path mapping from this machine to the workers; may be given several times
         #[arg(long, value_name = "/HERE=/THERE")]
         map: Vec<Map>,
     },
-    /// Prints version and code of this program; all workers of a run need the same
+    /// Print this program's version and fingerprint (a hash of the code that results depend on);
+    /// all workers of a run need the same
     Code,
 }
 
@@ -136,11 +137,12 @@ struct EngineArgs {
     /// programs on its workers
     #[arg(long)]
     insecure: bool,
-    /// Object store through which workers exchange files where they share no folder, such as s3://bucket/shots
+    /// Object store through which workers without a shared folder exchange files, such as
+    /// s3://bucket/shots
     #[arg(long, value_name = "URL")]
     store: Option<String>,
-    /// Folder of this machine whose files go to the store too, such as the scene's; may be given
-    /// several times
+    /// Folder of this machine whose files are also copied to the store, such as the scene's; the
+    /// flag may be given several times
     #[arg(long, value_name = "DIR", requires = "store")]
     send: Vec<PathBuf>,
 }
@@ -148,7 +150,7 @@ struct EngineArgs {
 #[derive(Debug, Default, clap::Args)]
 #[command(next_help_heading = "Units of work")]
 struct CutArgs {
-    /// Expected time of a block of views
+    /// Expected time of a block of views, seconds
     #[arg(long, value_name = "SECONDS")]
     block_seconds: Option<f64>,
     /// Number of blocks of every light field, independent of their time
@@ -168,7 +170,7 @@ impl CutArgs {
     }
 }
 
-/// A folder here, and the same folder on other machines.
+/// A path mapping: a folder, and the folder on other machines that replaces it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Map([PathBuf; 2]);
 
@@ -194,7 +196,7 @@ impl Map {
     }
 }
 
-/// A format by its name.
+/// A format, named on the command line.
 #[derive(Clone, Copy, Debug)]
 struct FormatArg(Format);
 
@@ -253,7 +255,7 @@ pub(crate) fn run(
             Ok(())
         }
         (None, Some(input)) => {
-            // an error before the plan, which may take a minute
+            // a missing Python is reported before planning, which may take a minute
             let python = python()?;
             let (_, dir) = planned(input, &args.job, &args.cut, registry, task)?;
             engine(&args.engine, &python, &dir, threads, json, task)
@@ -262,7 +264,7 @@ pub(crate) fn run(
     }
 }
 
-/// Plans a job into its folder.
+/// Plans a job, and writes the plan into its folder.
 fn planned(
     input: &Path,
     args: &JobArgs,
@@ -276,16 +278,16 @@ fn planned(
     Ok((plan, dir))
 }
 
-/// Words that start this very program.
+/// Words of the command line that starts this program again.
 fn own_words() -> Vec<String> {
     let program = std::env::current_exe().map_or("lumistack".into(), |path| path.to_string_lossy().into_owned());
     let stem = Path::new(&program).file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    // the Python package runs the command inside the interpreter
+    // in the Python package the command runs inside the interpreter
     if !stem.starts_with("python") {
         return vec![program];
     }
-    // the Python of a virtual environment is a link to a Python outside of it, so the link itself
-    // is started
+    // In a virtual environment `python` is a link to a Python outside of it. Only the link finds
+    // the environment's packages, so the link is started.
     #[cfg(feature = "dynamic")]
     let program = lumistack_pipeline::Launcher::of_process()
         .map_or(program, |launcher| launcher.program.to_string_lossy().into_owned());
@@ -319,7 +321,7 @@ fn print(plan: &FarmPlan, dir: &Path, workers: &[usize], json: bool) {
         );
         return;
     }
-    // A table for the user, with the prediction below it.
+    // Print a table for the user, and the prediction after it.
     let width = graph.units.iter().map(|unit| unit.id.chars().count()).max().unwrap_or(0).max(4);
     say!("{:width$}  {:8}  {:4}  {:>8}  {:>8}  inputs", "unit", "kind", "done", "time", "memory");
     for (unit, done) in graph.units.iter().zip(&done) {
@@ -335,11 +337,11 @@ fn print(plan: &FarmPlan, dir: &Path, workers: &[usize], json: bool) {
     let count = graph.units.len();
     let folder = dir.display();
     let predicted = predictions.iter().map(text).collect::<Vec<_>>().join(", ");
-    say!("{count} units in {folder}; predicted with so many workers: {predicted}");
+    say!("{count} units in {folder}; predicted time on so many workers: {predicted}");
 }
 
-/// Ends the process when standard input ends, since its worker is gone then. Files are complete or
-/// absent at any time.
+/// Ends the process when standard input ends, since then the worker that started it is gone. Files
+/// are complete or absent at any time.
 fn end_with_input() {
     std::thread::spawn(|| {
         let mut rest = [0; 64];
@@ -376,7 +378,7 @@ fn unit(
         };
         say!("{event}");
     } else if let Ok(done) = &done {
-        let before = if done.cached { ", done before" } else { "" };
+        let before = if done.cached { ", already done" } else { "" };
         say!("{id}: {}{before}", duration_text(done.seconds));
     }
     done.map(|_| ())
@@ -465,16 +467,16 @@ fn engine(
     if json {
         command.arg("--json");
     }
-    // Ctrl-C reaches the module too, and it ends cleanly
+    // Ctrl-C reaches the module too, which then ends cleanly
     let status = command.status().map_err(PipelineError::command)?;
     task.cancel.check()?;
     match status.success() {
         true => Ok(()),
-        false => Err(PipelineError::value("farm", "run", "all units done", "some that are not, see above")),
+        false => Err(PipelineError::value("farm", "run", "all units done", "units that are not, listed above")),
     }
 }
 
-/// Finds a Python with this package and Dask.
+/// Finds a Python that has this package and Dask.
 fn python() -> Result<PathBuf, PipelineError> {
     let own = own_words();
     let own = (own.len() > 1).then(|| (PathBuf::from(&own[0]), "this Python"));

@@ -23,7 +23,7 @@ pub(crate) struct DisplayArgs {
     /// A preset (see `lumistack displays`) or a display file
     #[arg(long, value_name = "NAME|FILE")]
     pub(crate) display: Option<OsString>,
-    /// Columns and rows of the light field; masks scale with it
+    /// Columns and rows of the light field; the masks' resolutions scale along
     #[arg(long, value_name = "CxR")]
     pub(crate) resolution: Option<Size>,
     /// Time-multiplexed frames M
@@ -38,15 +38,15 @@ pub(crate) struct DisplayArgs {
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Rendering")]
 pub(crate) struct RenderArgs {
-    /// Views that sample the viewing zone: auto (as many as the display needs to be right between
-    /// them), or columns and rows
+    /// Views that sample the viewing zone: auto (enough that directions between the views are
+    /// correct too), or columns and rows
     #[arg(long, value_name = "auto|CxR")]
     pub(crate) views: Option<Views>,
-    /// Paths per pixel of all views together, spread over the views; auto: as many as improve the
-    /// display's picture [default: auto]
+    /// Paths per pixel, summed over all views; auto: as many as improve the display's picture
+    /// [default: auto]
     #[arg(long, value_name = "auto|N")]
     pub(crate) zone_samples: Option<lumistack_pipeline::ZoneSamples>,
-    /// Paths per pixel and view, instead of --zone-samples
+    /// Paths per pixel of each view, instead of --zone-samples
     #[arg(long, value_name = "N", conflicts_with = "zone_samples")]
     pub(crate) samples: Option<u32>,
     /// Program that renders the views: lumistack, blender or auto. Blender renders .blend scenes
@@ -57,42 +57,43 @@ pub(crate) struct RenderArgs {
     /// Bounces after the first hit
     #[arg(long, value_name = "N")]
     pub(crate) max_bounces: Option<u32>,
-    /// Filter that removes noise from views: shared, off, guided or oidn. With shared, light that
-    /// does not depend on the view is averaged over all views that see the point. With guided,
-    /// Lumistack's filter works on all views together. With oidn, Open Image Denoise filters each
-    /// view, where installed
+    /// Filter that removes noise from views: auto, shared, off, guided or oidn. With shared, light
+    /// that does not depend on the direction of view is averaged over all views that see the point.
+    /// With guided, Lumistack's filter works on all views together. With oidn, Open Image Denoise
+    /// filters each view, if it is installed
     #[arg(long, value_name = "KIND")]
     pub(crate) denoise: Option<lumistack_pipeline::Denoise>,
-    /// Name or number of the camera, whose plane of focus becomes the display plane
+    /// Camera, by name or number; its plane of focus becomes the display plane
     #[arg(long, value_name = "NAME|N")]
     pub(crate) camera: Option<String>,
-    /// Frame the scene from this azimuth and elevation, degrees, even where the file has a camera.
-    /// Azimuth 0 is the front, +z; above 0 lies to its right, +x [default: the front, or another
-    /// side where the front shows hardly anything]
+    /// View the scene from this azimuth and elevation, degrees, even if the file has a camera.
+    /// Azimuth 0 is the front, +z; positive azimuths lie to its right, towards +x [default: the
+    /// front, or another side if the front shows hardly anything]
     #[arg(long, value_name = "AZ,EL", allow_hyphen_values = true)]
     pub(crate) look_from: Option<Numbers<2>>,
     /// Nearest visible distance: auto (a camera's near plane, or what the display can show), off,
-    /// or a distance before the window, scene units
+    /// or a distance in front of the window, scene units
     #[arg(long, value_name = "auto|off|D", allow_hyphen_values = true)]
     pub(crate) near: Option<lumistack_pipeline::Near>,
-    /// Show light sources that have a surface [default: as the file says, else no]
+    /// Show light sources that have a surface [default: as the file states, otherwise no]
     #[arg(long, value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
     pub(crate) lights_visible: Option<bool>,
-    /// Time of the scene's animations, seconds; without it the scene has no animation, and a USD
-    /// scene its first time code
+    /// Time of the scene's animations, seconds [default: the pose without animation, or 0 with
+    /// --animation; USD: the first time code; .blend: the saved frame]
     #[arg(long = "time", value_name = "S", allow_hyphen_values = true)]
     pub(crate) time_s: Option<f64>,
-    /// Name or number of the animation [default: all that do not conflict, otherwise the first]
+    /// Animation, by name or number [default: all together, or the first if two move the same
+    /// object]
     #[arg(long, value_name = "NAME|N")]
     pub(crate) animation: Option<String>,
     /// glTF: name or number of the material variant. USD: SET=VARIANT on every prim that has the
-    /// set, /PRIM{SET=VARIANT} on one prim; may be given several times
+    /// set, /PRIM{SET=VARIANT} on one prim; the flag may be given several times
     #[arg(long, value_name = "NAME|N|SET=VARIANT")]
     pub(crate) variant: Vec<String>,
-    /// Opposite corners of a box, scene units: splats with centres outside are left out
+    /// Opposite corners of a box, scene units; splats whose centres lie outside are left out
     #[arg(long, value_name = "X0,Y0,Z0,X1,Y1,Z1", allow_hyphen_values = true)]
     pub(crate) crop_box: Option<Numbers<6>>,
-    /// Centre and radius of a sphere, scene units: splats with centres outside are left out
+    /// Centre and radius of a sphere, scene units; splats whose centres lie outside are left out
     #[arg(long, value_name = "X,Y,Z,R", allow_hyphen_values = true)]
     pub(crate) crop_sphere: Option<Numbers<4>>,
     /// Environment map (Radiance HDR or EXR) instead of the scene's
@@ -101,12 +102,12 @@ pub(crate) struct RenderArgs {
     /// Factor on the light of the environment or the studio light
     #[arg(long, value_name = "K")]
     pub(crate) environment_strength: Option<f32>,
-    /// Rotation of the environment about the up axis, degrees; above 0, the part straight ahead
-    /// moves to the left
+    /// Rotation of the environment about the up axis, degrees; above 0, the part of it straight
+    /// ahead moves to the left
     #[arg(long, value_name = "DEG", allow_hyphen_values = true)]
     pub(crate) environment_rotation: Option<f64>,
-    /// Background where a ray misses every surface: environment, or a colour such as #202028; it
-    /// does not light surfaces
+    /// Background where a ray misses every surface: environment, or a colour such as #202028; a
+    /// colour does not light surfaces
     #[arg(long, value_name = "COLOUR")]
     pub(crate) background: Option<lumistack_pipeline::Background>,
     /// Stops added to the automatic exposure
@@ -115,15 +116,15 @@ pub(crate) struct RenderArgs {
     /// Tone curve of all views: auto, linear, khronos-neutral or agx
     #[arg(long, value_name = "CURVE", value_parser = ["auto", "linear", "khronos-neutral", "agx"])]
     pub(crate) tone: Option<String>,
-    /// Bring the scene into the display's depth of field: auto (where it does not fit), off, move
-    /// the window, or compress depth too
+    /// Bring the scene into the display's depth of field: auto (as compress, if the scene does not
+    /// fit), off, move (the window only) or compress (also depth). Without HOW: move
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"])]
     pub(crate) fit_depth: Option<String>,
-    /// Factor on the parallax between views, and so on depth
+    /// Factor on the parallax between views, and thereby on depth
     #[arg(long, value_name = "K")]
     pub(crate) depth_scale: Option<f64>,
-    /// Angle of a lens as seen from the window, degrees: content off the display plane blurs
-    /// [default: 0, no lens]
+    /// Aperture of a lens that is focused on the display plane, as the full angle seen from there,
+    /// degrees. Content off the plane blurs [default: 0, no lens]
     #[arg(long, value_name = "DEG")]
     pub(crate) lens_deg: Option<f64>,
     /// Seed of all random streams
@@ -148,18 +149,18 @@ pub(crate) struct FileArgs {
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Factorization")]
 pub(crate) struct FactorizeArgs {
-    /// Iterations: full updates of all layers
+    /// Iterations; each updates every layer, and the backlight, once
     #[arg(long, value_name = "N")]
     pub(crate) iterations: Option<u32>,
     #[arg(long, value_name = "NAME", help = format!("Solver: {}", either(solver_names())))]
     pub(crate) solver: Option<String>,
-    /// Device that solves: auto, cpu, gpu or gpu:NAME, as `lumistack devices` lists them [default:
-    /// auto, a graphics processor if there is one]
+    /// Device that solves: auto, cpu, gpu, or gpu:NAME with a name that `lumistack devices` lists
+    /// [default: auto, which uses a graphics processor if there is one]
     #[arg(long, value_name = "DEVICE")]
     pub(crate) device: Option<String>,
     #[arg(long, value_name = "NAME", help = format!("Starting values: {}", either(StartKind::names())))]
     pub(crate) start: Option<String>,
-    /// A `layers` folder to start from
+    /// Start from the patterns in this `layers` folder of a run
     #[arg(long, value_name = "DIR")]
     pub(crate) warm_start: Option<PathBuf>,
     /// Weights ≥ 0 as .npy, one per view or one per ray
@@ -173,34 +174,35 @@ pub(crate) struct FactorizeArgs {
 #[command(next_help_heading = "Sequence")]
 pub(crate) struct SequenceArgs {
     /// Number of time steps; each has a run folder t0001, t0002, ... and starts from the patterns
-    /// of the one before
+    /// of the previous one
     #[arg(long, value_name = "N")]
     pub(crate) times: Option<usize>,
     /// Rotation of the window about its vertical axis from the first time step to the last,
     /// degrees; above 0 the viewer walks to the right
     #[arg(long, value_name = "DEG", allow_hyphen_values = true)]
     pub(crate) turn_deg: Option<f64>,
-    /// Movement of the window from the first time step to the last, millimetres of the display: X
-    /// right, Y up, Z to the viewer
+    /// Movement of the window from the first time step to the last: X right, Y up, Z to the viewer,
+    /// in display space, millimetres
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) shift_mm: Option<Numbers<3>>,
-    /// Duration of the scene's animations from the first time step to the last, seconds, from
-    /// --time or 0 on
+    /// Time that the scene's animations advance from the first time step to the last, seconds; they
+    /// start at --time, or at 0
     #[arg(long, value_name = "S", allow_hyphen_values = true)]
     pub(crate) duration_s: Option<f64>,
     /// Iterations at every time step after the first [default: 5]
     #[arg(long, value_name = "N")]
     pub(crate) sequence_iterations: Option<u32>,
-    /// Time steps of a chunk; chunks do not need each other's patterns, so machines solve them at
-    /// once [default: one chain of all time steps]
+    /// Time steps per chunk; chunks do not need each other's patterns, so machines solve them in
+    /// parallel [default: one chain of all time steps]
     #[arg(long, value_name = "N")]
     pub(crate) chunk_times: Option<usize>,
-    /// Time steps before a chunk that are solved again for its start [default: 2]
+    /// Time steps before each chunk that are solved once more, so that the chunk starts from good
+    /// patterns [default: 2]
     #[arg(long, value_name = "N")]
     pub(crate) warm_up_times: Option<usize>,
 }
 
-/// Changes to a job, and its run folder.
+/// The run folder of a job, and changes to the job.
 #[derive(Debug, ClapArgs)]
 pub(crate) struct JobArgs {
     /// Folder for the results [default: runs/NAME]
@@ -220,8 +222,8 @@ pub(crate) struct JobArgs {
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Light field")]
 pub(crate) struct FieldLookArgs {
-    /// Exposure in stops for all views: values times 2^EV. Values above 1 are then clipped, unless
-    /// --tone says otherwise
+    /// Exposure of all views, stops: values are multiplied by 2^EV. Values above 1 are then
+    /// clipped, unless --tone compresses them
     #[arg(long, value_name = "EV", allow_hyphen_values = true)]
     pub(crate) exposure_ev: Option<f64>,
     /// Tone curve of all views: linear (clips to 0..1), khronos-neutral or agx [default: values
@@ -230,7 +232,7 @@ pub(crate) struct FieldLookArgs {
     pub(crate) tone: Option<String>,
 }
 
-/// The display; its light field is read from files.
+/// The display of a light field that is read from files.
 #[derive(Debug, ClapArgs)]
 #[command(next_help_heading = "Display")]
 pub(crate) struct FactorizeDisplayArgs {
@@ -250,7 +252,7 @@ pub(crate) struct FactorizeDisplayArgs {
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Light field")]
 pub(crate) struct GeometryArgs {
-    /// View grid
+    /// Projection of the views: oblique (parallel projections) or perspective (pinholes)
     #[arg(long, value_name = "KIND", value_parser = ["oblique", "perspective"])]
     pub(crate) grid: Option<String>,
     /// Full horizontal and vertical field of view, degrees
@@ -262,7 +264,7 @@ pub(crate) struct GeometryArgs {
     /// Viewing distance of a perspective grid, millimetres
     #[arg(long, value_name = "MM")]
     pub(crate) distance_mm: Option<f64>,
-    /// Views to keep of a larger set
+    /// Number of views to keep of a larger set, horizontal and vertical
     #[arg(long, value_name = "HxV")]
     pub(crate) views: Option<Size>,
     /// Columns and rows of a quilt whose name does not state them
@@ -274,8 +276,8 @@ pub(crate) struct GeometryArgs {
     /// Reduce every view to this many columns and rows
     #[arg(long, value_name = "CxR")]
     pub(crate) resolution: Option<Size>,
-    /// Disparity of content on the display plane: pixels by which it moves left per view to the
-    /// right
+    /// Pixels by which content on the display plane moves to the left from one view to the next
+    /// view on the right
     #[arg(long, value_name = "PX", allow_hyphen_values = true)]
     pub(crate) focus_px: Option<f64>,
     /// Reverse the order of views from left to right
@@ -284,8 +286,8 @@ pub(crate) struct GeometryArgs {
     /// Reverse the order of views from top to bottom
     #[arg(long)]
     pub(crate) mirror_y: bool,
-    /// Average every view over the slopes that the display cannot separate; uses all views, before
-    /// --views are chosen
+    /// Average every kept view over the slopes that the display cannot separate. The average also
+    /// uses the views that --views leaves out
     #[arg(long)]
     pub(crate) prefilter: bool,
 }
@@ -363,7 +365,7 @@ pub(crate) fn change_render(job: &mut Job, args: &RenderArgs) {
         None => {}
     }
     change_importer(&mut job.importer, &args.files);
-    // the command line takes precedence over the job
+    // the command line takes precedence over the job file
     if args.camera.is_some() {
         job.window.camera = args.camera.clone();
         job.window.look_from = None;
@@ -451,8 +453,8 @@ pub(crate) fn job_of(input: &Path, args: &JobArgs) -> Result<(Job, PathBuf), Pip
     change_factorize(&mut job, &args.factorize);
     change_sequence(&mut job, &args.sequence);
     if !is_job(input) && job.sequence.is_none() {
-        // Without a job file the user has not chosen outputs: the preview shows the display without
-        // further options.
+        // Without a job file the user has chosen no outputs. The default is a preview, which shows
+        // the display without further options.
         let params = serde_json::Map::from_iter([("title".into(), job.name.clone().into())]);
         job.outputs.push(OutputJob { name: Some("preview".into()), params, ..OutputJob::new("web_simulator") });
     }
@@ -461,7 +463,8 @@ pub(crate) fn job_of(input: &Path, args: &JobArgs) -> Result<(Job, PathBuf), Pip
     Ok((job, folder))
 }
 
-/// Replaces the place "job" of an error by the file or the command line that holds the value.
+/// Returns the error with its place "job" replaced by the job file or the command line, which holds
+/// the value.
 pub(crate) fn in_place(error: PipelineError, input: &Path) -> PipelineError {
     match error {
         PipelineError::Value(value) if value.place == Place::Job => {
@@ -496,7 +499,8 @@ pub(crate) fn geometry(args: &GeometryArgs) -> GeometryFlags {
 mod tests {
     use super::*;
 
-    /// Help is generated from the names; texts that are written by hand must hold the same names.
+    /// Help is generated from the names of solvers and starts. Texts that are written by hand must
+    /// contain the same names.
     #[test]
     fn solvers_and_starts_are_named_alike_everywhere() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");

@@ -33,11 +33,11 @@ pub(crate) fn print(args: &Info, registry: &Registry, as_json: bool, task: Task<
     Ok(())
 }
 
-/// Describes a scene, light field, layer stack, run folder, display or job, as
-/// `lumistack info --json` prints it. `path` may also name a preset.
+/// Describes a scene, light field, layer stack, run folder, display or job as JSON, like `lumistack
+/// info --json`. `path` may also be the name of a display preset.
 ///
 /// # Errors
-/// When the path cannot be read, or is none of these.
+/// If the path cannot be read, or is none of these.
 pub fn describe_path(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, PipelineError> {
     let args = Info {
         file: path.to_owned(),
@@ -80,7 +80,7 @@ fn describe(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, P
 
 fn scene(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, PipelineError> {
     let path = args.file.as_path();
-    // the file's own light, without the studio light
+    // describe the file's own light, without the studio light
     let light = LightJob { automatic: false, ..LightJob::default() };
     let mut importer = ImporterJob::default();
     change_importer(&mut importer, &args.files);
@@ -111,7 +111,7 @@ fn scene(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, Pipe
     Ok(value)
 }
 
-/// Number, degree of harmonics, bounds and memory of the splats; null where there are none.
+/// Describes the splats: number, degree of harmonics, bounds and memory; null if there are none.
 fn splats(scene: &Scene) -> Value {
     if scene.placed_clouds.is_empty() {
         return Value::Null;
@@ -130,7 +130,7 @@ fn splats(scene: &Scene) -> Value {
     })
 }
 
-/// Choices that a scene offers to a job.
+/// Lists the animations, variants and similar choices that a scene offers to a job.
 fn choices(contents: &SceneContents) -> Value {
     match contents {
         SceneContents::Gltf(contents) => {
@@ -181,7 +181,7 @@ fn on_display(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value,
     let Prediction { depth, coverage, memory } = predict(&job, registry, task)?;
     let mut figures = depth.to_json();
     if let Some(figures) = figures.as_object_mut() {
-        // histograms serve plots, and the report has them
+        // histograms are for plots; the report has them
         figures.retain(|key, _| !key.ends_with("histogram"));
     }
     let megabytes = |bytes: usize| format!("{:.1} MB", bytes as f64 / 1e6);
@@ -207,8 +207,8 @@ fn toml(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, Pipel
     let job = match Job::load(path) {
         Ok(job) => job,
         Err(job_error) => {
-            // a display file has layers, a job file a [display]: report the error of the kind that
-            // the file resembles
+            // Neither kind of file can be read. A file with [[layers]] is taken as a display, any
+            // other as a job, and the error of that kind is reported.
             return match presets::load_file(path) {
                 Ok(found) => Ok(display(&found)),
                 Err(display_error) => {
@@ -221,7 +221,7 @@ fn toml(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, Pipel
     let resolved = job.resolve_display()?;
     let refused: Vec<Value> = match refused_outputs(&job, registry, task) {
         Ok(refused) => refused.iter().map(|output| format!("{}: {}", output.name, output.reason).into()).collect(),
-        // a job may name input files that do not exist yet
+        // a job may name input files that do not exist yet, so other errors become a note
         Err(PipelineError::Cancelled) => return Err(PipelineError::Cancelled),
         Err(error) => vec![format!("not checked: {error}").into()],
     };
@@ -344,7 +344,7 @@ pub(crate) fn print_displays(as_json: bool) -> Result<(), PipelineError> {
         if as_json {
             say!("{}", json!({ "name": name, "display": presets::load(name)? }));
         } else {
-            // the first comment line of the file describes it
+            // the first line of the file is a comment that describes the display
             say!("{name:28} {}", text.lines().next().unwrap_or_default().trim_start_matches("# "));
         }
     }

@@ -1,5 +1,5 @@
-//! The `lumistack` command, a thin layer over the pipeline. The program and the Python package both
-//! call [`run`].
+//! The `lumistack` command, a thin layer on top of the pipeline. The program and the Python package
+//! both call [`run`].
 //!
 //! Exit codes: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
 
@@ -40,11 +40,11 @@ pub use info::describe_path;
 #[cfg(feature = "dynamic")]
 pub use lumistack_pipeline::{Launcher, plugin_child};
 
-/// First argument of a process that runs a library's plugin for another process.
+/// First argument of a process that runs the plugin of a shared library for another process.
 pub const PLUGIN_CHILD: &str = "__plugin";
 
 /// Runs a command line and returns its exit code. The first word is the program's name. Results go
-/// to standard output, messages to standard error. Setting `cancel` stops it cleanly.
+/// to standard output, messages to standard error. When `cancel` is set, the command stops cleanly.
 pub fn run(words: &[OsString], cancel: &Cancel) -> u8 {
     program::remember(words.first().map(OsString::as_os_str));
     let matches = args::Args::command().bin_name(program::name()).try_get_matches_from(words);

@@ -7,7 +7,7 @@
 //! viewers ────────▶ Tracker ────────────────weights────────▶
 //! ```
 //!
-//! Renderer, solver, page and panels have a thread each.
+//! Renderer, solver, page and panels run in a thread each.
 
 mod clock;
 mod control;
@@ -45,16 +45,16 @@ use crate::server::{Site, listen, port_of, serve};
 use crate::values::Numbers;
 
 /// For `lumistack live --help`.
-pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack live model.glb                          the display follows when the model is saved again\n  lumistack live scenes/still-life/job.toml --resolution 160x100\n  echo '{\"set\": {\"display.brightness\": 0.5}}' | lumistack live model.glb\n  lumistack live views/ --times --rate 12           a video: one light field per time step, in the order of their names\n  lumistack live model.glb --opentrack 4242         viewers tracked by OpenTrack (output: UDP over network)\n\nCommands on standard input, one JSON object a line: {\"set\": {KEY: VALUE, ...}} with keys of the job, {\"time\": SECONDS}, {\"viewers\": [[X, Y, Z], ...]} in millimetres,\n{\"reload\": true}, {\"stop\": true}. Ctrl-C leaves a run folder. docs/LIVE.md has the details.";
+pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack live model.glb                          the display follows when the model is saved again\n  lumistack live scenes/still-life/job.toml --resolution 160x100\n  echo '{\"set\": {\"display.brightness\": 0.5}}' | lumistack live model.glb\n  lumistack live views/ --times --rate 12           a video: one light field per time step, in the order of the names\n  lumistack live model.glb --opentrack 4242         viewers tracked by OpenTrack (output: UDP over network)\n\nCommands on standard input, one JSON object a line: {\"set\": {KEY: VALUE, ...}} with keys of the job, {\"time\": SECONDS}, {\"viewers\": [[X, Y, Z], ...]} in millimetres,\n{\"reload\": true}, {\"stop\": true}. After Ctrl-C the last state remains as a run folder. docs/LIVE.md has the details.";
 
-/// Interval at which files are checked.
+/// Interval at which files are checked for changes.
 const LOOK: Duration = Duration::from_millis(100);
-/// Interval at which the end is checked.
+/// Interval at which threads check for the end.
 const TICK: Duration = Duration::from_millis(20);
 
 #[derive(Debug, ClapArgs)]
 pub(crate) struct Live {
-    /// Job file (.toml), scene, or light field with its own geometry; with --times a folder of
+    /// Job file (.toml), scene, or light field that states its geometry; with --times a folder of
     /// light fields
     pub(crate) input: PathBuf,
     /// Folder for the last state [default: runs/NAME-live]
@@ -69,30 +69,33 @@ pub(crate) struct Live {
     /// Also drive panels, in a build with panels: outputs, span or window (see `lumistack show`)
     #[arg(long, value_name = "MODE", value_parser = ["outputs", "span", "window"])]
     pub(crate) show: Option<String>,
-    /// Most iterations between two states; fewer where they take longer than 0.3 s
+    /// Largest number of iterations between two states shown; fewer if they would take longer than
+    /// 0.3 s
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub(crate) updates: u32,
-    /// The input is a video: a folder of light fields, one per time step, in the order of their
-    /// names
+    /// Read the input as a video: a folder of light fields, one per time step, in the order of
+    /// their names
     #[arg(long, help_heading = "Video")]
     pub(crate) times: bool,
     /// Time steps per second
     #[arg(long, value_name = "HZ", default_value_t = 24.0, requires = "times", help_heading = "Video")]
     pub(crate) rate: f64,
-    /// Most time steps by which one may be late; later ones are skipped and counted
+    /// Largest delay of a time step, in time steps. If the delay is greater, playback skips to the
+    /// present; skipped time steps are counted
     #[arg(long, value_name = "N", default_value_t = 3, requires = "times", help_heading = "Video")]
     pub(crate) most_late: usize,
     /// UDP port of this machine to which OpenTrack sends the head's position
     #[arg(long, value_name = "PORT", help_heading = "Viewers")]
     pub(crate) opentrack: Option<u16>,
-    /// Position of the head where OpenTrack is centred, millimetres before the display
+    /// Position of the head when OpenTrack was centred: X right, Y up, Z in front of the display,
+    /// millimetres
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, default_value = "0,0,600", help_heading = "Viewers")]
     pub(crate) head_mm: Numbers<3>,
-    /// The mouse in the window of `--show window` acts as a tracked head, at the distance of
+    /// Use the mouse in the window of `--show window` as a tracked head, at the distance Z of
     /// --head-mm
     #[arg(long, requires = "show", conflicts_with = "opentrack", help_heading = "Viewers")]
     pub(crate) mouse: bool,
-    /// Standard deviation of the region around a head that counts, millimetres
+    /// Width (standard deviation σ) of the Gaussian weight around each tracked head, millimetres
     #[arg(long, value_name = "MM", default_value_t = lumistack_live::SIGMA_MM, help_heading = "Viewers")]
     pub(crate) sigma_mm: f64,
     #[command(flatten)]
@@ -104,7 +107,7 @@ pub(crate) struct Live {
 }
 
 impl Live {
-    /// Makes the job of the input, changed by the command line.
+    /// Makes the job of the input, with the changes of the command line.
     fn job(&self) -> Result<Job, PipelineError> {
         let mut job = if is_light_field(&self.input) {
             let display = self.display.display.clone().unwrap_or_else(|| crate::groups::DEFAULT_DISPLAY.into());
@@ -146,7 +149,7 @@ fn is_light_field(path: &Path) -> bool {
 pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
     args.check()?;
     let begun = SystemTime::now();
-    // Job, run folder, page and tracker: all errors of the start.
+    // Prepare job, run folder, page and tracker. All errors of the start are found here.
     let in_input = |error| in_place(error, &args.input);
     let mut job = args.job().map_err(in_input)?;
     let times = if args.times { LiveFields::times_of(&job).map_err(in_input)? } else { Vec::new() };
@@ -186,7 +189,7 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
             None => Ok(()),
         };
         if args.show.is_none() {
-            // Ctrl-C, a command, or the end of a video
+            // until Ctrl-C, a command, or the end of a video
             while !(task.cancel.is_cancelled() || shared.requests.is_stopped()) {
                 std::thread::sleep(TICK);
             }
@@ -201,7 +204,7 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
     let _ = std::fs::remove_dir_all(&site);
     let dropped = ended.map_err(in_input)?;
     let Some((number, state)) = shared.states.after(0) else { return Err(PipelineError::Cancelled) };
-    // The first Ctrl-C ended the display; a second one ends the program.
+    // The first Ctrl-C ended the display; a second one would end the program.
     let cancel = Cancel::default();
     let report = folder.finish(
         &shared.requests.job(),
@@ -216,7 +219,7 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
             json!({"event": "done", "states": number, "dropped": dropped, "psnr_view": psnr_view, "report": report.to_string_lossy()})
         );
     } else {
-        let video = if args.times { format!(", {dropped} times left out") } else { String::new() };
+        let video = if args.times { format!(", {dropped} time steps skipped") } else { String::new() };
         say!("{number} states{video}; the last has PSNR {psnr_view:.1} dB at the solver's views");
         say!("{}", report.display());
     }
@@ -241,7 +244,7 @@ fn serve_page(
     json: bool,
     task: Task<'_>,
 ) {
-    // the first state brings the page's own files
+    // the page's own files are written with the first state
     while feed.prepare().is_none() {
         if shared.is_stopped() {
             return;
@@ -261,7 +264,8 @@ fn serve_page(
     serve(server, Site { root: feed.root(), live: Some(feed) }, || (!shared.is_stopped()).then(String::new));
 }
 
-/// Requests to read files again after they were written. The job file was read after `begun`.
+/// Watches the files of the job, and requests to read them again when they have changed. The job
+/// file was read after `begun`.
 fn watch_files(args: &Live, begun: SystemTime, shared: &Shared, task: Task<'_>) {
     let mut watched = Watched::default();
     let mut of_job = Watched::default();
@@ -281,8 +285,8 @@ fn watch_files(args: &Live, begun: SystemTime, shared: &Shared, task: Task<'_>) 
     }
 }
 
-/// Runs the presenter until it is closed. With `mouse_mm` the viewing angles of its preview are
-/// those of a head at this distance.
+/// Runs the presenter until it is closed. With `mouse_mm`, the mouse in its window moves a tracked
+/// head at this distance from the display.
 fn show(
     mode: &str,
     mouse_mm: Option<f64>,
@@ -299,7 +303,8 @@ fn show(
         }
     };
     let (mut seen, state) = first;
-    // a channel of one state: newer states replace each other in the mailbox
+    // The channel holds one state. Newer ones wait in the mailbox, where each replaces the
+    // previous.
     let (send, input) = sync_channel(1);
     let stop = Cancel::default();
     let see = |head_mm| {
@@ -313,7 +318,7 @@ fn show(
     std::thread::scope(|scope| {
         scope.spawn(move || {
             while !(stop_of_thread.is_cancelled() || shared.is_stopped() || shared.requests.is_stopped()) {
-                // a mouse at rest is a viewer who stands still
+                // without motion of the mouse the viewer stands still
                 if let Some(head_mm) = *lock(head_of_thread) {
                     see(head_mm);
                 }
@@ -349,7 +354,8 @@ fn show(
     })
 }
 
-/// Position of a head that looks at the display's centre from these angles, right and up.
+/// Position of a head that sees the display's centre from these angles to the right and up,
+/// degrees.
 fn head_at(from_deg: [f64; 2], distance_mm: f64) -> [f64; 3] {
     let [x, y] = from_deg.map(|angle| distance_mm * angle.to_radians().tan());
     [x, y, distance_mm]

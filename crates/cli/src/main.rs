@@ -1,5 +1,5 @@
-//! The `lumistack` program: it handles Ctrl-C and runs a command. Started by itself with another
-//! first word, it runs a plugin.
+//! The `lumistack` program: it handles Ctrl-C and runs a command. It also starts itself with a
+//! special first argument, and then runs a plugin.
 
 use std::process::ExitCode;
 
@@ -9,7 +9,7 @@ fn main() -> ExitCode {
     let words: Vec<_> = std::env::args_os().collect();
     #[cfg(feature = "dynamic")]
     {
-        // the parent process handles Ctrl-C
+        // this process does not handle Ctrl-C, since its parent does
         if words.get(1).is_some_and(|word| word == lumistack_cli::PLUGIN_CHILD) {
             return ExitCode::from(lumistack_cli::plugin_child(&words[2..]));
         }
@@ -19,8 +19,8 @@ fn main() -> ExitCode {
     }
     let cancel = Cancel::default();
     let flag = cancel.clone();
-    // A second Ctrl-C ends the program at once. Files are written beside their place and renamed,
-    // so none is incomplete.
+    // A second Ctrl-C ends the program immediately. Files are written under another name and then
+    // renamed, so no file is incomplete.
     let handler = ctrlc::set_handler(move || {
         if flag.is_cancelled() {
             std::process::exit(130);

@@ -12,8 +12,8 @@ use crate::console::{say, tell};
 use crate::groups::DEFAULT_DISPLAY;
 use crate::questions::{Questions, asks};
 
-pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack new                                                   asks, and writes job.toml here\n  lumistack new figurine/job.toml --scene figurine.glb --display paper-three-layer --outputs images,web_simulator\n\n\
-    It also writes job.schema.json beside the job: editors of TOML use it to complete and check keys. It replaces no file.";
+pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack new                                                   asks questions, and writes job.toml here\n  lumistack new figurine/job.toml --scene figurine.glb --display paper-three-layer --outputs images,web_simulator\n\n\
+    The command also writes job.schema.json next to the job file: editors of TOML use it to complete and check keys. It replaces no file.";
 
 /// Default outputs.
 const OUTPUTS: &str = "images,web_simulator";
@@ -36,7 +36,7 @@ pub(crate) struct New {
     /// Use defaults instead of asking; --scene is required
     #[arg(long, conflicts_with = "questions")]
     pub(crate) no_questions: bool,
-    /// Ask even though standard input is no terminal
+    /// Ask questions even if standard input is no terminal
     #[arg(long)]
     pub(crate) questions: bool,
 }
@@ -59,10 +59,10 @@ pub(crate) fn new_command(args: &New, registry: &Registry, json: bool) -> Result
     Ok(())
 }
 
-/// Name of the schema beside the job.
+/// Name of the schema file next to the job file.
 const SCHEMA: &str = "job.schema.json";
 
-/// Writes a new file. Returns false where a file of this name exists.
+/// Writes a new file. Returns false if a file of this name exists.
 fn create(path: &Path, text: &str) -> Result<bool, PipelineError> {
     let failed = |source| PipelineError::Write { path: path.to_owned(), source };
     if let Some(folder) = path.parent() {
@@ -79,14 +79,14 @@ fn taken(file: &Path) -> PipelineError {
     PipelineError::value(file, "file", "a name that is free", "a file")
 }
 
-/// Writes the text of a job from options and answers.
+/// Makes the text of a job file from options and answers.
 fn job_text(args: &New, registry: &Registry, ask: &mut Questions<'_>) -> Result<String, PipelineError> {
-    // an error before the first question
+    // this error comes before the first question
     if args.file.exists() {
         return Err(taken(&args.file));
     }
     let is_scene = |path: &Path| path.is_file() && path.to_str().is_some();
-    // Scene, display and outputs: options, else answers.
+    // Take scene, display and outputs from the options, otherwise from answers.
     let scene = ask.value("--scene", "Scene file", args.scene.clone(), None, |text| {
         Some(PathBuf::from(text)).filter(|path| is_scene(path))
     })?;
@@ -130,13 +130,14 @@ fn job_text(args: &New, registry: &Registry, ask: &mut Questions<'_>) -> Result<
     Ok(text)
 }
 
-/// Outputs that write files: id and description.
+/// Ids and descriptions of the output plugins that write files.
 fn writers(registry: &Registry) -> impl Iterator<Item = (&str, &str)> {
     let outputs = registry.infos().filter(|info| json!(info.kind) == "output" && !info.presents);
     outputs.map(|info| (info.id.as_str(), info.doc.as_str()))
 }
 
-/// A path as a job in `folder` names it: relative to the folder if it lies inside, else absolute.
+/// Returns a path as a job file in `folder` must name it: relative to the folder if the file is
+/// inside, otherwise absolute.
 fn seen_from(folder: &Path, path: &Path) -> String {
     let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     let seen = match (folder.as_os_str().is_empty(), absolute(path).strip_prefix(absolute(folder))) {
@@ -152,23 +153,23 @@ fn quoted(text: &str) -> String {
     json!(text).to_string()
 }
 
-/// Lines with `#` before a key show the key's default.
+/// The text of a job file. A line with `#` before a key shows the key's default.
 const TEMPLATE: &str = "#:schema ./job.schema.json
-# Made by `lumistack new`. `lumistack run` on this file renders the scene and solves for the display's patterns. The same command continues after a stop.
-# Paths are relative to this file. docs/JOB.md explains every key. Keys with `#` before them have their default.
+# Made by `lumistack new`. `lumistack run` with this file renders the scene and solves for the display's patterns. The same command continues a stopped run.
+# Paths are relative to this file. docs/JOB.md explains every key. A key with `#` before it has its default.
 scene = {scene}
 
 [display]
 {display}
-# pixels of the light field, columns and rows: fewer are faster, and the display stays as large
+# pixels of the light field, columns and rows: fewer pixels are solved faster, and the display keeps its size
 #resolution = [420, 262]
 # time-multiplexed frames
 #frames = 6
 
 [window]
-# direction of the viewer, degrees to the right and up; without it the file's camera, or the side that shows most
+# direction of the viewer, degrees to the right and up; without it the file's camera, or the front
 #look_from = [20.0, 10.0]
-# \"off\" leaves the depth of the scene, even where the display cannot show it
+# \"off\" leaves the depth of the scene as it is, even if the display cannot show it
 #fit_depth = \"auto\"
 
 [light]
@@ -177,7 +178,7 @@ scene = {scene}
 #tone = \"auto\"
 
 [render]
-# paths per pixel of all views together: more paths give less noise, and take longer
+# paths per pixel, summed over all views: more paths give less noise, and take longer
 #zone_samples = 800
 
 [factorize]

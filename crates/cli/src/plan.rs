@@ -1,4 +1,4 @@
-//! `--plan`: the steps of a run, in order, and which are cached.
+//! `--plan`: the steps of a run, in order, and which of them are cached.
 
 use std::path::Path;
 
@@ -20,7 +20,7 @@ pub(crate) fn print(job: &Job, folder: &Path, registry: &Registry, json: bool) -
     Ok(())
 }
 
-/// A line per step, and a line with the sums.
+/// Returns a line per step, and a last line with the sums.
 fn table(plan: &Plan) -> Vec<String> {
     let width = plan.steps.iter().map(|step| step.id.chars().count()).max().unwrap_or(0).max(4);
     let mut lines = vec![format!(

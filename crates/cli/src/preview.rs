@@ -15,16 +15,16 @@ use crate::solve_page;
 
 /// The index of a preview's folder.
 const PREVIEW_JSON: &str = "stack/preview.json";
-/// Interval at which files are checked.
+/// Interval at which files are checked for changes.
 const LOOK: Duration = Duration::from_secs(1);
 
 /// A preview and its run.
 struct Source {
     /// The preview's folder.
     site: PathBuf,
-    /// The run of a preview that this program writes itself.
+    /// The run whose preview this program writes; `None` for a preview that exists already.
     run: Option<PathBuf>,
-    /// The run's files and the preview's files at the last comparison.
+    /// The run's files and the preview's files when they were last compared.
     seen: Mutex<Option<(Files, Files)>>,
 }
 
@@ -43,7 +43,7 @@ pub(crate) fn preview_command(
         if looked.elapsed() >= LOOK {
             looked = Instant::now();
             if let Err(error) = source.refresh(registry, task) {
-                // the run may be incomplete; the next check finds it complete
+                // the run may be incomplete while it is written; a later check finds it complete
                 task.warn("preview", error.to_string());
             }
             stamp = stamp_of(&source.site);
@@ -80,8 +80,8 @@ fn announced(args: &Preview, site: &Path, json: bool, task: Task<'_>) -> Result<
     Ok(server)
 }
 
-/// Finds the preview of a folder: the folder itself, a preview among a run's outputs, or one to be
-/// written for a run.
+/// Finds the preview to serve for a folder: the folder itself, the first preview among a run's
+/// outputs, or a preview to be written for a run.
 fn source_of(dir: &Path, task: Task<'_>) -> Result<Source, PipelineError> {
     if dir.join(PREVIEW_JSON).is_file() {
         return Ok(Source { site: dir.to_owned(), run: None, seen: Mutex::default() });
@@ -122,33 +122,33 @@ fn outputs_of(run: &Path) -> Vec<PathBuf> {
     sites
 }
 
-/// Finds the preview of a run's outputs, for the last lines of a run.
+/// Finds the first preview among a run's outputs; the end of a run names it.
 pub(crate) fn written_preview(run: &Path) -> Option<PathBuf> {
     outputs_of(run).into_iter().next()
 }
 
 impl Source {
-    /// Writes the preview of a run, where there is none or it shows other patterns.
+    /// Writes the preview of a run if it is missing or shows other patterns.
     fn refresh(&self, registry: &Registry, task: Task<'_>) -> Result<(), PipelineError> {
         let Some(run) = &self.run else { return Ok(()) };
-        // Compare contents once, and then only after a file has changed, be its time newer or
-        // older.
+        // Compare contents at the first call, and later only after the length or time of a file has
+        // changed. The new time may also be older.
         let before = files_of(run, &self.site);
         let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
         if seen.as_ref() == Some(&before) {
             return Ok(());
         }
         update_preview(run, registry, task)?;
-        // a run that changed meanwhile is compared again
+        // if the run changed in the meantime, the next call compares again
         *seen = (files_of(run, &self.site).0 == before.0).then(|| files_of(run, &self.site));
         Ok(())
     }
 }
 
-/// Length and time of files.
+/// Paths of files, with their length and time of modification.
 type Files = Vec<(PathBuf, u64, Option<SystemTime>)>;
 
-/// Files from which a preview is made, and files of the preview.
+/// Finds the files from which a preview is made, and the files of the preview.
 fn files_of(run: &Path, site: &Path) -> (Files, Files) {
     let below = |folder: PathBuf| {
         let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
@@ -171,7 +171,7 @@ fn modified(path: &Path) -> Option<SystemTime> {
     std::fs::metadata(path).and_then(|data| data.modified()).ok()
 }
 
-/// A text that changes when the preview does.
+/// Returns a text that changes when the preview changes.
 fn stamp_of(site: &Path) -> String {
     let since = modified(&site.join(PREVIEW_JSON)).and_then(|time| time.duration_since(SystemTime::UNIX_EPOCH).ok());
     since.map_or_else(String::new, |since| since.as_nanos().to_string())

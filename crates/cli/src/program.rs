@@ -1,5 +1,5 @@
-//! The name that started the command, for hints to type: `lumistack`, `cargo lumistack`,
-//! `python -m lumistack`.
+//! The name under which the command was started. Hints and examples use it, so that the user can
+//! type them: `lumistack`, `cargo lumistack` or `python -m lumistack`.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -9,9 +9,10 @@ use std::sync::OnceLock;
 const PACKAGE: &str = "lumistack-cli";
 static NAME: OnceLock<String> = OnceLock::new();
 
-/// Stores how the command was started; `first` is the first word of its command line.
+/// Stores the name under which the command was started. `first` is the first word of its command
+/// line.
 pub(crate) fn remember(first: Option<&OsStr>) {
-    // cargo sets the package of the programs that it runs
+    // cargo names the package in the environment of a program that it runs
     let by_cargo =
         std::env::var_os("CARGO").is_some() && std::env::var("CARGO_PKG_NAME").is_ok_and(|name| name == PACKAGE);
     let first = first.map_or_else(|| "lumistack".into(), |word| word.to_string_lossy().into_owned());
@@ -20,13 +21,13 @@ pub(crate) fn remember(first: Option<&OsStr>) {
     NAME.get_or_init(|| started_as(&first, by_cargo, &folders));
 }
 
-/// Returns the words that start the command again.
+/// Returns the words with which the user starts the command again.
 pub(crate) fn name() -> &'static str {
     NAME.get().map_or("lumistack", String::as_str)
 }
 
-/// Replaces `lumistack` in the hints of a text, `` `lumistack ...` `` and lines of examples, by the
-/// words that start it here.
+/// Replaces `lumistack` by those words in the hints of a text, `` `lumistack ...` ``, and in its
+/// lines of examples.
 pub(crate) fn hinted(text: &str) -> String {
     hinted_as(text, name())
 }
@@ -42,13 +43,13 @@ fn started_as(first: &str, by_cargo: bool, folders: &[PathBuf]) -> String {
     if by_cargo {
         return "cargo lumistack".into();
     }
-    // a name of several words comes from the Python package
+    // the Python package passes a name of several words
     if first.contains(" -m ") {
         return first.into();
     }
     let path = Path::new(first);
     let Some(file) = path.file_name().filter(|_| path.components().count() > 1) else { return first.into() };
-    // a shell passes a script on PATH its whole path
+    // a shell starts a script on PATH with its whole path
     let canonical = |path: &Path| std::fs::canonicalize(path).ok();
     let on_path = folders.iter().map(|folder| folder.join(file)).find(|found| found.is_file());
     match on_path {

@@ -6,21 +6,23 @@ use lumistack_pipeline::PipelineError;
 
 use crate::console::tell;
 
-/// Returns whether a command asks: with `--questions`, or when standard input is a terminal.
+/// Returns whether a command asks questions: with `--questions`, or if standard input is a
+/// terminal, unless `--no-questions` is given.
 pub(crate) fn asks(questions: bool, no_questions: bool) -> bool {
     questions || (!no_questions && std::io::stdin().is_terminal())
 }
 
 /// Asks questions about missing options.
 pub(crate) struct Questions<'a> {
-    /// The command, for errors.
+    /// Name of the command, for errors.
     pub(crate) command: &'static str,
-    /// Source of the answers; without it nothing is asked.
+    /// Source of the answers; without it there are no questions.
     pub(crate) input: Option<&'a mut dyn BufRead>,
 }
 
 impl Questions<'_> {
-    /// Returns the option, else the answer, else the default. `flag` names the option in errors.
+    /// Returns the option's value, otherwise the answer, otherwise the default. `flag` names the
+    /// option in errors.
     pub(crate) fn value<T>(
         &mut self,
         flag: &str,

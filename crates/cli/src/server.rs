@@ -1,11 +1,12 @@
-//! Serves a folder's files on the loopback interface: no file outside the folder, and no other
-//! machine.
+//! Serves a folder's files on the loopback interface: no file outside of the folder, and to no
+//! other machine.
 //!
 //! It answers `GET` and `HEAD` only, and closes the connection after every response.
 //!
 //! Every connection has its own thread; there are at most [`MOST`]. A request has a head of at most
-//! 16 KiB, received within 5 s, and no body. So a slow client, or one that does not read, delays no
-//! other client. When new clients come, it is the first to be closed.
+//! 16 KiB, received within 5 s, and no body. So a client that sends slowly or does not read delays
+//! no other client. When there are too many connections, the oldest without a complete request is
+//! closed first.
 
 use std::fs::File;
 use std::io::{self, Read, Write};
@@ -19,35 +20,36 @@ use std::time::{Duration, Instant};
 
 use percent_encoding::percent_decode_str;
 
-/// The page requests this path to see whether the stack has changed.
+/// Path that the page requests to find out whether the stack has changed.
 const STAMP: &str = "/.stamp";
 /// Interval of the calls of `tick`.
 const TICK: Duration = Duration::from_millis(200);
-/// Most connections at a time; a browser opens six.
+/// Largest number of connections at a time; a browser opens six.
 const MOST: usize = 64;
-/// Time limit of a whole head, even if its bytes come one by one.
+/// Time limit for a whole head, even if its bytes come one by one.
 const HEAD_TIME: Duration = Duration::from_secs(5);
 /// Longest head, bytes.
 const HEAD: usize = 16 << 10;
-/// Most fields of a head.
+/// Largest number of fields in a head.
 const FIELDS: usize = 64;
 /// Time limit for a client to take the next part of a response.
 const WRITE_TIME: Duration = Duration::from_secs(10);
-/// Bytes of a response that are written at once.
+/// Size of the pieces in which a response is written, bytes.
 const PART: usize = 64 << 10;
-/// Time to discard bytes after a refused request: closing with unread bytes loses the response.
+/// Time in which the bytes that follow a request are read and discarded. If a connection is closed
+/// with unread bytes, the client loses the response.
 const LINGER: Duration = Duration::from_millis(500);
 
-/// Checks once a second, and reloads the page when the folder has changed. The page keeps its state
-/// in its address.
+/// Script that checks once a second whether the folder has changed, and then reloads the page. The
+/// page keeps its state in its address.
 const RELOAD: &str = "<script>{const was='STAMP';setInterval(async()=>{try{\
     const answer=await fetch('.stamp',{cache:'no-store'});if(answer.ok&&await answer.text()!==was)location.reload()\
     }catch{}},1000)}</script></body>";
 
-/// Loads the script of a live display, which receives new states without a reload.
+/// Element that loads the script of a live display, which receives new states without a reload.
 const FOLLOW: &str = "<script type=\"module\" src=\".live.js\"></script></body>";
 
-/// Listens on the loopback interface.
+/// A socket that listens on the loopback interface.
 pub(crate) struct Server {
     listener: TcpListener,
     address: SocketAddr,
@@ -78,21 +80,22 @@ pub(crate) struct Site<'a> {
 pub(crate) trait Feed: Sync {
     /// The script that requests states.
     fn script(&self) -> &'static str;
-    /// Response to a query, after a newer state or a timeout; `None` without a state.
+    /// Waits for a state newer than the query's, or for a timeout. Returns the response, or `None`
+    /// without a state.
     fn frame(&self, query: &str) -> Option<Vec<u8>>;
 }
 
-/// The page's preload of the preview's index, which a live display's page does not need.
+/// The page's element that preloads the preview's index; a live display's page does not need it.
 const PRELOAD: &str = "<link rel=\"preload\" as=\"fetch\" crossorigin href=\"stack/preview.json\">\n";
 /// Path of the script of a live display.
 const SCRIPT: &str = "/.live.js";
 /// Path of the states that the script requests.
 const STATES: &str = "/.live";
-/// The element that shows a preview: as written in the page, and without a preview of its own.
+/// The beginning of the element that shows a preview: as the page has it, and without an address.
 const ELEMENT: [&str; 2] = ["<lumistack-viewer src=\"stack/preview.json\"", "<lumistack-viewer"];
 
-/// Serves requests until `tick` returns `None`. It is called about five times a second, and returns
-/// a text that changes when the folder does.
+/// Serves requests until `tick` returns `None`. `tick` is called about five times a second, and
+/// returns a text that changes when the folder changes.
 pub(crate) fn serve(server: &Server, site: Site<'_>, mut tick: impl FnMut() -> Option<String>) {
     let (stop, open, stamp) = (AtomicBool::new(false), Connections::default(), Mutex::new(String::new()));
     let (stop, open, stamp) = (&stop, &open, &stamp);
@@ -103,7 +106,7 @@ pub(crate) fn serve(server: &Server, site: Site<'_>, mut tick: impl FnMut() -> O
                 if stop.load(Ordering::Relaxed) {
                     break;
                 }
-                // no file descriptors are left until connections end by themselves
+                // perhaps no file descriptors are left: wait until a connection ends
                 let Ok((stream, _)) = accepted else {
                     thread::sleep(Duration::from_millis(50));
                     continue;
@@ -111,7 +114,7 @@ pub(crate) fn serve(server: &Server, site: Site<'_>, mut tick: impl FnMut() -> O
                 let Some(connection) = open.add(&stream) else { continue };
                 let answer = move || {
                     let complete = || open.has_request(connection);
-                    // a panic here costs one response
+                    // after a panic only this response is missing
                     let _ = catch_unwind(AssertUnwindSafe(|| answer(&stream, site, stamp, complete)));
                     open.remove(connection);
                 };
@@ -126,7 +129,7 @@ pub(crate) fn serve(server: &Server, site: Site<'_>, mut tick: impl FnMut() -> O
         }
         stop.store(true, Ordering::Relaxed);
         open.end();
-        // wakes the accepting thread
+        // this connection wakes the thread that accepts connections
         let _ = TcpStream::connect_timeout(&server.address, TICK);
     });
 }
@@ -149,13 +152,14 @@ struct Open {
 struct Connection {
     number: u64,
     stream: TcpStream,
-    /// Its request is complete.
+    /// True if its request is complete.
     complete: bool,
 }
 
 impl Connections {
-    /// Adds a connection and returns its number. If there are too many, it closes the oldest
-    /// without a complete request, or else the oldest. `None` after the end.
+    /// Adds a connection and returns its number. If there are too many, it closes the oldest one
+    /// without a complete request, or the oldest one if all requests are complete. `None` after
+    /// [`Connections::end`].
     fn add(&self, stream: &TcpStream) -> Option<u64> {
         let stream = stream.try_clone().ok()?;
         let mut open = locked(&self.0);
@@ -164,7 +168,7 @@ impl Connections {
         }
         if open.streams.len() >= MOST {
             let waits = open.streams.iter().position(|connection| !connection.complete);
-            // the thread of the connection wakes up
+            // the thread of the closed connection wakes up and ends
             let _ = open.streams.remove(waits.unwrap_or(0)).stream.shutdown(Shutdown::Both);
         }
         open.last += 1;
@@ -202,7 +206,7 @@ struct Request {
     host: Option<String>,
 }
 
-/// Status, kind and content of an answer.
+/// Status, kind and content of a response.
 struct Reply {
     status: u16,
     kind: &'static str,
@@ -221,8 +225,8 @@ impl Reply {
     }
 }
 
-/// Answers one request, and calls `complete` once it is read. An error closes the connection, since
-/// it cannot be reported.
+/// Answers one request. Calls `complete` when the request has been read. An error closes the
+/// connection, since it cannot be reported.
 fn answer(mut stream: &TcpStream, site: Site<'_>, stamp: &Mutex<String>, complete: impl FnOnce()) {
     let request = match read_request(stream) {
         Ok(request) => request,
@@ -241,8 +245,8 @@ fn answer(mut stream: &TcpStream, site: Site<'_>, stamp: &Mutex<String>, complet
     linger(stream);
 }
 
-/// Reads the head of a request. An error holds the response that refuses it, or `None` where the
-/// client has gone.
+/// Reads the head of a request. An error contains the response that refuses the request, or `None`
+/// if the client has gone.
 fn read_request(mut stream: &TcpStream) -> Result<Request, Option<Reply>> {
     let deadline = Instant::now() + HEAD_TIME;
     let (mut head, mut part) = (Vec::new(), [0; 2048]);
@@ -264,7 +268,7 @@ fn read_request(mut stream: &TcpStream) -> Result<Request, Option<Reply>> {
             }
             Err(_) => return Err(None),
         };
-        // the end may lie across two parts
+        // the end of the head may be split between two reads
         let before = head.len().saturating_sub(3);
         head.extend_from_slice(&part[..count]);
         let ends = |end: &[u8]| head[before..].windows(end.len()).any(|window| window == end);
@@ -284,7 +288,7 @@ fn parse(head: &[u8]) -> Result<Request, Reply> {
     match request.parse(head) {
         Ok(httparse::Status::Complete(_)) => {}
         Err(httparse::Error::TooManyHeaders) => return Err(Reply::text(431, "too many fields\n")),
-        _ => return Err(Reply::text(400, "no request of HTTP\n")),
+        _ => return Err(Reply::text(400, "not a request of HTTP\n")),
     }
     let method = request.method.unwrap_or_default().to_owned();
     if !matches!(method.as_str(), "GET" | "HEAD") {
@@ -318,7 +322,7 @@ fn write(mut stream: &TcpStream, reply: Reply, with_content: bool) -> io::Result
     match reply.content {
         Content::Bytes(bytes) => stream.write_all(&bytes),
         Content::File(file, length) => {
-            // exactly the promised length, even if the file changes meanwhile
+            // send exactly the announced length, even if the file grows in the meantime
             let (mut file, mut part) = (file.take(length), vec![0; PART]);
             loop {
                 match file.read(&mut part)? {
@@ -330,7 +334,7 @@ fn write(mut stream: &TcpStream, reply: Reply, with_content: bool) -> io::Result
     }
 }
 
-/// Closes a connection such that the client receives the response, even while it still sends.
+/// Closes a connection so that the client receives the response, even if it is still sending.
 fn linger(mut stream: &TcpStream) {
     if stream.shutdown(Shutdown::Write).is_err() {
         return;
@@ -369,7 +373,8 @@ fn reply(method: &str, host: Option<&str>, url: &str, site: Site<'_>, stamp: &st
     if !matches!(method, "GET" | "HEAD") {
         return Reply::text(405, "only GET and HEAD\n");
     }
-    // DNS rebinding: a foreign page whose name resolves to this machine sends its own name as host
+    // Against DNS rebinding: a foreign page whose name resolves to this machine sends its own name
+    // as the host, and is refused.
     let name = host.unwrap_or_default();
     let name =
         name.rsplit_once(':').filter(|(_, port)| port.bytes().all(|b| b.is_ascii_digit())).map_or(name, |(n, _)| n);
@@ -411,8 +416,8 @@ fn reply(method: &str, host: Option<&str>, url: &str, site: Site<'_>, stamp: &st
         .map_or_else(|_| missing(), |(file, length)| Reply { status: 200, kind, content: Content::File(file, length) })
 }
 
-/// Finds the file of a path. `None` for paths that leave the folder, by links too, and for anything
-/// but a plain file.
+/// Finds the file of a request's path. `None` for paths that leave the folder, also by links, and
+/// for anything but a regular file.
 fn file_of(root: &Path, path: &str) -> Option<PathBuf> {
     let decoded = percent_decode_str(path.strip_prefix('/')?).decode_utf8().ok()?;
     let relative =
@@ -475,7 +480,7 @@ mod tests {
         assert_eq!(get(&root, "/app/a%20b.wasm?x=1"), (200, "application/wasm", "module".into()));
         let (status, kind, page) = get(&root, "/");
         assert!(status == 200 && kind.starts_with("text/html") && page.contains("location.reload()"), "{page}");
-        // a change between the page and its first check is not missed
+        // the page contains the stamp, so it notices a change before its first check
         assert!(page.contains("const was='7'"), "{page}");
         assert_eq!(get(&root, "/.stamp").2, "7");
     }
@@ -526,7 +531,7 @@ mod tests {
         }
     }
 
-    /// Requests a page. Returns the stream, and the text up to the end of the body.
+    /// Requests the page. Returns the stream, and the response up to the end of its body.
     fn ask(mut stream: TcpStream, method: &str, port: u16) -> (TcpStream, String) {
         stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
         write!(stream, "{method} / HTTP/1.1\r\nHost: localhost:{port}\r\n\r\n").unwrap();
@@ -544,8 +549,8 @@ mod tests {
         (stream, text)
     }
 
-    /// Real sockets, of a server that listens to this machine alone. A browser opens six at once
-    /// and keeps as many as it may.
+    /// Uses real sockets, and a server that listens to this machine alone. A browser opens six
+    /// connections at a time, and keeps as many as the server allows.
     #[test]
     fn browsers_with_many_connections_get_the_page() {
         const CONNECTIONS: usize = 24;
@@ -575,7 +580,7 @@ mod tests {
     fn against(clients: impl FnOnce(u16) + Send + 'static) {
         let folder = folder();
         let root = folder.path().join("site");
-        // more than the system's buffers of a connection hold
+        // more bytes than the system buffers for a connection
         std::fs::write(root.join("large.bin"), vec![7; 32 << 20]).unwrap();
         let server = listen(0).unwrap();
         let port = port_of(&server);
@@ -590,7 +595,7 @@ mod tests {
         stream
     }
 
-    /// An ordinary request gets its response long before the blocked ones time out.
+    /// Asserts that an ordinary request gets its response long before blocked requests time out.
     fn page_comes_at_once(port: u16, case: &str) {
         let start = Instant::now();
         let (_, text) = ask(connect(port), "GET", port);
@@ -602,7 +607,7 @@ mod tests {
     /// Returns the whole response to these bytes.
     fn response_to(port: u16, bytes: &[u8]) -> String {
         let mut stream = connect(port);
-        // the server may refuse before all bytes are written
+        // the server may refuse the request before all bytes are written
         let _ = stream.write_all(bytes);
         let mut answer = Vec::new();
         let _ = stream.read_to_end(&mut answer);

@@ -22,9 +22,9 @@ use serde_json::{Value, json};
 use crate::console::{say, tell};
 use crate::values::Numbers;
 
-/// The plugin that drives panels.
+/// Id of the plugin that drives panels.
 const PRESENTER: &str = "panels";
-/// Interval at which a run's folder is checked.
+/// Interval at which a run's folder is checked for new patterns.
 const LOOK: Duration = Duration::from_millis(200);
 
 #[derive(Debug, ClapArgs)]
@@ -35,7 +35,7 @@ pub(crate) struct Show {
     /// List the outputs of this session
     #[arg(long)]
     pub(crate) list: bool,
-    /// Use one surface across all outputs, so that all layers change together (X11, or sway)
+    /// Draw one surface across all outputs, so that all layers change together (X11, or sway)
     #[arg(long)]
     pub(crate) span: bool,
     /// Show a preview of the display in an ordinary window; the mouse moves the viewer
@@ -44,7 +44,8 @@ pub(crate) struct Show {
     /// Initial direction of the preview's viewer, degrees to the right and up
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, requires = "preview")]
     pub(crate) from: Option<Numbers<2>>,
-    /// Scale to the panels, for a run that was made for other panels; its distances are then wrong
+    /// Scale the masks to the panels, for a run that was made for other panels. The distances
+    /// between the panels must then be scaled too
     #[arg(long, conflicts_with_all = ["preview", "pattern"])]
     pub(crate) fit: bool,
     /// Show a picture (PNG, JPEG, WebP) on one layer at the panel's full resolution; the other
@@ -59,17 +60,20 @@ pub(crate) struct Show {
     /// clear or identify
     #[arg(long, value_name = "PATTERN")]
     pub(crate) pattern: Option<String>,
-    /// Show the pattern on one panel only, a layer's number or `backlight`; the others are clear
+    /// Show the pattern on one panel only, given as a layer's number or `backlight`; the other
+    /// panels are clear
     #[arg(long, value_name = "N|backlight", requires = "pattern")]
     pub(crate) only: Option<String>,
-    /// Position of the eye or camera for which the crosshairs of all layers coincide [default:
-    /// 0,0,2000 or the display's viewing distance]
+    /// Position of the eye or camera for which the crosshairs of all layers coincide: X right, Y
+    /// up, Z in front, millimetres. The default is straight ahead at the display's viewing
+    /// distance, or at 2000 mm if it has none
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, requires = "pattern")]
     pub(crate) eye_mm: Option<Numbers<3>>,
-    /// Hold frame K instead of showing all in turn
+    /// Hold frame K, from 0, instead of showing all frames in turn
     #[arg(long, value_name = "K")]
     pub(crate) hold: Option<usize>,
-    /// Display file with the calibration; nudges are saved to it [default: display.toml of the run]
+    /// Display file with the panels' calibration; shifts of panels are saved to it [default:
+    /// display.toml of the run]
     #[arg(long, value_name = "FILE")]
     pub(crate) calibration: Option<PathBuf>,
     /// End after this many seconds
@@ -79,8 +83,8 @@ pub(crate) struct Show {
     /// save, look X Y, report, quit
     #[arg(long)]
     pub(crate) control: bool,
-    /// Write every submission to a file: refresh, place in the period, number of the patterns,
-    /// seconds
+    /// CSV file to write, with a line per submitted frame: number of the refresh, position in the
+    /// cycle of frames, number of the layer stack, seconds
     #[arg(long, value_name = "FILE")]
     pub(crate) log: Option<PathBuf>,
 }
@@ -92,7 +96,7 @@ pub(crate) fn show_command(args: &Show, registry: &Registry, json: bool, task: T
     let dir = args.dir.as_deref().unwrap_or(Path::new("."));
     let Subject { display, stack, file } = subject(args, dir)?;
     let params = params(args)?;
-    // a test pattern or a picture does not follow the run
+    // a test pattern or a picture does not change with the run
     let first = stack.filter(|_| args.pattern.is_none() && args.full_resolution_2d.is_none());
     let (send, input) = channel();
     if first.is_some() {
@@ -102,7 +106,7 @@ pub(crate) fn show_command(args: &Show, registry: &Registry, json: bool, task: T
     if args.control {
         std::thread::spawn(move || control(&send));
     }
-    // The event's callback cannot return an error, so the last one is kept.
+    // The callback for events cannot return an error, so the last error is kept.
     let failed = Mutex::new(None);
     let on_output = |output: PresenterOutput<'_>| match output {
         PresenterOutput::Warning(text) => warn("show", text, json),
@@ -149,13 +153,13 @@ fn subject(args: &Show, dir: &Path) -> Result<Subject, PipelineError> {
         subject.file = Some(path.clone());
     }
     if args.fit {
-        // its panels have another size, so its shifts must not be saved
+        // the panels differ from those of the file, so their shifts must not be saved to it
         subject.file = None;
     }
     Ok(subject)
 }
 
-/// Returns the display with the panels of another file of the same display.
+/// Returns the display with the panels' calibration of another file for the same layers.
 fn calibrated(display: &Display, measured: &Display, path: &Path) -> Result<Display, PipelineError> {
     let fits = |display: &Display| {
         let masks: Vec<_> = display.layers.iter().map(|layer| (layer.resolution, layer.pitch_mm.to_bits())).collect();
@@ -201,7 +205,7 @@ fn params(args: &Show) -> Result<Value, PipelineError> {
         }
     };
     set("hold", args.hold.map(Value::from));
-    // the presenter uses 0 for "not set"
+    // for the presenter 0 means "not set", so the options refuse it
     for (flag, value) in [("--duration-s", args.duration_s), ("--eye-mm", args.eye_mm.map(|eye| eye.0[2]))] {
         if let Some(found) = value.filter(|value| *value <= 0.0) {
             return Err(PipelineError::value(flag, "value", "a number above 0", found.to_string()));
@@ -249,7 +253,7 @@ fn describe(output: &Output, json: bool) -> String {
     format!("{name}: {cols} × {rows} pixels at {x},{y}, {rate}")
 }
 
-/// Sends the patterns of a run whenever the run is written again.
+/// Sends the patterns of a run each time they have been written again.
 fn watch(dir: &Path, send: &Sender<PresenterInput>) {
     let (layers, index) = (dir.join("layers"), dir.join("layers/stack.json"));
     let stamp = || std::fs::metadata(&index).and_then(|data| data.modified()).ok();
@@ -260,8 +264,8 @@ fn watch(dir: &Path, send: &Sender<PresenterInput>) {
         if before.is_none() || before == shown {
             continue;
         }
-        // A run removes the index first and writes it last. So a stack is complete if the index is
-        // the same before and after reading.
+        // A run removes the index first and writes it last. So the stack is complete if the index
+        // is the same before and after the stack is read.
         let Ok(stack) = lumistack_field_io::read_stack(&layers) else { continue };
         if stamp() != before {
             continue;
@@ -308,7 +312,7 @@ fn command_of(line: &str) -> Result<Command, String> {
     command.ok_or_else(|| format!("standard input: expected {expected}, found `{line}`"))
 }
 
-/// Prints an event, and executes its request.
+/// Prints an event of the presenter, or saves the display if the event requests it.
 fn happened(event: &Value, json: bool, file: Option<&Path>, log: Option<&Path>) -> Result<(), PipelineError> {
     match serde_json::from_value(event.clone()) {
         Ok(Event::Save { display }) => match save(&display, file) {

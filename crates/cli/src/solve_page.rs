@@ -1,5 +1,5 @@
-//! `lumistack preview --solve`: the page that solves. It is part of the program, and written to a
-//! folder that a server can serve.
+//! `lumistack preview --solve`: the page that solves. The program contains its files, and writes
+//! them to a folder that the server serves.
 
 use std::fs;
 use std::path::Path;
@@ -9,7 +9,7 @@ use tempfile::TempDir;
 
 macro_rules! files {
     ($($path:literal),* $(,)?) => {
-        /// Path below the page's folder, and content.
+        /// Paths in the page's folder, and contents of the files.
         const FILES: &[(&str, &[u8])] = &[$(($path, include_bytes!(concat!("../dist/", $path)))),*];
     };
 }
@@ -36,14 +36,14 @@ files!(
     "scenes/still-life/wallpaper.jpg",
 );
 
-/// Writes the page into a new folder, which is removed with the returned value.
+/// Writes the page into a new folder. The folder is removed when the returned value is dropped.
 ///
 /// # Errors
 /// When a file cannot be written.
 pub(crate) fn write() -> Result<TempDir, PipelineError> {
     let folder = tempfile::tempdir().map_err(PipelineError::write(&std::env::temp_dir()))?;
     for (path, content) in FILES {
-        // a server serves this name where the address names no file
+        // a server sends index.html if the address names no file
         let names = if *path == "solve.html" { vec![*path, "index.html"] } else { vec![*path] };
         names.iter().try_for_each(|name| write_one(&folder.path().join(name), content))?;
     }
@@ -61,7 +61,7 @@ fn write_one(path: &Path, content: &[u8]) -> Result<(), PipelineError> {
 mod tests {
     use super::*;
 
-    /// A file that the build adds to the page must be part of the program too.
+    /// If the build adds a file to the page, the program must contain it too.
     #[test]
     fn the_program_holds_all_of_the_page() {
         let dist = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../web/dist");

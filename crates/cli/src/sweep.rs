@@ -14,7 +14,8 @@ use crate::groups::{
 use crate::values::{Angles, Size};
 
 pub(crate) const EXAMPLES: &str = "\
-Every combination of the axes is a design; a missing axis keeps the display's value. The results are DIR/sweep.csv, DIR/sweep.json and
+Every combination of values of the axes is a design; an axis without values keeps the display's value. A LIST of numbers has numbers and
+ranges, separated by commas: 1..5 or 1,2,4..8. A range may have a step: 0.1..1:0.1. The results are DIR/sweep.csv, DIR/sweep.json and
 DIR/plots/. The same command continues a sweep that was stopped or killed.
 
 Examples:
@@ -35,17 +36,18 @@ pub(crate) struct Sweep {
     /// memory, without running it
     #[arg(long)]
     plan: bool,
-    /// Plots of the table [default: few, one of every axis]
+    /// Plots of the table [default: few]. `few` are maps of one pair of N, M and β, and a plot for
+    /// every other axis; `all` are maps of every pair, and curves along every axis
     #[arg(long, value_enum)]
     plots: Option<PlotsArg>,
     #[command(flatten)]
     axes: Axes,
     #[command(flatten)]
     search: Search,
-    /// Display to vary, a preset (see `lumistack displays`) or a display file, instead of the job's
+    /// Display to vary instead of the job's: a preset (see `lumistack displays`) or a display file
     #[arg(long, value_name = "NAME|FILE", help_heading = "Display")]
     display: Option<std::ffi::OsString>,
-    /// Columns and rows of the light field; masks scale with it
+    /// Columns and rows of the light field; the masks' resolutions scale along
     #[arg(long, value_name = "CxR", help_heading = "Display")]
     resolution: Option<Size>,
     #[command(flatten)]
@@ -62,26 +64,27 @@ enum PlotsArg {
     All,
 }
 
-/// Lists such as 1..5 or 1,2,4..8; numbers with a step such as 0.1..1:0.1.
+/// The axes of a sweep. A list of numbers is such as 1..5 or 1,2,4..8, or with a step 0.1..1:0.1.
 #[derive(Debug, Default, clap::Args)]
 #[command(next_help_heading = "Axes")]
 struct Axes {
     /// Displays to vary, presets or files, separated by commas
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     displays: Vec<String>,
-    /// Layers N
+    /// Numbers of layers N, such as 1..5 or 1,3
     #[arg(long, value_name = "LIST")]
     layers: Option<List>,
-    /// Frames M
+    /// Numbers of frames M, such as 1..5 or 1,2,4..8
     #[arg(long, value_name = "LIST")]
     frames: Option<List>,
-    /// Brightness scales β
+    /// Brightness scales β, such as 0.2,0.5 or 0.1..1:0.1
     #[arg(long, value_name = "LIST")]
     brightness: Option<List>,
-    /// Gaps of the layers, millimetres
+    /// Gap between neighbouring layers, the same for all layers of a design, millimetres; such as
+    /// 20,40
     #[arg(long, value_name = "LIST")]
     gap_mm: Option<List>,
-    /// Fields of view, HxV degrees, separated by commas
+    /// Fields of view, HxV, degrees, separated by commas
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     fov: Vec<Angles>,
     /// Columns and rows of lenslets, CxR, separated by commas
@@ -89,23 +92,24 @@ struct Axes {
     lenslets: Vec<Size>,
 }
 
-/// Constraints; any of them makes it a search.
+/// Constraints. With any of them the sweep becomes a search for a design.
 #[derive(Debug, Default, clap::Args)]
 #[command(next_help_heading = "Search")]
 struct Search {
-    /// Propose a design: solve all with few iterations, and only the promising ones to the end
+    /// Propose a design: solve all designs with few iterations, and only the promising ones to the
+    /// end
     #[arg(long)]
     search: bool,
-    /// Largest depth from the rearmost to the frontmost part, millimetres
+    /// Largest distance from the rearmost to the frontmost layer or lens array, millimetres
     #[arg(long, value_name = "MM")]
     max_thickness_mm: Option<f64>,
-    /// Fastest refresh rate of the panels, hertz
+    /// Highest refresh rate of the panels, hertz
     #[arg(long, value_name = "HZ")]
     max_refresh_hz: Option<f64>,
-    /// Number of available panels: for the layers, and for the backlight behind lenslets
+    /// Number of available panels, for the layers and for the backlight behind lenslets
     #[arg(long, value_name = "N")]
     max_panels: Option<usize>,
-    /// Least brightness scale β
+    /// Smallest brightness scale β
     #[arg(long, value_name = "B")]
     min_brightness: Option<f64>,
     /// Sufficient PSNR, dB: propose the design that reaches it with the fewest panels and frames
@@ -113,7 +117,7 @@ struct Search {
     enough_db: Option<f64>,
 }
 
-/// Numbers: single ones and ranges, separated by commas.
+/// Numbers and ranges of numbers, separated by commas.
 #[derive(Clone, Debug, PartialEq)]
 struct List(Vec<f64>);
 
@@ -137,7 +141,7 @@ impl FromStr for List {
             if !(step > 0.0 && (0.0..1e6).contains(&count)) {
                 return Err(format!("expected a rising range, found `{part}`"));
             }
-            // rounds, since 0.1 + 2 · 0.1 is not 0.3 in binary
+            // rounding, since 0.1 + 2 · 0.1 is not 0.3 in binary
             numbers.extend((0..=count as usize).map(|i| ((from + i as f64 * step) * 1e9).round() / 1e9));
         }
         Ok(Self(numbers))
@@ -157,7 +161,7 @@ impl List {
 }
 
 pub(crate) fn run(args: &Sweep, registry: &Registry, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
-    // The command line changes the job's table.
+    // Apply the command line to the job, and to its table [sweep].
     let mut job = job_or_scene(&args.input)?;
     let display = DisplayArgs { display: args.display.clone(), resolution: args.resolution, ..DisplayArgs::default() };
     change_display(&mut job, &display);
@@ -166,7 +170,7 @@ pub(crate) fn run(args: &Sweep, registry: &Registry, json: bool, task: Task<'_>)
     let table = job.sweep.get_or_insert_default();
     let Axes { displays, layers, frames, brightness, gap_mm, fov, lenslets } = &args.axes;
     if !displays.is_empty() {
-        // typed paths are relative to the working folder, not to the job
+        // paths on the command line are relative to the working folder, not to the job
         table.displays = displays.iter().map(|name| typed(name)).collect();
     }
     if let Some(layers) = layers {

@@ -1,5 +1,5 @@
-//! Wrong usage and help: clap's text with the name that started the command, and without terms of
-//! Rust.
+//! Prints errors of usage, and help: clap's text with the name under which the command was started,
+//! and without terms of Rust.
 
 use std::io::{IsTerminal, Write};
 
@@ -15,7 +15,7 @@ pub(crate) fn print(error: &Error) {
     let styled = error.render();
     let text = if is_terminal { styled.ansi().to_string() } else { styled.to_string() };
     let text = hinted(&in_words(&text));
-    // a closed pipe is no error
+    // a pipe that the reader has closed is no error
     let _ = if to_stdout {
         std::io::stdout().write_all(text.as_bytes())
     } else {

@@ -47,11 +47,11 @@ impl<const N: usize> FromStr for Numbers<N> {
             .filter(|parts| parts.iter().all(|value| value.is_finite()))
             .and_then(|parts| parts.try_into().ok())
             .map(Self)
-            .ok_or_else(|| format!("expected {N} numbers between commas"))
+            .ok_or_else(|| format!("expected {N} numbers separated by commas"))
     }
 }
 
-/// Formats a number of bytes.
+/// Formats a number of bytes with a fitting unit.
 pub(crate) fn size_text(bytes: u64) -> String {
     match bytes {
         0..1_000 => format!("{bytes} B"),

@@ -1,10 +1,11 @@
-//! Arrays in and out by Python's buffer protocol, so that NumPy is not needed.
+//! Reads arrays from Python, and exports arrays to Python, through the buffer protocol. So NumPy is
+//! not needed.
 //!
-//! In: by the buffer protocol, `__array__` or DLPack. Row-major, aligned `float32` is used without
-//! a copy. Other layouts, byte orders, `float16` and `float64` are copied. `uint8` and `uint16` are
-//! sRGB codes and become linear, as in pictures. Other types are refused.
+//! Arrays are read through the buffer protocol, `__array__` or DLPack. Row-major, aligned `float32`
+//! is used without a copy. Other layouts, byte orders, `float16` and `float64` are copied. `uint8`
+//! and `uint16` are sRGB codes, as in pictures, and become linear. Other types are refused.
 //!
-//! Out: an [`Array`] exports its values, read-only, for as long as a buffer of it exists.
+//! An [`Array`] exports its values read-only. They exist as long as a buffer refers to them.
 
 use std::ffi::{CString, c_int};
 use std::sync::Arc;
@@ -30,7 +31,7 @@ enum Data {
 }
 
 impl Values {
-    /// Reads `object`; messages call it `what`.
+    /// Reads the values of `object`; error messages name it `what`.
     pub(crate) fn read(object: &Bound<'_, PyAny>, what: &str) -> PyResult<Self> {
         let py = object.py();
         let mut object = object.clone();
@@ -55,7 +56,9 @@ impl Values {
             PyTypeError::new_err(format!("{what}: expected an array of {expected}, found {found}"))
         })?;
         if buffer.suboffsets().is_some() {
-            return Err(PyTypeError::new_err(format!("{what}: expected an array in one piece, found one of pointers")));
+            return Err(PyTypeError::new_err(format!(
+                "{what}: expected an array without indirection, found one of pointers (suboffsets)"
+            )));
         }
         let shape = buffer.shape().to_vec();
         // Use the memory itself if it has the layout of a tensor, and copy it otherwise.
@@ -66,7 +69,7 @@ impl Values {
         Ok(Self { shape, data: Data::Own(data) })
     }
 
-    /// The values as a tensor with named axes.
+    /// Returns the values as a tensor with named axes.
     pub(crate) fn tensor<const N: usize>(self, what: &str, axes: [&'static str; N]) -> PyResult<Tensor<N>> {
         let shape: [usize; N] = self.shape.as_slice().try_into().map_err(|_| {
             let axes = axes.join(", ");
@@ -98,12 +101,12 @@ impl AsRef<[f32]> for Borrowed {
         }
         // SAFETY: the exporter keeps memory, shape and address of a buffer while it is held.
         // `Values::read` has checked that its format is `f32`, row-major and aligned. The
-        // documentation of `LightField` and `LayerStack` forbids writing to it meanwhile.
+        // documentation of `LightField` and `LayerStack` forbids writing to it during that time.
         unsafe { std::slice::from_raw_parts(self.0.buf_ptr().cast::<f32>(), self.0.item_count()) }
     }
 }
 
-/// Type of the values, and true if their bytes are reversed.
+/// Type of the values, and whether their byte order is the reverse of this machine's.
 #[derive(Clone, Copy, PartialEq, Eq)]
 struct Scalar {
     kind: Kind,
@@ -180,7 +183,7 @@ fn each<const BYTES: usize>(buffer: &PyUntypedBuffer, swapped: bool, mut take: i
     }
     walk(buffer.buf_ptr().cast::<u8>(), &axes, &mut |item| {
         // SAFETY: every index of the shape has an item of `BYTES` bytes at the sum of index times
-        // stride; it may be misaligned.
+        // stride. The item may be misaligned.
         let mut bytes = unsafe { item.cast::<[u8; BYTES]>().read_unaligned() };
         if swapped {
             bytes.reverse();
@@ -189,7 +192,8 @@ fn each<const BYTES: usize>(buffer: &PyUntypedBuffer, swapped: bool, mut take: i
     });
 }
 
-/// Calls `take` with the address of every item below `axes`, outermost first.
+/// Calls `take` with the address of every item of the array that begins at `place` and has these
+/// axes (length and stride, outermost first).
 fn walk(place: *const u8, axes: &[(usize, isize)], take: &mut impl FnMut(*const u8)) {
     match axes {
         [] => take(place),
@@ -212,7 +216,7 @@ fn half(bits: u16) -> f32 {
     }
 }
 
-/// The owner of exported values.
+/// Exported values, by the object that owns them.
 #[derive(Clone)]
 pub(crate) enum Part {
     Field(Arc<LightField>),
@@ -252,7 +256,7 @@ impl Part {
 #[pyclass(frozen, module = "lumistack")]
 pub(crate) struct Array {
     part: Part,
-    /// In the protocol's types; a buffer refers to these vectors.
+    /// Shape in the protocol's type. Buffers refer to this vector and to the strides.
     shape: Vec<isize>,
     strides: Vec<isize>,
 }
@@ -267,10 +271,10 @@ impl Array {
         Self { part, shape, strides }
     }
 
-    /// A NumPy array without a copy.
+    /// Returns a NumPy array that uses the same memory.
     pub(crate) fn numpy(py: Python<'_>, part: Part) -> PyResult<Bound<'_, PyAny>> {
         let numpy = py.import("numpy").map_err(|error| {
-            let message = "arrays are handed out as arrays of NumPy: `pip install numpy`";
+            let message = "results are NumPy arrays, and NumPy is missing: `pip install numpy`";
             let new = PyImportError::new_err(message);
             new.set_cause(py, Some(error));
             new
@@ -294,7 +298,7 @@ impl Array {
     unsafe fn __getbuffer__(slf: Bound<'_, Self>, view: *mut ffi::Py_buffer, flags: c_int) -> PyResult<()> {
         let this = slf.get();
         if view.is_null() {
-            return Err(PyBufferError::new_err("no place for the answer"));
+            return Err(PyBufferError::new_err("the caller provides no `Py_buffer`"));
         }
         if flags & ffi::PyBUF_WRITABLE == ffi::PyBUF_WRITABLE {
             return Err(PyBufferError::new_err("the array is read-only"));

@@ -12,16 +12,16 @@ use crate::error::raised;
 use crate::field::LightField;
 use crate::json::{map_of, parsed, table, to_python};
 
-/// A tensor display and the light field that it is made for.
+/// A tensor display, and the geometry of the light field that it shows.
 ///
-/// The other arguments change the display of `what`:
+/// `what` selects a display, and the other arguments change it:
 ///
 /// * `what`: name of a preset (displays() lists them), path of a display file (.toml), a mapping
 ///   with the keys of such a file, or another Display; by default "paper-three-layer"
-/// * resolution: (columns, rows) of the light field; the layers' resolutions follow, sizes in
+/// * resolution: (columns, rows) of the light field; the layers' resolutions scale along, sizes in
 ///   millimetres stay
 /// * views: (horizontal, vertical) number of views; "auto": as many as the display needs to be
-///   right between them; {"step": (x, y)}: views at multiples of these slopes
+///   right also between them; {"step": (x, y)}: views at multiples of these slopes
 /// * fov_deg: (horizontal, vertical) field of view, full angles in degrees, 0 to less than 180
 /// * frames: time-multiplexed frames M, 1 to 1000
 /// * brightness: brightness scale β, above 0 and at most 1: the display emits β times the target
@@ -67,7 +67,7 @@ impl Display {
         changed.map(|display| Self(Arc::new(display))).map_err(|error| raised(py, &error))
     }
 
-    /// Name for users.
+    /// Name of the display.
     #[getter]
     fn name(&self) -> &str {
         &self.0.name
@@ -100,7 +100,7 @@ impl Display {
     }
 
     /// Shape of the emission of a directional backlight, (frame, bin_y, bin_x, lenslet_row,
-    /// lenslet_col, rgb); None for a uniform one.
+    /// lenslet_col, rgb); None for a uniform backlight.
     #[getter]
     fn emission_shape(&self) -> Option<(usize, usize, usize, usize, usize, usize)> {
         lumistack_display::LayerStack::emission_shape(&self.0).map(Into::into)
@@ -137,24 +137,25 @@ impl Display {
     }
 
     /// Depths (low, high) between which the display shows the light field's finest detail,
-    /// millimetres, above 0 towards the viewer; None if there are none.
+    /// millimetres, above 0 towards the viewer; None if there are no such depths.
     fn depth_of_field_mm(&self) -> Option<(f64, f64)> {
         self.0.depth_of_field(self.0.field.pitch_mm).map(Into::into)
     }
 
-    /// This display, adapted to a light field. Masks get its resolution and size, and views and
-    /// angles are the light field's. The lenslets and bins of a directional backlight follow.
-    /// Raises SettingError if the backlight cannot separate the views.
+    /// Returns this display, adapted to a light field. Views, angles and size become those of the
+    /// light field, and the masks' resolutions follow. The lenslets and bins of a directional
+    /// backlight follow too. Raises SettingError if the backlight cannot separate the views.
     fn adapted_to(&self, py: Python<'_>, light_field: &LightField) -> PyResult<Self> {
         adapted(py, &self.0, &light_field.field).map(Self)
     }
 
-    /// Every key of a display file as plain objects; Display(d) reads them.
+    /// Returns every key of a display file as plain objects, from which Display() makes the display
+    /// again.
     fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         to_python(py, &serde_json::to_value(&*self.0).expect("displays serialize"))
     }
 
-    /// The text of a display file with every default.
+    /// Returns the text of a display file with every default.
     fn to_toml(&self) -> String {
         self.0.to_toml()
     }
@@ -184,7 +185,7 @@ impl Display {
     }
 }
 
-/// The display for an argument.
+/// Returns the display that an argument names.
 pub(crate) fn display_of(py: Python<'_>, what: Option<&Bound<'_, PyAny>>) -> PyResult<Arc<Description>> {
     let Some(what) = what.filter(|what| !what.is_none()) else { return preset(py, lumistack_cli::DEFAULT_DISPLAY) };
     if let Ok(display) = what.cast::<Display>() {
@@ -209,10 +210,10 @@ fn preset(py: Python<'_>, name: &str) -> PyResult<Arc<Description>> {
     lumistack_pipeline::DisplayJob::by_name_or_path(name).resolve().map(Arc::new).map_err(|error| raised(py, &error))
 }
 
-/// The display that shows this light field: unchanged if it is made for it.
+/// Returns the display, adapted to a light field; unchanged if it has the light field's geometry.
 ///
 /// # Errors
-/// If its backlight cannot follow.
+/// If the backlight cannot separate the light field's views.
 pub(crate) fn adapted(py: Python<'_>, display: &Arc<Description>, field: &Field) -> PyResult<Arc<Description>> {
     match display.geometry() {
         Ok(geometry) if geometry == *field.geometry() => Ok(display.clone()),

@@ -8,7 +8,7 @@ use lumistack_pipeline::PipelineError;
 use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::prelude::*;
 
-/// The exception for an error of the pipeline.
+/// Returns the exception for an error of the pipeline.
 pub(crate) fn raised(py: Python<'_>, error: &PipelineError) -> PyErr {
     if matches!(error, PipelineError::Cancelled) {
         return PyKeyboardInterrupt::new_err(());
@@ -16,7 +16,7 @@ pub(crate) fn raised(py: Python<'_>, error: &PipelineError) -> PyErr {
     exception(py, class_of(error), &in_python(&error.to_string()))
 }
 
-/// An exception of the package, by the name of its class.
+/// Returns an exception of the package, given the name of its class.
 pub(crate) fn exception(py: Python<'_>, class: &str, message: &str) -> PyErr {
     let made = || py.import("lumistack._errors")?.getattr(class)?.call1((message,));
     match made() {
@@ -25,7 +25,7 @@ pub(crate) fn exception(py: Python<'_>, class: &str, message: &str) -> PyErr {
     }
 }
 
-/// The exception for an invalid value.
+/// Returns the exception for an invalid value.
 pub(crate) fn setting(py: Python<'_>, message: impl AsRef<str>) -> PyErr {
     exception(py, "SettingError", message.as_ref())
 }
@@ -53,7 +53,7 @@ fn class_of(error: &PipelineError) -> &'static str {
     }
 }
 
-/// Flags of the command and the arguments of Python for the same settings.
+/// Flags of the command as messages contain them, and Python's arguments for the same settings.
 const FLAGS: [(&str, &str); 23] = [
     ("--fit-depth=compress", "fit_depth=\"compress\""),
     ("--fit-depth", "fit_depth=\"move\""),

@@ -15,9 +15,10 @@ use serde_json::{Map, Value};
 /// is in use. Other layouts and byte orders, float64 and float16 are copied. uint8 and uint16 are
 /// sRGB codes and become linear. Other types raise TypeError.
 ///
-/// The geometry is that of a display whose views have the array's shape, or is given by numbers:
+/// The geometry is that of a display whose light field has the array's shape, or is given by
+/// numbers:
 ///
-/// * display: a Display, or an argument for one
+/// * display: a Display, or an argument for Display()
 /// * pitch_mm: pixel pitch on the display plane, millimetres, above 0
 /// * fov_deg: (horizontal, vertical) field of view, full angles in degrees, 0 to less than 180;
 ///   views are at the centres of equal bins
@@ -36,9 +37,9 @@ use serde_json::{Map, Value};
 #[pyclass(frozen, module = "lumistack")]
 pub(crate) struct LightField {
     pub(crate) field: Arc<Field>,
-    /// The display for which it was rendered.
+    /// The display for which the light field was rendered.
     pub(crate) display: Option<Arc<Description>>,
-    /// Settings of its rendering.
+    /// Settings with which it was rendered.
     pub(crate) info: Map<String, Value>,
     /// References all over the viewing zone, if they were rendered.
     pub(crate) references: Option<Arc<References>>,

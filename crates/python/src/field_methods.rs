@@ -91,18 +91,19 @@ impl LightField {
     /// Reads a light field of any format: a light-field folder, a run's folder, HCI and Stanford
     /// folders, a quilt, .npy.
     ///
-    /// These arguments supply geometry that the files lack, and override theirs:
+    /// These arguments give geometry that the files lack, and override the geometry of the files:
     ///
     /// * grid: "oblique" or "perspective"
     /// * fov_deg, pitch_mm, distance_mm: as for LightField
-    /// * views: (columns, rows) of views to keep
-    /// * quilt and tiles: (columns, rows)
-    /// * resolution: (columns, rows) to reduce to
-    /// * focus_px: disparity that is moved to the display plane
-    /// * mirror: (x, y)
+    /// * views: (columns, rows), number of views to keep
+    /// * quilt and tiles: (columns, rows) of views in a quilt or in a picture of tiles
+    /// * resolution: (columns, rows) to which every view is reduced
+    /// * focus_px: disparity of content that appears on the display plane: pixels by which it moves
+    ///   to the left from one view to the next on the right
+    /// * mirror: (x, y), True reverses the order of views on that axis
     ///
-    /// Without any of these, size and angles are those of `display`. If `views` keeps fewer views
-    /// than there are, psnr_zone() and report() use some of the others as references.
+    /// Without any of these, size and angles are those of `display`. If `views` leaves out views of
+    /// the file, psnr_zone() and report() use some of them as references.
     /// `callback(stage, fraction)` receives progress.
     #[classmethod]
     #[pyo3(signature = (path, *, display=None, callback=None, **geometry))]
@@ -123,11 +124,12 @@ impl LightField {
         Ok(Self { references: references.map(Arc::new), ..Self::plain(field) })
     }
 
-    /// The light field under another exposure: values times 2^exposure_ev, through a tone curve.
+    /// Returns the light field with another exposure: values are multiplied by 2^exposure_ev, and
+    /// then mapped by a tone curve.
     ///
-    /// tone: "linear" clips to 0..1; "khronos-neutral" and "agx" compress bright values. One curve
-    /// serves all views. Use it for light fields with values that no display shows; factorize() and
-    /// report() warn of them.
+    /// tone: "linear" clips to 0..1; "khronos-neutral" and "agx" compress bright values. All
+    /// views have the same curve. Use this method for light fields with values that no display can
+    /// show; factorize() and report() warn of such values.
     #[pyo3(signature = (exposure_ev=0.0, *, tone="linear"))]
     fn exposed(&self, py: Python<'_>, exposure_ev: f64, tone: &str) -> PyResult<Self> {
         let field = py.detach(|| expose_field(&self.field, exposure_ev, tone)).map_err(|error| raised(py, &error))?;
@@ -137,13 +139,13 @@ impl LightField {
     }
 
     /// Writes a light-field folder: lightfield.json and one OpenEXR picture of half floats per
-    /// view. A path that ends in .npy receives only the values, as one float32 array. Then
+    /// view. If the path ends in .npy, only the values are written, as one float32 array. Then
     /// LightField.open() needs the geometry as arguments.
     #[pyo3(signature = (path, *, info=None))]
     fn save(&self, py: Python<'_>, path: PathBuf, info: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
         if path.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("npy")) {
             if info.is_some() {
-                return Err(setting(py, "save: expected no `info`, as an array file has no place for it, found one"));
+                return Err(setting(py, "save: expected no `info`, since an array file cannot contain it, found one"));
             }
             let radiance = self.field.radiance();
             return long(py, None, |_| {
@@ -203,7 +205,7 @@ impl LightField {
         }
     }
 
-    /// The display for which it was made; None without one.
+    /// The display for which the light field was made; None if there is none.
     #[getter]
     fn display(&self) -> Option<Display> {
         self.display.clone().map(Display)
@@ -234,7 +236,7 @@ impl LightField {
     }
 
     /// light_field[view_y, view_x] is a view [row, col, rgb]. Every index of NumPy is allowed, and
-    /// copies are made only where NumPy makes them.
+    /// values are copied only if NumPy copies them.
     fn __getitem__<'py>(&self, py: Python<'py>, index: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
         self.radiance(py)?.get_item(index)
     }
@@ -271,8 +273,9 @@ impl LightField {
         in_package(slf.py(), "_arrays", "to_xarray", (slf,), None)
     }
 
-    /// Draws a view with matplotlib, sRGB encoded, over millimetres on the display. view = (view_y,
-    /// view_x) is the middle one by default. Returns the axes; new ones unless `ax` is given.
+    /// Draws a view with matplotlib, sRGB encoded, with axes in millimetres on the display. view =
+    /// (view_y, view_x); the default is the middle view. Returns the axes, which are new unless
+    /// `ax` is given.
     #[pyo3(signature = (view=None, *, ax=None))]
     fn plot<'py>(
         slf: &Bound<'py, Self>,
@@ -328,7 +331,7 @@ pub(crate) fn as_array<'py>(
         None => false,
     };
     if is_other && copy == Some(false) {
-        return Err(setting(py, "a light field of another dtype cannot be had without a copy"));
+        return Err(setting(py, "a light field of another dtype needs a copy, and `copy=False` forbids it"));
     }
     match dtype {
         Some(dtype) if is_other => array.call_method1("astype", (dtype,)),

@@ -28,31 +28,32 @@ use crate::work::{command, long};
 
 /// Path-traces the views that a display needs of a scene.
 ///
-/// scene: a Scene, or the path of one; display: a Display, or an argument for one; without it
-/// "paper-three-layer". All other arguments are optional and have the meaning of a job file's keys
-/// (docs/JOB.md); defaults() returns the defaults:
+/// scene: a Scene, or a scene's path; display: a Display, or an argument for Display(); the default
+/// is "paper-three-layer". All other arguments are optional and have the meaning of a job file's
+/// keys (docs/JOB.md); defaults() returns the defaults:
 ///
-/// * samples: paths per pixel and view, 1 to 65536
-/// * zone_samples: instead of samples, paths per pixel of all views together; "auto": as many as
-///   improve the display
+/// * samples: paths per pixel of each view, 1 to 65536
+/// * zone_samples: instead of samples, paths per pixel, summed over all views; "auto": as many as
+///   improve the display's picture
 /// * max_bounces: bounces after the first hit, 0 to 1024
 /// * clamp: largest value of a single path
 /// * denoise: "auto", "off", "shared", "guided" or "oidn"
 /// * angular_filter: "point", "bin" or "display"
-/// * lens_deg: angle of a lens, degrees, 0 to 90
+/// * lens_deg: aperture of a lens that is focused on the display plane, as the full angle seen from
+///   there, degrees, 0 to 90
 /// * camera: name or number of the camera whose plane of focus becomes the display plane
-/// * look_from: (azimuth, elevation) from which a scene is framed, degrees
+/// * look_from: (azimuth, elevation) from which the scene is seen, degrees
 /// * fit_depth: "auto", "off", "move" or "compress"
 /// * depth_scale: factor on parallax, 0.001 to 10
 /// * window: a mapping with the other keys of [window], such as {"from": "bounds"}
 /// * exposure_ev: stops added to the automatic exposure
 /// * tone: "auto", "linear", "khronos-neutral" or "agx"
-/// * light: a mapping with other keys of [light]
+/// * light: a mapping with the other keys of [light]
 /// * seed: seed of all random numbers; the same seed gives the same values on any number of threads
-/// * zone_directions: number of references all over the viewing zone, 32 to 4096, with which
-///   psnr_zone() and report() score displays; 0 for none
-/// * cache: a folder that keeps traced views, so that a call that was stopped can be resumed;
-///   without it they are discarded
+/// * zone_directions: number of directions all over the viewing zone, 32 to 4096, from which
+///   references are rendered; psnr_zone() and report() score displays with them; 0 for none
+/// * cache: a folder for traced views, so that a later call continues one that was stopped; without
+///   it they are discarded
 /// * callback: callback(stage, fraction) receives progress
 ///
 /// Returns a LightField for factorize(). Ctrl-C stops the call.
@@ -103,7 +104,7 @@ pub(crate) fn render(
     let fit =
         [("camera", camera.as_ref()), ("look_from", look_from), ("fit_depth", fit_depth), ("depth_scale", depth_scale)];
     let window: WindowJob = parsed(py, "window", merged("window", window, &fit)?)?;
-    // Load the scene, unless it is one.
+    // Load the scene, unless the argument is a loaded Scene.
     let loaded;
     let scene = match scene.cast::<Scene>() {
         Ok(scene) => scene.get(),
@@ -120,7 +121,7 @@ pub(crate) fn render(
     let display = display_of(py, display)?;
     let mut job = Job::new(Default::default());
     (job.render, job.window, job.light) = (render, window, parsed(py, "light", lit)?);
-    // A Scene has fixed its lights, so other ones here are an error.
+    // The lights belong to the Scene, so different settings of them here are an error.
     for (key, differs) in [
         ("environment", job.light.environment != scene.light.environment),
         ("environment_strength", job.light.environment_strength != scene.light.environment_strength),
@@ -130,11 +131,13 @@ pub(crate) fn render(
         ("visible", job.light.visible != scene.light.visible),
     ] {
         if differs {
-            let message = format!("light.{key}: expected it from the Scene, whose light it is, found another here");
+            let message = format!(
+                "light.{key}: expected it from the Scene, to which the light belongs, found a different value here"
+            );
             return Err(setting(py, message));
         }
     }
-    // Trace the views; without a cache, in a temporary folder.
+    // Trace the views. Without a cache they are kept in a temporary folder.
     job.report.zone_directions = zone_directions;
     (job.scene, job.seed) = (Some(scene.path.clone()), seed.unwrap_or(job.seed));
     let traced = long(py, callback, |task| {
@@ -145,7 +148,7 @@ pub(crate) fn render(
         let folder = forgotten.as_ref().map(tempfile::TempDir::path).or(cache.as_deref()).unwrap_or(Path::new("."));
         render_field(&job, &display, &scene.ingested, folder, task)
     })?;
-    // Keep the settings for info.
+    // Keep the settings for `info`.
     let mut info = Map::new();
     info.insert("scene".into(), scene.path.display().to_string().into());
     info.insert("exposure".into(), traced.exposure.into());
@@ -159,7 +162,7 @@ pub(crate) fn render(
 /// Factorizes a light field into the patterns of a display.
 ///
 /// light_field: a LightField, from render() or from an array; display: a Display, or an argument
-/// for one. Without it: the display for which the light field was made, otherwise
+/// for Display(). The default is the display for which the light field was made, otherwise
 /// "paper-three-layer". The display is adapted to the light field's resolution, size and views. All
 /// other arguments are optional and have the meaning of a job file's keys (docs/JOB.md); defaults()
 /// returns the defaults:
@@ -167,14 +170,15 @@ pub(crate) fn render(
 /// * brightness: β, above 0 and at most 1, instead of the display's
 /// * frames: M, 1 to 1000, instead of the display's
 /// * solver: "auto", "multiplicative" (the paper's), "block-exact" or "extrapolated"
-/// * iterations: updates of every factor
+/// * iterations: number of iterations; each updates every factor once
 /// * start: "auto", "random", "smooth" or "content"
-/// * coarse_levels, coarse_iterations: number of levels at half the resolution each, and their
-///   iterations
+/// * coarse_levels, coarse_iterations: number of coarser levels, each at half the resolution of the
+///   next, and iterations at each of them
 /// * levels: True re-optimizes masks of layers with few bits on the values that the panel can show
 /// * weights: an array ≥ 0, [view_y, view_x] or [view_y, view_x, row, col]
-/// * eyes: instead of weights, a list of {"eye_mm": (x, y, z), "sigma_mm": s, "weight": w}, with
-///   eye_floor
+/// * eyes: expected eyes, a list of {"eye_mm": (x, y, z), "sigma_mm": s, "weight": w}, instead of
+///   weights
+/// * eye_floor: weight of rays far from every eye
 /// * warm_start: a LayerStack of the same display, used as the start
 /// * seed: seed of all random numbers; the same seed gives the same patterns on any number of
 ///   threads
@@ -233,7 +237,7 @@ pub(crate) fn factorize(
         let path = PathBuf::from(&display.name);
         return Err(raised(py, &PipelineError::Display { path, text: String::new(), source }));
     }
-    // Run the solver on another thread, and record the time of every evaluation.
+    // Run the solver in another thread, and record the time of every evaluation of the objective.
     let weights = weights.map(|weights| Values::read(weights, "weights")).transpose()?.map(Values::into_parts);
     let seed = seed.unwrap_or(Job::new(Default::default()).seed);
     let warm = warm_start.map(|warm| &*warm.stack);
@@ -257,10 +261,10 @@ pub(crate) fn factorize(
     Ok(LayerStack { stack: Arc::new(made.stack), display, solved })
 }
 
-/// Simulates a display: returns a NumPy array [row, col, rgb], linear, of the picture seen from a
-/// viewpoint.
+/// Simulates a display: returns the picture seen from a viewpoint, as a NumPy array [row, col, rgb]
+/// of linear values.
 ///
-/// The viewpoint is one of these; without any it is the slope (0, 0):
+/// The viewpoint is one of these arguments; the default is the slope (0, 0):
 ///
 /// * slope: (x, y), to the right and up; a parallel projection
 /// * angle_deg: (x, y), the same in degrees
@@ -297,7 +301,8 @@ pub(crate) fn simulate<'py>(
 /// * plugin: its id
 /// * folder: the destination, created if necessary
 /// * display: for a light field, the display that shows it
-/// * target: for patterns, the light field that they should show, for plugins that compare
+/// * target: for patterns, the light field that they should show; some plugins compare it with the
+///   patterns
 /// * params: the plugin's own parameters by name
 ///
 /// Returns the files, relative to the folder. They appear together after the plugin has finished,
@@ -320,7 +325,7 @@ pub(crate) fn write(
     let (display, stack, field) = if let Ok(stack) = what.cast::<LayerStack>() {
         let stack = stack.get();
         if display.is_some() {
-            return Err(setting(py, "write: expected no `display`, as patterns have one, found one"));
+            return Err(setting(py, "write: expected no `display`, since patterns have a display, found one"));
         }
         (stack.display.clone(), Some(stack.stack.clone()), target.map(|target| target.field.clone()))
     } else if let Ok(field) = what.cast::<LightField>() {
@@ -344,9 +349,9 @@ pub(crate) fn write(
     })
 }
 
-/// Measures patterns against the light field that they should show, and over the viewing zone if it
-/// has references. Writes report.html and report.json into a folder, and returns the content of the
-/// latter.
+/// Compares patterns with the light field that they should show, and over the viewing zone if the
+/// light field has references. Writes report.html and report.json into a folder, and returns the
+/// content of report.json.
 #[pyfunction]
 #[pyo3(signature = (stack, light_field, folder, *, title=None, weights=None, callback=None))]
 pub(crate) fn report<'py>(
@@ -376,8 +381,8 @@ pub(crate) fn report<'py>(
     to_python(py, &answer)
 }
 
-/// Runs a whole job into a folder, as `lumistack run` does. Finished parts are kept, and the same
-/// call resumes the run.
+/// Runs a whole job into a folder, like `lumistack run`. Finished results are kept, and the same
+/// call continues a run that was stopped.
 ///
 /// job: path of a job file, or a mapping with its keys (docs/JOB.md), with paths relative to the
 /// working folder; folder: the run's folder, by default runs/NAME. Returns the summary: report,
@@ -433,7 +438,7 @@ pub(crate) fn info<'py>(
 #[pyfunction]
 pub(crate) fn plugins(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     let registry = registry(py)?;
-    // libraries are loaded for this list, each in its own process
+    // for this list every library is loaded, in its own process
     let list = py.detach(|| plugin_list(registry, &[])).map_err(|error| raised(py, &error))?;
     to_python(py, &list["plugins"])
 }
@@ -453,8 +458,8 @@ pub(crate) fn defaults(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     to_python(py, &serde_json::to_value(Job::new(Default::default())).expect("jobs serialize"))
 }
 
-/// Sets the number of worker threads of the process; results do not depend on it. Call it before
-/// any other work.
+/// Sets the number of worker threads of the process; results do not depend on it. Call this
+/// function before any other work.
 #[pyfunction]
 pub(crate) fn set_threads(py: Python<'_>, count: usize) -> PyResult<()> {
     lumistack_pipeline::set_threads(count).map_err(|error| setting(py, format!("set_threads: {error}")))
@@ -471,7 +476,7 @@ pub(crate) fn main(py: Python<'_>, arguments: Vec<OsString>, program: Option<OsS
     command(py, &words)
 }
 
-/// Merges a mapping with named arguments, which take precedence.
+/// Merges a mapping with named arguments; the arguments take precedence.
 fn merged(
     place: &str,
     mapping: Option<&Bound<'_, PyAny>>,

@@ -1,5 +1,5 @@
-//! Converts settings from Python and results to Python by JSON, so that the types of job files
-//! check settings.
+//! Converts settings from Python to JSON, and results from JSON to Python, so that the types of job
+//! files check the settings.
 
 use std::path::PathBuf;
 
@@ -43,7 +43,8 @@ pub(crate) fn parsed<T: DeserializeOwned>(py: Python<'_>, place: &str, map: Map<
         Ok(table) => return Ok(table),
         Err(error) => error.to_string(),
     };
-    // Most tables have defaults for all keys, so the wrong value fails alone as well.
+    // Most tables have defaults for all keys. So a table with only the wrong value has the same
+    // error, which finds its key.
     let alone = |(key, value): (String, Value)| {
         let found = serde_json::from_value::<T>(Value::Object(Map::from_iter([(key.clone(), value)]))).err()?;
         (found.to_string() == error && !error.contains(&format!("`{key}`"))).then_some(key)
@@ -55,7 +56,7 @@ pub(crate) fn parsed<T: DeserializeOwned>(py: Python<'_>, place: &str, map: Map<
     Err(setting(py, format!("{place}: {key}{plainly}{near}")))
 }
 
-/// Converts a mapping with names as keys.
+/// Converts a mapping whose keys are names.
 pub(crate) fn map_of(place: &str, mapping: &Bound<'_, PyAny>) -> PyResult<Map<String, Value>> {
     match value_of(mapping)? {
         Value::Object(map) => Ok(map),
@@ -66,8 +67,8 @@ pub(crate) fn map_of(place: &str, mapping: &Bound<'_, PyAny>) -> PyResult<Map<St
     }
 }
 
-/// Converts a value to JSON: numbers, texts, paths, mappings and sequences of them, and NumPy's
-/// scalars.
+/// Converts a value to JSON: numbers, texts, paths, mappings and sequences of such values, and
+/// NumPy's numbers and arrays.
 pub(crate) fn value_of(value: &Bound<'_, PyAny>) -> PyResult<Value> {
     if value.is_none() {
         return Ok(Value::Null);
@@ -90,9 +91,9 @@ pub(crate) fn value_of(value: &Bound<'_, PyAny>) -> PyResult<Value> {
             let (key, value): (Bound<'_, PyAny>, Bound<'_, PyAny>) = item.extract()?;
             let Ok(key) = key.cast::<PyString>() else {
                 let found = key.get_type().name()?;
-                return Err(PyTypeError::new_err(format!("expected texts as keys, found {found}")));
+                return Err(PyTypeError::new_err(format!("expected strings (str) as keys, found {found}")));
             };
-            // None stands for an absent argument
+            // None means that the argument is absent
             if !value.is_none() {
                 map.insert(key.to_string(), value_of(&value)?);
             }

@@ -6,9 +6,10 @@
 //! Scene ──render──────────▶ LightField ─┴─factorize─▶ LayerStack ──▶ simulate, write, report
 //! ```
 //!
-//! A thin layer over the pipeline. The types of job files check settings, so names, defaults and
-//! ranges have one definition. Long work runs on its own thread without Python's lock; the calling
-//! thread passes on progress and warnings and checks for Ctrl-C (`work.rs`).
+//! The package is a thin layer on top of the pipeline. The types of job files check settings, so
+//! names, defaults and ranges are defined once. Long work runs in a separate thread without
+//! Python's lock; the calling thread reports progress and warnings and checks for Ctrl-C
+//! (`work.rs`).
 
 mod array;
 mod display;

@@ -1,4 +1,4 @@
-//! Plugins in libraries: each runs in its own process of this Python.
+//! Plugins in libraries: each runs in a child process, which this Python's program executes.
 
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -10,12 +10,12 @@ use pyo3::prelude::*;
 
 use crate::error::raised;
 
-/// Runs a child; its first argument is the folder of this package, which may be missing in the
-/// child's path.
+/// Program of a child process. The first argument is the folder that contains this package, which
+/// may be missing in the child's `sys.path`.
 const BOOT: &str = "import sys; sys.path.insert(0, sys.argv[1]); from lumistack._lumistack import _plugin_child; \
                     sys.exit(_plugin_child(sys.argv[2:]))";
 
-/// The plugins, searched once.
+/// Returns the plugins, which are searched once.
 pub(crate) fn registry(py: Python<'_>) -> PyResult<&'static Registry> {
     static REGISTRY: OnceLock<Registry> = OnceLock::new();
     if let Some(registry) = REGISTRY.get() {
@@ -26,8 +26,8 @@ pub(crate) fn registry(py: Python<'_>) -> PyResult<&'static Registry> {
     Ok(REGISTRY.get_or_init(|| found))
 }
 
-/// Sets the command that starts a plugin's process. Without one, plugins that need a process report
-/// an error.
+/// Sets the command that starts a plugin's process. Without this command, plugins that need a
+/// process report an error.
 pub(crate) fn set_launcher(py: Python<'_>) {
     if let Ok(launcher) = launcher(py) {
         launcher.set_for_process();
@@ -47,6 +47,6 @@ fn launcher(py: Python<'_>) -> PyResult<Launcher> {
 /// Runs a plugin for another process; returns the exit code.
 #[pyfunction]
 pub(crate) fn _plugin_child(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
-    // the plugin runs on the main thread
+    // the plugin runs in the main thread
     py.detach(|| lumistack_cli::plugin_child(&arguments))
 }

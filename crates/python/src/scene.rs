@@ -18,16 +18,17 @@ use crate::work::long;
 /// A scene: glTF (.gltf, .glb), USD (.usd, .usda, .usdc, .usdz), or a file for an importer plugin.
 ///
 /// * path: the file, or a stage (pxr.Usd.Stage), which is read from memory
-/// * time: seconds at which animations are sampled; without it the nodes' own poses
-/// * animation, variant: name or number, for glTF
+/// * time: time at which animations are sampled, seconds; without it nodes have the poses of the
+///   file
+/// * animation, variant: for glTF, name or number of the animation and of the material variant
 /// * variants: for USD, a list of "set=variant" for every prim or "/prim{set=variant}" for one
 /// * light: a mapping with the keys of a job's [light]
 /// * importer: a mapping {"plugin": ..., "allow_outside": ..., "picture_mib": ..., "params": {...}}
 /// * callback: callback(stage, fraction) receives progress
 ///
 /// These keys of light belong to the scene: environment (a Radiance HDR or OpenEXR file),
-/// environment_strength, environment_rotation_deg, and automatic (studio light for a scene without
-/// light). The others are defaults for render().
+/// environment_strength, environment_rotation_deg, from_splats, visible and automatic. The last
+/// adds a studio light to a scene without light. The other keys are defaults for render().
 ///
 /// The file is read once, and its acceleration structures are kept: render() may be called many
 /// times.
@@ -65,8 +66,8 @@ impl Scene {
                 let name = path.display().to_string();
                 let scene = lumistack_usd::scene_from_package(&name, &walked.package(), task)?;
                 let files: Vec<PathBuf> = walked.header.files.iter().map(PathBuf::from).collect();
-                // A stage in memory may differ from its files, so its content becomes part of the
-                // key.
+                // A stage in memory may differ from its files, so its content is part of the
+                // scene's key.
                 let content = if is_given { walked.content() } else { Vec::new() };
                 ingest_scene(scene, &files, &content, &pose, &light, task)
             })?;
@@ -132,11 +133,12 @@ impl Scene {
         Self::load(py, path, pose, light, importer, callback)
     }
 
-    /// A scene of Gaussian splats in arrays: one mapping, or a sequence of mappings, as `splats`
-    /// returns them.
+    /// Makes a scene of Gaussian splats from arrays: one mapping, or a sequence of mappings, as
+    /// `splats` returns them.
     ///
     /// * positions [splat, xyz], in a scene with y up
-    /// * rotations [splat, xyzw], quaternions from a splat's own axes; without them no rotation
+    /// * rotations [splat, xyzw], quaternions that rotate a splat's own axes; without them no
+    ///   rotation
     /// * scales [splat, xyz], standard deviations, not their logarithms
     /// * opacities [splat], 0 to 1
     /// * harmonics [splat, coefficient, rgb], 1, 4, 9 or 16 coefficients by degree and then order;
@@ -176,7 +178,7 @@ impl Scene {
 
     /// The splats: a dict of arrays for every placed cloud, as `from_splats` reads it.
     ///
-    /// Splats that are no Gaussians are missing, and the order within large clouds differs from the
+    /// Invalid splats are omitted, and the order of the splats in large clouds differs from the
     /// file.
     #[getter]
     fn splats<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
@@ -189,7 +191,7 @@ impl Scene {
         self.path.clone()
     }
 
-    /// Number of triangles, counting every copy of a mesh.
+    /// Number of triangles, including every copy of a mesh.
     #[getter]
     fn triangles(&self) -> usize {
         self.ingested.scene.triangle_count()
@@ -213,8 +215,8 @@ impl Scene {
         self.animations.clone()
     }
 
-    /// Seconds until the last animation ends, or the length of the USD stage; None without
-    /// animations.
+    /// Time at which the last animation ends, or the duration of the USD stage, seconds; None
+    /// without animations.
     #[getter]
     fn duration(&self) -> Option<f64> {
         self.duration
@@ -226,7 +228,7 @@ impl Scene {
         self.variants.clone()
     }
 
-    /// Corners of the bounding box of everything, in scene units: ((x, y, z), (x, y, z)).
+    /// Opposite corners of the scene's bounding box, ((x, y, z), (x, y, z)), scene units.
     #[getter]
     fn bounds(&self) -> ((f32, f32, f32), (f32, f32, f32)) {
         let bounds = Arc::as_ref(&self.ingested.scene).bounds();

@@ -8,7 +8,8 @@ use pyo3::types::{PyDict, PyList};
 use crate::array::{Array, Part, Values};
 use crate::error::setting;
 
-/// Every cloud of a scene as a dict of arrays, once per placement.
+/// Returns a dict of arrays for every placed cloud of a scene; a cloud that is placed twice has
+/// two.
 pub(crate) fn to_python<'py>(py: Python<'py>, scene: &Scene) -> PyResult<Bound<'py, PyList>> {
     let list = PyList::empty(py);
     for placed in &scene.placed_clouds {
@@ -38,7 +39,7 @@ pub(crate) fn to_python<'py>(py: Python<'py>, scene: &Scene) -> PyResult<Bound<'
     Ok(list)
 }
 
-/// The parts of a scene with these clouds: one mapping, or a sequence of them.
+/// Makes the parts of a scene from clouds: one mapping, or a sequence of mappings.
 pub(crate) fn from_python(name: &str, splats: &Bound<'_, PyAny>) -> PyResult<SceneParts> {
     let py = splats.py();
     let mut parts = SceneParts { name: name.to_owned(), ..SceneParts::default() };
@@ -128,7 +129,7 @@ fn cloud(py: Python<'_>, place: &str, one: &Bound<'_, PyAny>) -> PyResult<(Cloud
     Ok((cloud, scene_from_cloud))
 }
 
-/// All values of the clouds, for the scene's key.
+/// Returns all values of the clouds, for the scene's key.
 pub(crate) fn content(parts: &SceneParts) -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut put = |values: &mut dyn Iterator<Item = f32>| values.for_each(|value| bytes.extend(value.to_le_bytes()));

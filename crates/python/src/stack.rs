@@ -22,7 +22,7 @@ use crate::work::long;
 /// The patterns of a display: linear transmittances 0 to 1 of every layer and frame.
 ///
 /// * layers: one array [frame, row, col, rgb] per layer, rear to front
-/// * display: the Display that shows them, or an argument for one
+/// * display: the Display that shows them, or an argument for Display()
 /// * emission: for a directional backlight [frame, bin_y, bin_x, lenslet_row, lenslet_col, rgb]
 /// * brightness: β of the patterns, above 0 and at most 1; by default the display's
 ///
@@ -40,14 +40,14 @@ pub(crate) struct LayerStack {
     pub(crate) solved: Option<Solved>,
 }
 
-/// Settings and history of a factorization.
+/// Settings and history of the factorization that made a stack.
 pub(crate) struct Solved {
     pub(crate) solution: lumistack_report::Solution,
     pub(crate) steps: Vec<lumistack_report::Iteration>,
 }
 
 impl Solved {
-    /// `seconds` are the times of the evaluations after the start.
+    /// `seconds` are the times at which the objective was evaluated, from the start of the solve.
     pub(crate) fn of(made: &Factorization, seconds: &[f64], warm: bool) -> Self {
         let settings = &made.settings;
         let start = if warm { "warm" } else { settings.start.unwrap_or_default().name() };
@@ -132,7 +132,7 @@ impl LayerStack {
         PyTuple::new(py, layers.collect::<PyResult<Vec<_>>>()?)
     }
 
-    /// The same without NumPy: objects for memoryview(...).
+    /// The same arrays without NumPy: objects for memoryview(...).
     #[getter]
     fn arrays<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
         let layers =
@@ -141,14 +141,14 @@ impl LayerStack {
     }
 
     /// For a directional backlight a read-only array [frame, bin_y, bin_x, lenslet_row,
-    /// lenslet_col, rgb]; None for a uniform one.
+    /// lenslet_col, rgb]; None for a uniform backlight.
     #[getter]
     fn emission<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
         let lent = || Array::numpy(py, Part::Emission(self.stack.clone()));
         self.stack.emission.is_some().then(lent).transpose()
     }
 
-    /// The display that shows them.
+    /// The display that shows the patterns.
     #[getter]
     fn display(&self) -> Display {
         Display(self.display.clone())
@@ -192,8 +192,8 @@ impl LayerStack {
     /// PSNR in dB, with peak 1, of the shown against the target light field over all rays with
     /// weight; weights as for factorize().
     ///
-    /// It compares L̃/β with L, as an adapted viewer sees them; with raw=True L̃ with βL, which is
-    /// higher by −20 log10 β.
+    /// It compares L̃/β with L, as an adapted viewer sees them. With raw=True it compares L̃ with
+    /// βL, which gives a PSNR that is higher by −20 log10 β.
     #[pyo3(signature = (light_field, *, weights=None, raw=false))]
     fn psnr(
         &self,
@@ -211,13 +211,14 @@ impl LayerStack {
         })
     }
 
-    /// The zone score: PSNR in dB of seen pictures in directions that the solver did not use. A
-    /// seen picture is the mean over every pixel's area.
+    /// Returns the zone score: PSNR of seen pictures in directions that the solver did not use, dB.
+    /// A seen picture is the mean over every pixel's area.
     ///
-    /// references: a LightField that render() made with zone_directions, whose references are
-    /// compared. For any other light field its own views are compared, so it should not be the
-    /// target of the patterns. Returns a dictionary with psnr_zone, psnr_zone_worst_tenth (over the
-    /// worst tenth of the directions) and directions, a list of (slope, psnr).
+    /// references: a LightField that render() made with zone_directions; its references are
+    /// compared with the seen pictures. For any other light field its views are compared, so it
+    /// should not be the target of the patterns. Returns a dictionary with psnr_zone,
+    /// psnr_zone_worst_tenth (over the worst tenth of the directions) and directions, a list of
+    /// (slope, psnr).
     #[pyo3(signature = (references, *, callback=None))]
     fn psnr_zone<'py>(
         &self,
@@ -238,8 +239,8 @@ impl LayerStack {
         Ok(dict)
     }
 
-    /// Simulates the rays of a light field: L̃/β, or L̃ itself with raw=True, as a light field.
-    /// Rays that leave the display are 0.
+    /// Simulates the rays of a light field: returns L̃/β, or with raw=True L̃ itself, as a light
+    /// field. Rays that leave the display have the value 0.
     #[pyo3(signature = (like, *, raw=false, callback=None))]
     fn views(
         &self,
@@ -266,9 +267,10 @@ impl LayerStack {
         Ok(LightField::plain(field))
     }
 
-    /// The weight of every ray of a light field in psnr(), [view_y, view_x, row, col].
+    /// Returns the weight that psnr() gives to every ray of a light field, [view_y, view_x, row,
+    /// col].
     ///
-    /// A ray that misses the display has weight 0. The others have that of `weights`, or 1.
+    /// A ray that misses the display has weight 0. Other rays have their weight in `weights`, or 1.
     ///
     /// Let d be views(light_field).radiance - light_field.radiance. Then psnr() is -10 log10 of the
     /// mean of d² over all channels and all rays with a weight above 0.
@@ -316,7 +318,7 @@ impl LayerStack {
         in_package(slf.py(), "_show", "plot_patterns", (slf, frame), None)
     }
 
-    /// Draws PSNR against iterations with matplotlib. Returns the axes; new ones unless `ax` is
+    /// Draws PSNR over iterations with matplotlib. Returns the axes, which are new unless `ax` is
     /// given.
     #[pyo3(signature = (*, ax=None))]
     fn plot_history<'py>(slf: &Bound<'py, Self>, ax: Option<&Bound<'py, PyAny>>) -> PyResult<Bound<'py, PyAny>> {
@@ -342,7 +344,7 @@ impl LayerStack {
     }
 }
 
-/// The weight of every ray in `score`, `[view_y][view_x][row][col]`.
+/// Returns the weight of every ray in `score`, `[view_y][view_x][row][col]`.
 fn ray_weights(display: &Description, stack: &Stack, target: &Field, weights: &Weights) -> Tensor<4> {
     let geometry = target.geometry();
     let [view_rows, view_cols] = geometry.grid.views();

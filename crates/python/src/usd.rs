@@ -1,5 +1,5 @@
-//! USD in the caller's own Python: runs the walker of `lumistack-usd` and reads its arrays without
-//! a copy.
+//! USD in the caller's own Python: runs the walker of `lumistack-usd` (the code that traverses a
+//! stage), and reads its arrays without a copy.
 
 use std::ffi::CString;
 use std::path::Path;
@@ -12,7 +12,7 @@ use pyo3::types::{PyBytes, PyDict, PyModule};
 
 use crate::error::{exception, raised, setting};
 
-/// A scene as the walker describes it.
+/// A scene as the walker returns it.
 pub(crate) struct Walked {
     pub(crate) header: Header,
     text: Vec<u8>,
@@ -20,12 +20,12 @@ pub(crate) struct Walked {
 }
 
 impl Walked {
-    /// The input of [`lumistack_usd::scene_from_package`].
+    /// Returns the input of [`lumistack_usd::scene_from_package`].
     pub(crate) fn package(&self) -> Package<'_> {
         Package { header: self.header.clone(), buffers: self.buffers.iter().map(bytes).collect() }
     }
 
-    /// All content, for the scene's key.
+    /// Returns all content, for the scene's key.
     pub(crate) fn content(&self) -> Vec<&[u8]> {
         std::iter::once(&*self.text).chain(self.buffers.iter().map(bytes)).collect()
     }
@@ -36,8 +36,8 @@ fn bytes(buffer: &PyUntypedBuffer) -> &[u8] {
         return &[];
     }
     // SAFETY: the exporter keeps memory and size of a buffer while it is held, and `walk` keeps
-    // only row-major ones. They are not written to: they belong to the walker, or to OpenUSD, which
-    // copies values before it writes.
+    // only row-major buffers. Nothing writes to them: they belong to the walker, or to OpenUSD,
+    // which copies values before it writes.
     unsafe { std::slice::from_raw_parts(buffer.buf_ptr().cast::<u8>(), buffer.len_bytes()) }
 }
 
@@ -48,17 +48,17 @@ pub(crate) fn is_here(py: Python<'_>) -> bool {
 
 /// Returns true if an object is a stage.
 pub(crate) fn is_stage(object: &Bound<'_, PyAny>) -> bool {
-    // without the module no stage exists, and its import is slow
+    // If the module is not loaded, no stage exists. It is not imported here, since that is slow.
     let modules = object.py().import("sys").and_then(|sys| sys.getattr("modules"));
     let stage = modules.and_then(|modules| modules.get_item("pxr.Usd")).and_then(|usd| usd.getattr("Stage"));
     stage.and_then(|stage| object.is_instance(&stage)).unwrap_or(false)
 }
 
-/// Walks a stage of the caller, or a file.
+/// Traverses a stage of the caller, or a file.
 pub(crate) fn walk(py: Python<'_>, stage: Option<&Bound<'_, PyAny>>, path: &Path, pose: &PoseJob) -> PyResult<Walked> {
     // Refuse settings that have no effect here.
     if stage.is_some() && !pose.variants.is_empty() {
-        let message = "variants: expected none beside a stage, whose own selections count, found some";
+        let message = "variants: expected none with a stage, since its own selections are used, found some";
         return Err(setting(py, message));
     }
     for (name, value) in [("animation", &pose.animation), ("variant", &pose.variant)] {
@@ -73,7 +73,8 @@ pub(crate) fn walk(py: Python<'_>, stage: Option<&Bound<'_, PyAny>>, path: &Path
         let source = std::io::Error::from(std::io::ErrorKind::NotFound);
         return Err(raised(py, &PipelineError::Read { path: path.into(), source }));
     }
-    // Run the walker; only its own refusals are errors of the file.
+    // Run the walker. Its refusals become errors of the file; other exceptions are raised as they
+    // are.
     let modules = modules(py)?;
     let request = PyDict::new(py);
     request.set_item("path", path.to_string_lossy())?;
@@ -91,9 +92,14 @@ pub(crate) fn walk(py: Python<'_>, stage: Option<&Bound<'_, PyAny>>, path: &Path
     })?;
     let text = writer.call_method0("header_text")?;
     let text = text.cast::<PyBytes>()?.as_bytes().to_vec();
-    let header = Header::parse(&text)
-        .map_err(|error| exception(py, "InternalError", &format!("a mistake in Lumistack: {error}")))?;
-    // Keep the arrays; those with gaps are copied.
+    let header = Header::parse(&text).map_err(|error| {
+        exception(
+            py,
+            "InternalError",
+            &format!("internal error, a bug in Lumistack: {error}; please report it with the file"),
+        )
+    })?;
+    // Keep the arrays; arrays with gaps are copied.
     let mut buffers = Vec::new();
     for view in writer.getattr("buffers")?.try_iter()? {
         let view = view?;
@@ -107,7 +113,7 @@ pub(crate) fn walk(py: Python<'_>, stage: Option<&Bound<'_, PyAny>>, path: &Path
     Ok(Walked { header, text, buffers })
 }
 
-/// Imports the walker as a package `lumistack_usd` from memory.
+/// Imports the walker from memory, as a package `lumistack_usd`.
 fn modules(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     const PACKAGE: &str = "lumistack_usd";
     let known = py.import("sys")?.getattr("modules")?;

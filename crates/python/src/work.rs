@@ -1,9 +1,10 @@
-//! Long work on another thread, without Python's lock.
+//! Long work in another thread, without Python's lock.
 //!
 //! The calling thread wakes every [`POLL`]. It checks for signals (Python delivers Ctrl-C only to
-//! its main thread), calls back with progress and passes warnings on. An exception there cancels
-//! the work and is raised after the work has stopped: a `KeyboardInterrupt`, an exception of the
-//! callback, or a warning that is an error.
+//! its main thread), calls the callback with the progress, and issues warnings. An exception in
+//! this thread cancels the work and is raised after the work has stopped. It may be a
+//! `KeyboardInterrupt`, an exception of the callback, or a warning that Python's filters turn into
+//! an error.
 
 use std::any::Any;
 use std::ffi::OsString;
@@ -18,11 +19,11 @@ use pyo3::prelude::*;
 use crate::error::{exception, in_python, raised};
 use crate::own::in_package;
 
-/// Interval of checks.
+/// Interval of the calling thread's checks.
 const POLL: Duration = Duration::from_millis(30);
 
-/// Runs `work` and returns its result. `callback(stage, fraction)` receives its progress; without
-/// one a terminal or a notebook shows it.
+/// Runs `work` and returns its result. `callback(stage, fraction)` receives the progress; without a
+/// callback a terminal or a notebook shows it.
 pub(crate) fn long<T: Send>(
     py: Python<'_>,
     callback: Option<&Bound<'_, PyAny>>,
@@ -65,7 +66,8 @@ fn watched<T: Send>(
     }
 }
 
-/// Runs a command line as the program does: the first Ctrl-C stops it cleanly, the second at once.
+/// Runs a command line as the program does: the first Ctrl-C stops the command cleanly, the second
+/// ends the process immediately.
 pub(crate) fn command(py: Python<'_>, words: &[OsString]) -> PyResult<u8> {
     let cancel = Cancel::default();
     let (result, _) = beside(
@@ -85,8 +87,8 @@ pub(crate) fn command(py: Python<'_>, words: &[OsString]) -> PyResult<u8> {
     result.map_err(|panic| panicked(py, &*panic))
 }
 
-/// Runs `work` on another thread. Until it is done, calls `poll` on this thread repeatedly, or
-/// until `poll` fails.
+/// Runs `work` in another thread. Until the work is done, calls `poll` in this thread repeatedly,
+/// but not after `poll` has failed.
 fn beside<T: Send>(
     py: Python<'_>,
     sink: &Sink,
@@ -117,7 +119,7 @@ fn beside<T: Send>(
 fn panicked(py: Python<'_>, panic: &(dyn Any + Send)) -> PyErr {
     let text = panic.downcast_ref::<&str>().map(|text| (*text).to_string());
     let text = text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_else(|| "no message".into());
-    exception(py, "InternalError", &format!("a mistake in Lumistack: {text}"))
+    exception(py, "InternalError", &format!("internal error, a bug in Lumistack: {text}; please report this message"))
 }
 
 /// Progress and warnings since the last check.
@@ -132,7 +134,7 @@ struct State {
     stage: String,
     total: u64,
     done: u64,
-    /// Stage and fraction: per stage only the newest, and its end.
+    /// Stages and fractions: of each stage only the newest fraction, and its end.
     news: Vec<(String, f64)>,
     warnings: Vec<Warning>,
     seen: Vec<Warning>,
@@ -154,7 +156,7 @@ impl Sink {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Waits for the end for at most [`POLL`]; returns true at the end.
+    /// Waits at most [`POLL`] for the end of the work; returns true if it has ended.
     fn wait(&self) -> bool {
         let state = self.lock();
         let waited = self.wake.wait_timeout_while(state, POLL, |state| !state.finished);
@@ -166,7 +168,7 @@ impl Sink {
         self.wake.notify_all();
     }
 
-    /// Passes progress and warnings on to Python.
+    /// Reports progress and warnings to Python.
     fn report(&self, py: Python<'_>, callback: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
         let (news, warnings) = {
             let mut state = self.lock();

@@ -90,7 +90,7 @@ def test_a_window_is_scaled_and_moved_in_its_plane() -> None:
         size, shift = chance.uniform(0.2, 3.0), (chance.uniform(-1, 1), chance.uniform(-1, 1))
         moved = window.resized(size, shift)
         width = window.size_mm[0]
-        # One corner, computed in the original window.
+        # The position of one corner is computed in the original window.
         x, y = 0.5 * size * width + shift[0] * width, 0.5 * size * window.size_mm[1] + shift[1] * width
         assert moved.point((width / 2, window.size_mm[1] / 2, 0.0)) == pytest.approx(window.point((x, y, 0.0)))
         cage = numpy.array(outline.cage(size, shift, 7.0)).reshape(4, 4).T
@@ -149,7 +149,7 @@ def test_outlines() -> None:
     assert len(outline.frame(size)) == 4
     box = outline.depth_box(size, (-60.0, 60.0), eye)
     assert len(box) == 12
-    # Before an eye the box follows the lines of sight.
+    # In front of an eye the box follows the lines of sight.
     for (x, y, z) in (end for line in box for end in line):
         assert abs(x) == pytest.approx(200.0 * (eye - z) / eye) and abs(y) == pytest.approx(125.0 * (eye - z) / eye)
     assert outline.depth_box(size, None, None) == []

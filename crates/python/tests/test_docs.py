@@ -1,4 +1,4 @@
-"""Texts of help(): examples there and in docs/PYTHON.md give the stated results."""
+"""Texts of help(): the examples in them and in docs/PYTHON.md give the stated results."""
 
 from __future__ import annotations
 

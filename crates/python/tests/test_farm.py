@@ -1,5 +1,5 @@
-"""Runs on many machines: results are byte-equal to those of one machine, even if processes are
-killed. Unusable workers are named. Exports run, or give the same graph."""
+"""Runs on many machines: results have the same bytes as on one machine, even if processes are
+killed. Messages name unusable workers. Exported jobs run, or contain the same graph."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_workers_and_client_that_are_killed_cost_nothing_but_time(place: Path, j
     first = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env={**os.environ, "LUMISTACK_PYTHON": sys.executable}, process_group=0)
     assert first.stdout is not None
     assert any(json.loads(line)["event"] == "done_unit" for line in first.stdout), "it ended before a unit was done"
-    # Kill the client, its scheduler and its workers at once.
+    # Kill the client, its scheduler and its workers at the same time.
     os.killpg(first.pid, signal.SIGKILL)
     first.wait()
     first.stdout.close()
@@ -182,7 +182,7 @@ def test_a_poisoned_unit_ends_with_one_message_and_all_else_done(place: Path, cl
     assert "units that depend on it were not started" in message
     done = {unit["id"] for unit in lumistack.farm.plan(job, place / "poisoned")["units"] if unit["done"]}
     assert {"t0001/read", "t0001/factorize", "t0003/read"} <= done and "t0003/factorize" not in done
-    # A rerun continues.
+    # The same command continues.
     numpy.save(times / "t2.npy", values)
     outcome = lumistack.farm.run(job, place / "poisoned", client=cluster, threads=1)
     assert outcome.before == len(done) and "finish" in outcome.done

@@ -71,7 +71,7 @@ def test_dlpack_goes_out(light_field: lumistack.LightField) -> None:
     assert numpy.array_equal(taken, light_field.radiance)
     if tuple(map(int, numpy.__version__.split(".")[:2])) >= (2, 1):
         assert numpy.shares_memory(taken, light_field.radiance) and not taken.flags.writeable
-    # A library with only the older protocol gets a copy, which it may write to.
+    # A library with only the older protocol gets a copy, to which it may write.
     capsule = light_field.__dlpack__()
     assert "dltensor" in repr(capsule)
 

@@ -1,4 +1,4 @@
-"""Every notebook of examples/notebooks runs from top to bottom, in a folder of its own."""
+"""Every notebook of examples/notebooks runs from top to bottom, in its own folder."""
 
 from __future__ import annotations
 

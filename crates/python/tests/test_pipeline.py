@@ -204,7 +204,7 @@ def test_a_job_runs_as_it_does_from_a_file(scene: Path, tmp_path: Path) -> None:
     stack = LayerStack.open(tmp_path / "a")
     target = LightField.open(tmp_path / "a")
     assert stack.psnr(target) == pytest.approx(summary["psnr_view"], abs=1e-6)
-    # The same steps as single calls.
+    # The same steps are done by single calls.
     rendered = lumistack.render(scene, Display(stack.display), samples=1, max_bounces=1)
     assert numpy.array_equal(rendered.radiance, target.radiance)
     made = lumistack.factorize(rendered, iterations=2)

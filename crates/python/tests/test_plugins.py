@@ -1,4 +1,4 @@
-"""Plugins in libraries run in their own process of this Python."""
+"""Plugins in libraries run in child processes, which this Python's program executes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 from conftest import ROOT
 
-# Runs in another process, since a process searches plugins only once.
+# This program runs in another process, since a process searches for plugins only once.
 USES = """
 import sys
 import numpy

@@ -1,4 +1,4 @@
-"""Gaussian splats as arrays, in and out."""
+"""Gaussian splats as arrays, from and to Python."""
 
 from __future__ import annotations
 

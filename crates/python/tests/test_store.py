@@ -1,4 +1,4 @@
-"""Runs whose workers share no folder: files go through an object store, and bytes are those of one machine."""
+"""Runs whose workers share no folder: files go through an object store, and results have the same bytes as on one machine."""
 
 from __future__ import annotations
 
@@ -73,10 +73,10 @@ def test_workers_without_a_shared_folder_give_the_bytes_of_one_machine(tmp_path:
 
         def tell(event: dict[str, Any]) -> None:
             if event["event"] == "done_unit" and not away.exists():
-                # From here on workers have the sent files, or nothing.
+                # From here on workers can read the sent files, and no other files of this machine.
                 scene.rename(away)
             if event["event"] == "done_unit" and event["done"] == 6:
-                # Its mirror and the fetched files are lost with it.
+                # The worker's run folder and the fetched files are lost with the worker.
                 kills.extend(list(client.run(os.getpid).values())[:1])
                 os.kill(kills[0], signal.SIGKILL)
 

@@ -1,4 +1,4 @@
-"""USD, read in this process by its own OpenUSD: files, and stages in memory."""
+"""USD, read in this process by this Python's OpenUSD: files, and stages in memory."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def stage_of_boxes(count: int = 2) -> Any:
 
 
 def file_of_boxes(folder: Path) -> Path:
-    stage = stage_of_boxes()  # its layer lives as long as it does
+    stage = stage_of_boxes()  # the root layer exists as long as the stage
     path = folder / "boxes.usda"
     stage.GetRootLayer().Export(str(path))
     return path
@@ -87,7 +87,7 @@ def test_variants_of_a_file(tmp_path: Path) -> None:
     assert scene.variants == ["/World/Box0{look=green}", "/World/Box0{look=red}"]
     with pytest.raises(lumistack.SceneError, match=r"expected one of the variants \(/World/Box0\{look\}: green, red\), found look=blue"):
         Scene(path, variants=["look=blue"])
-    with pytest.raises(lumistack.SettingError, match="variants: expected none beside a stage"):
+    with pytest.raises(lumistack.SettingError, match="variants: expected none with a stage"):
         Scene(stage_of_boxes(), variants=["look=red"])
 
 

@@ -16,13 +16,14 @@ import pytest
 
 import lumistack
 
-#: Limit for an interrupt, seconds, on a busy machine; on an idle one it takes less than 0.2.
+#: Time limit for an interrupt on a busy machine, seconds; on an idle machine it takes less than
+#: 0.2.
 PATIENCE = 1.0
 
 
 def interruptible() -> None:
-    """Enables interrupts: they may be ignored if this suite runs in the background, and children
-    inherit that."""
+    """Enables interrupts: a suite that runs in the background may ignore them, and child processes
+    inherit this."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
@@ -88,7 +89,8 @@ def test_the_lock_is_released(slow: tuple[lumistack.LightField, lumistack.Displa
     counts: list[int] = []
 
     def count() -> None:
-        # No wait for sys.setswitchinterval's 5 ms: no other thread holds the lock.
+        # The call need not wait for the 5 ms of sys.setswitchinterval, since no other thread holds
+        # the lock.
         end, n = time.perf_counter() + 0.3, 0
         while time.perf_counter() < end:
             n += 1

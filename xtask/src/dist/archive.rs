@@ -1,5 +1,5 @@
-//! Archives whose bytes depend on their content alone: tarballs, zips, and Debian packages, which
-//! are an `ar` of two tarballs.
+//! Archives whose bytes depend only on their content: tarballs, zips and Debian packages. A Debian
+//! package is an `ar` archive of two tarballs.
 
 use std::collections::BTreeSet;
 use std::io::Write as _;
@@ -9,13 +9,13 @@ use flate2::{Compression, GzBuilder};
 use super::tree::File;
 use crate::tools::{Outcome, command, output_of};
 
-/// Makes a tarball of files below one folder.
+/// Makes a tarball of files, which are put into one folder.
 pub fn tarball(folder: &str, files: &[File]) -> Outcome<Vec<u8>> {
     let entries: Vec<_> = files.iter().map(|file| (format!("{folder}/{}", file.path), file.clone())).collect();
     packed(&entries)
 }
 
-/// Makes a zip of files below one folder. Its files have no time.
+/// Makes a zip of files, which are put into one folder. Entries of the zip have no time.
 pub fn zip(folder: &str, files: &[File]) -> Outcome<Vec<u8>> {
     let mut archive = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
     for file in files {
@@ -29,7 +29,7 @@ pub fn zip(folder: &str, files: &[File]) -> Outcome<Vec<u8>> {
     Ok(archive.finish().map_err(|error| format!("a zip: {error}"))?.into_inner())
 }
 
-/// Makes a Debian package for a processor, by Debian's name for it.
+/// Makes a Debian package for a processor, which is given by Debian's name.
 pub fn deb(architecture: &str, files: &[File]) -> Outcome<Vec<u8>> {
     let mut entries = Vec::new();
     for file in files {
@@ -70,7 +70,7 @@ fn copyright(files: &[File], parts: &File) -> Vec<u8> {
     text
 }
 
-/// Appends a file to an `ar`.
+/// Appends a file to an `ar` archive.
 fn member(archive: &mut Vec<u8>, name: &str, bytes: &[u8]) {
     let header = format!("{name:<16}{:<12}{:<6}{:<6}{:<8}{:<10}`\n", time(), 0, 0, 100_644, bytes.len());
     archive.extend_from_slice(header.as_bytes());
@@ -80,7 +80,7 @@ fn member(archive: &mut Vec<u8>, name: &str, bytes: &[u8]) {
     }
 }
 
-/// Time of all files, in seconds since 1970: of the commit, or `SOURCE_DATE_EPOCH`.
+/// Returns the time of all files: that of the commit, or `SOURCE_DATE_EPOCH`; seconds since 1970.
 fn time() -> u64 {
     let asked = std::env::var("SOURCE_DATE_EPOCH").ok();
     let commit = || output_of(command("git").args(["log", "-1", "--format=%ct"]));

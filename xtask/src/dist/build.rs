@@ -1,5 +1,5 @@
-//! Builds programs and wheels. On Linux zig links them against an old glibc, for other processors
-//! too.
+//! Builds programs and wheels. On Linux zig links them against an old glibc, also for processors
+//! other than this machine's.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -12,8 +12,8 @@ const GLIBC: &str = "2.17";
 /// Linker and builders, as packages for pip.
 const TOOLS: [&str; 4] = ["--only-binary=:all:", "ziglang==0.17.*", "cargo-zigbuild==0.24.*", "maturin==1.16.*"];
 
-/// Packages of the program and of the Python module. Both are selected for either, so that cargo
-/// resolves the same features of their dependencies and compiles those once.
+/// Packages of the program and of the Python module. Each build selects both packages, so that
+/// cargo resolves the same features of their dependencies and compiles these once.
 const PACKAGES: [&str; 6] = [
     "--package",
     "lumistack-cli",
@@ -51,7 +51,7 @@ impl Target {
         TARGETS.into_iter().find(|target| target.triple == triple)
     }
 
-    /// The targets that this machine builds.
+    /// Returns the targets that this machine can build.
     pub fn of_this_machine() -> Outcome<Vec<Self>> {
         let host = host()?;
         if host.is_linux() {
@@ -91,13 +91,21 @@ fn builders() -> Outcome<PathBuf> {
         tools::make_python(&folder, "to build releases")?;
         install(&python, &TOOLS)?;
     }
-    if has() { Ok(python) } else { Err(format!("{}: zig and maturin do not import", folder.display())) }
+    if has() {
+        Ok(python)
+    } else {
+        Err(format!(
+            "{}: cannot import `ziglang` and `maturin`, although pip installed them; check the output of pip above",
+            python.display()
+        ))
+    }
 }
 
-/// Lets cargo, or a program that starts cargo, link by zig with an old glibc.
+/// Sets up cargo, or a program that starts cargo, to link with zig against an old glibc.
 ///
 /// The program and the Python module share one linker file. Cargo compiles every dependency again
-/// when the linker's path changes, and the wrappers of cargo-zigbuild and maturin have two paths.
+/// when the linker's path changes, and the linkers of cargo-zigbuild and maturin have different
+/// paths.
 fn link_by_zig(builder: &mut Command, python: &Path, target: &Target) -> Outcome {
     let zigbuild = python.with_file_name("cargo-zigbuild");
     let (zigbuild, python_path) = (zigbuild.display(), python.display());
@@ -127,7 +135,7 @@ pub fn program(target: &Target) -> Outcome<PathBuf> {
     Ok(tools::root().join("target").join(target.triple).join("release").join(target.program()))
 }
 
-/// Builds the program for this machine, which writes manual pages and completions for all targets.
+/// Builds the program for this machine. It writes the manual pages and completions of all targets.
 pub fn own_program() -> Outcome<PathBuf> {
     program(&host()?)
 }

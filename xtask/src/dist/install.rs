@@ -1,5 +1,5 @@
-//! Tests the installation from `target/dist`. Each way runs in its own Debian without Rust, or in
-//! an empty prefix where no Debian can be made.
+//! Tests the ways of installation from `target/dist`. Each way runs in its own Debian without Rust.
+//! If no Debian can be made, it runs in an empty prefix on this machine.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -10,12 +10,14 @@ use crate::tools::{self, Outcome, command, output_of, run};
 /// Names of the scripts in `tests/install`.
 pub const WAYS: [&str; 6] = ["tarball", "deb", "wheel", "npm", "blender", "pages"];
 
-/// Parts of the repository that scripts read, beside `tests/install`.
+/// Folders and files of the repository that scripts read, in addition to `tests/install`.
 const READ: [&str; 3] = ["docs", "scenes", "plugins/blender/tests"];
 
-/// Runs the scripts of some ways on the files in `dist`; without ways all of them.
+/// Runs the scripts of the named ways on the files in `dist`; all scripts if no way is named.
 pub fn test(ways: &[&str], dist: &Path) -> Outcome {
-    let clean = debian().map_err(|why| println!("no clean Debian ({why}): into an empty prefix instead")).ok();
+    let clean = debian()
+        .map_err(|why| println!("no clean Debian ({why}): the tests install into an empty prefix instead"))
+        .ok();
     let mut times = Vec::new();
     let mut failed = Vec::new();
     for way in WAYS.into_iter().filter(|way| ways.is_empty() || ways.contains(way)) {
@@ -40,17 +42,17 @@ fn folder() -> PathBuf {
     tools::root().join("target/install")
 }
 
-/// A program that runs in its own mounts and processes. Those that it leaves end with it.
+/// A command that runs with its own mounts and processes. Processes that it leaves end with it.
 fn apart() -> Command {
     let mut unshare = command("unshare");
     unshare.args(["--mount", "--pid", "--fork", "--kill-child"]);
     unshare
 }
 
-/// A fresh Debian stable, made once.
+/// Returns the folder of a fresh Debian stable, which is made once.
 fn debian() -> Outcome<PathBuf> {
     if output_of(command("id").arg("-u")).is_none_or(|id| id.trim() != "0") {
-        return Err("only root can make one".into());
+        return Err("only root can make a Debian".into());
     }
     if output_of(apart().arg("true")).is_none() {
         return Err("this machine allows no mounts".into());
@@ -62,7 +64,7 @@ fn debian() -> Outcome<PathBuf> {
     if output_of(command("debootstrap").arg("--version")).is_none() {
         tools::apt(&["debootstrap"], "make a clean Debian")?;
     }
-    // the mirror of this machine's packages
+    // packages come from the mirror that this machine uses
     let sites = output_of(command("apt-get").args(["indextargets", "--format", "$(SITE)"])).unwrap_or_default();
     let site = sites.lines().find(|site| !site.contains("security")).ok_or("apt-get names no mirror")?.to_owned();
     let part = folder().join("debian-part");

@@ -1,5 +1,5 @@
-//! Dependencies of the program and their licences: a list to read, with all texts, and a bill of
-//! materials (CycloneDX).
+//! Dependencies of the program and their licences, as a list with all licence texts, and as a bill
+//! of materials (CycloneDX).
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use super::build::Target;
 use crate::tools::{Outcome, command, output_of, root};
 
-/// The released packages, for each target; dependencies of builds and tests alone do not count.
+/// The released packages, for each target; dependencies that only builds or tests need are ignored.
 const RELEASED: [&[&str]; 2] = [
     &["--package", "lumistack-cli", "--features", "panels"],
     &["--package", "lumistack-python", "--features", "panels"],
@@ -48,7 +48,7 @@ pub fn of_viewer() -> Outcome<Licences> {
     described(in_target((VIEWER, WASM))?)
 }
 
-/// Adds what cargo knows of the parts.
+/// Adds the data that cargo has about the parts.
 fn described(ids: Vec<String>) -> Outcome<Licences> {
     // cargo names the packages; their checksums are in the lock file.
     let said = output_of(command("cargo").args(["metadata", "--format-version", "1", "--locked"]));
@@ -88,7 +88,7 @@ fn described(ids: Vec<String>) -> Outcome<Licences> {
     licences.check().map(|()| licences)
 }
 
-/// `name version` of all parts of a selection of packages for a target.
+/// Returns `name version` of all parts of some packages for a target.
 fn in_target((words, triple): (&[&str], &str)) -> Outcome<Vec<String>> {
     let mut tree = command("cargo");
     tree.arg("tree").args(words).args(["--locked", "--edges", "normal", "--prefix", "none", "--target", triple]);
@@ -100,7 +100,7 @@ fn in_target((words, triple): (&[&str], &str)) -> Outcome<Vec<String>> {
     Ok(ids.collect())
 }
 
-/// Checksums of a lock file, by `name version`.
+/// Returns the checksums of a lock file, by `name version`.
 fn sums(lock: &str) -> HashMap<String, String> {
     let packages = lock.split("[[package]]").skip(1);
     let value = |package: &str, key: &str| {
@@ -120,10 +120,14 @@ impl Licences {
     fn check(&self) -> Outcome {
         let silent: Vec<_> =
             self.0.iter().filter(|(_, part)| part.licence.is_empty()).map(|(id, _)| id.as_str()).collect();
-        if silent.is_empty() { Ok(()) } else { Err(format!("no licence is said by {}", silent.join(", "))) }
+        if silent.is_empty() {
+            Ok(())
+        } else {
+            Err(format!("expected a licence of every package, found none of {}", silent.join(", ")))
+        }
     }
 
-    /// All parts with their licences, then every text with its parts.
+    /// Lists all parts with their licences, then every licence text with the parts that have it.
     pub fn text(&self) -> String {
         let mut text =
             String::from("Lumistack is made of these packages of Rust, each under the licence beside it.\n\n");
@@ -145,7 +149,7 @@ impl Licences {
         text
     }
 
-    /// The bill of materials, as CycloneDX.
+    /// Makes the bill of materials, as CycloneDX.
     pub fn sbom(&self) -> Value {
         let url = |id: &str| format!("pkg:cargo/{}", id.replace(' ', "@"));
         let components = self.0.iter().map(|(id, part)| {
@@ -173,7 +177,7 @@ impl Licences {
     }
 }
 
-/// The licence texts of a package.
+/// Returns the licence texts of a package.
 fn texts_in(folder: &Path) -> Vec<String> {
     let is_licence = |path: &Path| {
         let name = path.file_name().unwrap_or_default().to_string_lossy().to_uppercase();
@@ -185,7 +189,8 @@ fn texts_in(folder: &Path) -> Vec<String> {
     paths.iter().filter_map(|path| std::fs::read_to_string(path).ok()).map(|text| text.replace('\r', "")).collect()
 }
 
-/// The standard text for a package without one: of a licence that it offers, with its authors.
+/// Returns the text for a package that has none: the standard text of a licence that the package
+/// offers, with its authors.
 fn standard(part: &Part) -> Vec<String> {
     let ours = |name: &str| std::fs::read_to_string(root().join(name)).unwrap_or_default();
     let text = match part.licence.as_str() {

@@ -1,17 +1,17 @@
-//! Files of an installation beside the program: manual pages, completions, documents, schemas and
-//! the first scene.
+//! Files of an installation in addition to the program: manual pages, completions, documents,
+//! schemas and the first scene.
 
 use std::path::{Path, PathBuf};
 
 use super::build::Target;
 use crate::tools::{self, Outcome, command, output_of, run};
 
-/// A file of an installation; its path begins below the prefix, such as `bin/lumistack`.
+/// A file of an installation.
 #[derive(Clone)]
 pub struct File {
-    /// Folders and name, separated by `/`.
+    /// Path within the prefix, with `/`, such as `bin/lumistack`.
     pub path: String,
-    /// The file is a program.
+    /// True if the file is a program.
     pub runs: bool,
     /// Content.
     pub bytes: Vec<u8>,
@@ -46,7 +46,7 @@ const COPIED: [(&str, &str); 11] = [
 /// Endings of the files that are copied from folders.
 const ENDINGS: [&str; 9] = [".md", ".jpg", ".png", ".svg", ".json", ".toml", ".gltf", ".bin", ".hdr"];
 
-/// All files but the program, which writes some of them.
+/// Collects all files except the program. The program writes some of them.
 pub fn shared(program: &Path, licences: &str) -> Outcome<Vec<File>> {
     let mut files = vec![file(&format!("{DOCUMENTS}/THIRD-PARTY.txt"), licences.as_bytes().to_vec())];
     let pages = tools::root().join("target/man");
@@ -76,7 +76,7 @@ pub fn shared(program: &Path, licences: &str) -> Outcome<Vec<File>> {
     Ok(files)
 }
 
-/// All files with the program of a target.
+/// Collects all files, and the program of a target.
 pub fn with_program(shared: &[File], program: &Path, target: &Target) -> Outcome<Vec<File>> {
     let program = File { path: format!("bin/{}", target.program()), runs: true, bytes: read(program)? };
     Ok(std::iter::once(program).chain(shared.iter().cloned()).collect())

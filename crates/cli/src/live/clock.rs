@@ -1,4 +1,4 @@
-//! The clock of viewers, videos and steps of the solver.
+//! The clock for viewers, videos and steps of the solver.
 
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};

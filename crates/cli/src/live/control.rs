@@ -10,10 +10,10 @@ use serde_json::{Map, Value, json};
 use super::requests::Requests;
 use crate::console::{say, tell};
 
-/// Longest line, bytes.
+/// Length at which a line is cut, bytes.
 const LINE: usize = 1 << 20;
 
-/// A command of a line.
+/// A command that a line contains.
 #[derive(Clone, Debug, PartialEq)]
 enum Command {
     Set(Vec<(String, Value)>),
@@ -90,7 +90,7 @@ fn commands_of(line: &str) -> Result<Vec<Command>, String> {
 pub(super) fn read_packets(socket: &UdpSocket, centre_mm: [f64; 3], requests: &Requests, task: Task<'_>) {
     let mut packet = [0; 512];
     while !(requests.is_stopped() || task.cancel.is_cancelled()) {
-        // the timeout of the socket, so that the loop sees the end
+        // the socket has a timeout, so that the loop notices the end
         let Ok(length) = socket.recv(&mut packet) else { continue };
         let seen = head_of_packet(&packet[..length], centre_mm).and_then(|head_mm| requests.see(&[head_mm]));
         if let Err(error) = seen {

@@ -1,4 +1,4 @@
-//! States for the page. One response holds a complete state, so the page never mixes two states.
+//! Sends states to the page. A response holds a complete state, so the page never mixes two.
 //!
 //! ```text
 //! GET /.live?after=NUMBER&edition=NAME      waits for a newer state; 204 after a timeout
@@ -6,8 +6,8 @@
 //! JSON: {"number", "edition", "files": [bytes, ...], "preview": text or null}
 //! ```
 //!
-//! Files are those of preview.json, in its order. An edition is a version of preview.json; its text
-//! is sent where the page has another edition.
+//! The files are those that preview.json lists, in its order. An edition is a version of
+//! preview.json. The response contains its text if the page has another edition.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -31,10 +31,10 @@ use crate::server::Feed;
 const SCRIPT: &str = include_str!("../../dist/live.js");
 /// Longest time that a request waits for a response.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// Interval at which a waiting request checks for the end.
+/// Interval at which a waiting request checks whether the display has ended.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// Makes responses of the newest state.
+/// Makes responses from the newest state.
 pub(super) struct PageFeed<'a> {
     states: &'a Mailbox<State>,
     site: &'a Path,
@@ -81,13 +81,14 @@ impl<'a> PageFeed<'a> {
         self.stopped.store(true, Ordering::SeqCst);
     }
 
-    /// Encodes the newest state, once. `None` where there is no state, or its files cannot be made.
+    /// Encodes the newest state, once, and returns its number. `None` if there is no state, or if
+    /// its files cannot be made.
     pub(super) fn prepare(&self) -> Option<u64> {
         Some(self.newest()?.number)
     }
 
     fn newest(&self) -> Option<Made> {
-        // the lock makes one thread encode while others wait
+        // one thread encodes, and the lock makes the others wait
         let mut made = lock(&self.made);
         let known = made.as_ref().map_or(0, |made| made.number);
         if let Some((number, state)) = self.states.after(known) {
@@ -110,7 +111,7 @@ impl<'a> PageFeed<'a> {
         Ok(Made { number, edition, files: Arc::new(files.ok_or_else(unknown)?) })
     }
 
-    /// Writes the page for a display, and reads the names of its pictures.
+    /// Writes the page for a state's display, and reads the list of its pictures.
     fn edition(&self, number: u64, key: String, state: &State) -> Result<Edition, PipelineError> {
         let title = ("title".into(), json!(self.title));
         let params = Map::from_iter([title, ("target".into(), json!(false)), ("single_file".into(), json!(false))]);
@@ -134,7 +135,7 @@ impl Feed for PageFeed<'_> {
         let (seen, edition) = asked(query);
         let deadline = now() + PATIENCE;
         while !self.stopped.load(Ordering::SeqCst) && now() < deadline {
-            // a page of an earlier run sends a number above the newest
+            // a page of an earlier run may send a number above the newest
             let known = self.states.after(0).is_some_and(|(newest, _)| newest < seen);
             if self.states.wait_after(if known { 0 } else { seen }, LOOK).is_some() {
                 let made = self.newest()?;
@@ -145,7 +146,7 @@ impl Feed for PageFeed<'_> {
     }
 }
 
-/// Reads state number and edition from a page's request.
+/// Reads the state number and the edition from a page's request.
 fn asked(query: &str) -> (u64, &str) {
     let value = |name: &str| query.split('&').find_map(|part| part.strip_prefix(name)?.strip_prefix('='));
     (value("after").and_then(|number| number.parse().ok()).unwrap_or(0), value("edition").unwrap_or_default())
@@ -163,8 +164,8 @@ fn frame_of(made: &Made, known: &str) -> Vec<u8> {
     frame
 }
 
-/// Encodes the PNG of an entry of preview.json: a mask, or the bins of a backlight side by side.
-/// `None` for other entries.
+/// Encodes the PNG of an entry of preview.json: a mask, or the angular bins of a backlight side by
+/// side. `None` for other entries.
 fn picture_of(stack: &LayerStack, entry: &Value) -> Option<Vec<u8>> {
     let number = |key: &str| entry[key].as_u64().map(|number| number as usize);
     let (frame, code) = (number("frame")?, |value: &f32| (value.clamp(0.0, 1.0) * 255.0 + 0.5) as u8);

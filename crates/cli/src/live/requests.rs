@@ -1,4 +1,5 @@
-//! Requests to the display: the job after files, command line and commands, and the viewers.
+//! The newest requests: the job, as files, command line and commands have changed it, and the
+//! viewers.
 
 use std::collections::HashSet;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,7 +16,7 @@ use super::clock::now;
 #[derive(Clone, Debug)]
 pub(super) struct Request {
     pub(super) job: Job,
-    /// Number of changes to its files.
+    /// Number of requests to read the job's files again.
     pub(super) edition: u64,
 }
 
@@ -25,14 +26,14 @@ pub(super) struct Requests {
     /// The newest request.
     pub(super) newest: Mailbox<Request>,
     tracker: Mutex<Tracker>,
-    /// Cancels work that a newer request makes useless.
+    /// Flag of the running pass, which a newer request makes useless.
     pass: Mutex<Option<Cancel>>,
     stopped: AtomicBool,
 }
 
 struct Kept {
     request: Request,
-    /// Keys that commands have set; they also apply to a changed job file.
+    /// Keys that commands have set; they are set again after the job file has changed.
     set: Vec<(String, Value)>,
 }
 
@@ -53,7 +54,7 @@ impl Requests {
         lock(&self.request).request.job.clone()
     }
 
-    /// Sets keys of the job: all of them, or none after an error.
+    /// Sets keys of the job. If one of them is wrong, none is set.
     pub(super) fn set(&self, keys: &[(String, Value)]) -> Result<(), PipelineError> {
         let mut kept = lock(&self.request);
         kept.request.job = with_keys(kept.request.job.clone(), keys)?;
@@ -73,7 +74,7 @@ impl Requests {
         Ok(())
     }
 
-    /// Requests to read files again.
+    /// Requests that the job's files are read again.
     pub(super) fn reload(&self) {
         let mut kept = lock(&self.request);
         kept.request.edition += 1;
@@ -85,7 +86,7 @@ impl Requests {
         self.cancel_pass();
     }
 
-    /// Takes positions of viewers.
+    /// Takes the positions of all viewers.
     pub(super) fn see(&self, heads_mm: &[[f64; 3]]) -> Result<(), lumistack_live::HeadError> {
         lock(&self.tracker).see(heads_mm, now())
     }
@@ -94,7 +95,7 @@ impl Requests {
         lock(&self.tracker).clone()
     }
 
-    /// Returns a flag for work that the next request makes useless.
+    /// Returns a flag for a new pass; the next request cancels it.
     pub(super) fn pass(&self) -> Cancel {
         let cancel = Cancel::default();
         *lock(&self.pass) = Some(cancel.clone());
@@ -124,13 +125,13 @@ pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Passes each warning on once, since a scene is rendered many times.
+/// Forwards each warning once, since a scene is rendered many times.
 pub(super) struct Once<'a> {
     to: &'a dyn Warnings,
     seen: Mutex<HashSet<String>>,
 }
 
-/// Most warnings in memory.
+/// Largest number of warnings in memory.
 const MOST_SEEN: usize = 1000;
 
 impl<'a> Once<'a> {

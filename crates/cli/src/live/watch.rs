@@ -1,27 +1,27 @@
-//! Detection of changed files by length and time. It works on every file system, for programs that
-//! replace files and for programs that write into them.
+//! Detection of changed files by their length and time of modification. It works on every file
+//! system, for programs that replace files and for programs that write into them.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-/// Length and time of a file; `None` for a missing file.
+/// Length and time of modification of a file; `None` for a missing file.
 type FileState = Option<(u64, Option<SystemTime>)>;
-/// State of a file, or of every file of a folder.
+/// States of one file, or of all files of a folder.
 type FileStates = Vec<(PathBuf, FileState)>;
 
-/// Watched files, as they were at their last change.
+/// Watched files, with their states at the last reported change.
 #[derive(Default)]
 pub(super) struct Watched {
     seen: BTreeMap<PathBuf, FileStates>,
-    /// A change that may be incomplete.
+    /// The states after a change that may be incomplete.
     moving: Option<BTreeMap<PathBuf, FileStates>>,
 }
 
 impl Watched {
     /// Returns whether files have changed and are complete: two calls in a row must find the same
-    /// state. A file that is new in `files` has changed if it was written after `read`, the time at
-    /// which a program began to read it.
+    /// states. A path that was not in `files` at the last call has changed if its file was written
+    /// after `read`. At that time the program began to read it.
     pub(super) fn have_changed(&mut self, files: &[PathBuf], read: SystemTime) -> bool {
         let now: BTreeMap<PathBuf, FileStates> = files.iter().map(|path| (path.clone(), states(path))).collect();
         self.seen.retain(|path, _| now.contains_key(path));
@@ -43,7 +43,8 @@ impl Watched {
     }
 }
 
-/// States at an earlier time, as far as they are known; `None` for a file that was written since.
+/// States at an earlier time, as far as they are known: `None` for files that were written after
+/// it.
 fn states_at(states: &FileStates, time: SystemTime) -> FileStates {
     let is_old = |modified: &Option<SystemTime>| modified.is_none_or(|modified| modified <= time);
     let at = |state: &FileState| state.filter(|(_, modified)| is_old(modified));
@@ -85,7 +86,7 @@ mod tests {
         assert_eq!(look(), [false, true, false]);
         std::fs::write(views.join("view_00_00.exr"), "v").unwrap();
         assert_eq!(look(), [false, true, false]);
-        // other files to watch are no change
+        // a shorter list of files is no change
         assert!(!watched.have_changed(&paths[..1], read) && !watched.have_changed(&paths[..1], read));
         // a file that was written after a program read it has changed
         let mut late = Watched::default();

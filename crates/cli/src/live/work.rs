@@ -16,19 +16,19 @@ use super::clock::now;
 use super::requests::{Requests, lock};
 use crate::console::say;
 
-/// Sleep of a thread without work before it checks for the end.
+/// Time that a thread without work sleeps before it checks for the end.
 const IDLE: Duration = Duration::from_millis(20);
-/// Sleep of the renderer while the solver is busy.
+/// Time that the renderer sleeps while the solver is busy.
 const SHORT: Duration = Duration::from_millis(2);
-/// Most updates of a light field.
+/// Largest number of iterations for one light field.
 const MOST_UPDATES: u32 = 60;
-/// Longest step of the solver, seconds: a good state that comes late looks worse than a fair one
+/// Longest step of the solver, seconds: a good state that comes late looks worse than a fair state
 /// that comes soon.
 const STEP_S: f64 = 0.3;
-/// Motion of a viewer after which weights follow, mm.
+/// Motion of a viewer after which the weights are computed again, mm.
 const TOLERANCE_MM: f64 = 2.0;
 
-/// A light field to solve, and the job with the settings of the solver.
+/// A light field to solve, and the job, which has the solver's settings.
 #[derive(Debug)]
 pub(super) struct SolveRequest {
     pub(super) target: Arc<Target>,
@@ -41,7 +41,7 @@ pub(super) struct Shared {
     to_solve: Mailbox<SolveRequest>,
     /// States to show.
     pub(super) states: Mailbox<State>,
-    /// Number of the newest light field that has a state, or cannot be solved.
+    /// Number of the newest light field that has a state or cannot be solved.
     handled: AtomicU64,
     files: Mutex<(Vec<PathBuf>, SystemTime)>,
     updates: u32,
@@ -51,7 +51,7 @@ pub(super) struct Shared {
 
 /// Time steps of a video.
 pub(super) struct Rates {
-    /// Light fields; empty where the input is no video.
+    /// Light fields of the time steps; empty if the input is no video.
     pub(super) times: Vec<PathBuf>,
     pub(super) rate_hz: f64,
     pub(super) most_late: usize,
@@ -82,12 +82,12 @@ impl Shared {
         self.stopped.load(Ordering::SeqCst)
     }
 
-    /// Files of the current light field, and the time at which they were first read.
+    /// Files of the current light field, and the time at which their first reading began.
     pub(super) fn files(&self) -> (Vec<PathBuf>, SystemTime) {
         lock(&self.files).clone()
     }
 
-    /// Notes the files of a pass that began at a time.
+    /// Stores the files that a pass has read, and the time at which it began.
     fn note_files(&self, files: Vec<PathBuf>, begun: SystemTime) {
         let mut noted = lock(&self.files);
         if noted.0 != files {
@@ -129,12 +129,13 @@ pub(super) fn render(
         // Wait until the solver has used the last light field.
         let is_solved = shared.handled.load(Ordering::SeqCst) >= sent;
         if !(is_video || is_new || is_solved) {
-            // another pass would take processors from the solver
+            // another pass would take processor time from the solver
             drop(requests.newest.wait_after(seen, SHORT));
             continue;
         }
         if is_video {
-            // in order: the next time step starts when the previous one has patterns
+            // time steps are solved in order: the next one starts when the previous one has
+            // patterns
             match is_solved.then(|| player.next(now())) {
                 Some(Due::Time(time)) => {
                     let job = Job { light_field: Some(rates.times[time].clone()), ..live_fields.job().clone() };
@@ -156,7 +157,7 @@ pub(super) fn render(
         let cancel = if is_new { task.cancel.clone() } else { requests.pass() };
         let begun = SystemTime::now();
         let pass = live_fields.pass(registry, Task { cancel: &cancel, ..task });
-        // also after an error, since files may be incomplete
+        // files are watched also after an error, since they may be incomplete and change again
         shared.note_files(live_fields.files(), begun);
         let pass = pass
             .map(|made| made.map(|target| SolveRequest { target: Arc::new(target), job: live_fields.job().clone() }));
@@ -263,7 +264,7 @@ struct Current {
     request: Arc<SolveRequest>,
     boxes: Boxes,
     weights: Arc<Weights>,
-    /// Updates since the content changed, and remaining updates.
+    /// Iterations since the content changed, and remaining iterations.
     updates: u32,
     left: u32,
 }
@@ -277,7 +278,7 @@ impl Current {
         Self { number, request, boxes, weights, updates, left: MOST_UPDATES }
     }
 
-    /// Computes the weights for moved viewers.
+    /// Computes the weights again if viewers have moved.
     fn follow(&mut self, boxes: Boxes, sigma_mm: f64, task: Task<'_>) {
         if boxes.is_like(&self.boxes, TOLERANCE_MM) {
             return;

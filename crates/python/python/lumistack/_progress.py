@@ -9,7 +9,7 @@ import threading
 import time
 from typing import Any
 
-#: Shorter work shows nothing, seconds.
+#: Work that takes less time shows no progress, seconds.
 _PATIENCE = 0.5
 #: Interval of updates, seconds.
 _PAUSE = 0.1
@@ -89,7 +89,7 @@ class _Bar(_Shown):
 
 
 def shown() -> _Shown | None:
-    """The display of progress for work that begins now; None for no display."""
+    """Returns the output of progress for work that begins now; None if there is no output."""
     if _wanted is False or threading.current_thread() is not threading.main_thread():
         return None
     if _in_notebook():

@@ -57,7 +57,7 @@ def layer_stack(stack: LayerStack) -> str | None:
 
 
 def plot_view(light_field: LightField, view: tuple[int, int] | None, ax: Any) -> Any:
-    """A view as a picture over millimetres."""
+    """Draws a view as a picture, with axes in millimetres."""
     view_rows, view_cols, rows, cols, _ = light_field.shape
     v, u = (view_rows // 2, view_cols // 2) if view is None else view
     width, height = cols * light_field.pitch_mm, rows * light_field.pitch_mm
@@ -70,7 +70,7 @@ def plot_view(light_field: LightField, view: tuple[int, int] | None, ax: Any) ->
 
 
 def plot_patterns(stack: LayerStack, frame: int) -> Any:
-    """Masks of a frame, and the picture seen from the middle over all frames."""
+    """Draws the masks of a frame, and the picture of all frames as seen from the middle."""
     from matplotlib import pyplot
 
     if not -stack.frames <= frame < stack.frames:
@@ -89,7 +89,7 @@ def plot_patterns(stack: LayerStack, frame: int) -> Any:
 
 
 def plot_history(stack: LayerStack, ax: Any) -> Any:
-    """PSNR against iterations."""
+    """Draws PSNR over iterations."""
     if not stack.history:
         raise ValueError("history: expected patterns that factorize() has made, found others")
     ax = _axes(ax)
@@ -136,7 +136,7 @@ def _srgb(linear: Any) -> Any:
 
 
 def _png(linear: Any) -> str:
-    """A reduced picture as a data URI."""
+    """A picture of reduced size as a data URI."""
     import numpy
 
     step = max(1, -(-linear.shape[1] // _WIDTH))
@@ -155,7 +155,7 @@ def _png(linear: Any) -> str:
 
 
 def _viewer(name: str, facts: dict[str, str], views: list[list[str]]) -> str:
-    """HTML: a table beside one of many pictures, which sliders select."""
+    """HTML: a table next to a picture; sliders select the picture out of many."""
     rows = "".join(f"<tr><th style='text-align:left'>{key}</th><td style='text-align:left'>{value}</td></tr>" for key, value in facts.items())
     middle = (len(views) // 2, len(views[0]) // 2)
     pictures = "".join(

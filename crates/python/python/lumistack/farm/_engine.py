@@ -21,10 +21,10 @@ from urllib.parse import urlsplit
 
 from lumistack.farm import _store, _work
 
-# A unit that fails so often is abandoned.
+# Number of failures after which a unit is abandoned.
 MOST_FAILURES = 3
-# A unit that is lost with its worker so often is abandoned. The limit is high, since preempted
-# workers are not the unit's fault.
+# Number of times that a unit may be lost with its worker before it is abandoned. The limit is high,
+# since preempted workers are not the unit's fault.
 MOST_LOSSES = 50
 # Time to wait for workers if there is none, seconds.
 WORKER_SECONDS = 60.0
@@ -57,17 +57,17 @@ class Outcome:
 
     seconds: float = 0.0
     done: list[str] = field(default_factory=list)
-    """Units that were done now."""
+    """Units that were executed by this call."""
     before: int = 0
-    """Units that were done before."""
+    """Units that an earlier call had executed."""
     failed: dict[str, str] = field(default_factory=dict)
     """Abandoned units, with the cause."""
     left: list[str] = field(default_factory=list)
-    """Units that depend on abandoned ones."""
+    """Units that depend on abandoned units."""
     refused: dict[str, str] = field(default_factory=dict)
     """Workers that could not be used, with the reason."""
     lost: int = 0
-    """Number of units that were lost with their worker and done again."""
+    """Number of units that were lost with their worker and executed again."""
 
 
 Tell = Callable[[dict[str, Any]], None]
@@ -84,7 +84,7 @@ def plan(
     options: Sequence[str] = (),
     program: Sequence[str] | None = None,
 ) -> dict[str, Any]:
-    """Plans a job into its run folder; `options` are those of `lumistack farm plan`. Returns the
+    """Plans a job into its run folder; `options` are options of `lumistack farm plan`. Returns the
     units and their state."""
     words = [*(program or [sys.executable, "-m", "lumistack"]), "--json", "farm", "plan", os.fspath(job), "-o", os.fspath(folder), *options]
     found = subprocess.run(words, capture_output=True, text=True)
@@ -102,7 +102,7 @@ def run(
     program: Sequence[str] | None = None,
     **engine: Any,
 ) -> Outcome:
-    """Plans a job and executes it; further arguments as of `execute`."""
+    """Plans a job and executes it; the other arguments are those of `execute`."""
     return execute(plan(job, folder, options=options, program=program), program=program, **engine)
 
 
@@ -176,7 +176,7 @@ def connected(address: str | None, client: Any, workers: int, tls: tuple[str, st
         yield client
         return
     distributed = _distributed()
-    # Results are read as text: one that needs pickle is refused, since pickles can run code.
+    # Results are read as text. A result that needs pickle is refused, since pickles can run code.
     readers: dict[str, Any] = {"deserializers": ["msgpack", "error"]}
     settings = {
         # The engine itself counts lost workers.
@@ -332,7 +332,7 @@ class Engine:
         for address in addresses:
             text = found.get(address) if isinstance(found, dict) else None
             if _json(text) is None:
-                # The worker was lost in between, or will be checked again.
+                # The worker was lost meanwhile, or will be checked again.
                 continue
             reason = self.objection(text)
             self.checked[address] = reason
@@ -425,12 +425,12 @@ class Engine:
             if name not in needs:
                 needs[name] = None
                 waiting += self.units[name].inputs
-        # in the order of the plan: of a file that several units write, the last one's counts
+        # in the order of the plan: of a file that several units write, the last version is used
         ordered = [name for name in self.units if name in needs]
         return {"url": self.store.store.url, "plan": self.plan, "needs": ordered, "sent": self.sent}
 
     def memory_of(self, usable: list[str]) -> float:
-        """The most memory that one worker offers, bytes; 0 if any worker offers none."""
+        """The largest memory that a worker offers, bytes; 0 if any worker offers none."""
         info = self.dask.scheduler_info(n_workers=-1)["workers"]
         offers = [float(info[address].get("resources", {}).get(MEMORY, 0.0)) for address in usable if address in info]
         return max(offers) if offers and min(offers) > 0 else 0.0

@@ -2,11 +2,11 @@
 the files of units through it.
 
     URL/files/SHA256                 contents of files, by their hash: written once, never changed
-    URL/PLAN/units/ID.json           files that a unit wrote: path, hash and size of each; written last, so a unit is there whole or not at all
+    URL/PLAN/units/ID.json           files that a unit wrote: path, hash and size of each; written last, so the store has all files of a unit or none
     URL/PLAN/start.json              files of the run folder before the first unit, the plan among them
     URL/PLAN/sent/N.json             files of a folder that the client sends
 
-Each worker has a run folder of its own, the mirror. A unit takes the files of the units on which it
+Each worker has its own run folder, the mirror. A unit takes the files of the units on which it
 depends, is executed as in any run folder, and publishes the files that it has written.
 """
 
@@ -25,7 +25,7 @@ from typing import Any
 
 # Files of a run folder that belong to one machine.
 OWN = {"lumistack.lock"}
-# How often a file that arrives with another hash is fetched.
+# Number of attempts to fetch a file that arrives with another hash.
 MOST_FETCHES = 3
 
 
@@ -34,7 +34,7 @@ class StoreError(Exception):
 
 
 class Store:
-    """A place of fsspec, such as `s3://bucket/shots` or `file:///mnt/shots`."""
+    """A location of fsspec, such as `s3://bucket/shots` or `file:///mnt/shots`."""
 
     def __init__(self, url: str) -> None:
         self.url = url.rstrip("/")
@@ -44,17 +44,17 @@ class Store:
             raise StoreError(f"expected the package fsspec, found none ({error}); pip install 'lumistack[farm]' brings it along") from error
         try:
             self.fs, self.root = fsspec.core.url_to_fs(self.url, use_listings_cache=False)
-        except Exception as error:  # each file system raises errors of its own
+        except Exception as error:  # each file system raises its own errors
             raise StoreError(f"{self.url}: {_cause(error)}") from error
         self.is_local = "file" in _protocols(self.fs)
         self.root = self.root.rstrip("/")
 
     def put(self, name: str, content: bytes | Path) -> None:
-        """Writes an object whole or not at all."""
+        """Writes an object completely or not at all."""
         path = f"{self.root}/{name}"
         try:
             if self.is_local:
-                # object stores replace an object at once, folders do not
+                # object stores replace an object atomically, folders do not
                 os.makedirs(os.path.dirname(path), exist_ok=True)
                 part = f"{path}.{uuid.uuid4().hex}.part"
                 self._write(part, content)
@@ -71,7 +71,7 @@ class Store:
             self.fs.put_file(str(content), path)
 
     def read(self, name: str) -> bytes | None:
-        """An object, or None where there is none."""
+        """Returns an object, or None if there is none."""
         try:
             content: bytes = self.fs.cat_file(f"{self.root}/{name}")
         except FileNotFoundError:
@@ -87,7 +87,7 @@ class Store:
             raise StoreError(f"{self.url}: {_cause(error)}") from error
 
     def fetch(self, entry: dict[str, Any], to: Path) -> None:
-        """Writes the file of an entry, whole or not at all, and checks its content."""
+        """Writes the file of an entry, completely or not at all, and checks its content."""
         part = to.with_name(f".{to.name}.{uuid.uuid4().hex}.part")
         try:
             to.parent.mkdir(parents=True, exist_ok=True)
@@ -113,7 +113,7 @@ class Store:
         self.put(name, json.dumps({"files": entries}).encode())
 
     def entries(self, name: str) -> list[dict[str, Any]] | None:
-        """The files that a list names, or None where it is not there."""
+        """Returns the files that a list names, or None if the list does not exist."""
         text = self.read(name)
         if text is None:
             return None
@@ -130,7 +130,7 @@ class Store:
         return entries
 
     def pull(self, names: Iterable[str], folder: Path) -> list[str]:
-        """Brings the files of lists into a folder, later lists last; returns the lists that are not there.
+        """Copies the files of lists into a folder, later lists last; returns the lists that do not exist.
 
         A file stays as it is where its content is that of the list: bookkeeping that several units wrote is the last one's.
         """
@@ -163,7 +163,7 @@ class Run:
         need."""
         for number, source in enumerate(sent):
             self.store.publish(f"{self.plan}/sent/{number}.json", source, _files(source))
-        # last: it says that the run has begun
+        # written last, since it marks the beginning of the run
         self.store.publish(f"{self.plan}/start.json", folder, _files(folder))
 
     def is_done(self, unit: str) -> bool:
@@ -193,7 +193,7 @@ class Mirror:
 
     @classmethod
     def of(cls, url: str, plan: str) -> Mirror:
-        """The mirror of this thread."""
+        """Returns the mirror of this thread."""
         key = (url, plan, threading.get_ident())
         if key not in cls.known:
             cls.known[key] = cls(Run(url, plan))
@@ -228,7 +228,7 @@ class Mirror:
 
 
 def _local_directory() -> str | None:
-    """Where Dask keeps the files of this worker, which it removes with the worker."""
+    """Returns the folder in which Dask keeps the files of this worker; Dask removes it with the worker."""
     try:
         from distributed import get_worker
 

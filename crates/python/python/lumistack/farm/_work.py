@@ -1,5 +1,5 @@
 """Code that runs on a worker: executes a unit as a child process, and describes the machine.
-Results are texts of JSON."""
+Results are texts in JSON."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def _program(words: list[str] | None) -> list[str]:
 
 
 def _answer(text: str, event: str) -> dict[str, Any] | None:
-    """The last line of JSON with this event."""
+    """Returns the last line of JSON with this event."""
     for line in reversed(text.splitlines()):
         if line.startswith("{"):
             try:
@@ -39,8 +39,8 @@ def _answer(text: str, event: str) -> dict[str, Any] | None:
 
 
 def probe(words: list[str] | None, folder: str, store: dict[str, Any] | None = None) -> str:
-    """Version and code of the program on this worker, and true or false for access to the run
-    folder or the store."""
+    """Returns version and fingerprint of the program on this worker, and whether the worker has access
+    to the run folder or the store."""
     about: dict[str, Any] = {"host": os.uname().nodename if hasattr(os, "uname") else "", "process": os.getpid()}
     if store is None:
         about["folder"] = os.path.isdir(folder)
@@ -59,7 +59,7 @@ def probe(words: list[str] | None, folder: str, store: dict[str, Any] | None = N
 
 
 def _is_wanted() -> bool:
-    """True while the client still waits for the task of this thread; it may be gone, or have
+    """Returns whether the client still waits for the task of this thread. It may be gone, or may have
     cancelled the task."""
     try:
         from distributed import get_worker
@@ -82,7 +82,7 @@ def _address() -> str:
 
 
 def _threads(given: int | None) -> int:
-    """Threads of a unit: this worker's share of the machine."""
+    """Returns the number of threads of a unit: the machine's cores divided by the worker's threads."""
     if given is not None:
         return given
     try:
@@ -128,7 +128,7 @@ def _execute(words: list[str] | None, folder: str, unit: str, maps: list[str], t
             stderr=subprocess.PIPE,
             text=True,
             errors="replace",
-            # Ctrl-C is for the client, which then cancels the task.
+            # Only the client handles Ctrl-C; it then cancels the task.
             process_group=0 if os.name == "posix" else None,
         )
     except OSError as error:
