@@ -7,7 +7,7 @@ use crate::serve::PluginKind;
 use lumistack_plugin::PluginError;
 use thiserror::Error;
 
-/// An output was not written; its folder contains no new files.
+/// A plugin failed or cannot be used. If it is an output, its folder contains no new files.
 #[derive(Debug, Error)]
 pub enum HostError {
     /// No plugin has this id.
@@ -47,7 +47,7 @@ pub enum HostError {
     /// The plugin refuses these parameters or data.
     #[error("{} `{plugin}`: {reason}", kind.name())]
     Refused {
-        /// Its kind.
+        /// The plugin's kind.
         kind: PluginKind,
         /// The plugin.
         plugin: String,
@@ -57,7 +57,7 @@ pub enum HostError {
     /// The plugin failed.
     #[error("{} `{plugin}` failed: {reason}", kind.name())]
     Failed {
-        /// Its kind.
+        /// The plugin's kind.
         kind: PluginKind,
         /// The plugin.
         plugin: String,
@@ -67,7 +67,7 @@ pub enum HostError {
     /// The plugin panicked.
     #[error("{} `{plugin}` panicked, which is a mistake in the plugin: {reason}", kind.name())]
     Panicked {
-        /// Its kind.
+        /// The plugin's kind.
         kind: PluginKind,
         /// The plugin.
         plugin: String,
@@ -116,7 +116,7 @@ pub enum LoadError {
         /// The system's error.
         source: io::Error,
     },
-    /// The name is not that of a plugin library.
+    /// The file's name is not that of a plugin library.
     #[error("{}: expected a file named `{expected}`", path.display())]
     Name {
         /// The file.
@@ -171,9 +171,9 @@ pub enum LoadError {
     OtherId {
         /// The file.
         path: PathBuf,
-        /// By the entry function's name.
+        /// The id in the entry function's name.
         expected: String,
-        /// By the descriptor.
+        /// The id in the descriptor.
         found: String,
     },
     /// The process that loads the library ended, or was ended.
@@ -185,13 +185,13 @@ pub enum LoadError {
         cause: String,
     },
     /// The program has set no launcher of plugin processes.
-    #[error("{}: no program is known that loads plugins for this one", path.display())]
+    #[error("{}: the process for it cannot be started: no launcher is set", path.display())]
     NoLauncher {
         /// The file.
         path: PathBuf,
     },
     /// A limit in the environment is invalid.
-    #[error("{variable}: expected a number of seconds, 0 for any time, found `{found}`")]
+    #[error("{variable}: expected a number of seconds, 0 for no limit, found `{found}`")]
     Setting {
         /// The variable.
         variable: &'static str,

@@ -2,7 +2,7 @@
 //! with a directional backlight.
 //!
 //! All layers are clear. The emission of a lenslet into a bin is the mean of the target over the
-//! rays through both,
+//! rays that belong to both,
 //!
 //! ```text
 //! b[bin, lenslet] = mean of L(r) over the rays r of that lenslet and bin

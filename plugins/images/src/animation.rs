@@ -22,7 +22,7 @@ pub(crate) struct Swing {
     pub(crate) pictures_per_second: u16,
     /// Move up and down as well.
     pub(crate) ellipse: bool,
-    /// Largest width of the animation, pixels; 0 for that of the views.
+    /// Largest width of the animation, pixels; 0 for the views' width.
     pub(crate) width: usize,
 }
 

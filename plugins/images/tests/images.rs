@@ -305,7 +305,7 @@ fn the_panel_behind_the_lenses_agrees_with_the_optics() {
     assert!(matches!(&uniform, PluginError::Refused(text) if text.contains("`lenslet_panel`")), "{uniform:?}");
 }
 
-/// Values read by NumPy, Pillow and OpenEXR's own bindings, as JSON; none if they are not
+/// Values read by NumPy, Pillow and OpenEXR's own bindings, as JSON; `None` if they are not
 /// installed.
 fn read_by_others(files: &Files) -> Option<Value> {
     let python = lumistack_testkit::skip::python_with("numpy, PIL, OpenEXR")?;

@@ -43,8 +43,7 @@ impl Place {
         if self.panel.rotate_deg.is_multiple_of(180) { [cols, rows] } else { [rows, cols] }
     }
 
-    /// `[left, top, columns, rows]` of the used part of the upright picture; none where all is
-    /// used.
+    /// `[left, top, columns, rows]` of the used part of the upright picture; `None` if all is used.
     pub(crate) fn crop(&self) -> Option<[usize; 4]> {
         self.panel.crop
     }

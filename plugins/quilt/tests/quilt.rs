@@ -79,7 +79,7 @@ fn a_quilt_gives_back_every_view() {
     let back = open(&path, &flags, &GeometryDefaults::default(), task).unwrap();
     assert_eq!(back.radiance().shape(), [1, 6, 7, 10, 3]);
     for view in 0..6 {
-        // the central one of three rows
+        // the central row of three
         let codes = codes8(&Transfer::Srgb, field.view([1, view]));
         assert_eq!(codes8(&Transfer::Srgb, back.view([0, view])), codes, "view {view}");
     }

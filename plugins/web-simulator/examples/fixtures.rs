@@ -91,7 +91,7 @@ fn write_case(folder: &Path, display: &Display) -> Result<(), Box<dyn std::error
     for (path, bytes) in host.files() {
         write(&folder.join(path), &bytes)?;
     }
-    // centre, corners, edges' middles off the grid, three in between
+    // the centre, corners, middles of edges off the grid, and three slopes between these
     let half = (10f64.to_radians()).tan();
     let shares = [
         [0.0, 0.0],

@@ -57,7 +57,7 @@ pub struct PluginInfo {
     pub version: String,
     /// The description; listings show its first sentence.
     pub doc: String,
-    /// The data that it accepts.
+    /// The kinds of data that the plugin accepts.
     pub ports: Vec<Port>,
     /// For an importer: file extensions that it reads, without the dot.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -238,6 +238,6 @@ unsafe fn vtable_of(descriptor: &Descriptor) -> Result<(PluginKind, Vtable), Str
         kind::SOURCE => Err(missing(PluginKind::Source)),
         kind::NODE => Err(missing(PluginKind::Node)),
         kind::OUTPUT => Err(missing(PluginKind::Output)),
-        other => Err(format!("plugins of kind {other} are not driven by this version")),
+        other => Err(format!("plugins of kind {other} are not supported by this version")),
     }
 }
