@@ -36,8 +36,8 @@ pub struct Plane {
     pub strides: [isize; 4],
     /// Passed to `release`.
     pub owner: *mut c_void,
-    /// Releases the plane. If null, the plane needs no release: it is valid until the `submit` or
-    /// `make` during which it was fetched returns.
+    /// Releases the plane. If null, the plane needs no release: it stays valid until the `submit`
+    /// or `make` that fetched it returns.
     pub release: Option<unsafe extern "C" fn(owner: *mut c_void)>,
 }
 

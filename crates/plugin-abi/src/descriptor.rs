@@ -24,7 +24,7 @@ pub mod port {
     pub const LIGHT_FIELD: u32 = 1 << 1;
     /// The patterns of a tensor display.
     pub const LAYER_STACK: u32 = 1 << 2;
-    /// A file that another plugin wrote.
+    /// A file, which an importer reads.
     pub const FILE: u32 = 1 << 3;
 }
 

@@ -31,7 +31,7 @@ pub struct HostServices {
     pub log: unsafe extern "C" fn(context: *const c_void, level: u32, message: Str),
     /// Starts a stage of `total` steps of kind `unit` ("files").
     pub progress_begin: unsafe extern "C" fn(context: *const c_void, stage: Str, total: u64, unit: Str),
-    /// Reports finished steps. `note` is a short value to show beside the bar, or empty.
+    /// Reports finished steps. `note` is a short value to show next to the progress bar, or empty.
     pub progress_advance: unsafe extern "C" fn(context: *const c_void, steps: u64, note: Str),
     /// Ends the stage.
     pub progress_end: unsafe extern "C" fn(context: *const c_void),
@@ -62,8 +62,8 @@ pub struct HostServices {
         plane: *mut Plane,
         error: *const ErrorSink,
     ) -> Status,
-    /// Sends an event to the host's driver of a presenter. The plugin defines the form of the JSON.
-    /// Since version 0.4.
+    /// Sends an event of a presenter to the program that runs the presentation. The plugin defines
+    /// the form of the JSON. Since version 0.4.
     pub tell: unsafe extern "C" fn(context: *const c_void, event_json: Str),
     /// Port whose data the output will receive, a bit of [`port`](crate::port); 0 if the host does
     /// not know it. Since version 0.4.

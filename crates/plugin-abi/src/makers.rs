@@ -1,7 +1,7 @@
 //! Plugins that make data: importers (scenes), sources (light fields) and nodes (layer stacks).
 //!
-//! Each is one function that passes its result to a sink, piece by piece. The host checks every
-//! piece.
+//! Each plugin is one function that passes its result to a sink, piece by piece. The host checks
+//! every piece.
 
 use core::ffi::c_void;
 

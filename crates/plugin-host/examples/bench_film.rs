@@ -1,4 +1,4 @@
-//! A film of a printed display that exceeds memory.
+//! Makes a film for a printed display; the film's data exceed the memory.
 //!
 //! Patterns are written tile by tile, and `transparencies` makes a PDF of them. Each step is a
 //! process whose memory, cached pages of files included, is limited to a gigabyte if the system

@@ -27,7 +27,8 @@ const VARIABLE: &str = "LUMISTACK_PLUGIN_PATH";
 /// Stem of a plugin library's file name, before the id.
 const STEM: &str = "lumistack_plugin_";
 
-/// Search paths for plugins, in this order. Of several plugins with one id, the first is kept.
+/// Search paths for plugins, in the order of these fields. If several plugins have one id, the
+/// first is kept.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct PluginPaths {
     /// Files and folders named explicitly, which must exist.

@@ -23,7 +23,7 @@ pub enum HostError {
     /// The plugin is of another kind.
     #[error("plugin `{id}`: expected {expected}, found {found}")]
     OtherKind {
-        /// The plugin.
+        /// The plugin's id.
         id: String,
         /// The required kind.
         expected: PluginKind,
@@ -36,7 +36,7 @@ pub enum HostError {
     /// The plugin's library cannot be used.
     #[error("plugin `{id}` cannot be used: {reason}")]
     NotLoaded {
-        /// The plugin.
+        /// The plugin's id.
         id: String,
         /// The library and its error.
         reason: String,
@@ -49,7 +49,7 @@ pub enum HostError {
     Refused {
         /// The plugin's kind.
         kind: PluginKind,
-        /// The plugin.
+        /// The plugin's id.
         plugin: String,
         /// The refused value and the reason.
         reason: String,
@@ -59,7 +59,7 @@ pub enum HostError {
     Failed {
         /// The plugin's kind.
         kind: PluginKind,
-        /// The plugin.
+        /// The plugin's id.
         plugin: String,
         /// The plugin's message.
         reason: String,
@@ -69,7 +69,7 @@ pub enum HostError {
     Panicked {
         /// The plugin's kind.
         kind: PluginKind,
-        /// The plugin.
+        /// The plugin's id.
         plugin: String,
         /// The panic's message.
         reason: String,
@@ -77,7 +77,7 @@ pub enum HostError {
     /// The plugin finished while files were incomplete.
     #[error("output `{plugin}` finished without completing {}", files.join(", "))]
     Uncommitted {
-        /// The plugin.
+        /// The plugin's id.
         plugin: String,
         /// Files that were neither committed nor aborted.
         files: Vec<String>,
@@ -195,7 +195,7 @@ pub enum LoadError {
     Setting {
         /// The variable.
         variable: &'static str,
-        /// Its value.
+        /// The variable's value.
         found: String,
     },
     /// The id is in use; the first plugin is kept.
@@ -211,7 +211,7 @@ pub enum LoadError {
 }
 
 impl HostError {
-    /// For `map_err` on file system calls.
+    /// Makes a function for `map_err` that converts the error of a file system call.
     pub(crate) fn io(path: &Path, doing: &'static str) -> impl FnOnce(io::Error) -> Self {
         let path = path.to_path_buf();
         move |source| Self::Io { path, doing, source }

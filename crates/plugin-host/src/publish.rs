@@ -94,8 +94,8 @@ pub(crate) fn publish(staging: Staging, plugin: &str, files: &[String]) -> Resul
     let listing_path = staging.path.join(LISTING);
     fs::write(&listing_path, text).map_err(HostError::io(&listing_path, "write"))?;
 
-    // This succeeds for an empty folder only. If the folder is missing, the staging folder is
-    // renamed too.
+    // This removes the output's folder if it is empty. Then, and if the folder is missing, a single
+    // rename suffices.
     match fs::remove_dir(out_dir) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => merge(&staging, files),
         _ => fs::rename(&staging.path, out_dir).map_err(HostError::io(out_dir, "move the output into place")),

@@ -138,9 +138,9 @@ impl Registry {
         self.libraries.iter().find(|library| same_id(&library.id, id)).map(|library| &library.origin)
     }
 
-    /// The importer of files with this extension, without the dot: a compiled-in one if there is
-    /// one. Otherwise all libraries are loaded and searched. If several match, the first by id is
-    /// returned.
+    /// The importer of files with this extension, without the dot: a compiled-in importer if there
+    /// is one. Otherwise all libraries are loaded and searched. If several match, the first by id
+    /// is returned.
     pub fn importer_of(&self, extension: &str) -> Option<&PluginInfo> {
         let takes = |info: &&PluginInfo| {
             info.kind == PluginKind::Importer && info.extensions.iter().any(|taken| taken == extension)

@@ -35,7 +35,7 @@ pub struct OutputContext<'a> {
 /// does not write are removed. Other files stay. Only one output at a time may write into a folder.
 ///
 /// # Errors
-/// See [`HostError`]; `out_dir` is then unchanged.
+/// See [`HostError`]. After an error `out_dir` is unchanged.
 pub fn run_output(
     registry: &Registry,
     id: &str,

@@ -34,8 +34,8 @@ pub fn conformance_but_for(export: &'static LazyLock<Export>, at_default: &[&str
 /// Checks a plugin against all rules of the plugin interface that can be observed from outside,
 /// through its C functions.
 ///
-/// An output describes itself, declares all its parameters with units and ranges, and refuses
-/// others. It accepts all its ports, and produces identical files in a second run and from any
+/// An output describes itself, declares all its parameters with units and ranges, and refuses other
+/// parameters. It accepts all its ports, and produces identical files in a second run and from any
 /// thread. It stops on cancellation, reports a full disk, leaves no file open, and writes through
 /// the host only. Most rules are checked with default parameters, and again with all switches on
 /// except the parameters of `at_default`.

@@ -44,7 +44,7 @@ pub(crate) fn varied<'a>(plugin: &'a Plugin, at_default: &'a [&str]) -> impl Ite
     plugin.info().schema.params.iter().filter(|param| !at_default.contains(&param.name.as_str()))
 }
 
-/// The ends of a parameter's range, without its default.
+/// The extreme values of a parameter, or all its choices, without its default value.
 pub(crate) fn allowed(param: &Param) -> Vec<(String, Value)> {
     let values = match &param.kind {
         Kind::Bool { .. } => vec![json!(false), json!(true)],

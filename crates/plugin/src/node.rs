@@ -90,8 +90,8 @@ impl NodeInput<'_> {
         self.field.start(&self.display)
     }
 
-    /// Reports the solver's state, for the convergence plot of the report. Call it in order, first
-    /// for the start.
+    /// Reports the solver's state, for the convergence plot of the report. Call it in the order of
+    /// iterations, first for the start.
     ///
     /// # Errors
     /// If the host refuses it.

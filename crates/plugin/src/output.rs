@@ -24,7 +24,7 @@ pub trait OutputPlugin: Sized + Send + Sync + 'static {
     const DOC: &'static str;
     /// The ports that the plugin accepts.
     const PORTS: &'static [Port];
-    /// A presenter, which runs until the user closes it; see [`run`](Self::run).
+    /// True for a presenter, which runs until the user closes it; see [`run`](Self::run).
     const PRESENTS: bool = false;
 
     /// The schema's parameters as a struct, with a field of the same name for each.

@@ -13,7 +13,7 @@ pub enum Port {
     LightField,
     /// The layer stack of a tensor display.
     LayerStack,
-    /// A file, as importers read it.
+    /// A file, which an importer reads.
     File,
 }
 

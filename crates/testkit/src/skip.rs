@@ -1,7 +1,7 @@
 //! Tests with requirements that a machine may lack: other people's files, Python packages,
 //! programs.
 //!
-//! If the environment variable `CI` is set, all requirements must be met: a test that would be
+//! If the environment variable `CI` is set, all requirements must be present: a test that would be
 //! skipped fails.
 
 use std::io::Write;

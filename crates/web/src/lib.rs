@@ -30,7 +30,7 @@ pub use model::{Model, Slots};
 pub use options::{Options, Pupil};
 pub use tables::Tables;
 
-/// An error for the user: the file, the place in it, the expected and the found value.
+/// An error for the user: the file, the position in it, the expected and the found value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Error(String);
 

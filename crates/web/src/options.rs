@@ -97,8 +97,9 @@ impl Options {
         self.eye_distance_mm.map_or(target, |distance_mm| Projection::Perspective { distance_mm })
     }
 
-    /// The points of the pupil whose views are averaged: slopes relative to the pupil's centre
-    /// along each axis, and the pairs `[y][x]` of them on the disc. One point for a pinhole.
+    /// The points of the pupil whose views are averaged. They are given by slopes relative to the
+    /// pupil's centre along each axis, and the pairs `[y][x]` of slopes on the disc. A pinhole has
+    /// one point.
     pub fn pupil(&self, display: &Display, target: Projection) -> Pupil {
         let distance_mm = match self.projection(target) {
             Projection::Perspective { distance_mm } => distance_mm,

@@ -19,7 +19,7 @@ pub struct Preview {
     pub display: Display,
     /// β: the display emits β times the target.
     pub brightness: f64,
-    /// Frames M.
+    /// Number of frames M.
     pub frames: usize,
     /// The light field for which the patterns were made.
     pub target: Target,
@@ -76,8 +76,8 @@ pub struct File {
     pub bytes: u64,
 }
 
-/// [`File`] in preview.json: flat, with a kind. The code that serde makes for a flattened enum is
-/// ten times larger, and every visitor loads it.
+/// The form of a [`File`] in preview.json: a flat table with a kind. The code that serde makes for
+/// a flattened enum is ten times larger, and every visitor loads it.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(default)]
 struct Entry {
@@ -135,13 +135,13 @@ pub enum Part {
     Layer {
         /// Number of the layer; 0 is the rearmost.
         layer: usize,
-        /// Frame.
+        /// Number of the frame.
         frame: usize,
     },
     /// The backlight's emission in one frame, value = code / 255, with bins side by side:
     /// `[bin_y][lenslet_row][bin_x][lenslet_col]`.
     Emission {
-        /// Frame.
+        /// Number of the frame.
         frame: usize,
     },
     /// A view of the light field, sRGB-encoded.

@@ -19,7 +19,7 @@ use lumistack_plugin::{NodeInput, NodePlugin, PluginError, Schema, expects, expo
 /// The plugin.
 pub struct IntegralImaging;
 
-/// It has no parameters.
+/// The plugin has no parameters.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 pub struct IntegralParams {}

@@ -2,14 +2,14 @@
 //! integral imaging), the baseline of two-layer tensor displays.
 //!
 //! The front layer is a mask of slits (or pinholes), one pixel wide, with a period of P_x × P_y
-//! mask pixels, which moves from frame to frame. The rear layer shows the picture behind the slits.
-//! In frame m the mask is open where
+//! mask pixels. The mask moves from frame to frame. The rear layer shows the picture behind the
+//! slits. In frame m the mask is open where
 //!
 //! ```text
 //! (col, row) ≡ (k mod P_x, k div P_x)  (mod P_x, P_y),   k = ⌊m·P/M⌋,  P = P_x·P_y
 //! ```
 //!
-//! A rear pixel is the mean of the target over the rays through it and an open pixel, which is the
+//! A rear pixel is the mean of the target over the rays through it and an open pixel. That is the
 //! least-squares optimum for a mask of zeros and ones. If the period is at least the number of
 //! views, rays of different views through one slit hit different rear pixels. Then every unblocked
 //! ray is exact. With M = P frames every mask pixel is open in one frame, so the display emits β =

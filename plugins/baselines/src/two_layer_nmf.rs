@@ -2,8 +2,8 @@
 //! and several frames, by weighted nonnegative matrix factorization.
 //!
 //! The light field of two layers is a matrix with a row per rear pixel and a column per front
-//! pixel; an entry is known if a ray hits both pixels. With M frames its rank is M. Factors start
-//! from random values and follow the multiplicative rule (the weighted rule of Blondel et al.
+//! pixel. An entry is known if a ray hits both pixels. With M frames the matrix has rank M. Factors
+//! start from random values and follow the multiplicative rule (the weighted rule of Blondel et al.
 //! 2008), one layer after the other:
 //!
 //! ```text

@@ -10,8 +10,8 @@ pub(crate) struct PanelCodes {
     /// Bits per channel, if fewer than the file's.
     pub(crate) bits: Option<u32>,
     pub(crate) dither: Dither,
-    /// Number that differs between layers and frames. It shifts the threshold map, so that their
-    /// dots are uncorrelated.
+    /// Number that differs between layers and frames. It shifts the threshold map, so that the dots
+    /// of different layers and frames are uncorrelated.
     pub(crate) pattern: usize,
 }
 

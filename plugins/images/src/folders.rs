@@ -89,7 +89,7 @@ impl Cameras<'_> {
             all.iter().fold((f64::INFINITY, 0.0f64), |(low, high), step| (low.min(*step), high.max(*step)));
         if high - low > SAME_STEP * high {
             return Err(PluginError::Refused(format!(
-                "parameter `hci`: the format has one distance between cameras, expected equal steps of slope between all views, found {low:.6} to {high:.6}; use `stanford`, which stores the centre of every camera"
+                "parameter `hci`: expected equal steps of slope between all views, since the format has one distance between cameras, found {low:.6} to {high:.6}. Use `stanford`, which stores the centre of every camera"
             )));
         }
         Ok(if all.is_empty() { 0.0 } else { all.iter().sum::<f64>() / all.len() as f64 })

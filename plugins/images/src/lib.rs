@@ -14,9 +14,9 @@
 //! | `stack.npz` | the masks' values |
 //! | `images.json` | content and encoding of every file |
 //!
-//! Files of a light field: `view_YY_XX.png` for every view. Files of both: `swing.png`, an
-//! animation; `views.exr`, all views as one multi-view OpenEXR file; `views.npz`; the folders
-//! `hci/` and `stanford/`. Views of a layer stack are simulated for an adapted viewer.
+//! Files of a light field: `view_YY_XX.png` for every view. Files of both kinds of data:
+//! `swing.png`, an animation; `views.exr`, all views as one multi-view OpenEXR file; `views.npz`;
+//! the folders `hci/` and `stanford/`. Views of a layer stack are simulated for an adapted viewer.
 //!
 //! Names of 16-bit PNGs end in `_16bit.png`. EXR and NPZ files contain the values themselves,
 //! linear. On request, PNGs have codes proportional to light; their names end in `_linear.png`.

@@ -4,7 +4,7 @@ use lumistack_plugin::display::Transfer;
 use lumistack_plugin::serde::Serialize;
 use lumistack_plugin::serde_json;
 
-/// The file.
+/// The content of `images.json`.
 #[derive(Serialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 struct Manifest {

@@ -1,4 +1,4 @@
-//! Parameters.
+//! Parameters of the plugin.
 
 use lumistack_plugin::display::Transfer;
 use lumistack_plugin::encoding::Dither;
@@ -94,7 +94,7 @@ pub(crate) fn schema() -> Schema {
         Param::bool(
             "atlas",
             false,
-            "Write atlas.png, one 8-bit sheet with the masks of all layers (left to right, rear first) and frames (top to bottom), and atlas.json, their positions.",
+            "Write atlas.png, one 8-bit sheet with the masks of all layers (left to right, rear first) and frames (top to bottom). Their positions are in atlas.json.",
         ),
         Param::bool(
             "sheet",

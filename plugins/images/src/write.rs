@@ -419,7 +419,7 @@ impl ExrDepth {
     }
 }
 
-/// `size` = [rows, cols].
+/// Makes an entry of the manifest. `size` = [rows, cols].
 fn entry(file: String, content: Content, format: Format, linear: bool, size: Option<[usize; 2]>, time: Time) -> Entry {
     let size = size.map(|[height, width]| Size { width, height });
     Entry { file, content, format, linear, size, time: time.index, time_seconds: time.seconds }
@@ -434,7 +434,7 @@ fn view_name([y, x]: [usize; 2], [rows, cols]: [usize; 2]) -> String {
     format!("{y:0y_digits$}_{x:0x_digits$}", y_digits = digits(rows, 2), x_digits = digits(cols, 2))
 }
 
-/// Digits to number `count` items from 0, so that names sort.
+/// Number of digits that number `count` items from 0, so that names sort.
 fn digits(count: usize, least: usize) -> usize {
     count.saturating_sub(1).to_string().len().max(least)
 }

@@ -9,7 +9,7 @@
 //! | `Kd`, `map_Kd`, `d` | base colour (linear), its texture with scale `-s`, offset `-o` and `-clamp`, alpha |
 //! | `Ke` | emission |
 //! | `Ns` | roughness = 1 − √(Ns / 1000), as Blender writes it |
-//! | `Pr`, `Pm` | roughness and metallic, where the file has them |
+//! | `Pr`, `Pm` | roughness and metallic, if the file has them |
 //!
 //! Lines, points and curves are left out; other maps too, with a warning. OBJ has no unit and no
 //! agreed upward axis: the parameters `scale` and `up` state them.

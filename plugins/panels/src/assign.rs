@@ -125,9 +125,9 @@ pub fn assign(display: &Display, outputs: &[Output]) -> Result<Vec<(Shows, Outpu
 /// A change of an assigned output.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Change {
-    /// It is no longer present.
+    /// The output is no longer present.
     Gone,
-    /// Its size changed, or its position if positions are compared.
+    /// The output's size changed, or its position if positions are compared.
     Other(Output),
 }
 

@@ -80,7 +80,7 @@ impl FromStr for Pattern {
 
 /// Distance between crosses as a fraction of the field's width.
 const SPACING: f64 = 0.125;
-/// Length of a cross's arm, in units of that distance.
+/// Length of a cross's arm, in units of the distance between crosses.
 const ARM: f64 = 0.3;
 /// Half the width of a cross's lines, panel pixels.
 const HALF_LINE_PX: f64 = 1.5;

@@ -66,7 +66,7 @@ impl Place {
     }
 
     /// Position of the output's pixel (column, row) before the homography: millimetres from the
-    /// layer's centre, x right and y up. None outside the crop.
+    /// layer's centre, x right and y up. `None` outside the crop.
     pub fn nominal_mm(&self, output: [f64; 2]) -> Option<[f64; 2]> {
         let [u, v] = self.upright(output);
         let [left, top, cols, rows] = self.panel.crop.map_or_else(
@@ -86,8 +86,8 @@ impl Place {
         Some([x * self.pitch_mm, -y * self.pitch_mm])
     }
 
-    /// Position of the output's pixel (column, row) with the homography applied, millimetres. None
-    /// outside the crop.
+    /// Position of the output's pixel (column, row) with the homography applied, millimetres.
+    /// `None` outside the crop.
     pub fn mm(&self, output: [f64; 2]) -> Option<[f64; 2]> {
         self.nominal_mm(output).map(|nominal| self.homography.apply(nominal))
     }

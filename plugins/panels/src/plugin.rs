@@ -24,7 +24,7 @@ pub struct Panels {
     host: Host,
     params: PanelsParams,
     display: Display,
-    /// Taken when the presentation begins.
+    /// The inputs so far; taken when the presentation begins.
     pending: Mutex<Option<Pending>>,
     send: Sender<Command>,
 }

@@ -35,7 +35,7 @@ pub struct Given {
 
 impl Layout {
     /// The quilt of a device; without a device, the quilt of `views` pictures of `view_size` =
-    /// [columns, rows]. Given values override both.
+    /// [columns, rows]. Values of `given` other than 0 override these.
     ///
     /// # Errors
     /// If only one of columns and rows is given, or a tile has no pixel.

@@ -7,8 +7,8 @@
 //! | `quilt.json` | sizes; slope of every view, and how it was made |
 //!
 //! Pictures are 8-bit sRGB without alpha. Time steps of a sequence are `NAME_f0000_qs…`,
-//! `NAME_f0001_qs…`, …, the numbering that video encoders read. Memory: one quilt, one view, and
-//! the native picture.
+//! `NAME_f0001_qs…`, …, the numbering that video encoders read. Memory holds one quilt, one view,
+//! and the native picture.
 
 pub mod devices;
 pub mod layout;
@@ -95,7 +95,7 @@ struct Entry {
     rows: usize,
     tile: [usize; 2],
     aspect: f64,
-    /// The video encoder for pictures of this size.
+    /// Name of the video encoder for pictures of this size.
     video: &'static str,
     /// From left to right: view 0 is the bottom-left tile.
     views: Vec<ViewEntry>,
@@ -145,7 +145,7 @@ impl OutputPlugin for Quilt {
                 "aspect",
                 0.0,
                 0.0..=10.0,
-                "Width over height of one view on the screen, independent of its tile; 0 for the aspect of the calibration's screen, the device or the views, in this order.",
+                "Width over height of one view on the screen, independent of its tile. 0 for that of the calibration's screen, the device or the views, in this order.",
             )
             .unit("1"),
             Param::choice(
@@ -336,7 +336,7 @@ impl Quilt {
         Ok((quilt, entries))
     }
 
-    /// `size` = [columns, rows].
+    /// Writes a PNG of `size` = [columns, rows].
     fn write_png(&self, path: &str, size: [usize; 2], codes: &[u8]) -> Result<(), PluginError> {
         let failed = |error: png::EncodingError| match error {
             png::EncodingError::IoError(error) => PluginError::from_io(path, error),

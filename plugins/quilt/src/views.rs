@@ -59,7 +59,8 @@ pub fn places(count: usize, available: usize) -> Vec<f64> {
     (0..count).map(|i| (i as f64 + 0.5) / count as f64 * available as f64 - 0.5).collect()
 }
 
-/// The row of views to use of `rows`: the given one, or the central one (the upper of two).
+/// The number of the row of views to use, of `rows` rows. It is the given row, or the central row
+/// (the upper of two) if `given` is negative.
 ///
 /// # Errors
 /// If there is no such row.
@@ -83,7 +84,7 @@ impl Source<'_> {
         }
     }
 
-    /// The row of views to use: the given one, or the central one (the upper of two).
+    /// The number of the row of views to use; see [`row_of`].
     ///
     /// # Errors
     /// If there is no such row.

@@ -2,7 +2,7 @@
 //!
 //! | pattern | views | purpose |
 //! |---|---|---|
-//! | `numbers` | the view's column and row, 0,0 at the left and top, on a colour from red at the left to blue at the right, with green increasing upwards | assignment of views: order, mirroring, crosstalk |
+//! | `numbers` | the view's column and row (0,0 at the left and top), on a colour: from red at the left to blue at the right, more green upwards | assignment of views: order, mirroring, crosstalk |
 //! | `cards` | three chequered cards side by side, at −depth, 0 and +depth | sign and size of parallax |
 //!
 //! A ray of slope s through the point p of z = 0 hits the card at z in p + z·s. Positions are in

@@ -19,7 +19,7 @@ use lumistack_plugin::display::{Channels, Layer, Transfer};
 /// A film as printed by one printer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Film {
-    /// Maps 0 (darkest state) to 1 (clear film) to codes.
+    /// Maps values from 0 (darkest state) to 1 (clear film) to codes.
     transfer: Transfer,
     /// Transmittance of the darkest state relative to clear film, per channel.
     pub dark: [f64; 3],

@@ -18,8 +18,8 @@ const MARGIN_MM: f64 = 12.0;
 
 /// Thickness of the spacers between neighbouring films, in mm.
 ///
-/// It is the distance of the layers in air, less half a film on either side, times the spacers'
-/// refractive index.
+/// It is the distance between the layers in air, less half a film on either side, times the
+/// spacers' refractive index.
 ///
 /// # Errors
 /// If films are thicker than a gap.

@@ -10,7 +10,7 @@
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::Layer;
 
-/// Distance from a film's edge to the page's, in mm; it has room for cut lines and the title.
+/// Distance from a film's edge to the page's edge, in mm. Cut lines and the title are there.
 pub const OUTSIDE_MM: f64 = 12.0;
 /// Millimetres per inch.
 pub const INCH_MM: f64 = 25.4;

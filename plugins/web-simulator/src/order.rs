@@ -1,4 +1,5 @@
-//! Sorts the frames: the mean of the first ones should be as near to the mean of all as possible.
+//! Sorts the frames: the mean of the first frames should be as near as possible to the mean of all
+//! frames.
 
 /// Smallest side of the boxes over which a frame's picture is averaged, pixels. The eye sees the
 /// average, not the noise.

@@ -45,7 +45,7 @@ impl Poster {
 }
 
 /// Small views from all over the zone, side by side in one picture, from left to right and from the
-/// top; and their entry in preview.json.
+/// top. Also returns their entry in preview.json.
 ///
 /// # Errors
 /// If the host cannot simulate.

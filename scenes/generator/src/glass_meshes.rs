@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use crate::gltf_document::{Document, TRIANGLE_STRIP, TRIANGLES};
 use crate::mesh::Mesh;
 
-/// Cells along each side of the plate.
+/// Number of cells along each side of the plate.
 const PLATE_CELLS: u32 = 48;
 /// Waves on the plate lie within this radius, in plate half-widths; the rest stays flat.
 const RIPPLE_RADIUS: f64 = 0.8;

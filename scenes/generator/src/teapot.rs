@@ -53,7 +53,7 @@ fn control_points(patch: &[u16; 16]) -> [DVec3; 16] {
     patch.map(|index| DVec3::from_array(CONTROL_POINTS[usize::from(index)]))
 }
 
-/// Rotates the data set's axes (z up) to ours (y up), so handedness is kept.
+/// Rotates the data set's axes (z up) to the scene's axes (y up). A rotation keeps the handedness.
 fn y_up(point: DVec3) -> DVec3 {
     DVec3::new(point.x, point.z, -point.y)
 }

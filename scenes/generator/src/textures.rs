@@ -6,7 +6,7 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 use crate::bitmap_font::{columns, is_set};
 use crate::paint::{Picture, Rgba, fractal_noise, hash, mix, noise, paint, paint_normals, rgb, ruled, shade, wave};
 
-/// Checks along each side of [`checkerboard`].
+/// Number of checks along each side of [`checkerboard`].
 pub(crate) const CHECKS_PER_TILE: u32 = 8;
 
 /// Checkerboard of two stones with grain, inlaid lines and a small star in every check; it tiles.

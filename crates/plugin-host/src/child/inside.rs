@@ -262,7 +262,7 @@ unsafe fn bytes<'a>(ptr: *const u8, len: usize, what: &str, error: *const ErrorS
     }
 }
 
-// SAFETY of all functions below: the plugin returns the context of their table, lends texts and
+// SAFETY of all functions below: the plugin returns the context of their table. It lends texts and
 // bytes for the call, and passes null or a valid sink for errors.
 
 unsafe extern "C" fn log(context: *const c_void, level: u32, message: Str) {

@@ -103,8 +103,8 @@ unsafe fn data_of(data: *const Data) -> protocol::Data {
     unsafe { protocol::Data { port: (*data).port, description: text((*data).description_json) } }
 }
 
-// SAFETY: borrowed data are kept in the session while the call runs, and removed before it returns;
-// the host's table of `open` is removed when the session ends. Every use holds the lock that the
+// SAFETY: borrowed data are kept in the session while the call runs, and removed before it returns.
+// The host's table of `open` is removed when the session ends. Every use holds the lock that the
 // removal takes.
 unsafe impl Functions for Remote {
     unsafe fn import(

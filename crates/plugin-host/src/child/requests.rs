@@ -62,7 +62,7 @@ impl Lending {
         self.all.read().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The same, mutable; waits until no request uses them.
+    /// The objects of all calls, mutable; waits until no request uses them.
     pub(super) fn all_mut(&self) -> RwLockWriteGuard<'_, HashMap<u64, Lent>> {
         self.all.write().unwrap_or_else(PoisonError::into_inner)
     }

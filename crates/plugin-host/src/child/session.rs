@@ -70,7 +70,7 @@ impl Owner {
         };
         #[cfg(target_os = "linux")]
         for pipe in [std::os::fd::AsFd::as_fd(&input), std::os::fd::AsFd::as_fd(&output)] {
-            // a larger pipe is faster, where the system allows it
+            // a larger pipe is faster, if the system allows it
             let _ = rustix::pipe::fcntl_setpipe_size(pipe, 1 << 20);
         }
         let (outgoing, frames) = channel::<Option<(ToChild, Vec<u8>)>>();
@@ -118,7 +118,7 @@ impl std::ops::Deref for Owner {
 
 impl Drop for Owner {
     fn drop(&mut self) {
-        // the table ends with the output; the lock waits for requests that use it
+        // the host's table ends with the output; the lock waits for requests that use the table
         self.lending.all_mut().clear();
         self.shut_down();
     }

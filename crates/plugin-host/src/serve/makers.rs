@@ -233,7 +233,7 @@ unsafe extern "C" fn field_view(
         let what = || format!("view {view_y}, {view_x}");
         let [views_y, views_x, rows, cols, channels] = field.radiance().shape();
         if view_y >= views_y || view_x >= views_x {
-            return Err(PluginError::Refused(format!("{} of {views_y} × {views_x}", what())));
+            return Err(PluginError::Refused(format!("{}: expected a view below {views_y}, {views_x}", what())));
         }
         // SAFETY: the plugin lends the plane for the call.
         let values = unsafe { values_of(plane, [rows, cols, channels], f32::MAX, &what)? };
@@ -271,7 +271,7 @@ unsafe extern "C" fn stack_layer(
         let Stack { made: Made { stack, .. }, frames, given_layers, .. } = &mut *built;
         let what = || format!("layer {layer}, frame {frame}");
         if layer >= stack.layers.len() || frame >= *frames {
-            let text = format!("{} of {} layers and {frames} frames", what(), stack.layers.len());
+            let text = format!("{}: expected a layer below {} and a frame below {frames}", what(), stack.layers.len());
             return Err(PluginError::Refused(text));
         }
         let [_, rows, cols, channels] = stack.layers[layer].shape();
@@ -302,7 +302,10 @@ unsafe extern "C" fn stack_emission(
             return Err(PluginError::Refused("the backlight is uniform and takes no emission".into()));
         };
         if frame >= *frames || bin_y >= bins[0] || bin_x >= bins[1] {
-            return Err(PluginError::Refused(format!("{} of {frames} frames, {bins:?} bins", what())));
+            return Err(PluginError::Refused(format!(
+                "{}: expected a frame below {frames} and a bin below {bins:?}",
+                what()
+            )));
         }
         let [_, _, _, rows, cols, channels] = emission.shape();
         // SAFETY: the plugin lends the plane for the call.

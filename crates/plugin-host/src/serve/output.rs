@@ -16,7 +16,8 @@ use crate::serve::lend::{Lent, OutputData};
 use crate::serve::plugin::{Plugin, PluginKind};
 use crate::serve::services::{Services, table};
 
-/// An open output of a plugin. Dropping it closes it, and discards it unless it was finished.
+/// An open output of a plugin. Dropping the output closes it. An output that was not finished is
+/// discarded.
 pub struct Output<'a> {
     functions: Arc<dyn Functions>,
     instance: *mut c_void,

@@ -44,7 +44,7 @@ pub enum CalibrationError {
     },
     /// The camera model does not fit the crosses.
     #[error(
-        "photograph of layer {layer}: expected crosses of an array in perspective, with a reprojection error of at most 3 pixels, found {rms_px:.1} pixels; take a sharp photograph of the whole array"
+        "photograph of layer {layer}: expected crosses of an array in perspective (reprojection error of 3 pixels at most), found {rms_px:.1} pixels. Take a sharp photograph of the whole array"
     )]
     Fit {
         /// The photographed layer.
@@ -69,7 +69,7 @@ pub struct Found {
     pub moved_mm: f64,
 }
 
-/// Smallest number of crosses.
+/// Smallest number of crosses from which a calibration is computed.
 const FEWEST: usize = 9;
 /// Largest reprojection error of an array, pixels of the photograph.
 const ROUGH_PX: f64 = 3.0;

@@ -103,7 +103,7 @@ struct App<'a> {
     pointer: Option<PhysicalPosition<f64>>,
     modifiers: ModifiersState,
     selected: usize,
-    /// Nudges that were not saved.
+    /// True if the nudges changed and were not saved.
     unsaved: bool,
     result: Option<Result<(), WindowError>>,
 }
@@ -546,7 +546,8 @@ impl App<'_> {
         self.apply(event_loop, command);
     }
 
-    /// Stops all threads and emits the report. Of several reasons, the first is kept as the result.
+    /// Stops all threads and emits the report. If there are several reasons, the first is kept as
+    /// the result.
     fn end(&mut self, event_loop: &ActiveEventLoop, reason: Result<(), WindowError>) {
         event_loop.exit();
         if self.result.is_some() {

@@ -1,8 +1,8 @@
 //! Lists outputs, detects their changes, and keeps the keyboard focus on X11.
 //!
-//! On Wayland winit's list follows the registry. On X11 winit's list stays as it was at the start:
-//! RandR's events reach it through Xlib, which drops events of extensions that it did not
-//! initialize. Therefore a second connection queries the X server.
+//! On Wayland winit's list follows the registry. On X11 winit's list never changes: RandR's events
+//! reach winit through Xlib, and Xlib drops events of extensions that it did not initialize.
+//! Therefore a second connection queries the X server.
 //!
 //! X11 sends keys to the focused window. If the focus is the root window or none, keys go to the
 //! window under the pointer, and winit drops them. A window manager focuses new windows. Without a
