@@ -208,7 +208,7 @@ impl Pattern {
                 Self::Identify => picture.encode([mixed(label.at(u, v)); 3]),
                 _ => {
                     let share = place.mm(at).map_or(0.0, |mm| crosses.share(mm));
-                    // with `only` crosses are black; otherwise each layer keeps one channel
+                    // with `only` crosses are black; otherwise each layer leaves one channel clear
                     let kept = if only.is_some() { 3 } else { layer % 3 };
                     picture.encode([0, 1, 2].map(|c| if c == kept { neutral } else { mixed(share) }))
                 }

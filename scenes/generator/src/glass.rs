@@ -274,7 +274,7 @@ fn add_plate_and_gem(document: &mut Document) {
     document.add_node(node);
 }
 
-/// Two rows of stretched beads: one mesh, a parent with a rotation, children with uneven scale.
+/// Two rows of stretched beads: one mesh, a parent with a rotation, children with nonuniform scale.
 fn add_beads(document: &mut Document) {
     let jade = document.add_material(json!({
         "name": "jade",
