@@ -69,7 +69,7 @@ fn silence_has_a_limit_that_can_be_set() {
     assert!(text.contains("gave no sign of life for 1 s while it wrote `a.txt`, and was ended"), "{text}");
     let output = run(folder.path(), "").env("LUMISTACK_PLUGIN_SILENCE_S", "long").output().unwrap();
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
-    let expected = "LUMISTACK_PLUGIN_SILENCE_S: expected a number of seconds, 0 for any time, found `long`";
+    let expected = "LUMISTACK_PLUGIN_SILENCE_S: expected a number of seconds, 0 for no limit, found `long`";
     assert!(output.status.success() && text.contains(expected), "{text}");
 }
 

@@ -1,8 +1,8 @@
-"""Writes one of our glTF scenes as USD.
+"""Writes a glTF scene of the generator as USD.
 
-`python to_usd.py still-life.gltf` makes still-life.usda beside it, with its meshes in still-life.usdc. It also makes still-life.usdz, which contains both and the pictures.
+`python to_usd.py still-life.gltf` makes still-life.usda in the same folder, with its meshes in still-life.usdc. It also makes still-life.usdz, which contains both and the pictures.
 
-Needs usd-core. Both formats must render to the same picture, so every value is copied unchanged. Features that our glTF scenes do not use are not converted.
+Needs usd-core. Both formats must render to the same picture, so every value is copied unchanged. Features that the generator's scenes do not use are not converted.
 """
 
 import json
@@ -45,7 +45,8 @@ def main(path):
         dome = UsdLux.DomeLight.Define(stage, root + "/sky")
         dome.CreateTextureFileAttr("./" + environment["image"])
         dome.CreateTextureFormatAttr(UsdLux.Tokens.latlong)
-        # the centre of USD's pictures is towards +z, that of ours towards -z
+        # the centre of USD's pictures is towards +z, the centre of this project's pictures towards
+        # -z
         dome.AddRotateYOp().Set(180.0)
         dome.CreateIntensityAttr(float(environment.get("strength", 1.0)))
     stage.GetRootLayer().Save()

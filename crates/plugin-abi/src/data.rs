@@ -18,7 +18,7 @@ pub mod view {
     pub const EYE: u32 = 2;
 }
 
-/// A lent array of 1 to 4 axes, outermost first.
+/// A lent array of 1 to 4 axes, the outermost axis first.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct Plane {
@@ -36,8 +36,8 @@ pub struct Plane {
     pub strides: [isize; 4],
     /// Passed to `release`.
     pub owner: *mut c_void,
-    /// Releases the plane. If null, the plane is valid until the `submit` that fetched it returns,
-    /// and needs no release.
+    /// Releases the plane. If null, the plane needs no release: it stays valid until the `submit`
+    /// or `make` that fetched it returns.
     pub release: Option<unsafe extern "C" fn(owner: *mut c_void)>,
 }
 
@@ -57,7 +57,7 @@ impl Plane {
     }
 }
 
-/// Place of a time step in a sequence.
+/// Position of a time step in a sequence.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct Time {
@@ -81,8 +81,8 @@ pub struct View {
     pub value: [f64; 3],
 }
 
-/// Data of a time step, lent until `submit` returns. Functions that do not fit `port` return
-/// [`Status::REFUSED`]. Several threads may read at once.
+/// Data of a time step, lent until `submit` or `make` returns. Functions that do not fit `port`
+/// return [`Status::REFUSED`]. Several threads may call the functions in parallel.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct Data {
@@ -94,19 +94,18 @@ pub struct Data {
     pub context: *const c_void,
     /// Shapes and geometry as JSON.
     ///
-    /// * A layer stack: `{"port": "layer_stack", "brightness", "frames",
-    ///   "layers": [[rows, cols], ...], "emission", "target": geometry, "target_views",
-    ///   "target_depth": depth}`. `layers` begins with the rearmost one. `emission` is null or
-    ///   `[bins_y, bins_x, lenslet_rows, lenslet_cols]`. `target_views` is true where `view_plane`
-    ///   lends the target's views.
+    /// * A layer stack: `{"port": "layer_stack", "brightness", "frames", "layers": [[rows, cols],
+    ///   ...], "emission", "target": geometry, "target_views", "target_depth": depth}`. `layers`
+    ///   begins with the rearmost layer. `emission` is null or `[bins_y, bins_x, lenslet_rows,
+    ///   lenslet_cols]`. `target_views` is true if `view_plane` lends the target's views.
     /// * A light field: `{"port": "light_field", "geometry": geometry, "depth": depth}`.
     /// * A node's light field also has `"seed"`, `"weights"` and `"start"`. `weights` is
-    ///   `{"per_view": [[...], ...]}` or `"per_ray"` (see `weight_plane`); without it all rays
-    ///   count alike. `start` is `{"brightness"}` where a warm start exists. Its patterns have the
-    ///   display's own shape; `layer_plane` and `emission_plane` lend them.
+    ///   `{"per_view": [[...], ...]}` or `"per_ray"` (see `weight_plane`); without it all rays have
+    ///   the same weight. `start` is `{"brightness"}` if there is a warm start. The warm start's
+    ///   patterns have the display's shape; `layer_plane` and `emission_plane` lend them.
     /// * A depth: `{"rows", "cols", "z_mm": [...]}`, row by row, in millimetres towards the viewer,
     ///   null for a miss. It belongs to the view [view rows / 2, view columns / 2], and may be
-    ///   coarser than the views. The key is left out where the depth is unknown.
+    ///   coarser than the views. The key is left out if the depth is unknown.
     /// * A geometry: `{"rows", "cols", "pitch_mm", "projection": "oblique" | "perspective",
     ///   "distance_mm", "slope_x": [...], "slope_y": [...]}`.
     pub description_json: Str,
@@ -128,8 +127,8 @@ pub struct Data {
         plane: *mut Plane,
         error: *const ErrorSink,
     ) -> Status,
-    /// Linear radiance `[row][col][rgb]` of one view of a light field, or of a layer stack's target
-    /// where it has views.
+    /// Linear radiance `[row][col][rgb]` of one view: of a light field, or of a layer stack's
+    /// target if `target_views` is true.
     pub view_plane: unsafe extern "C" fn(
         context: *const c_void,
         view_y: usize,
@@ -137,8 +136,8 @@ pub struct Data {
         plane: *mut Plane,
         error: *const ErrorSink,
     ) -> Status,
-    /// Weights `[row][col][1]`, at least 0, of the rays of one view, where the description says
-    /// `"per_ray"`. Since version 0.3.
+    /// Weights `[row][col][1]`, at least 0, of the rays of one view, if `weights` of the
+    /// description is `"per_ray"`. Since version 0.3.
     pub weight_plane: unsafe extern "C" fn(
         context: *const c_void,
         view_y: usize,

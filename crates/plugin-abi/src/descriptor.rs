@@ -16,7 +16,7 @@ pub mod kind {
     pub const OUTPUT: u32 = 4;
 }
 
-/// Bits of [`Descriptor::ports`]: the types of the graph's edges.
+/// Bits of [`Descriptor::ports`]: the kinds of data that plugins exchange.
 pub mod port {
     /// A validated scene.
     pub const SCENE: u32 = 1;
@@ -24,7 +24,7 @@ pub mod port {
     pub const LIGHT_FIELD: u32 = 1 << 1;
     /// The patterns of a tensor display.
     pub const LAYER_STACK: u32 = 1 << 2;
-    /// A file that another plugin wrote.
+    /// A file, which an importer reads.
     pub const FILE: u32 = 1 << 3;
 }
 
@@ -59,7 +59,7 @@ pub struct Descriptor {
     /// Parameters: `{"params": [{"name", "kind", "default", "min", "max", "options", "unit",
     /// "help"}, ...]}`.
     pub schema_json: Str,
-    /// Functions of its kind; see [`kind`].
+    /// Functions of the plugin's kind; see [`kind`].
     pub vtable: *const c_void,
 }
 
@@ -70,7 +70,7 @@ unsafe impl Sync for Descriptor {}
 
 /// Functions of an output plugin. All but `run` and `command` are required.
 ///
-/// `error` receives the text of a status other than [`Status::OK`]; it may be null where the caller
+/// `error` receives the text of a status other than [`Status::OK`]; it may be null if the caller
 /// does not need the text.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
@@ -91,7 +91,8 @@ pub struct OutputVtable {
             error: *const ErrorSink,
         ) -> Status,
     >,
-    /// Takes one time step of the sequence. Any thread may call it, several at once too.
+    /// Takes one time step of the sequence. Any thread may call it; several threads may call it in
+    /// parallel.
     pub submit: Option<
         unsafe extern "C" fn(
             instance: *mut c_void,
@@ -103,10 +104,11 @@ pub struct OutputVtable {
     /// For presenters only, else null. Runs on the main thread until the user closes the
     /// presentation or the host cancels. Meanwhile every `submit` replaces the presented patterns.
     pub run: Option<unsafe extern "C" fn(instance: *mut c_void, error: *const ErrorSink) -> Status>,
-    /// Ends the data. Called at most once, after every `submit` has returned.
+    /// Completes the output: no more data follow. Called at most once, after every `submit` has
+    /// returned.
     pub finish: Option<unsafe extern "C" fn(instance: *mut c_void, error: *const ErrorSink) -> Status>,
-    /// Frees the handle. Called exactly once, as the last function, in any state; without `finish`
-    /// the output is abandoned.
+    /// Frees the handle. Called exactly once, as the last function, in any state. Without an
+    /// earlier `finish` the output is discarded.
     pub close: Option<unsafe extern "C" fn(instance: *mut c_void)>,
     /// For presenters with commands, else null. Executes a command while `run` runs; any thread may
     /// call it. The plugin defines the form of `command_json`. Since version 0.4.

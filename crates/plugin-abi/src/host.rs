@@ -6,7 +6,7 @@ use crate::{Bytes, Data, ErrorSink, Plane, Status, Str, View};
 
 /// Levels of [`HostServices::log`].
 pub mod level {
-    /// An error that the plugin survives.
+    /// An operation failed, and the plugin continues without it.
     pub const ERROR: u32 = 1;
     /// A problem that the user should know.
     pub const WARN: u32 = 2;
@@ -18,7 +18,8 @@ pub mod level {
 
 /// Functions of the host. Any thread may call them, from `open` until `close` returns.
 ///
-/// They are a table because every library has its own statics: loggers, allocators, thread pools.
+/// They are passed as a table because every library has its own statics (loggers, allocators,
+/// thread pools), and cannot reach the host's.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct HostServices {
@@ -30,7 +31,7 @@ pub struct HostServices {
     pub log: unsafe extern "C" fn(context: *const c_void, level: u32, message: Str),
     /// Starts a stage of `total` steps of kind `unit` ("files").
     pub progress_begin: unsafe extern "C" fn(context: *const c_void, stage: Str, total: u64, unit: Str),
-    /// Reports finished steps. `note` is a short value to show beside the bar, or empty.
+    /// Reports finished steps. `note` is a short value to show next to the progress bar, or empty.
     pub progress_advance: unsafe extern "C" fn(context: *const c_void, steps: u64, note: Str),
     /// Ends the stage.
     pub progress_end: unsafe extern "C" fn(context: *const c_void),
@@ -38,18 +39,18 @@ pub struct HostServices {
     /// [`Status::CANCELLED`].
     pub is_cancelled: unsafe extern "C" fn(context: *const c_void) -> u8,
     /// Starts a file, with `*file` as its handle. `path` is relative to the output's folder, with
-    /// `/` between its parts and no `..`.
+    /// `/` between names and no `..`.
     pub file_open:
         unsafe extern "C" fn(context: *const c_void, path: Str, file: *mut u64, error: *const ErrorSink) -> Status,
     /// Appends bytes to an open file.
     pub file_append:
         unsafe extern "C" fn(context: *const c_void, file: u64, bytes: Bytes, error: *const ErrorSink) -> Status,
-    /// Completes the file and closes the handle. The file appears in its place once the output has
-    /// finished.
+    /// Completes the file and closes the handle. The file appears in the output's folder once the
+    /// output has finished.
     pub file_commit: unsafe extern "C" fn(context: *const c_void, file: u64, error: *const ErrorSink) -> Status,
     /// Drops the file and closes the handle. Nothing of the file remains.
     pub file_abort: unsafe extern "C" fn(context: *const c_void, file: u64, error: *const ErrorSink) -> Status,
-    /// Computes the seen picture of a submitted layer stack from one place.
+    /// Computes the seen picture of a submitted layer stack from one viewpoint.
     ///
     /// The result is emitted linear radiance `[row][col][rgb]`: the mean over the area of each of
     /// the target's pixels, not divided by the stack's brightness. `data` is the argument of
@@ -61,10 +62,10 @@ pub struct HostServices {
         plane: *mut Plane,
         error: *const ErrorSink,
     ) -> Status,
-    /// Sends an event to the host's driver of a presenter. The plugin defines the form of the JSON.
-    /// Since version 0.4.
+    /// Sends an event of a presenter to the program that runs the presentation. The plugin defines
+    /// the form of the JSON. Since version 0.4.
     pub tell: unsafe extern "C" fn(context: *const c_void, event_json: Str),
-    /// Port whose data the output will receive, a bit of [`port`](crate::port); 0 where the host
-    /// does not know it. Since version 0.4.
+    /// Port whose data the output will receive, a bit of [`port`](crate::port); 0 if the host does
+    /// not know it. Since version 0.4.
     pub port: u32,
 }

@@ -8,7 +8,7 @@
 //! host                                   plugin
 //!  │  open(HostServices, params, display) ─▶ │   JSON in, a handle out
 //!  │  submit(Time, Data) ──────────────────▶ │   any thread; fetches one lent Plane at a time
-//!  │ ◀── file_open / append / commit ─────── │   bytes leave only through the host
+//!  │ ◀── file_open / append / commit ─────── │   files are written only through the host
 //!  │  run() ───────────────────────────────▶ │   presenters only, on the main thread
 //!  │  finish() ────────────────────────────▶ │   no more data
 //!  │  close() ─────────────────────────────▶ │   frees the handle, finished or not
@@ -16,7 +16,7 @@
 //!
 //! This is the life of an output. While `run` runs, `submit` and `command` are still called.
 //!
-//! Importers, sources and nodes are one call each, which passes its result to a sink:
+//! An importer, source or node has a single function, which passes its result to a sink:
 //!
 //! ```text
 //!  │  import(HostServices, params, file, Assets, ByteSink) ─▶ │   a glTF document
@@ -25,11 +25,11 @@
 //! ```
 //!
 //! Rules for both sides:
-//! * A struct starts with its own size in bytes ([`Descriptor`] with the version numbers) and grows
-//!   only at its end. A reader of the other side's struct reads at most that size. A caller that
-//!   requests a filled struct sets its `size` first.
-//! * Any other change raises [`ABI_MAJOR`], which must be the same on both sides. Growth raises
-//!   [`ABI_MINOR`].
+//! * Every struct begins with its size in bytes ([`Descriptor`] begins with the version numbers).
+//!   New members are added only at the end. A side that reads a struct of the other side reads at
+//!   most that size. A caller that requests a filled struct sets its `size` first.
+//! * Any other change raises [`ABI_MAJOR`], which must be the same on both sides. New members at
+//!   the end raise [`ABI_MINOR`].
 //! * Text is UTF-8, never null-terminated. JSON may gain keys; readers ignore unknown keys.
 //! * Lent data are valid until the call returns, unless their documentation says otherwise. No side
 //!   frees the other's memory: the call's [`ErrorSink`] copies error texts, and planes have a
@@ -104,7 +104,7 @@ impl Status {
     pub const OK: Self = Self(0);
     /// The call failed; the error text states why.
     pub const FAILED: Self = Self(1);
-    /// The call stopped because the host cancelled; the input may be valid.
+    /// The call stopped because the host cancelled; it implies nothing about the input.
     pub const CANCELLED: Self = Self(2);
     /// The callee does not support the parameters or data; the error text names them.
     pub const REFUSED: Self = Self(3);
@@ -130,8 +130,8 @@ mod tests {
     use super::*;
     use core::mem::{align_of, offset_of, size_of};
 
-    /// The layout of these structs in every 64-bit C compiler. Any change but growth at the end is
-    /// a new major version.
+    /// The layout of these structs in every 64-bit C compiler. Any change except new members at the
+    /// end needs a new major version.
     #[test]
     #[cfg(target_pointer_width = "64")]
     fn layouts_are_what_a_c_header_would_say() {

@@ -1,7 +1,7 @@
 //! Plugins that make data: importers (scenes), sources (light fields) and nodes (layer stacks).
 //!
-//! Each is one function that passes its result to a sink, piece by piece. The host checks every
-//! piece.
+//! Each plugin is one function that passes its result to a sink, piece by piece. The host checks
+//! every piece.
 
 use core::ffi::c_void;
 
@@ -28,7 +28,7 @@ pub struct Assets {
     /// Passed to `read`.
     pub context: *const c_void,
     /// Reads a whole file. `path` is relative to the folder of the imported file, with `/` between
-    /// its parts.
+    /// names.
     pub read: unsafe extern "C" fn(
         context: *const c_void,
         path: Str,
@@ -46,11 +46,11 @@ pub struct Assets {
 pub struct ImporterVtable {
     /// Size of this struct in bytes.
     pub size: usize,
-    /// Extensions of its files: lower case, without the dot, separated by spaces.
+    /// Extensions of the files that it reads: lower case, without the dot, separated by spaces.
     pub extensions: Str,
     /// Reads the file `file`, a name for `assets`, and writes a whole `.glb` or `.gltf` to `scene`.
-    /// The document may refer to files beside the imported file. `host` offers messages, progress
-    /// and cancellation, but no files.
+    /// The document may refer to files in the imported file's folder. `host` offers messages,
+    /// progress and cancellation, but no files.
     pub import: Option<
         unsafe extern "C" fn(
             host: *const HostServices,
@@ -77,8 +77,8 @@ pub struct FieldSink {
     pub size: usize,
     /// Passed to every function.
     pub context: *mut c_void,
-    /// Sets pixels and views, as the geometry in [`Data::description_json`]. Called once, before
-    /// the first view.
+    /// Sets the light field's geometry, in the form that [`Data::description_json`] gives a
+    /// geometry. Called once, before the first view.
     pub geometry: unsafe extern "C" fn(context: *mut c_void, geometry_json: Str, error: *const ErrorSink) -> Status,
     /// Copies the linear radiance `[row][col][rgb]` of one view, finite and at least 0. Called
     /// exactly once for every view, in any order.
@@ -98,7 +98,7 @@ pub struct SourceVtable {
     /// Size of this struct in bytes.
     pub size: usize,
     /// Makes the light field of one time step. It should have the display's geometry; the host
-    /// accepts others. `host` is as for importers.
+    /// accepts others. `host` offers the same as for importers.
     pub make: Option<
         unsafe extern "C" fn(
             host: *const HostServices,
@@ -121,10 +121,10 @@ pub struct StackSink {
     /// Passed to every function.
     pub context: *mut c_void,
     /// Sets the brightness β, above 0 and at most 1: the patterns emit β times the target. Without
-    /// this call β is that of the display.
+    /// this call β is the display's.
     pub brightness: unsafe extern "C" fn(context: *mut c_void, brightness: f64, error: *const ErrorSink) -> Status,
     /// Copies the values `[row][col][rgb]` of one layer (0 = rearmost) and frame, linear, 0..1.
-    /// Called exactly once for each.
+    /// Called exactly once for each layer and frame.
     pub layer_plane: unsafe extern "C" fn(
         context: *mut c_void,
         layer: usize,
@@ -133,7 +133,7 @@ pub struct StackSink {
         error: *const ErrorSink,
     ) -> Status,
     /// Copies the emission `[lenslet_row][lenslet_col][rgb]` of one angular bin and frame of a
-    /// directional backlight, linear, 0..1. Called exactly once for each.
+    /// directional backlight, linear, 0..1. Called exactly once for each bin and frame.
     pub emission_plane: unsafe extern "C" fn(
         context: *mut c_void,
         frame: usize,
@@ -142,10 +142,10 @@ pub struct StackSink {
         plane: *const Plane,
         error: *const ErrorSink,
     ) -> Status,
-    /// Reports the progress of an iterative method. `objective` is the value after `iteration`
-    /// iterations (0: the start), which the method minimizes. `psnr_view_db` is the PSNR of the
-    /// emitted light field against the target, dB; NaN where it is unknown. Optional, in order.
-    /// Since version 0.3.
+    /// Reports the progress of an iterative method. `objective` is the value that the method
+    /// minimizes, after `iteration` iterations; iteration 0 is the start. `psnr_view_db` is the
+    /// PSNR of the emitted light field against the target, dB; NaN if it is unknown. Optional;
+    /// `iteration` must increase from call to call. Since version 0.3.
     pub step: unsafe extern "C" fn(
         context: *mut c_void,
         iteration: u32,
@@ -154,9 +154,10 @@ pub struct StackSink {
         error: *const ErrorSink,
     ) -> Status,
     /// Reports the result of an iterative method: `{"solver", "start", "coarse_levels",
-    /// "kkt_residual", "levels"}`. Optional, once. Since version 0.3.
+    /// "kkt_residual", "levels"}`. Optional; called at most once. Since version 0.3.
     ///
-    /// * `coarse_levels`: levels of half the resolution before the first iteration.
+    /// * `coarse_levels`: number of coarser resolutions, each half the next finer one, that were
+    ///   solved first.
     /// * `kkt_residual`: root mean square of the emission's change in a further exact step. The
     ///   older key `unsettled` is accepted too.
     /// * `levels`: PSNR in dB of [continuous, rounded, re-optimized] patterns for panels of few
@@ -170,8 +171,9 @@ pub struct StackSink {
 pub struct NodeVtable {
     /// Size of this struct in bytes.
     pub size: usize,
-    /// Makes the patterns of one time step. `data` is a light field of the display's own geometry,
-    /// with the other keys of its description. `host` is as for importers.
+    /// Makes the patterns of one time step. `data` is a light field of the display's geometry; its
+    /// description also has the keys of a node's light field. `host` offers the same as for
+    /// importers.
     pub make: Option<
         unsafe extern "C" fn(
             host: *const HostServices,

@@ -52,7 +52,7 @@ fn generated() -> String {
             export.rename.insert((*name).into(), full.join("_"));
         }
     }
-    // used through pointers alone, or only by plugins
+    // cbindgen must list these by name, since no other listed type contains them
     let items = ["Descriptor", "OutputVtable", "ImporterVtable", "SourceVtable", "NodeVtable"];
     export.include = items.map(String::from).to_vec();
     export.exclude = vec!["ENTRY_PREFIX".into()];

@@ -1,8 +1,8 @@
-//! A film of a printed display that exceeds memory.
+//! Makes a film for a printed display; the film's data exceed the memory.
 //!
 //! Patterns are written tile by tile, and `transparencies` makes a PDF of them. Each step is a
-//! process whose memory, pages of files included, is limited to a gigabyte if the system permits
-//! it.
+//! process whose memory, cached pages of files included, is limited to a gigabyte if the system
+//! permits it.
 //!
 //! `bench_film [COLUMNS ROWS] [FOLDER]`
 
@@ -19,8 +19,8 @@ use serde_json::json;
 
 type Outcome = Result<(), Box<dyn Error>>;
 
-/// Memory of a process in bytes, pages of files included. With pages that it shares with other
-/// processes, it stays below a gigabyte.
+/// Limit on a process's memory, cached pages of files included, bytes. Pages shared with other
+/// processes are not limited; with these, the process stays below a gigabyte.
 const LIMIT: u64 = 900 << 20;
 /// Pixels per side of a tile.
 const TILE: usize = 2048;
@@ -38,7 +38,7 @@ fn main() -> Outcome {
     }
 }
 
-/// Two films. The one in front is small, since one large film is enough for the measurement.
+/// Two films. The front film is small, since one large film is enough for the measurement.
 fn display(size: &[&str]) -> Result<Display, Box<dyn Error>> {
     let [cols, rows] = size else { return Err("expected columns and rows".into()) };
     let resolution = [cols.parse()?, rows.parse()?];
@@ -94,7 +94,7 @@ fn bench(size: [&str; 2], folder: &Path) -> Outcome {
     println!("a film of {} × {} pixels, {} dots per inch", size[0], size[1], (25.4 / PITCH_MM).round());
     let group = Group::new();
     if group.is_none() {
-        println!("pages of files are not limited: this system permits no control group of memory");
+        println!("cached pages of files are not limited: this system permits no control group for memory");
     }
     for step in ["patterns", "film"] {
         let begun = Instant::now();
@@ -105,9 +105,9 @@ fn bench(size: [&str; 2], folder: &Path) -> Outcome {
         let (status, own) = watch(&mut child)?;
         let seconds = begun.elapsed().as_secs_f64();
         println!(
-            "{step:9} {seconds:6.0} s, at most {:4} MiB of its own{}",
+            "{step:9} {seconds:6.0} s, at most {:4} MiB of anonymous memory{}",
             own >> 20,
-            if group.is_some() { ", 900 MiB with pages of files" } else { "" }
+            if group.is_some() { ", limit 900 MiB with cached pages of files" } else { "" }
         );
         if !status {
             return Err(format!("`{step}` failed").into());
@@ -139,13 +139,13 @@ fn watch(child: &mut Child) -> Result<(bool, u64), Box<dyn Error>> {
     }
 }
 
-/// A control group whose processes share [`LIMIT`], pages of files included.
+/// A control group whose processes share [`LIMIT`], cached pages of files included.
 struct Group(PathBuf);
 
 impl Group {
     fn new() -> Option<Self> {
         let name = format!("lumistack-film-{}", std::process::id());
-        // version 2 of control groups, and version 1
+        // paths of version 2 of control groups, and of version 1
         let kinds = [("/sys/fs/cgroup", "memory.max"), ("/sys/fs/cgroup/memory", "memory.limit_in_bytes")];
         kinds.into_iter().find_map(|(root, limit)| {
             let group = Self(Path::new(root).join(&name));

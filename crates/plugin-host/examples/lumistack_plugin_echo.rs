@@ -21,7 +21,7 @@ enum Given {
     Quit,
 }
 
-/// It has no parameters.
+/// The plugin has no parameters.
 #[derive(Deserialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 pub struct Params {}

@@ -4,11 +4,11 @@ use std::sync::LazyLock;
 
 use lumistack_plugin::Export;
 
-/// Hash of the sources of the plugin interface's plugin side, for cache keys.
+/// Hash of the sources of `lumistack-plugin`, the plugins' side of the interface, for cache keys.
 pub const PLUGIN_FINGERPRINT: &str = lumistack_plugin::FINGERPRINT;
 
-/// Lists plugins: the feature that enables a crate, and the module that ends with `export_plugin!`.
-/// The hash covers the crate's sources.
+/// Builds the list of compiled-in plugins and the hashes of their crates' sources. A line names the
+/// feature that enables a crate, and the module that ends with `export_plugin!`.
 macro_rules! plugins {
     ($($feature:literal: $krate:ident $(:: $module:ident)*;)*) => {
         pub(crate) static BUILT_IN: &[(&LazyLock<Export>, &str)] = &[$(
@@ -42,8 +42,8 @@ pub(crate) fn same_id(a: &str, b: &str) -> bool {
     a.len() == b.len() && a.bytes().zip(b.bytes()).all(|(a, b)| plain(a) == plain(b))
 }
 
-/// Hash of the sources of the compiled-in plugin `id`, for cache keys; `None` for other plugins. A
-/// plugin's version does not change during development, its sources do.
+/// Hash of the sources of the compiled-in plugin `id`, for cache keys; `None` for other plugins.
+/// The plugin's version is not enough for a key, since it stays the same during development.
 pub fn fingerprint_of(id: &str) -> Option<&'static str> {
     BUILT_IN.iter().find(|(export, _)| same_id(export.id(), id)).map(|(_, fingerprint)| *fingerprint)
 }

@@ -8,8 +8,8 @@ use serde_json::Value;
 
 use crate::{HostError, Registry};
 
-/// Opens the output plugin `id` for a display and data of `port`, and closes it unused. Warnings
-/// are dropped here, since [`run_output`](crate::run_output) repeats them.
+/// Opens the output plugin `id` for a display and data of `port`, and closes the output unused.
+/// Warnings are dropped here, since [`run_output`](crate::run_output) repeats them.
 ///
 /// # Errors
 /// If there is no such output, it is a presenter, or it refuses the parameters or the display.

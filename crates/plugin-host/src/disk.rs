@@ -1,4 +1,5 @@
-//! Services for a plugin: files go to the staging folder, all else to the task.
+//! Host of an output plugin. Files are written to the staging folder; warnings, progress and
+//! cancellation belong to the task.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
@@ -29,7 +30,8 @@ struct Files {
 
 struct OpenFile {
     name: String,
-    /// Beside the committed files. The name starts with a dot, which plugins' files cannot.
+    /// Path of the open file, in the folder of the committed files. Its name starts with a dot,
+    /// which no name of a plugin's file may do.
     path: PathBuf,
     writer: BufWriter<File>,
 }
@@ -42,7 +44,7 @@ impl<'a> DiskHost<'a> {
     /// The committed files, sorted.
     ///
     /// # Errors
-    /// The names of files still open.
+    /// The names of the files that are still open, if there are any.
     pub(crate) fn into_files(self) -> Result<Vec<String>, Vec<String>> {
         let files = self.files.into_inner().unwrap_or_else(PoisonError::into_inner);
         if files.open.is_empty() {
@@ -115,7 +117,7 @@ impl Services for DiskHost<'_> {
         let mut files = self.files();
         let OpenFile { name, path, writer } = files.open.remove(&file).ok_or_else(|| not_open(file))?;
         files.taken.remove(&name.to_lowercase());
-        // without writing the buffered rest
+        // drops the buffered bytes, which are not written
         drop(writer.into_parts());
         fs::remove_file(&path).map_err(cannot("remove", &name))
     }

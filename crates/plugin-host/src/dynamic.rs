@@ -22,21 +22,22 @@ use crate::child::{Launcher, Limits};
 use crate::registry::Library;
 use crate::{LoadError, Origin, Registry};
 
-/// Adds search paths, separated like those of `PATH`.
+/// Environment variable that adds search paths, separated as in `PATH`.
 const VARIABLE: &str = "LUMISTACK_PLUGIN_PATH";
 /// Stem of a plugin library's file name, before the id.
 const STEM: &str = "lumistack_plugin_";
 
-/// Search paths for plugins, in this order. The first plugin of an id is kept.
+/// Search paths for plugins, in the order of these fields. If several plugins have one id, the
+/// first is kept.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct PluginPaths {
     /// Files and folders named explicitly, which must exist.
     pub named: Vec<PathBuf>,
     /// The user's plugin folder, which may be missing.
     pub user: Option<PathBuf>,
-    /// Launcher of plugin processes; none uses that of [`Launcher::set_for_process`].
+    /// Launcher of plugin processes; `None` selects the launcher of [`Launcher::set_for_process`].
     pub launcher: Option<Launcher>,
-    /// Time limits of plugins; none reads them from the environment, see [`Limits`].
+    /// Time limits of plugins; `None` reads the limits from the environment, see [`Limits`].
     pub limits: Option<Limits>,
 }
 
@@ -158,8 +159,8 @@ pub(crate) fn open(path: &Path, id: &str) -> Result<Plugin, LoadError> {
     // SAFETY: a function of this name is a plugin's entry, by the convention of the interface.
     let entry = unsafe { library.get::<Entry>(symbol.as_bytes()) }
         .map_err(|_| LoadError::NoEntry { path: path.into(), symbol: symbol.clone() })?;
-    // SAFETY: as above; it returns null or a descriptor that lives as long as the library, which is
-    // never unloaded.
+    // SAFETY: as above; the function returns null or a descriptor that lives as long as the
+    // library, which is never unloaded.
     let plugin = unsafe { Plugin::from_descriptor(entry()) }
         .map_err(|reason| LoadError::Descriptor { path: path.into(), reason })?;
     let found = &plugin.info().id;
@@ -170,7 +171,7 @@ pub(crate) fn open(path: &Path, id: &str) -> Result<Plugin, LoadError> {
     }
 }
 
-/// The system's message, which libloading wraps.
+/// The system's message, without the text that libloading adds.
 fn loader_message(error: &libloading::Error) -> String {
     std::error::Error::source(error).map_or_else(|| error.to_string(), ToString::to_string)
 }
@@ -186,8 +187,8 @@ fn ids_of(path: &Path, name: String) -> Result<Vec<String>, LoadError> {
     }
     let data = ReadCache::new(file);
     match FileKind::parse(&data) {
-        // a file for several machines, of which the loader selects one: a single plugin, named as
-        // the file
+        // the file contains a library per machine, of which the loader selects one; it is taken as
+        // a single plugin with the file's name
         Ok(FileKind::MachOFat32 | FileKind::MachOFat64) => return Ok(vec![name]),
         Ok(_) => {}
         Err(_) => return Err(other("a file of another kind".into())),

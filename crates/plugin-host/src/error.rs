@@ -7,7 +7,7 @@ use crate::serve::PluginKind;
 use lumistack_plugin::PluginError;
 use thiserror::Error;
 
-/// An output was not written; its folder contains no new files.
+/// A plugin failed or cannot be used. If it is an output, its folder contains no new files.
 #[derive(Debug, Error)]
 pub enum HostError {
     /// No plugin has this id.
@@ -23,7 +23,7 @@ pub enum HostError {
     /// The plugin is of another kind.
     #[error("plugin `{id}`: expected {expected}, found {found}")]
     OtherKind {
-        /// The plugin.
+        /// The plugin's id.
         id: String,
         /// The required kind.
         expected: PluginKind,
@@ -36,7 +36,7 @@ pub enum HostError {
     /// The plugin's library cannot be used.
     #[error("plugin `{id}` cannot be used: {reason}")]
     NotLoaded {
-        /// The plugin.
+        /// The plugin's id.
         id: String,
         /// The library and its error.
         reason: String,
@@ -47,9 +47,9 @@ pub enum HostError {
     /// The plugin refuses these parameters or data.
     #[error("{} `{plugin}`: {reason}", kind.name())]
     Refused {
-        /// Its kind.
+        /// The plugin's kind.
         kind: PluginKind,
-        /// The plugin.
+        /// The plugin's id.
         plugin: String,
         /// The refused value and the reason.
         reason: String,
@@ -57,9 +57,9 @@ pub enum HostError {
     /// The plugin failed.
     #[error("{} `{plugin}` failed: {reason}", kind.name())]
     Failed {
-        /// Its kind.
+        /// The plugin's kind.
         kind: PluginKind,
-        /// The plugin.
+        /// The plugin's id.
         plugin: String,
         /// The plugin's message.
         reason: String,
@@ -67,9 +67,9 @@ pub enum HostError {
     /// The plugin panicked.
     #[error("{} `{plugin}` panicked, which is a mistake in the plugin: {reason}", kind.name())]
     Panicked {
-        /// Its kind.
+        /// The plugin's kind.
         kind: PluginKind,
-        /// The plugin.
+        /// The plugin's id.
         plugin: String,
         /// The panic's message.
         reason: String,
@@ -77,7 +77,7 @@ pub enum HostError {
     /// The plugin finished while files were incomplete.
     #[error("output `{plugin}` finished without completing {}", files.join(", "))]
     Uncommitted {
-        /// The plugin.
+        /// The plugin's id.
         plugin: String,
         /// Files that were neither committed nor aborted.
         files: Vec<String>,
@@ -116,7 +116,7 @@ pub enum LoadError {
         /// The system's error.
         source: io::Error,
     },
-    /// The name is not that of a plugin library.
+    /// The file's name is not that of a plugin library.
     #[error("{}: expected a file named `{expected}`", path.display())]
     Name {
         /// The file.
@@ -171,9 +171,9 @@ pub enum LoadError {
     OtherId {
         /// The file.
         path: PathBuf,
-        /// By the entry function's name.
+        /// The id in the entry function's name.
         expected: String,
-        /// By the descriptor.
+        /// The id in the descriptor.
         found: String,
     },
     /// The process that loads the library ended, or was ended.
@@ -185,17 +185,17 @@ pub enum LoadError {
         cause: String,
     },
     /// The program has set no launcher of plugin processes.
-    #[error("{}: no program is known that loads plugins for this one", path.display())]
+    #[error("{}: the process for it cannot be started: no launcher is set", path.display())]
     NoLauncher {
         /// The file.
         path: PathBuf,
     },
     /// A limit in the environment is invalid.
-    #[error("{variable}: expected a number of seconds, 0 for any time, found `{found}`")]
+    #[error("{variable}: expected a number of seconds, 0 for no limit, found `{found}`")]
     Setting {
         /// The variable.
         variable: &'static str,
-        /// Its value.
+        /// The variable's value.
         found: String,
     },
     /// The id is in use; the first plugin is kept.
@@ -211,7 +211,7 @@ pub enum LoadError {
 }
 
 impl HostError {
-    /// For `map_err` on file system calls.
+    /// Makes a function for `map_err` that converts the error of a file system call.
     pub(crate) fn io(path: &Path, doing: &'static str) -> impl FnOnce(io::Error) -> Self {
         let path = path.to_path_buf();
         move |source| Self::Io { path, doing, source }

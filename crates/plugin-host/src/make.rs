@@ -10,7 +10,7 @@ use crate::serve::{self, Made, NodeData, Plugin, PluginKind, ReadAsset, Services
 use crate::{HostError, Registry};
 
 /// Runs the importer `id`: converts `file` into a glTF document, not yet validated. `read` reads
-/// that file and files beside it.
+/// that file and other files in its folder.
 ///
 /// # Errors
 /// If there is no such importer, it refuses the parameters, or it fails.

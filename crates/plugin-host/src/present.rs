@@ -34,11 +34,13 @@ pub enum PresenterOutput<'a> {
 pub struct PresentContext<'a> {
     /// The display.
     pub display: &'a Display,
-    /// The layer stack submitted before it runs; none if the parameters set the content.
+    /// The layer stack that is submitted before the presenter runs; `None` if the parameters set
+    /// the content.
     pub first: Option<&'a LayerStack>,
-    /// Receives input while it runs.
+    /// Receives input while the presenter runs.
     pub input: Receiver<PresenterInput>,
-    /// Called with its output. Refused input is reported as a warning.
+    /// Called with the presenter's output. Input that the presenter refuses is reported as a
+    /// warning.
     pub on_output: &'a (dyn Fn(PresenterOutput<'_>) + Sync),
     /// Progress and cancellation.
     pub task: Task<'a>,

@@ -1,7 +1,8 @@
 //! Moves finished files from the staging folder into the output's folder.
 //!
 //! A new folder appears by a single rename. In an existing folder each file is renamed into place.
-//! Replaced files are kept aside until all are moved, so that an error is undone.
+//! Replaced files are kept until all new files are in place, so that the renames can be undone
+//! after an error.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -12,10 +13,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::HostError;
 
-/// In every output's folder: the list of its files, so that the next output removes those that it
-/// no longer writes.
+/// File in every output's folder that lists the output's files. The next output into this folder
+/// removes the listed files that it does not write again.
 const LISTING: &str = ".lumistack-files.json";
-/// In the staging folder: the replaced files.
+/// Folder in the staging folder, for the replaced files.
 const REPLACED: &str = ".replaced";
 
 #[derive(Serialize, Deserialize)]
@@ -26,7 +27,7 @@ struct Listing {
     files: Vec<String>,
 }
 
-/// A staging folder beside the output's, removed on drop.
+/// A staging folder next to the output's folder, removed on drop.
 pub(crate) struct Staging {
     out_dir: PathBuf,
     path: PathBuf,
@@ -35,8 +36,8 @@ pub(crate) struct Staging {
 }
 
 impl Staging {
-    /// Creates the staging folder `.NAME.partial` beside `out_dir`, after removing one left by a
-    /// killed run.
+    /// Creates the staging folder `.NAME.partial` next to `out_dir`. Removes a staging folder that
+    /// a killed run has left.
     pub(crate) fn new(out_dir: &Path) -> Result<Self, HostError> {
         let not_a_folder = |path: &Path, found| Err(HostError::NotAFolder { path: path.into(), found });
         let out_dir = match fs::metadata(out_dir) {
@@ -73,8 +74,8 @@ impl Staging {
 
 impl Drop for Staging {
     fn drop(&mut self) {
-        // A failure here cannot be handled; the next output into the folder tries again. Folders in
-        // use are not empty and stay.
+        // A failure here cannot be handled; the next output into the folder tries again. Created
+        // folders that are in use are not empty, so they stay.
         let _ = fs::remove_dir_all(&self.path);
         for folder in self.made.iter().rev() {
             let _ = fs::remove_dir(folder);
@@ -93,7 +94,8 @@ pub(crate) fn publish(staging: Staging, plugin: &str, files: &[String]) -> Resul
     let listing_path = staging.path.join(LISTING);
     fs::write(&listing_path, text).map_err(HostError::io(&listing_path, "write"))?;
 
-    // succeeds for an empty folder only; a missing one is fine, too
+    // This removes the output's folder if it is empty. Then, and if the folder is missing, a single
+    // rename suffices.
     match fs::remove_dir(out_dir) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => merge(&staging, files),
         _ => fs::rename(&staging.path, out_dir).map_err(HostError::io(out_dir, "move the output into place")),

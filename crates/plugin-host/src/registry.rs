@@ -11,8 +11,8 @@ use serde_json::{Map, Value};
 use crate::built_in::{BUILT_IN, same_id};
 use crate::{HostError, LoadError};
 
-/// Plugins by id: compiled-in ones, and libraries, which are loaded at the first use of their
-/// plugin.
+/// Plugins by id: compiled-in plugins, and plugins in libraries. A library is loaded at the first
+/// use of its plugin.
 #[derive(Debug, Default)]
 pub struct Registry {
     plugins: Vec<Plugin>,
@@ -118,12 +118,13 @@ impl Registry {
         Ok(plugin)
     }
 
-    /// The output with this id; `presents` requires a presenter, otherwise one that writes files.
+    /// The output with this id. It must be a presenter if `presents`, otherwise it must write
+    /// files.
     pub(crate) fn output(&self, id: &str, presents: bool) -> Result<&Plugin, HostError> {
         let plugin = self.get_kind(id, PluginKind::Output)?;
         if plugin.info().presents != presents {
-            let does = |presents| if presents { "presents" } else { "writes files" };
-            let reason = format!("expected a plugin that {}, found one that {}", does(presents), does(!presents));
+            let does = |presents| if presents { "drives panels (for `lumistack show`)" } else { "writes files" };
+            let reason = format!("expected an output that {}, found one that {}", does(presents), does(!presents));
             return Err(HostError::of_plugin(PluginKind::Output, id, PluginError::Refused(reason)));
         }
         Ok(plugin)
@@ -137,9 +138,9 @@ impl Registry {
         self.libraries.iter().find(|library| same_id(&library.id, id)).map(|library| &library.origin)
     }
 
-    /// The importer of files with this extension, without the dot: a compiled-in one if there is
-    /// one. Otherwise all libraries are loaded and searched. If several match, the first by id is
-    /// returned.
+    /// The importer of files with this extension, without the dot: a compiled-in importer if there
+    /// is one. Otherwise all libraries are loaded and searched. If several match, the first by id
+    /// is returned.
     pub fn importer_of(&self, extension: &str) -> Option<&PluginInfo> {
         let takes = |info: &&PluginInfo| {
             info.kind == PluginKind::Importer && info.extensions.iter().any(|taken| taken == extension)
@@ -161,8 +162,8 @@ impl Registry {
         entries.into_iter()
     }
 
-    /// Libraries and folders that yield no plugin, and the errors. A library that was not loaded
-    /// yet is not listed. The program continues without them.
+    /// Errors of the libraries and folders that yield no plugin. The program continues without
+    /// these. A library that was not loaded yet is not listed.
     pub fn failed(&self) -> Vec<&LoadError> {
         let loaded = self.libraries.iter().filter_map(|library| library.loaded.get()?.as_ref().err());
         self.failed.iter().chain(loaded).collect()

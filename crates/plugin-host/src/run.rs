@@ -30,12 +30,12 @@ pub struct OutputContext<'a> {
 /// Writes one time step with the output plugin `id`, which must not be a presenter. Returns the
 /// files relative to `out_dir`, sorted.
 ///
-/// Files are staged beside `out_dir` and moved into it after the plugin has finished. Files of
-/// equal names are replaced. Files that an earlier output wrote into this folder and this one does
-/// not are removed. Other files stay. Only one output at a time may write into a folder.
+/// Files are staged next to `out_dir` and moved into it after the plugin has finished. Existing
+/// files of equal names are replaced. Files of an earlier output in this folder that the new output
+/// does not write are removed. Other files stay. Only one output at a time may write into a folder.
 ///
 /// # Errors
-/// See [`HostError`]; `out_dir` is then unchanged.
+/// See [`HostError`]. After an error `out_dir` is unchanged.
 pub fn run_output(
     registry: &Registry,
     id: &str,

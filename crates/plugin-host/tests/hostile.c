@@ -1,4 +1,4 @@
-/* A plugin that does all that ends a process, for the tests of the host. Built with
+/* A plugin that can end its process in many ways, for the tests of the host. Built with
  *   -DNAME=id                 the plugin's id
  *   -DKIND=LUMISTACK_KIND_... one of the four kinds
  *   -DIN_ENTRY="what"         misbehaves when it describes itself
@@ -32,7 +32,7 @@ static int deeper(int depth) {
     return deeper(depth + 1) + room[(depth + 1) % 4096];
 }
 
-/* Where a test looks for what the plugin did behind the host's back. */
+/* Creates a file in the test's folder, which proves that this code ran. */
 static void mark(const char *name) {
     const char *folder = getenv("LUMISTACK_TEST_MARKS");
     if (!folder) return;
@@ -67,7 +67,7 @@ static void misbehave(const char *what) {
         char nothing;
         if (written != 21 || read(0, &nothing, 1) != 0) abort();
     }
-    /* the pipes to the program, wherever they are */
+    /* the pipes to the program are among these descriptors */
     if (!strcmp(what, "scribble")) {
         for (int fd = 3; fd < 64; fd++)
             if (write(fd, "this is no frame of any protocol", 32) < 0) continue;
@@ -79,7 +79,7 @@ static void misbehave(const char *what) {
         for (int fd = 3; fd < 64; fd++) close(fd);
         for (;;) pause();
     }
-    /* a process of its own that keeps the pipes open */
+    /* a further process keeps the pipes open */
     if (!strcmp(what, "fork and abort")) {
         if (fork() == 0) {
             sleep(20);
@@ -94,7 +94,7 @@ static void at(const char *when) {
     if (!strncmp(fault, when, length) && fault[length] == ':') misbehave(fault + length + 1);
 }
 
-/* The word behind "fault":" */
+/* Copies the word after "fault":" */
 static LumistackStatus started(const LumistackHostServices *services, LumistackStr params) {
     host = services;
     const char *key = "\"fault\":\"";
@@ -120,7 +120,7 @@ static LumistackStatus open_(const LumistackHostServices *services, LumistackStr
     return status;
 }
 
-/* Fetches and gives back every layer and frame again and again; how many bytes came, and the most memory this process had. */
+/* Fetches and releases every layer and frame four times. Writes the number of fetched bytes and this process's peak of memory (kB) into `line`. */
 static int fetch(const LumistackData *data, char *line, size_t size) {
     unsigned long long bytes = 0;
     for (int again = 0; again < 4; again++)

@@ -1,10 +1,10 @@
 //! Memory of the outputs: a 4K stack of three layers needs no more for twelve frames than for four.
 //!
-//! Each output and number of frames is measured in its own process, by two figures. `alive` is the
+//! Each output and number of frames is measured in its own process, by two numbers. `alive` is the
 //! peak of allocated bytes, counted by the allocator; it is exact and reproducible. `resident` is
 //! the kernel's `VmHWM` of `/proc/self/status`, which includes memory that the allocator has not
 //! returned. It settles within the first frames. The layers are black: zeroed memory that is never
-//! written is not resident, so both figures measure the output and not the stack.
+//! written is not resident, so both numbers measure the output and not the stack.
 
 #![cfg(target_os = "linux")]
 
@@ -135,7 +135,7 @@ fn peaks_mib(output: &str, frames: usize) -> [f64; 2] {
 #[ignore = "slow: writes 112 frames of three 4K layers"]
 fn memory_does_not_grow_with_the_number_of_frames() {
     println!(
-        "a plane is {PLANE_MIB:.0} MiB; most memory in MiB:\n{:14} resident: 4 frames, 12    alive: 4 frames, 12",
+        "a plane is {PLANE_MIB:.0} MiB; peak memory in MiB:\n{:14} resident: 4 frames, 12    alive: 4 frames, 12",
         ""
     );
     let mut too_much = Vec::new();

@@ -34,15 +34,15 @@ pub fn conformance_but_for(export: &'static LazyLock<Export>, at_default: &[&str
 /// Checks a plugin against all rules of the plugin interface that can be observed from outside,
 /// through its C functions.
 ///
-/// An output describes itself, declares all its parameters with units and ranges, and refuses
-/// others. It accepts all its ports and produces identical files again, from any thread. It stops
-/// on cancellation, reports a full disk, leaves no file open, and writes through the host only.
-/// Most rules are checked with default parameters, and again with all switches on except the
-/// parameters of `at_default`.
+/// An output describes itself, declares all its parameters with units and ranges, and refuses other
+/// parameters. It accepts all its ports, and produces identical files in a second run and from any
+/// thread. It stops on cancellation, reports a full disk, leaves no file open, and writes through
+/// the host only. Most rules are checked with default parameters, and again with all switches on
+/// except the parameters of `at_default`.
 ///
-/// A node or a source produces identical results again, stops on cancellation, and accepts every
-/// display or refuses it with a reason. An importer fails without a panic on invalid files;
-/// [`import_conformance`](crate::import_conformance) checks it on real files.
+/// A node or a source produces identical results in a second run, stops on cancellation, and
+/// accepts every display or refuses it with a reason. An importer fails without a panic on invalid
+/// files; [`import_conformance`](crate::import_conformance) checks it on real files.
 ///
 /// # Errors
 /// The first violated rule.
@@ -56,7 +56,7 @@ pub fn conformance_of(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken
         PluginKind::Importer => makers::importer_conformance(plugin),
     }?;
     let added: Vec<String> = listing().difference(&surroundings).cloned().collect();
-    require("bytes leave only through the host", added.is_empty(), || {
+    require("files are written only through the host", added.is_empty(), || {
         format!("new in the working directory: {added:?}")
     })
 }
@@ -73,7 +73,7 @@ fn output_conformance(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken
         }
         _ => true,
     });
-    require("serves one of the samples of its ports", !samples.is_empty(), || format!("{reasons:?}"))?;
+    require("accepts at least one sample of its ports", !samples.is_empty(), || format!("{reasons:?}"))?;
     for sample in &samples {
         defaults_work(plugin, sample)?;
         for params in [Some(json!({})), everything(plugin, sample, at_default)].into_iter().flatten() {
@@ -135,7 +135,9 @@ fn described(plugin: &Plugin) -> Result<(), Broken> {
     let version: Vec<&str> = info.version.split('.').collect();
     let numbers = version.len() == 3 && version[..2].iter().all(|part| part.parse::<u64>().is_ok());
     require("version is major.minor.patch", numbers, || info.version.clone())?;
-    require("says what it does", info.doc.trim().ends_with('.'), || format!("doc {:?}, expected sentences", info.doc))?;
+    require("describes itself in sentences", info.doc.trim().ends_with('.'), || {
+        format!("doc {:?}, expected sentences", info.doc)
+    })?;
     for param in &info.schema.params {
         let named = param.unit.as_ref().is_some_and(|unit| !unit.trim().is_empty());
         let (ranged, unit) = match param.kind {
@@ -201,16 +203,16 @@ fn same_again_from_any_thread(plugin: &Plugin, sample: &Sample, params: &Value) 
         output.finish()?;
         Ok::<_, PluginError>(host.files())
     };
-    let in_order = rule("takes a sequence of two times", sequence(false))?;
-    let at_once = rule("takes two times at once from two threads", sequence(true))?;
-    require("files do not depend on the order of times", at_once == in_order, || difference(&at_once, &in_order))
+    let in_order = rule("accepts a sequence of two time steps", sequence(false))?;
+    let at_once = rule("accepts two time steps in parallel from two threads", sequence(true))?;
+    require("files do not depend on the order of time steps", at_once == in_order, || difference(&at_once, &in_order))
 }
 
 fn stops_when_asked(plugin: &Plugin, sample: &Sample, params: &Value) -> Result<(), Broken> {
     let host = MemoryHost::new();
     host.cancel();
     let result = write(plugin, &host, params, sample);
-    require("returns `cancelled` when asked to stop before", result == Err(PluginError::Cancelled), || {
+    require("returns `cancelled` if cancelled before it begins", result == Err(PluginError::Cancelled), || {
         format!("{result:?}")
     })?;
     closed(&host, "cancelled before")?;
@@ -219,7 +221,7 @@ fn stops_when_asked(plugin: &Plugin, sample: &Sample, params: &Value) -> Result<
         let host = MemoryHost::cancelled_at(0);
         let result = write(plugin, &host, params, sample);
         let prompt = result == Err(PluginError::Cancelled) || host.opened_after_cancel() == 0;
-        require("opens no further file once asked to stop", prompt, || {
+        require("opens no further file after cancellation", prompt, || {
             format!("{} files, {result:?}", host.opened_after_cancel())
         })?;
         closed(&host, "cancelled midway")?;

@@ -58,7 +58,7 @@ fn stack_of(plugin: &Plugin, host: &MemoryHost, params: &str, display: &Display)
     make_stack(plugin, host, params, &NodeData::new(display, &random_field(display)?)).map(reported)
 }
 
-/// The same with weights per ray, a start and another seed, which a node may ignore.
+/// As [`stack_of`], with weights per ray, a start and another seed, which a node may ignore.
 fn stack_from_all(plugin: &Plugin, host: &MemoryHost, params: &str, display: &Display) -> Made<Reported> {
     let field = random_field(display)?;
     let [views_y, views_x, rows, cols, _] = field.radiance().shape();
@@ -104,14 +104,14 @@ fn maker_conformance<T: PartialEq>(
             Err(PluginError::Refused(reason)) if !reason.is_empty() => {}
             Err(error) => {
                 let found = format!("{} layers: {error:?}", display.layers.len());
-                return Err(Broken { rule: "serves a display or refuses it with a reason", found });
+                return Err(Broken { rule: "accepts a display or refuses it with a reason", found });
             }
         }
         closed(&host, "default parameters")?;
         let written = host.files();
         require("writes no files", written.is_empty(), || format!("{:?}", written.keys()))?;
     }
-    require("serves some display", !served.is_empty(), || "it refuses every one".into())?;
+    require("accepts at least one display", !served.is_empty(), || "it refuses every one".into())?;
     // On supported displays: reproducibility, cancellation, and all parameter ranges.
     for (display, made) in &served {
         let again = rule("works twice", make(plugin, &MemoryHost::new(), &defaults, display))?;
@@ -120,7 +120,9 @@ fn maker_conformance<T: PartialEq>(
         host.cancel();
         let result = make(plugin, &host, &defaults, display);
         let stopped = matches!(&result, Err(PluginError::Cancelled));
-        require("returns `cancelled` when asked to stop before", stopped, || format!("{:?}", result.as_ref().err()))?;
+        require("returns `cancelled` if cancelled before it begins", stopped, || {
+            format!("{:?}", result.as_ref().err())
+        })?;
         closed(&host, "cancelled before")?;
         for params in defaults_and_ends(plugin, at_default) {
             let result = resolved(plugin, &params).and_then(|p| make(plugin, &MemoryHost::new(), &p, display));
@@ -160,9 +162,9 @@ pub(crate) fn importer_conformance(plugin: &Plugin) -> Result<(), Broken> {
     })
 }
 
-/// Checks an importer on a real file: `files` are `file` and those beside it. It must produce an
-/// identical glTF document again, stop on cancellation, and fail without a panic on truncated
-/// files.
+/// Checks an importer on a real file: `files` contains `file` and the files that it refers to. The
+/// importer must produce an identical glTF document in a second run, stop on cancellation, and fail
+/// without a panic on truncated files.
 ///
 /// # Errors
 /// The first violated rule.
@@ -183,7 +185,7 @@ pub fn import_conformance(plugin: &Plugin, file: &str, files: &[(&str, &[u8])]) 
     let host = MemoryHost::new();
     host.cancel();
     let result = import(plugin, &host, &defaults, file, &read);
-    require("returns `cancelled` when asked to stop before", result == Err(PluginError::Cancelled), || {
+    require("returns `cancelled` if cancelled before it begins", result == Err(PluginError::Cancelled), || {
         format!("{:?}", result.as_ref().err())
     })?;
     let whole = rule("reads the sample", read(file))?;

@@ -46,7 +46,7 @@ impl MemoryHost {
         Self { cancel_at_append: Some(append), ..Self::default() }
     }
 
-    /// Cancels.
+    /// Cancels the plugin's task.
     pub fn cancel(&self) {
         self.cancel.cancel();
     }

@@ -17,14 +17,14 @@ pub struct Broken {
     pub found: String,
 }
 
-/// Default parameters, and all ends of all parameters' ranges.
+/// Default parameters, then both ends of every parameter's range, one parameter at a time.
 pub(crate) fn defaults_and_ends<'a>(plugin: &'a Plugin, at_default: &'a [&str]) -> impl Iterator<Item = Value> + 'a {
     let ends = varied(plugin, at_default).flat_map(allowed);
     std::iter::once(json!({})).chain(ends.map(|(name, value)| Value::Object(Map::from_iter([(name, value)]))))
 }
 
-/// The plugin itself must refuse values outside its schema, since a host in another language may
-/// not check them.
+/// Checks that the plugin itself refuses values outside its schema, since a host in another
+/// language may not check them.
 pub(crate) fn bad_parameters_are_refused(
     plugin: &Plugin,
     refusal: impl Fn(&str) -> Option<PluginError>,
@@ -44,7 +44,7 @@ pub(crate) fn varied<'a>(plugin: &'a Plugin, at_default: &'a [&str]) -> impl Ite
     plugin.info().schema.params.iter().filter(|param| !at_default.contains(&param.name.as_str()))
 }
 
-/// The ends of a parameter's range, without its default.
+/// The extreme values of a parameter, or all its choices, without its default value.
 pub(crate) fn allowed(param: &Param) -> Vec<(String, Value)> {
     let values = match &param.kind {
         Kind::Bool { .. } => vec![json!(false), json!(true)],

@@ -12,7 +12,7 @@ use lumistack_plugin_host::serve::OutputData;
 /// A display with data for one port.
 #[derive(Clone, Debug)]
 pub struct Sample {
-    /// Its distinguishing property.
+    /// The property by which the sample differs from the others.
     pub name: &'static str,
     /// The display.
     pub display: Display,

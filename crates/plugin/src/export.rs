@@ -98,11 +98,10 @@ pub const fn is_plugin_id(id: &str) -> bool {
     !id.is_empty()
 }
 
-/// `export_plugin!("id", Type)` stands at the end of a plugin's module. It defines the static
-/// `PLUGIN`, which a host with the plugin compiled in lists, and the symbol
-/// `lumistack_plugin_entry_<id>` for hosts that load libraries. The version is the crate's. Plugins
-/// other than outputs name their kind: `export_plugin!("id", Type as importer)`, `as source`,
-/// `as node`.
+/// `export_plugin!("id", Type)` belongs at the end of a plugin's module. It defines the static
+/// `PLUGIN`, for hosts with the plugin compiled in, and the symbol `lumistack_plugin_entry_<id>`
+/// for hosts that load libraries. The version is the crate's. Plugins other than outputs name their
+/// kind: `export_plugin!("id", Type as importer)`, `as source`, `as node`.
 #[macro_export]
 macro_rules! export_plugin {
     ($id:literal, $type:ty) => {
@@ -118,7 +117,7 @@ macro_rules! export_plugin {
         pub static PLUGIN: ::std::sync::LazyLock<$crate::Export> =
             ::std::sync::LazyLock::new(|| $crate::Export::$kind::<$type>($id, ::std::env!("CARGO_PKG_VERSION")));
 
-        #[doc = ::std::concat!("Where a loader finds the plugin `", $id, "`.")]
+        #[doc = ::std::concat!("The function by which a loader finds the plugin `", $id, "`.")]
         // SAFETY: the name ends in the plugin's id, which is unique in the program.
         #[unsafe(export_name = ::std::concat!("lumistack_plugin_entry_", $id))]
         pub extern "C" fn lumistack_plugin_entry() -> *const $crate::abi::Descriptor {

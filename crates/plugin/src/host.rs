@@ -13,8 +13,8 @@ use serde_json::Value;
 use crate::wire::{call, needs};
 use crate::{PlaneView, PluginError, Port, ViewPoint};
 
-/// The host's services; clones share them. They end when the output is closed: later calls return
-/// errors.
+/// The host's services. Clones use the same services, which end when the output is closed: later
+/// calls return errors.
 #[derive(Clone)]
 pub struct Host(Arc<RwLock<Option<Table>>>);
 
@@ -83,8 +83,8 @@ impl Host {
         self.with(|table| unsafe { (table.log)(table.context, level, Str::new(message)) });
     }
 
-    /// Begins a stage of `total` steps of the given `unit` ("files"). It ends when the result is
-    /// dropped.
+    /// Begins a stage of `total` steps of the given `unit` ("files"). The stage ends when the
+    /// returned object is dropped.
     pub fn stage(&self, name: &str, total: u64, unit: &str) -> Stage {
         // SAFETY: as in `log`.
         self.with(|table| unsafe { (table.progress_begin)(table.context, Str::new(name), total, Str::new(unit)) });
@@ -110,8 +110,8 @@ impl Host {
         if self.is_cancelled() { Err(Cancelled) } else { Ok(()) }
     }
 
-    /// Runs work of this project's libraries. Their progress and warnings go to the host, and the
-    /// host's cancellation goes to them.
+    /// Runs work of this project's libraries. Their progress and warnings are passed to the host,
+    /// and the host's cancellation is passed to them.
     pub fn run<T>(&self, work: impl FnOnce(Task<'_>) -> T) -> T {
         let forward = Forward { host: self, stages: Mutex::default() };
         let (cancel, done) = (Cancel::default(), AtomicBool::new(false));
@@ -134,9 +134,9 @@ impl Host {
         })
     }
 
-    /// Creates a file. `path` is relative to the output's folder, with `/` between its parts. The
-    /// file is written through [`io::Write`]. It appears after it is committed and the output has
-    /// finished; dropping it earlier discards it.
+    /// Creates a file. `path` is relative to the output's folder, with `/` between names. The file
+    /// is written through [`io::Write`]. It appears after it is committed and the output has
+    /// finished; dropping it before the commit discards it.
     ///
     /// # Errors
     /// If the path is absolute or leaves the folder, or the host cannot write.
@@ -228,7 +228,7 @@ impl std::fmt::Debug for Host {
     }
 }
 
-/// Closes a host's services on drop, unless they are kept; covers panics in `open`.
+/// Closes a host's services on drop, unless they are kept; so also after a panic in `open`.
 pub(crate) struct CloseHost(Option<Host>);
 
 impl CloseHost {
@@ -263,7 +263,7 @@ impl Drop for CloseHost {
 pub struct Stage(Host);
 
 impl Stage {
-    /// Completes steps; `note` is a short figure beside the progress bar, or empty.
+    /// Completes steps; `note` is a short value to show next to the progress bar, or empty.
     pub fn advance(&self, steps: u64, note: &str) {
         // SAFETY: the table's own context; the text is lent for the call.
         self.0.with(|table| unsafe { (table.progress_advance)(table.context, steps, Str::new(note)) });
@@ -309,7 +309,7 @@ impl OutputFile {
         self.host.call(|table, error| unsafe { (table.file_commit)(table.context, file, error) })
     }
 
-    /// The path that it was created with.
+    /// The path given to [`Host::create`].
     pub fn path(&self) -> &str {
         &self.path
     }

@@ -125,12 +125,13 @@ impl StackInput<'_> {
         &self.target
     }
 
-    /// Depth of that light field's central view, if the host has it.
+    /// Depth of the central view of the light field that the stack was solved for, if the host has
+    /// it.
     pub fn target_depth(&self) -> Option<&SeenDepth> {
         self.depth.as_ref()
     }
 
-    /// Returns true if the views of that light field can be read; see
+    /// Returns true if the views of the light field that the stack was solved for can be read; see
     /// [`target_view`](Self::target_view).
     pub fn has_target_views(&self) -> bool {
         self.target_views
@@ -192,7 +193,7 @@ impl StackInput<'_> {
 }
 
 impl FieldInput<'_> {
-    /// Resolution and views.
+    /// Numbers of pixels and views, with the views' slopes.
     pub fn geometry(&self) -> &FieldGeometry {
         &self.geometry
     }

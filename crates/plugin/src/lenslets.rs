@@ -1,8 +1,8 @@
 //! Picture of the panel behind a lens array, such that the array emits given light fields: PAPER
 //! sections 3.3 and 5.1.2.
 //!
-//! The panel stands in the lenses' focal plane. Light of a point at offset u from a lens's axis
-//! leaves that lens as a parallel beam of slope
+//! The panel is in the lenses' focal plane. Light of a point at offset u from a lens's axis leaves
+//! that lens as a parallel beam of slope
 //!
 //! ```text
 //! s = −u / f
@@ -23,11 +23,11 @@ use lumistack_display::LensletBacklight;
 pub struct LensletPanel {
     /// [columns, rows] of the panel.
     pub resolution: [usize; 2],
-    /// Its pixel pitch, millimetres; the panel's centre lies on the display's axis.
+    /// Pixel pitch of the panel, millimetres. The panel's centre is on the display's axis.
     pub pitch_mm: f64,
     /// [columns, rows] of lenses.
     pub lenslets: [usize; 2],
-    /// Distance of lens axes, millimetres.
+    /// Distance between the axes of neighbouring lenses, millimetres.
     pub lens_pitch_mm: f64,
     /// Optical distance in air between panel and lenses, which is the focal length, millimetres.
     pub focal_mm: f64,
@@ -51,8 +51,8 @@ pub struct Spot {
 }
 
 impl LensletPanel {
-    /// The array of the display file, in front of a panel. Without a measured focal length a lens's
-    /// image fills the horizontal bins: f = p / (2 tan(α/2)).
+    /// The array of the display file, in front of a panel. Without a measured focal length, f = p /
+    /// (2 tan(α/2)): the horizontal bins then fill the width of the panel behind one lens.
     pub fn new(backlight: &LensletBacklight, resolution: [usize; 2], pitch_mm: f64) -> Self {
         let lens = backlight.lens.clone().unwrap_or_default();
         let fitting_mm = backlight.pitch_mm / (2.0 * (0.5 * backlight.fov_deg[0].to_radians()).tan());
@@ -69,7 +69,7 @@ impl LensletPanel {
         }
     }
 
-    /// Lens and bin of the panel's point (x, y), millimetres; none outside the array, or if the
+    /// Lens and bin of the panel's point (x, y), millimetres; `None` outside the array, or if the
     /// slope is outside the bins.
     pub fn spot(&self, [x_mm, y_mm]: [f64; 2]) -> Option<Spot> {
         let (sin, cos) = self.rotation_deg.to_radians().sin_cos();
@@ -254,7 +254,7 @@ mod tests {
                 (5.0 - spot.lenslet[0] as f64) * panel.lens_pitch_mm,
             ];
             let slope = [(centre[0] - x) / panel.focal_mm, (centre[1] - y) / panel.focal_mm];
-            // one pixel of a light field on the display's plane, hit by the ray through the lens's
+            // one pixel of a light field on the display plane, hit by the ray through the lens's
             // centre
             let here = [0, 1].map(|i| centre[i] - backlight.d_mm * slope[i]);
             let single = Display {

@@ -1,5 +1,5 @@
-//! Importers, sources and nodes. Each trait has one function, whose result is sent to the host in
-//! parts.
+//! Importers, sources and nodes. Each trait has one function, whose result is sent to the host
+//! piece by piece.
 
 use lumistack_display::{Display, LayerStack, LightField};
 use lumistack_plugin_abi::{
@@ -23,19 +23,19 @@ pub trait ImporterPlugin: 'static {
     /// File extensions that it reads: lower case, without the dot.
     const EXTENSIONS: &'static [&'static str];
 
-    /// The schema's parameters as a struct: one field each, of the same name.
+    /// The schema's parameters as a struct, with a field of the same name for each.
     type Params: DeserializeOwned;
 
-    /// Its parameters. They are checked before `import`, which receives all of them, of the right
-    /// type and in range.
+    /// The plugin's parameters. They are checked before `import`, which receives a value of the
+    /// right type and in range for each.
     fn schema() -> Schema;
 
-    /// Reads the file `file`, and others beside it, through `assets`. Returns a glTF 2.0 document,
-    /// `.glb` or `.gltf`. The host validates it, and reads files that it references beside the
-    /// imported file.
+    /// Reads the file `file`, and others in its folder, through `assets`. Returns a glTF 2.0
+    /// document, `.glb` or `.gltf`. The host validates the document, and reads files to which it
+    /// refers from the imported file's folder.
     ///
     /// # Errors
-    /// If the file is invalid; the message names the place in it.
+    /// If the file is invalid; the message names the position in the file.
     fn import(host: &Host, params: Self::Params, file: &str, assets: &Assets<'_>) -> Result<Vec<u8>, PluginError>;
 }
 
@@ -44,18 +44,18 @@ pub trait SourcePlugin: 'static {
     /// Description for users; listings show its first sentence.
     const DOC: &'static str;
 
-    /// The schema's parameters as a struct: one field each, of the same name.
+    /// The schema's parameters as a struct, with a field of the same name for each.
     type Params: DeserializeOwned;
 
-    /// Its parameters. They are checked before `make`, which receives all of them, of the right
-    /// type and in range.
+    /// The plugin's parameters. They are checked before `make`, which receives a value of the right
+    /// type and in range for each.
     fn schema() -> Schema;
 
     /// Makes the light field of one time step: linear radiance, finite and at least 0. Its geometry
-    /// should be the display's ([`Display::geometry`]); another one is accepted.
+    /// should be the display's ([`Display::geometry`]); another geometry is accepted.
     ///
     /// # Errors
-    /// If it cannot be made; [`PluginError::Cancelled`] if the user cancelled.
+    /// If the light field cannot be made; [`PluginError::Cancelled`] if the user cancelled.
     fn make(host: &Host, params: Self::Params, display: &Display, time: Time) -> Result<LightField, PluginError>;
 }
 
@@ -64,11 +64,11 @@ pub trait NodePlugin: 'static {
     /// Description for users; listings show its first sentence.
     const DOC: &'static str;
 
-    /// The schema's parameters as a struct: one field each, of the same name.
+    /// The schema's parameters as a struct, with a field of the same name for each.
     type Params: DeserializeOwned;
 
-    /// Its parameters. They are checked before `make`, which receives all of them, of the right
-    /// type and in range.
+    /// The plugin's parameters. They are checked before `make`, which receives a value of the right
+    /// type and in range for each.
     fn schema() -> Schema;
 
     /// Solves the layer stack of one time step. The stack must match the display, with values in
@@ -81,13 +81,13 @@ pub trait NodePlugin: 'static {
     fn make(params: Self::Params, input: &NodeInput<'_>) -> Result<LayerStack, PluginError>;
 }
 
-/// Files that an importer may read: the imported one and those beside it.
+/// Files that an importer may read: the imported file and others in its folder.
 #[derive(Debug)]
 pub struct Assets<'a>(&'a abi::Assets);
 
 impl Assets<'_> {
     /// Reads a whole file; `path` is relative to the folder of the imported file, with `/` between
-    /// its parts.
+    /// names.
     ///
     /// # Errors
     /// If there is no such file, or the host does not allow it.

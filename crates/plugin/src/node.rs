@@ -37,7 +37,7 @@ pub struct Solution {
     pub solver: String,
     /// Name of the start.
     pub start: String,
-    /// Number of coarser levels before the first iteration, each at half the resolution.
+    /// Number of coarser resolutions, each half the next finer one, that were solved first.
     pub coarse_levels: u32,
     /// KKT residual: root mean square change of the emission by one further exact step.
     /// The older key `unsettled` is accepted too.
@@ -90,8 +90,8 @@ impl NodeInput<'_> {
         self.field.start(&self.display)
     }
 
-    /// Reports the solver's state, for the convergence plot of the report. Call it in order, first
-    /// for the start.
+    /// Reports the solver's state, for the convergence plot of the report. Call it in the order of
+    /// iterations, first for the start.
     ///
     /// # Errors
     /// If the host refuses it.
@@ -101,7 +101,7 @@ impl NodeInput<'_> {
         call(|error| unsafe { (self.sink.step)(self.sink.context, iteration, objective, psnr_view, error) })
     }
 
-    /// Reports the summary of the solution, once.
+    /// Reports the summary of the solution. Call it at most once.
     ///
     /// # Errors
     /// If the host refuses it.

@@ -18,25 +18,25 @@ use crate::{Host, PluginError, Port, Schema};
 
 /// A plugin that writes or shows results. Calls in order: [`open`](Self::open),
 /// [`submit`](Self::submit) for every time step, [`run`](Self::run) for presenters,
-/// [`finish`](Self::finish). If the output is abandoned, it is dropped instead.
+/// [`finish`](Self::finish). If the output is abandoned, it is dropped without `finish`.
 pub trait OutputPlugin: Sized + Send + Sync + 'static {
     /// Description for users; listings show its first sentence.
     const DOC: &'static str;
-    /// The ports that it accepts.
+    /// The ports that the plugin accepts.
     const PORTS: &'static [Port];
-    /// A presenter, which runs until the user closes it; see [`run`](Self::run).
+    /// True for a presenter, which runs until the user closes it; see [`run`](Self::run).
     const PRESENTS: bool = false;
 
-    /// The schema's parameters as a struct: one field each, of the same name.
+    /// The schema's parameters as a struct, with a field of the same name for each.
     type Params: DeserializeOwned;
 
-    /// Its parameters. They are checked before `open`, which receives all of them, of the right
-    /// type and in range.
+    /// The plugin's parameters. They are checked before `open`, which receives a value of the right
+    /// type and in range for each.
     fn schema() -> Schema;
 
-    /// Opens an output. A host may open and drop one before the work for its data begins, as a
-    /// check. Therefore refuse here all that parameters and display reveal, and write or show
-    /// nothing yet.
+    /// Opens an output. As a check, a host may open and drop an output before it begins to make the
+    /// data. Therefore refuse unsupported parameters and displays here, and write or show nothing
+    /// yet.
     ///
     /// # Errors
     /// [`PluginError::Refused`] if parameters contradict one another or the display is not
@@ -46,7 +46,8 @@ pub trait OutputPlugin: Sized + Send + Sync + 'static {
     /// Submits one time step. Called from any thread, also concurrently, and in any order.
     ///
     /// # Errors
-    /// If the data cannot be written or shown; [`PluginError::Cancelled`] if the user cancelled.
+    /// If the data are refused, or cannot be written or shown; [`PluginError::Cancelled`] if the
+    /// user cancelled.
     fn submit(&self, time: Time, data: &Input<'_>) -> Result<(), PluginError>;
 
     /// For presenters: runs on the main thread until the user closes the presentation or cancels.
@@ -65,7 +66,7 @@ pub trait OutputPlugin: Sized + Send + Sync + 'static {
     /// # Errors
     /// [`PluginError::Refused`] if it is no command of the plugin.
     fn command(&self, command: &Value) -> Result<(), PluginError> {
-        Err(PluginError::Refused(format!("no command is taken, found {command}")))
+        Err(PluginError::Refused(format!("expected no command, found {command}")))
     }
 
     /// Finishes the output: no more data follow.
@@ -80,7 +81,7 @@ pub(crate) const fn vtable_of<P: OutputPlugin>() -> &'static OutputVtable {
     &Instance::<P>::VTABLE
 }
 
-/// The object behind the C handle.
+/// The object to which the C handle points.
 struct Instance<P> {
     /// `None` once finished. Submits hold the read lock.
     plugin: RwLock<Option<P>>,
@@ -135,8 +136,8 @@ unsafe extern "C" fn open<P: OutputPlugin>(
     error: *const ErrorSink,
 ) -> Status {
     let start = || {
-        // SAFETY: the host lends the texts, and the table until `close` returns. If `close` will
-        // not be called, `CloseHost` ends it.
+        // SAFETY: the host lends the texts, and the table until `close` returns. If `open` fails,
+        // `close` is not called, and `CloseHost` ends the use of the table.
         let (params, display, host) = unsafe {
             (params_of(P::schema(), params_json)?, lent_text(display_json, "display")?, CloseHost::checked(host)?)
         };

@@ -29,12 +29,12 @@ impl PlaneView<'_> {
         if plane.dtype != dtype::F32 || plane.ndim != 3 {
             let (dtype, ndim) = (plane.dtype, plane.ndim);
             return Err(PluginError::Failed(format!(
-                "a plane of 3 axes and type {} was expected, found {ndim} axes and type {dtype}",
+                "expected a plane of 3 axes and type {}, found {ndim} axes and type {dtype}",
                 dtype::F32
             )));
         }
         if plane.data.is_null() && view.count() > 0 {
-            return Err(PluginError::Failed("a plane has no data".into()));
+            return Err(PluginError::Failed("expected a pointer to the values of a plane, found null".into()));
         }
         Ok(view)
     }
@@ -81,7 +81,7 @@ impl PlaneView<'_> {
         if !ordered || !data.is_aligned() || self.count() == 0 {
             return None;
         }
-        // SAFETY: aligned, and the strides say that the elements are neighbours (guaranteed to
+        // SAFETY: aligned, and the strides state that the elements are contiguous (guaranteed to
         // `new`).
         Some(unsafe { std::slice::from_raw_parts(data, rows * cols * channels) })
     }

@@ -1,9 +1,9 @@
-//! Ports: data types of connections between parts of a job.
+//! Ports: the kinds of data that plugins exchange.
 
 use lumistack_plugin_abi::port;
 use serde::{Deserialize, Serialize};
 
-/// The data type of a connection.
+/// The kind of data that a plugin accepts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Port {
@@ -13,7 +13,7 @@ pub enum Port {
     LightField,
     /// The layer stack of a tensor display.
     LayerStack,
-    /// A file written by another part.
+    /// A file, which an importer reads.
     File,
 }
 
@@ -21,7 +21,7 @@ impl Port {
     /// All ports.
     pub const ALL: [Self; 4] = [Self::Scene, Self::LightField, Self::LayerStack, Self::File];
 
-    /// Its bit in a descriptor.
+    /// The port's bit in a descriptor.
     pub const fn bit(self) -> u32 {
         match self {
             Self::Scene => port::SCENE,

@@ -24,10 +24,10 @@ pub struct Param {
     /// Type, default and range.
     #[serde(flatten)]
     pub kind: Kind,
-    /// Unit of a number, for example `mm`; `1` for a plain one.
+    /// Unit of a number, for example `mm`; `1` for a plain number.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unit: Option<String>,
-    /// Its meaning, one sentence.
+    /// The parameter's meaning, one sentence.
     pub help: String,
 }
 
@@ -70,8 +70,8 @@ pub enum Kind {
         /// Value when none is given.
         default: String,
     },
-    /// The path of a file that the plugin reads; empty for none. Hosts make it absolute. A text
-    /// that begins with `{` is the content itself.
+    /// The path of a file that the plugin reads; empty for none. Hosts make the path absolute. A
+    /// text that begins with `{` is the content itself.
     File,
 }
 
@@ -80,7 +80,7 @@ pub enum Kind {
 pub struct Choice {
     /// The word.
     pub value: String,
-    /// Its meaning.
+    /// The word's meaning.
     pub help: String,
 }
 
@@ -224,7 +224,7 @@ impl Schema {
             .collect()
     }
 
-    /// The JSON of a descriptor.
+    /// The schema as JSON, for a descriptor.
     pub fn to_json(&self) -> String {
         serde_json::to_string(self).expect("a schema holds only texts, booleans and numbers")
     }
@@ -277,7 +277,7 @@ pub enum ParamError {
         /// The given value.
         found: String,
     },
-    /// Not a set of parameters.
+    /// The parameters are no JSON object.
     #[error("parameters: expected an object of names and values, found {found}")]
     NotAnObject {
         /// The given value.

@@ -1,20 +1,21 @@
 //! Tests with requirements that a machine may lack: other people's files, Python packages,
 //! programs.
 //!
-//! Where the variable `CI` is set everything is expected to be there, and a test that is skipped
-//! fails instead.
+//! If the environment variable `CI` is set, all requirements must be present: a test that would be
+//! skipped fails.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-/// Names a file to which a line is added for every test that is skipped; `cargo xtask` sets it.
+/// Environment variable with the path of a file. Every skipped test adds a line to that file.
+/// `cargo xtask` sets the variable.
 const LIST: &str = "LUMISTACK_SKIPPED";
 
-/// Says that a test is not run, and why.
+/// Reports that a test is skipped, and the reason.
 ///
 /// # Panics
-/// On CI: where the variable `CI` is set to anything but `false` and `0`.
+/// If the environment variable `CI` is set to a value other than `false`, `0` and the empty text.
 #[track_caller]
 pub fn skipped(why: &str) {
     let is_ci = std::env::var("CI").is_ok_and(|value| !["", "0", "false"].contains(&value.as_str()));
@@ -30,13 +31,13 @@ pub fn runs_in(step: &str) {
     println!("not here: `cargo xtask {step}` runs this test");
 }
 
-/// [`skipped`], in the test of this name.
+/// As [`skipped`], for the test of this name.
 fn account(why: &str, test: Option<&str>, is_ci: bool, list: Option<&Path>) -> Result<(), String> {
     println!("skipped: {why}");
     if let Some(list) = list {
         let line = format!("test {}: {}\n", test.unwrap_or("?"), why.replace('\n', " "));
         let file = std::fs::OpenOptions::new().create(true).append(true).open(list);
-        // one write, since tests run side by side
+        // a single write, since tests run in parallel
         if let Err(error) = file.and_then(|mut file| file.write_all(line.as_bytes())) {
             println!("{}: {error}", list.display());
         }
@@ -44,8 +45,8 @@ fn account(why: &str, test: Option<&str>, is_ci: bool, list: Option<&Path>) -> R
     if is_ci { Err(format!("skipped on CI, where every test must run: {why}")) } else { Ok(()) }
 }
 
-/// A folder of third-party files that `variable` names, or `default` beside the workspace
-/// (`../shared/...`); skips the test where it is missing.
+/// A folder of third-party files that `variable` names, or `default`, a path relative to the
+/// workspace (`../shared/...`); skips the test if the folder is missing.
 #[track_caller]
 pub fn folder(variable: &str, default: &str) -> Option<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
@@ -58,7 +59,7 @@ pub fn folder(variable: &str, default: &str) -> Option<PathBuf> {
 }
 
 /// The Python that `LUMISTACK_PYTHON` names, or `python3`, if it has these modules ("numpy, PIL");
-/// skips the test where neither has.
+/// skips the test if neither Python has them.
 #[track_caller]
 pub fn python_with(modules: &str) -> Option<PathBuf> {
     let candidates = [std::env::var_os("LUMISTACK_PYTHON").map(PathBuf::from), Some("python3".into())];

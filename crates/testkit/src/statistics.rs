@@ -1,5 +1,5 @@
-//! Tests of Monte Carlo results: each takes the rate at which it may fail although nothing is
-//! wrong.
+//! Tests of Monte Carlo results. Each takes its false-alarm rate: the probability that it fails
+//! although the code is right.
 //!
 //! Two-sided z-test of a mean: z = (x̄ − μ) / (s/√n), refused when P(|Z| > |z|) < false_alarm_rate.
 //! Pearson's chi-square test: X² = Σ (O − E)²/E over cells, refused when P(χ²_(cells−1) > X²) <
@@ -7,13 +7,12 @@
 
 use statrs::distribution::{ChiSquared, ContinuousCDF, Normal};
 
-/// The rate used by tests that have no reason for another: with a few hundred such tests, one in
-/// thousands of seeds fails. Seeds are fixed, so a test that passed keeps passing until the code
-/// changes.
+/// The usual false-alarm rate: with a few hundred such tests, one in hundreds of seeds makes a test
+/// fail. Seeds are fixed, so a test that passed keeps passing until the code changes.
 pub const FALSE_ALARM_RATE: f64 = 1e-5;
 
-/// Cells of a chi-square test with a smaller expected count are pooled; below this the statistic is
-/// not chi-square distributed.
+/// Cells of a chi-square test with a smaller expected count are pooled: with such counts the
+/// statistic does not follow the chi-square distribution.
 const LEAST_EXPECTED: f64 = 8.0;
 
 /// Mean and standard error of independent samples.
@@ -40,8 +39,8 @@ impl Mean {
         Self { value: mean, standard_error }
     }
 
-    /// z of a hypothesis, after granting the code an absolute systematic error (rounding, an
-    /// interpolated table).
+    /// z of the hypothesis that the mean is `expected`. An absolute systematic error of the code
+    /// (rounding, an interpolated table) is allowed, so it is first subtracted from the difference.
     pub fn z(self, expected: f64, systematic_error: f64) -> f64 {
         let excess = ((self.value - expected).abs() - systematic_error).max(0.0);
         if excess == 0.0 { 0.0 } else { excess / self.standard_error }
@@ -75,13 +74,13 @@ impl Mean {
     }
 }
 
-/// |z| that chance exceeds at this rate.
+/// |z| that chance exceeds with this probability.
 pub fn z_limit(false_alarm_rate: f64) -> f64 {
     Normal::standard().inverse_cdf(1.0 - 0.5 * false_alarm_rate)
 }
 
-/// Probability that chance gives counts at least as far from the expected ones. Both sides should
-/// have the same sum; cells with small expectations are pooled.
+/// Probability that chance gives counts at least as far from the expected counts. Both lists should
+/// have the same sum; cells with small expected counts are pooled.
 ///
 /// # Panics
 /// If the lengths differ or fewer than two cells are left after pooling.
@@ -104,7 +103,8 @@ pub fn chi_square_p(observed: &[u64], expected: &[f64]) -> f64 {
     if pooled_expected >= LEAST_EXPECTED {
         add(pooled_observed, pooled_expected);
     } else if pooled_observed > 0.0 {
-        // too few to test by themselves, but samples where nearly none can be must not vanish
+        // The pooled cells are too few for a cell of their own, but samples where hardly any are
+        // possible must be detected.
         add(pooled_observed + LEAST_EXPECTED, pooled_expected + LEAST_EXPECTED);
     }
     assert!(cells >= 2, "a chi-square test needs two cells");
@@ -114,7 +114,7 @@ pub fn chi_square_p(observed: &[u64], expected: &[f64]) -> f64 {
 /// Asserts that counts follow their expectation.
 ///
 /// # Panics
-/// If [`chi_square_p`] is below the rate.
+/// If [`chi_square_p`] is below the false-alarm rate.
 #[track_caller]
 pub fn assert_counts(observed: &[u64], expected: &[f64], false_alarm_rate: f64) {
     let p = chi_square_p(observed, expected);

@@ -4,7 +4,7 @@ use std::sync::LazyLock;
 
 use lumistack_core::colour::{srgb_code, srgb_decode};
 
-/// Bins of 0..1 in which the search for a code starts.
+/// Number of bins of 0..1. The search for a value's code starts with the code of the value's bin.
 const BINS: usize = 4096;
 
 /// sRGB codes of linear light; the same codes as [`srgb_code`].
@@ -54,7 +54,7 @@ pub(crate) fn to_rgba(linear: &[f32]) -> Vec<u8> {
     linear.chunks_exact(3).flat_map(|p| [encoder.code(p[0]), encoder.code(p[1]), encoder.code(p[2]), 255]).collect()
 }
 
-/// The error that is white in the map.
+/// The error that is white in the error map.
 pub(crate) const HEAT_TOP: f32 = 0.25;
 
 /// Colours of the error map from 0 to [`HEAT_TOP`], evenly spaced, as sRGB codes. Their lightness

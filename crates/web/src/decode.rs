@@ -2,7 +2,8 @@
 //!
 //! The crate `png` reads every kind of PNG, but would be a sixth of the module that every visitor
 //! loads. This decoder reads one kind, and the tests compare the two. Optional chunks are skipped.
-//! The checksum of the compressed stream covers every pixel, so those of chunks are not computed.
+//! The checksum of the compressed stream covers every pixel, so the checksums of the chunks are not
+//! computed.
 
 use miniz_oxide::inflate::decompress_to_vec_zlib_with_limit;
 
@@ -30,7 +31,7 @@ pub(crate) fn decode(file: &File, bytes: &[u8]) -> Result<Vec<u8>, Error> {
             b"IHDR" => header = Some(data),
             b"IDAT" => stream.extend_from_slice(data),
             b"IEND" => break,
-            other if other[0].is_ascii_uppercase() => return Err(damaged("a part that is not known")),
+            other if other[0].is_ascii_uppercase() => return Err(damaged("a chunk that is not known")),
             _ => {}
         }
     }

@@ -1,9 +1,10 @@
-//! A light field that is shown itself: blends the four views nearest to a position in linear light.
+//! Shows a light field itself, without a simulated display: blends the four views nearest to a
+//! position in linear light.
 
 use crate::colour::{DECODED, ENCODER};
 use crate::{Error, err};
 
-/// Largest size of all views, in bytes.
+/// Largest size of all views together, bytes.
 const LIMIT: usize = 1 << 30;
 
 /// Views of a light field, sRGB codes `[row][col][rgba]`.
@@ -17,7 +18,7 @@ pub struct Field {
 }
 
 impl Field {
-    /// A light field without any view yet.
+    /// A light field before its first view arrives.
     ///
     /// # Errors
     /// If there are no pixels or views, or too many.

@@ -1,4 +1,5 @@
-//! Parses JSON. In the browser its own parser does it: another would be a fifth of the module.
+//! Parses JSON. The browser's own parser is used there, since another would be a fifth of the
+//! module.
 
 use serde::de::DeserializeOwned;
 

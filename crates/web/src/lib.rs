@@ -6,9 +6,9 @@
 //!                              └────▶ AreaMap as textures ─▶ shaders with lookups only      (GPU)
 //! ```
 //!
-//! The CPU draws in tests and on machines without WebGL2. The shaders contain no geometry: they
-//! read from tables of [`lumistack_display::AreaMap`] where a ray hits a layer. All code except the
-//! thin layer around the browser's objects compiles for any machine and is tested there.
+//! The CPU draws in tests and on machines without WebGL2. The shaders contain no geometry: tables
+//! of [`lumistack_display::AreaMap`] state where a ray hits a layer. All code except that around
+//! the browser's objects compiles for any machine and is tested there.
 
 mod colour;
 mod decode;
@@ -30,7 +30,7 @@ pub use model::{Model, Slots};
 pub use options::{Options, Pupil};
 pub use tables::Tables;
 
-/// An error for the user: the file, the place in it, the expected and the found value.
+/// An error for the user: the file, the position in it, the expected and the found value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Error(String);
 

@@ -25,18 +25,18 @@ pub struct Model {
     codes: Vec<Option<Vec<u8>>>,
     /// Complete frames, in the order of their completion.
     complete: Vec<usize>,
-    /// Input of the CPU path, made on its first use.
+    /// Input of the CPU path, computed at its first use.
     built: OnceLock<Built>,
 }
 
-/// The display with build errors, and the values that rays hit.
+/// The display with its construction errors, and the values that rays hit.
 #[derive(Debug)]
 struct Built {
     display: Display,
     stack: LayerStack,
 }
 
-/// Complete frames in the order of their completion; the GPU's slices have the same order.
+/// The slices that are drawn. Complete frames have slices in the order of their completion.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Slots {
     /// The first drawn slice.
@@ -46,7 +46,7 @@ pub struct Slots {
 }
 
 impl Model {
-    /// A preview without any pictures yet.
+    /// A preview before its first picture arrives.
     ///
     /// # Errors
     /// If the text is no preview; see [`Preview::from_json`].
@@ -73,8 +73,8 @@ impl Model {
         &self.options
     }
 
-    /// Adds the bytes of file `index`. Returns its part, and its frame's slice if that is complete
-    /// now.
+    /// Adds the bytes of file `index`. Returns the file's part, and the slice of its frame if that
+    /// frame is complete now.
     ///
     /// # Errors
     /// If there is no such file or it is damaged; the model stays unchanged.
@@ -159,7 +159,8 @@ impl Model {
         self.options.gain.unwrap_or(1.0 / self.preview.brightness) as f32
     }
 
-    /// The slices whose mean is the picture: the selected frame, or all complete ones.
+    /// The slices whose mean is the picture: that of the selected frame, or those of all complete
+    /// frames.
     pub fn slots(&self) -> Slots {
         let chosen = self.options.frame.and_then(|frame| self.complete.iter().position(|&of| of == frame));
         match chosen {
@@ -179,7 +180,7 @@ impl Model {
         self.preview.display.layers[n].response().filter(|response| !response.is_identity())
     }
 
-    /// True if rays hit the stored values of layer `n`.
+    /// Returns true if rays hit the stored values of layer `n` unchanged.
     pub fn is_plain(&self, n: usize) -> bool {
         self.response(n).is_none()
     }
@@ -252,7 +253,7 @@ impl Model {
     }
 
     /// The seen picture from a slope under the options. Through a pupil it is the mean over the
-    /// pupil's points, with one ray per pixel each.
+    /// pupil's points, with one ray per pixel and point.
     fn emitted(&self, slope: [f64; 2], projection: Projection) -> EmittedView {
         let built = self.built();
         if built.stack.frames() == 0 {
@@ -283,7 +284,7 @@ impl Model {
         mean
     }
 
-    /// The same lookups as textures for the shader.
+    /// The lookups of the view from a slope, as textures for the shader.
     pub fn tables(&self, slope: [f64; 2], projection: Projection) -> Tables {
         let display = self.options.built(&self.preview.display);
         Tables::new(&display, &self.geometry, &self.options.pupil(&display, projection), slope, projection)

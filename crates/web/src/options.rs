@@ -8,15 +8,15 @@ use crate::{Error, err, json};
 
 /// Distance of a pupil if the viewer's distance is unknown, millimetres.
 const ARM_LENGTH_MM: f64 = 600.0;
-/// Most points of a pupil along each axis.
+/// Largest number of points of a pupil along each axis.
 const PUPIL_LIMIT: usize = 9;
 
 /// Settings; every key is optional.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Options {
-    /// Factor on the emitted light: 1 shows the light itself, 1/β (the default) that of an adapted
-    /// eye.
+    /// Factor on the emitted light: 1 shows the light itself, 1/β (the default) shows the picture
+    /// that an adapted eye sees.
     pub gain: Option<f64>,
     /// Error of every gap between neighbouring layers and to the backlight, millimetres; the middle
     /// of the stack stays.
@@ -30,7 +30,7 @@ pub struct Options {
     /// Distance of the eye from z = 0, millimetres; views become perspective. `None`: the target's
     /// projection.
     pub eye_distance_mm: Option<f64>,
-    /// A single frame instead of the mean of all.
+    /// Number of a single frame to show; `None` shows the mean of all frames.
     pub frame: Option<usize>,
 }
 
@@ -97,8 +97,9 @@ impl Options {
         self.eye_distance_mm.map_or(target, |distance_mm| Projection::Perspective { distance_mm })
     }
 
-    /// The points of the pupil whose views are averaged: slopes relative to its centre along each
-    /// axis, and the pairs `[y][x]` of them that lie on the disc. One point for a pinhole.
+    /// The points of the pupil whose views are averaged. They are given by slopes relative to the
+    /// pupil's centre along each axis, and the pairs `[y][x]` of slopes on the disc. A pinhole has
+    /// one point.
     pub fn pupil(&self, display: &Display, target: Projection) -> Pupil {
         let distance_mm = match self.projection(target) {
             Projection::Perspective { distance_mm } => distance_mm,

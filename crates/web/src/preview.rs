@@ -19,11 +19,11 @@ pub struct Preview {
     pub display: Display,
     /// β: the display emits β times the target.
     pub brightness: f64,
-    /// Frames M.
+    /// Number of frames M.
     pub frames: usize,
     /// The light field for which the patterns were made.
     pub target: Target,
-    /// In the order of their loading.
+    /// The files, in the order in which they are loaded.
     pub files: Vec<File>,
     /// PSNR of views from the files, whose values have 8 bits, against views from the patterns
     /// themselves, dB.
@@ -64,20 +64,20 @@ pub struct Target {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(into = "Entry", try_from = "Entry")]
 pub struct File {
-    /// Path below the preview's folder.
+    /// Path relative to the preview's folder.
     pub path: String,
-    /// Its content.
+    /// The picture's content.
     pub part: Part,
     /// Pixel rows.
     pub rows: usize,
     /// Pixel columns.
     pub cols: usize,
-    /// Length of the file.
+    /// Length of the file, bytes.
     pub bytes: u64,
 }
 
-/// [`File`] in preview.json: flat, with a kind. The code that serde makes for a flattened enum is
-/// ten times larger, and every visitor loads it.
+/// The form of a [`File`] in preview.json: a flat table with a kind. The code that serde makes for
+/// a flattened enum is ten times larger, and every visitor loads it.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(default)]
 struct Entry {
@@ -118,7 +118,9 @@ impl TryFrom<Entry> for File {
             ("target", _, _, Some(view)) => Part::Target { view },
             (kind, ..) => {
                 let path = &entry.path;
-                return Err(format!("file `{path}` of kind `{kind}`, or without its layer, frame or view"));
+                return Err(format!(
+                    "file `{path}` of unknown kind `{kind}`, or without the layer, frame or view of its kind"
+                ));
             }
         };
         let Entry { path, rows, cols, bytes, .. } = entry;
@@ -131,15 +133,15 @@ impl TryFrom<Entry> for File {
 pub enum Part {
     /// A layer's mask in one frame: value = code / 255.
     Layer {
-        /// Rearmost first.
+        /// Number of the layer; 0 is the rearmost.
         layer: usize,
-        /// Frame.
+        /// Number of the frame.
         frame: usize,
     },
     /// The backlight's emission in one frame, value = code / 255, with bins side by side:
     /// `[bin_y][lenslet_row][bin_x][lenslet_col]`.
     Emission {
-        /// Frame.
+        /// Number of the frame.
         frame: usize,
     },
     /// A view of the light field, sRGB-encoded.
@@ -154,7 +156,7 @@ impl Preview {
     pub const SCHEMA: &'static str = "lumistack-preview";
     /// The version that this program reads.
     pub const VERSION: u32 = 1;
-    /// Most pixels of a picture; a file with more is damaged.
+    /// Largest number of pixels of a picture; a file with more is treated as damaged.
     const PIXEL_LIMIT: usize = 1 << 26;
 
     /// Reads and checks a preview.

@@ -37,7 +37,7 @@ pub fn heat() -> String {
     heat_stops().join(",")
 }
 
-/// The error of the last colour.
+/// The error of the last of these colours.
 #[wasm_bindgen]
 pub fn heat_top() -> f32 {
     HEAT_TOP
@@ -93,7 +93,7 @@ impl Viewer {
         Ok(clamped(&self.model.render_target([view_row, view_col])?))
     }
 
-    /// A layer's mask in a frame as sRGB bytes, in its own size.
+    /// A layer's mask in a frame as sRGB bytes, in the layer's size.
     pub fn render_layer(&self, layer: usize, frame: usize) -> Thrown<Uint8ClampedArray> {
         Ok(clamped(&self.model.render_layer(layer, frame)?))
     }
@@ -108,7 +108,8 @@ impl Viewer {
         Ok(clamped(&self.model.render_error([sx, sy])?))
     }
 
-    /// PSNR of that view in dB; undefined until it has arrived.
+    /// PSNR against the target's view nearest to a slope, dB; undefined until that view has
+    /// arrived.
     pub fn psnr(&self, sx: f64, sy: f64) -> Option<f64> {
         self.model.psnr([sx, sy])
     }
@@ -131,7 +132,7 @@ impl Viewer {
     }
 }
 
-/// A light field that is shown itself.
+/// A light field that is shown itself, without a simulated display.
 #[wasm_bindgen]
 pub struct LightField(Field);
 

@@ -1,9 +1,10 @@
 //! [`AreaMap`] as numbers for textures: the shader looks up the rays' hits and computes none.
 //!
-//! A picture from one point is a seen picture, the mean over every pixel's area: pixels are split
-//! into parts whose rays read the same pixels ([`AreaMap`]). A pupil averages over points, so its
-//! picture has one ray per pixel and point. `x` has one row per point along x, part, and layer or
-//! backlight, with one texel per column of the field:
+//! A picture from one point is a seen picture, the mean over every pixel's area. Pixels are split
+//! into parts whose rays read the same pixels of the layers ([`AreaMap`]). A pupil averages over
+//! points, so its picture has one ray per pixel and point. Table `x` has a row for every
+//! combination of a point along x, a part, and a layer or backlight. A row has one texel per column
+//! of the field. With `place` for the number of the point:
 //!
 //! ```text
 //! row = (place · parts + part) · rows_per_part
@@ -11,8 +12,8 @@
 //! x[row + N][col] = lenslet, bin, 0, share    backlight; lenslet = −1: dark, −2: the ray misses it
 //! ```
 //!
-//! `y` is alike. `share`, the fraction of the pixel's width, is 0 for parts that a pixel lacks.
-//! Indices below 2²⁴ are exact in single precision.
+//! Table `y` is the same for the rows of the field. `share`, the fraction of the pixel's width, is
+//! 0 for parts that a pixel lacks. Indices below 2²⁴ are exact in single precision.
 
 use lumistack_display::{AreaMap, BacklightTap, Display, FieldGeometry, Part, Projection, RayMap, Tap, ViewGrid};
 

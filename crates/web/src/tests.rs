@@ -200,8 +200,8 @@ fn options_change_the_display() {
     check(json!({}), display, stack, oblique, 4.0);
 }
 
-/// A point behind the plane of focus is spread over the width of its cone of rays there; a point on
-/// the plane is not.
+/// A point behind the plane of focus is spread over the width of its cone of rays on that plane. A
+/// point on the plane is not spread.
 #[test]
 fn a_pupil_blurs_what_is_off_the_plane() {
     let display = Display::uniform([61, 41], 1.0, [1, 1], [20.0, 20.0], &[-40.0, 0.0], 1);

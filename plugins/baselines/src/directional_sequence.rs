@@ -1,8 +1,8 @@
 //! Node plugin `directional_sequence`: a time-sequential directional backlight (Travis 1990), the
 //! direct mode of one layer in front of a light field emitter.
 //!
-//! In every frame the backlight emits into a subset of its directions, and the layer shows the view
-//! from there. With A directions and M frames
+//! In every frame the backlight emits into a subset of its directions, and the layer shows the
+//! target as seen from these directions. With A directions and M frames
 //!
 //! ```text
 //! direction k is lit in frame ⌊k·M/A⌋        β = 1/M · Π peak of the layers
@@ -19,13 +19,13 @@ use lumistack_plugin::{NodeInput, NodePlugin, PluginError, Schema, expects, expo
 /// The plugin.
 pub struct DirectionalSequence;
 
-/// It has no parameters.
+/// The plugin has no parameters.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 pub struct SequenceParams {}
 
 impl NodePlugin for DirectionalSequence {
-    const DOC: &'static str = "A time-sequential directional backlight: each frame lights some directions only, and the layer shows the view from there. \
+    const DOC: &'static str = "A time-sequential directional backlight: each frame lights some directions only, and the layer shows the view from these directions. \
         The direct mode of displays with a directional backlight.";
     type Params = SequenceParams;
 
@@ -45,7 +45,7 @@ impl NodePlugin for DirectionalSequence {
         }
         if frames < directions {
             host.warn(&format!(
-                "{frames} frames for {directions} directions: several directions share a frame and its picture"
+                "expected {directions} frames, one per direction, found {frames}: several directions show the same picture; set display.frames to {directions}"
             ));
         }
         // Light each direction in its frame, and open all layers.
@@ -55,7 +55,7 @@ impl NodePlugin for DirectionalSequence {
         let Some(backlight) = &map.backlight else {
             return Err(PluginError::display(display, "a directional backlight", "none"));
         };
-        // the layer nearest to the display's plane shows the views, the others are clear
+        // the layer nearest to the display plane shows the views, the others are clear
         let nearest = (0..display.layers.len())
             .min_by(|&a, &b| display.layers[a].d_mm.abs().total_cmp(&display.layers[b].d_mm.abs()));
         let shown = nearest.unwrap_or(0);

@@ -2,7 +2,7 @@
 //! with a directional backlight.
 //!
 //! All layers are clear. The emission of a lenslet into a bin is the mean of the target over the
-//! rays through both,
+//! rays that belong to both,
 //!
 //! ```text
 //! b[bin, lenslet] = mean of L(r) over the rays r of that lenslet and bin
@@ -19,7 +19,7 @@ use lumistack_plugin::{NodeInput, NodePlugin, PluginError, Schema, expects, expo
 /// The plugin.
 pub struct IntegralImaging;
 
-/// It has no parameters.
+/// The plugin has no parameters.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 pub struct IntegralParams {}

@@ -30,7 +30,7 @@ pub struct TomographyParams {
 }
 
 impl NodePlugin for LogTomography {
-    const DOC: &'static str = "A static stack of layers by tomography of logarithms, for any number of layers before a uniform backlight. Every frame is the \
+    const DOC: &'static str = "A static stack of layers by tomography of logarithms, for any number of layers in front of a uniform backlight. Every frame is the \
         same: the baseline without time multiplexing.";
     type Params = TomographyParams;
 
@@ -129,7 +129,7 @@ impl Volume {
         Ok(volume)
     }
 
-    /// Σ_r (Σ_n x_n − a_r) over the rays through every pixel, and their number.
+    /// Σ_r (Σ_n x_n − a_r) over the rays through every pixel, and the number of these rays.
     fn back_project(
         &mut self,
         map: &RayMap,
@@ -145,7 +145,7 @@ impl Volume {
         let mut pixels = vec![0usize; map.layers.len()];
         for (number, &view) in views.iter().enumerate() {
             for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
-                // a ray counts if it hits a pixel of every layer
+                // a ray is included if it hits a pixel of every layer
                 let hits_all =
                     map.layers.iter().zip(&mut pixels).all(|(layer, pixel)| match hit_pixel(layer, view, row, col) {
                         Some(found) => {

@@ -2,18 +2,19 @@
 //! integral imaging), the baseline of two-layer tensor displays.
 //!
 //! The front layer is a mask of slits (or pinholes), one pixel wide, with a period of P_x × P_y
-//! mask pixels, which moves from frame to frame. The rear layer shows the picture behind the slits.
-//! In frame m the mask is open where
+//! mask pixels. The mask moves from frame to frame. The rear layer shows the picture behind the
+//! slits. In frame m the mask is open where
 //!
 //! ```text
 //! (col, row) ≡ (k mod P_x, k div P_x)  (mod P_x, P_y),   k = ⌊m·P/M⌋,  P = P_x·P_y
 //! ```
 //!
-//! A rear pixel is the mean of the target over the rays through it and an open pixel, which is the
+//! A rear pixel is the mean of the target over the rays through it and an open pixel. That is the
 //! least-squares optimum for a mask of zeros and ones. If the period is at least the number of
 //! views, rays of different views through one slit hit different rear pixels. Then every unblocked
-//! ray is exact. A pixel is open in one frame of P, so the display emits β = 1/P times the target.
-//! With M = P frames this holds everywhere, with fewer frames on a subset of the pixels.
+//! ray is exact. With M = P frames every mask pixel is open in one frame, so the display emits β =
+//! 1/P times the target along every ray. With fewer frames some mask pixels stay shut; the display
+//! then emits β times the target in the mean over a period.
 
 use lumistack_plugin::core::Tensor;
 use lumistack_plugin::display::{LayerMap, LayerStack, RayMap};
@@ -33,7 +34,7 @@ pub struct BarrierParams {
 
 impl NodePlugin for ParallaxBarrier {
     const DOC: &'static str = "A time-multiplexed parallax barrier for displays of two layers: the front layer shows slits that move from \
-        frame to frame, the rear layer what is to be seen through them. The baseline of tensor displays.";
+        frame to frame, the rear layer shows the picture behind them. The baseline of tensor displays.";
     type Params = BarrierParams;
 
     fn schema() -> Schema {
@@ -62,14 +63,14 @@ impl NodePlugin for ParallaxBarrier {
         let period = [or(params.period_y, views_y), or(params.period_x, views_x)];
         if period[1] < views_x || period[0] < views_y {
             host.warn(&format!(
-                "{views_x} × {views_y} views behind slits every {} × {} pixels: several views share a rear pixel",
+                "{views_x} × {views_y} views, but a period of only {} × {} mask pixels: several views share a rear pixel; increase period_x, period_y",
                 period[1], period[0]
             ));
         }
         let positions = period[0] * period[1];
         if display.frames < positions {
             host.warn(&format!(
-                "{} frames for {positions} places of the slits: the picture shows gaps between them",
+                "{} frames for {positions} positions of the slits: the picture shows gaps between the slits",
                 display.frames
             ));
         }
@@ -83,7 +84,7 @@ impl NodePlugin for ParallaxBarrier {
         let shape = [display.frames, rear.rows, rear.cols, 3];
         let count = Tensor::<4>::element_count(shape)
             .ok_or_else(|| PluginError::Refused(format!("a rear layer of shape {shape:?} is too large")))?;
-        // per rear pixel: sum of the target over the unblocked rays, and their number
+        // per rear pixel: sum of the target over the unblocked rays, and the number of these rays
         let (mut sums, mut rays) = (vec![0.0f32; count], vec![0u32; count / 3]);
         let stage = host.stage("parallax barrier", (views_y * views_x) as u64, "views");
         for [view_y, view_x] in geometry.grid.iter() {
@@ -127,8 +128,8 @@ fn is_open(pixel: [usize; 2], frame: usize, frames: usize, period: [usize; 2]) -
     pixel[1] % period[1] == k % period[1] && pixel[0] % period[0] == k / period[1] % period[0]
 }
 
-/// Pixels of the rear and the front layer that a ray hits, along one axis; none if it misses
-/// either.
+/// Pixels of the rear and the front layer that a ray hits, along one axis; `None` if the ray misses
+/// one of them.
 fn taps(rear: &LayerMap, front: &LayerMap, view: usize, ray: usize, along_y: bool) -> Option<[usize; 2]> {
     let axis = |layer: &LayerMap| {
         let tap = if along_y { layer.y.of_view(view)[ray] } else { layer.x.of_view(view)[ray] };

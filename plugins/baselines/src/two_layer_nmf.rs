@@ -2,16 +2,16 @@
 //! and several frames, by weighted nonnegative matrix factorization.
 //!
 //! The light field of two layers is a matrix with a row per rear pixel and a column per front
-//! pixel; entries with rays are known. With M frames its rank is M. Factors start from random
-//! values and follow the multiplicative rule (the weighted rule of Blondel et al. 2008), one layer
-//! after the other:
+//! pixel. An entry is known if a ray hits both pixels. With M frames the matrix has rank M. Factors
+//! start from random values and follow the multiplicative rule (the weighted rule of Blondel et al.
+//! 2008), one layer after the other:
 //!
 //! ```text
 //! F ← F ⊛ [(W ⊛ βL) G] / [(W ⊛ F Gᵀ) G], G likewise, clamped to 0..1
 //! ```
 //!
-//! This is eq. (16) of tensor displays for N = 2. The plugin always uses this rule, not the solver
-//! that the job selects, so that the older method can be compared with newer ones.
+//! This is eq. (16) of the paper "Tensor Displays" for N = 2. The plugin always uses this rule, not
+//! the solver that the job selects, so that the older method can be compared with newer ones.
 
 use lumistack_factorizer::{FactorizeError, Multiplicative, Problem, Settings, Solver, StartKind};
 use lumistack_plugin::core::{Cancel, Collector, Task};
@@ -37,7 +37,7 @@ impl NodePlugin for TwoLayerNmf {
 
     fn schema() -> Schema {
         Schema::new([
-            Param::int("iterations", 50, 1..=10_000, "Updates of both layers.").unit("1"),
+            Param::int("iterations", 50, 1..=10_000, "Iterations; each updates both layers.").unit("1"),
             Param::int("seed", 1, 0..=i64::from(i32::MAX), "Random seed of the start.").unit("1"),
         ])
     }

@@ -1,7 +1,7 @@
 //! An animated PNG of a viewer who swings through the viewing zone.
 //!
-//! With φ = 2πt/T, in units of views around the grid's centre: x = (A_x − 1)/2 · sin φ, and on an
-//! ellipse y = (A_y − 1)/2 · cos φ. The animation loops without a jump.
+//! Positions are in units of views around the grid's centre. With φ = 2πt/T, x = (A_x − 1)/2 · sin
+//! φ, and on an ellipse y = (A_y − 1)/2 · cos φ. The animation loops without a jump.
 
 use std::f64::consts::TAU;
 use std::io::BufWriter;
@@ -20,9 +20,9 @@ pub(crate) struct Swing {
     /// Number of pictures in one period.
     pub(crate) pictures: u32,
     pub(crate) pictures_per_second: u16,
-    /// Move up and down as well.
+    /// The viewer also moves up and down.
     pub(crate) ellipse: bool,
-    /// Largest width of the animation, pixels; 0 for that of the views.
+    /// Largest width of the animation, pixels; 0 for the views' width.
     pub(crate) width: usize,
 }
 

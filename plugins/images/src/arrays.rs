@@ -8,8 +8,9 @@ use lumistack_plugin::{Host, PlaneView, PluginError, StackInput};
 
 use crate::views::ViewSource;
 
-/// `layer_L` `[frame][row][col][rgb]`, layer 0 rearmost, `d_mm` `[layer]`, and for a directional
-/// backlight `emission` `[frame][bin_y][bin_x][lenslet_row][lenslet_col][rgb]`.
+/// Writes the arrays `layer_L` `[frame][row][col][rgb]` (layer 0 is the rearmost), `d_mm` `[layer]`
+/// and `brightness`. A directional backlight adds `emission`
+/// `[frame][bin_y][bin_x][lenslet_row][lenslet_col][rgb]`.
 pub(crate) fn write_stack(
     host: &Host,
     path: &str,
@@ -39,7 +40,8 @@ pub(crate) fn write_stack(
     })
 }
 
-/// `radiance` `[view_y][view_x][row][col][rgb]`, `slope_x` `[view_x]`, `slope_y` `[view_y]` (up).
+/// Writes the arrays `radiance` `[view_y][view_x][row][col][rgb]`, `slope_x` `[view_x]` and
+/// `slope_y` `[view_y]` (y up).
 pub(crate) fn write_views(host: &Host, path: &str, source: &ViewSource<'_>) -> Result<(), PluginError> {
     let geometry = source.geometry();
     let [views_y, views_x] = geometry.grid.views();

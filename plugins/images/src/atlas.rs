@@ -18,7 +18,7 @@ use crate::encode::{png_error, say_encoding};
 struct Index<'a> {
     schema: &'static str,
     version: u32,
-    /// The sheet, beside this file.
+    /// Name of the sheet, which is in the same folder.
     file: &'a str,
     width: usize,
     height: usize,

@@ -4,13 +4,14 @@ use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Channels, Transfer};
 use lumistack_plugin::encoding::{Dither, codes8, codes16, panel_codes};
 
-/// Codes of a panel.
+/// Settings for the codes of a panel.
 #[derive(Clone, Copy)]
 pub(crate) struct PanelCodes {
     /// Bits per channel, if fewer than the file's.
     pub(crate) bits: Option<u32>,
     pub(crate) dither: Dither,
-    /// Number of the layer and frame, which decorrelates threshold maps.
+    /// Number that differs between layers and frames. It shifts the threshold map, so that the dots
+    /// of different layers and frames are uncorrelated.
     pub(crate) pattern: usize,
 }
 
@@ -38,14 +39,14 @@ pub(crate) fn samples16(transfer: &Transfer, panel: Option<PanelCodes>, size: [u
     }
 }
 
-/// A code of few bits as one of a file with more: code · top / (2^bits − 1), rounded. The file's
-/// highest bits are the code.
+/// Converts a code of `bits` bits to a sample of a file with more bits: code · top / (2^bits − 1),
+/// rounded. The sample's highest bits are the code.
 fn spread(code: u16, bits: u32, top: u32) -> u32 {
     let own = (1u32 << bits) - 1;
     ((u64::from(code) * u64::from(top) + u64::from(own / 2)) / u64::from(own)) as u32
 }
 
-/// The bytes of a PNG with 8 bits per channel, with codes by `transfer`.
+/// The bytes of a PNG with 8 bits per channel, whose codes follow `transfer`.
 pub(crate) fn png8(samples: &[u8], size: [usize; 2], transfer: &Transfer) -> Result<Vec<u8>, PluginError> {
     png_bytes(samples, size, png::BitDepth::Eight, transfer)
 }

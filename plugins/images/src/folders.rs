@@ -2,10 +2,11 @@
 //!
 //! * `hci/`: `input_Cam%03d.png`, numbered row by row from the top left, `parameters.cfg` and
 //!   `gt_disp_lowres.pfm`. Cameras are on a plane at distance D, b = D·Δs apart, with shifted
-//!   sensors. Disparity is b·f·(1/Z − 1/D) pixels a camera, f = D / pixel pitch. That is Δs·D·z/((D
-//!   − z)·pitch) for content at z towards the viewer, and Δs·z/pitch for parallel projections. The
-//!   map is that of the central view, if the host has its depth. Otherwise it contains NaN, and the
-//!   range is that of the display's depth of field.
+//!   sensors. Disparity is b·f·(1/Z − 1/D) pixels from a camera to the next, with f = D / pixel
+//!   pitch. That is Δs·D·z/((D − z)·pitch) for content at z towards the viewer, and Δs·z/pitch for
+//!   parallel projections. The disparity map is that of the central view, if the host has the
+//!   view's depth. Otherwise the map contains NaN, and the range of disparities is that of the
+//!   display's depth of field.
 //! * `stanford/`: `out_RR_CC_<Y>_<X>.png`, with the camera's centre in millimetres, X right, Y
 //!   down.
 //!
@@ -21,7 +22,8 @@ use crate::views::ViewSource;
 /// Larger side of the written sensor, millimetres. Any value would do, since only its ratio to the
 /// focal length matters.
 const SENSOR_MM: f64 = 36.0;
-/// Largest relative difference of equal steps.
+/// Steps of slope are treated as equal if they differ by no more than this, relative to the
+/// largest.
 const SAME_STEP: f64 = 1e-3;
 
 /// The archive's format.
@@ -75,7 +77,7 @@ impl Cameras<'_> {
         }
     }
 
-    /// Slope step between views.
+    /// The step of slope between neighbouring views.
     ///
     /// # Errors
     /// If steps differ: the format has one baseline.
@@ -87,14 +89,14 @@ impl Cameras<'_> {
             all.iter().fold((f64::INFINITY, 0.0f64), |(low, high), step| (low.min(*step), high.max(*step)));
         if high - low > SAME_STEP * high {
             return Err(PluginError::Refused(format!(
-                "parameter `hci`: the format has one distance between cameras, expected equal steps of slope between all views, found {low:.6} to {high:.6}; `stanford` has the centre of every camera"
+                "parameter `hci`: expected equal steps of slope between all views, since the format has one distance between cameras, found {low:.6} to {high:.6}. Use `stanford`, which stores the centre of every camera"
             )));
         }
         Ok(if all.is_empty() { 0.0 } else { all.iter().sum::<f64>() / all.len() as f64 })
     }
 
-    /// Shift of content at z_mm to the left from a view to the next on the right, pixels; infinite
-    /// z is the horizon.
+    /// Disparity of content at z_mm, pixels: its shift to the left between a view and the view on
+    /// its right. An infinite z is the horizon.
     fn disparity(&self, step: f64, z_mm: f64) -> f64 {
         let moved_mm = match self.geometry.grid.projection {
             Projection::Oblique => z_mm,
@@ -143,9 +145,9 @@ impl Cameras<'_> {
         let [least, largest] = known.or(shown).unwrap_or([0.0; 2]);
         let [shown_least, shown_largest] = shown.unwrap_or([least, largest]);
         let disparity_note = if known.is_some() {
-            "# Disparities are of the surfaces that the middle view sees, without any estimate.\n"
+            "# Disparities are those of the surfaces that the central view sees; they are computed, not estimated.\n"
         } else {
-            "# How deep the views see is not known: disp_min and disp_max are of the depths that the display shows, and gt_disp_lowres.pfm holds NaN.\n"
+            "# The depth of the views is not known: disp_min and disp_max are those of the display's depth of field, and gt_disp_lowres.pfm contains NaN.\n"
         };
         let [date, authors, contact] = settings.meta.map(|text| text.replace(['\n', '\r'], " ").replace('%', "%%"));
         let [rows, cols] = [self.geometry.rows, self.geometry.cols];

@@ -14,15 +14,15 @@
 //! | `stack.npz` | the masks' values |
 //! | `images.json` | content and encoding of every file |
 //!
-//! Files of a light field: `view_YY_XX.png` for every view. Files of both: `swing.png`, an
-//! animation; `views.exr`, all views as one multi-view OpenEXR file; `views.npz`; the folders
-//! `hci/` and `stanford/`. Views of a layer stack are simulated for an adapted viewer.
+//! Files of a light field: `view_YY_XX.png` for every view. Files of both kinds of data:
+//! `swing.png`, an animation; `views.exr`, all views as one multi-view OpenEXR file; `views.npz`;
+//! the folders `hci/` and `stanford/`. Views of a layer stack are simulated for an adapted viewer.
 //!
-//! 16-bit PNGs end in `_16bit.png`. EXR and NPZ files contain the values themselves, linear. PNGs
-//! with codes proportional to light, on request, end in `_linear.png`. Later time steps of a
-//! sequence go to `t0001/`, `t0002/`, and so on.
+//! Names of 16-bit PNGs end in `_16bit.png`. EXR and NPZ files contain the values themselves,
+//! linear. On request, PNGs have codes proportional to light; their names end in `_linear.png`.
+//! Later time steps of a sequence are written to `t0001/`, `t0002/`, and so on.
 //!
-//! Memory does not grow with the number of frames. `views.exr` needs that of all views, twice.
+//! Memory does not grow with the number of frames. `views.exr` needs twice the memory of all views.
 
 mod animation;
 mod arrays;
@@ -59,7 +59,7 @@ pub struct Images {
 
 impl OutputPlugin for Images {
     const DOC: &'static str = "Writes layer patterns, backlight patterns and views: PNG and EXR pictures, atlas sheets, NumPy archives, \
-        a sheet for people, an animation, HCI and Stanford folders. A file images.json says what each file is.";
+        a contact sheet, an animation, HCI and Stanford folders. The file images.json describes every file.";
     const PORTS: &'static [Port] = &[Port::LayerStack, Port::LightField];
     type Params = ImagesParams;
 

@@ -4,7 +4,7 @@ use lumistack_plugin::display::Transfer;
 use lumistack_plugin::serde::Serialize;
 use lumistack_plugin::serde_json;
 
-/// The file.
+/// The content of `images.json`.
 #[derive(Serialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 struct Manifest {
@@ -17,7 +17,7 @@ struct Manifest {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 pub(crate) struct Entry {
-    /// Path from the manifest.
+    /// Path relative to the manifest's folder.
     pub(crate) file: String,
     #[serde(flatten)]
     pub(crate) content: Content,
@@ -64,11 +64,11 @@ pub(crate) enum Content {
         offset_mm: [f64; 2],
         pixels_per_lens: f64,
     },
-    /// All views of the grid in one file: for each its name there, its position in the grid and its
-    /// slope.
+    /// All views of the grid in one file. Every view has its name in the file, its position in the
+    /// grid and its slope.
     Views { views: Vec<NamedView>, divided_by: f64 },
-    /// A viewer's swing through the zone: slope of every picture. `nearest` is set if these are the
-    /// nearest of a light field's views.
+    /// A viewer's swing through the zone: slope of every picture. `nearest` is true if the pictures
+    /// are a light field's nearest views.
     Animation { slopes: Vec<[f64; 2]>, nearest: bool, pictures_per_second: u16, divided_by: f64 },
     /// All masks on one sheet; the file `index` lists their positions.
     Atlas { index: String },
@@ -93,7 +93,8 @@ pub(crate) struct NamedView {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(crate = "lumistack_plugin::serde", tag = "format", rename_all = "snake_case")]
 pub(crate) enum Format {
-    /// Code values. For a panel with fewer bits than the file, `panel_bits` and the dithering.
+    /// Code values. For a panel with fewer bits than the file, `panel_bits` and the dithering are
+    /// stated.
     Png {
         bits: u32,
         encoding: Transfer,

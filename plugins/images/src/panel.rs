@@ -6,7 +6,7 @@ use lumistack_plugin::{Host, PluginError, StackInput};
 
 use crate::ImagesParams;
 
-/// The panel and the lenses as built: the display file's, overridden by measured values.
+/// The panel and the lenses as built: the display file's values, overridden by measured values.
 ///
 /// # Errors
 /// If the backlight has no lenslets.

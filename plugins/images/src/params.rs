@@ -1,4 +1,4 @@
-//! Parameters.
+//! Parameters of the plugin.
 
 use lumistack_plugin::display::Transfer;
 use lumistack_plugin::encoding::Dither;
@@ -88,13 +88,13 @@ pub(crate) fn schema() -> Schema {
         Param::bool(
             "exr_multi_view",
             false,
-            "Write views.exr: all views of the grid in one OpenEXR file with a multiView header. Few tools show more than the first, which is the central view.",
+            "Write views.exr: all views of the grid in one OpenEXR file with a multiView header. Few tools show more than the first view, which is the central one.",
         ),
         Param::bool("npz", false, "Write NumPy archives of linear float32: stack.npz of a layer stack, views.npz of a light field."),
         Param::bool(
             "atlas",
             false,
-            "Write atlas.png, one 8-bit sheet with the masks of all layers (left to right, rear first) and frames (top to bottom), and atlas.json, their positions.",
+            "Write atlas.png, one 8-bit sheet with the masks of all layers (left to right, rear first) and frames (top to bottom). Their positions are in atlas.json.",
         ),
         Param::bool(
             "sheet",
@@ -105,8 +105,8 @@ pub(crate) fn schema() -> Schema {
             "encode",
             "panel",
             [
-                ("panel", "Masks by their panels' transfer functions and ranges; views sRGB."),
-                ("srgb", "Everything sRGB."),
+                ("panel", "Masks by their panels' transfer functions and ranges; views in sRGB."),
+                ("srgb", "All pictures in sRGB."),
                 ("linear", "Codes proportional to light."),
             ],
             "Encoding of linear values as code values of PNG pictures.",
@@ -115,7 +115,7 @@ pub(crate) fn schema() -> Schema {
             "bits",
             0,
             0..=16,
-            "Bits per channel of the panels, for masks in PNG pictures; 0 for those of the display file, otherwise of the picture. A code of fewer bits fills the picture's highest bits.",
+            "Bits per channel of the panels, for masks in PNG pictures; 0 for the display file's bits, or the picture's if the file has none. A code of fewer bits fills the picture's highest bits.",
         )
         .unit("bits"),
         Param::choice(
@@ -170,7 +170,7 @@ pub(crate) fn schema() -> Schema {
             "camera_distance_mm",
             1000.0,
             1.0..=1e6,
-            "Camera distance in hci/ and stanford/ for parallel projections, which have none; perspective views keep their own.",
+            "Camera distance in hci/ and stanford/ for parallel projections, which have none. Perspective views have their own distance.",
         )
         .unit("mm"),
         Param::bool(
@@ -186,7 +186,7 @@ pub(crate) fn schema() -> Schema {
             "lens_focal_mm",
             0.0,
             0.0..=1000.0,
-            "Measured focal length of the lenses in air; 0 for the one with which a lens fills the horizontal angle of the bins.",
+            "Measured focal length of the lenses in air; 0 for the focal length with which a lens fills the horizontal angle of the bins.",
         )
         .unit("mm"),
         Param::float(

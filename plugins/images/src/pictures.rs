@@ -35,7 +35,8 @@ pub fn backlight_picture<E>(
 }
 
 /// The views [view_y, view_x] at the centre and the corners of a grid of `views` = [view rows, view
-/// columns], each once. Without a centre, the one above and left of it is taken.
+/// columns], each once. If no view is exactly at the centre, the view above and left of the centre
+/// is taken.
 pub fn centre_and_corners(views: [usize; 2]) -> Vec<[usize; 2]> {
     let (last_y, last_x) = (views[0] - 1, views[1] - 1);
     let mut chosen = vec![[last_y / 2, last_x / 2], [0, 0], [0, last_x], [last_y, 0], [last_y, last_x]];

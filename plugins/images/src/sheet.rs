@@ -139,7 +139,7 @@ pub(crate) fn write(host: &Host, path: &str, legend: &str, bands: &[Vec<Cell<'_>
     Ok([width, height])
 }
 
-/// A full-width part of the sheet.
+/// A band of the sheet, of its full width.
 struct Paper {
     width: usize,
     rgb: Vec<u8>,
@@ -183,7 +183,7 @@ fn raster(letter: char) -> Option<noto_sans_mono_bitmap::RasterizedChar> {
     of(letter).or_else(|| of('?'))
 }
 
-/// Breaks a text between words into lines of at most `width` pixels; a longer word is cut off.
+/// Breaks a text between words into lines of at most `width` pixels; a longer word is truncated.
 fn lines(text: &str, width: usize) -> Vec<String> {
     let most = (width / advance()).max(1);
     let mut lines: Vec<String> = Vec::new();

@@ -55,7 +55,8 @@ impl ViewSource<'_> {
         }
     }
 
-    /// Factor β: an adapted viewer sees the emission divided by it.
+    /// The brightness β of a stack: an adapted viewer sees the emission divided by β. 1 for a light
+    /// field.
     pub(crate) fn divided_by(&self) -> f64 {
         match self {
             Self::Stack(stack) => stack.brightness(),

@@ -27,7 +27,7 @@ struct Picture<'a> {
     /// `[row][col][rgb]`.
     rgb: Cow<'a, [f32]>,
     transfer: &'a Transfer,
-    /// The panel driven by the codes; none for codes of the values themselves.
+    /// The panel driven by the codes; `None` for codes of the values themselves.
     panel: Option<Panel<'a>>,
 }
 
@@ -226,7 +226,7 @@ impl Images {
         let (chosen, across) = match source {
             ViewSource::Stack(stack) => {
                 bands.extend((0..stack.frames()).map(|frame| sheet::patterns(&self.display, stack, frame)));
-                legend += "Patterns: one row per frame, layers from rear (left) to front; what a pixel lets through (emits, turns), 0 to 1, \
+                legend += "Patterns: one row per frame, layers from rear (left) to front; a pixel's transmittance (or emission, or rotation), 0 to 1, \
                            shown in sRGB.\n";
                 legend +=
                     &format!("Views: for an adapted viewer, light divided by {:.3}, in sRGB.", stack.brightness());
@@ -250,7 +250,7 @@ impl Images {
         Ok(entry(path, Content::Sheet, format, false, Some([height, width]), time))
     }
 
-    /// Writes all outputs made of views, of either kind of data.
+    /// Writes all outputs that consist of views, for both kinds of data.
     fn write_from_views(
         &self,
         time: Time,
@@ -346,7 +346,7 @@ impl Images {
         let linear = if params.encode == Encode::Linear { "_linear" } else { "" };
         let proportional = *transfer == Transfer::Linear;
         let codes = picture.panel.map(|panel| panel.codes);
-        // Panels receive driven values, also in files; OpenEXR keeps the linear mask.
+        // PNGs contain the values that drive the panel; OpenEXR files contain the linear mask.
         if params.png8 || params.png16 {
             let driven: Cow<'_, [f32]> = match picture.panel {
                 Some(panel) => panel.driven(&picture.rgb).into(),
@@ -419,13 +419,13 @@ impl ExrDepth {
     }
 }
 
-/// `size` = [rows, cols].
+/// Makes an entry of the manifest. `size` = [rows, cols].
 fn entry(file: String, content: Content, format: Format, linear: bool, size: Option<[usize; 2]>, time: Time) -> Entry {
     let size = size.map(|[height, width]| Size { width, height });
     Entry { file, content, format, linear, size, time: time.index, time_seconds: time.seconds }
 }
 
-/// Folder of a time step: the first one, or a still, is beside the manifest.
+/// Folder of a time step. The first time step, or a still, is written to the manifest's folder.
 fn folder(time: Time) -> String {
     if time.index == 0 { String::new() } else { format!("t{:04}/", time.index) }
 }
@@ -434,7 +434,7 @@ fn view_name([y, x]: [usize; 2], [rows, cols]: [usize; 2]) -> String {
     format!("{y:0y_digits$}_{x:0x_digits$}", y_digits = digits(rows, 2), x_digits = digits(cols, 2))
 }
 
-/// Digits to number `count` items from 0, so that names sort.
+/// Number of digits that number `count` items from 0, so that names sort.
 fn digits(count: usize, least: usize) -> usize {
     count.saturating_sub(1).to_string().len().max(least)
 }

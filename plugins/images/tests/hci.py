@@ -3,7 +3,7 @@
 This reader follows the format's description alone and uses only Python's own library. The file
 parameters.cfg has the sections intrinsics, extrinsics and meta. Every key below is required. The
 file gt_disp_lowres.pfm is a portable float map of the middle view. It holds the disparity in pixels
-from camera to camera, above 0 before the plane of focus.
+from camera to camera, above 0 in front of the plane of focus.
 """
 
 import configparser

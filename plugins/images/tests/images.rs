@@ -305,7 +305,7 @@ fn the_panel_behind_the_lenses_agrees_with_the_optics() {
     assert!(matches!(&uniform, PluginError::Refused(text) if text.contains("`lenslet_panel`")), "{uniform:?}");
 }
 
-/// Values read by NumPy, Pillow and OpenEXR's own bindings, as JSON; none if they are not
+/// Values read by NumPy, Pillow and OpenEXR's own bindings, as JSON; `None` if they are not
 /// installed.
 fn read_by_others(files: &Files) -> Option<Value> {
     let python = lumistack_testkit::skip::python_with("numpy, PIL, OpenEXR")?;
@@ -408,7 +408,7 @@ fn folders_are_read_back_as_the_light_field_they_were() {
     same_within_codes(&back, field);
     let fov = [field.geometry().grid.slope_x.len(), field.geometry().grid.slope_y.len()];
     assert_eq!(fov, [3, 2]);
-    // positions in proportion to the centres
+    // positions of views are in proportion to the cameras' centres
     let ratio = |slopes: &[f64]| (slopes[1] - slopes[0]) / (slopes[2] - slopes[0]);
     assert!((ratio(&back.geometry().grid.slope_x) - ratio(&grid.slope_x)).abs() < 1e-6);
     if let Some(read) = read_by_others(&files) {

@@ -120,7 +120,7 @@ fn add_materials(root: &mut Value, materials: &[MtlMaterial]) {
     let list: Vec<Value> = materials
         .iter()
         .map(|material| {
-            // without a roughness of its own, a material has that of its Phong exponent
+            // a material without a roughness gets it from its Phong exponent
             let shiny = material.shininess.map(|ns| 1.0 - (ns / 1000.0).clamp(0.0, 1.0).sqrt());
             let [r, g, b] = material.diffuse.unwrap_or([0.8; 3]).map(|value| value.clamp(0.0, 1.0));
             let alpha = material.alpha.unwrap_or(1.0).clamp(0.0, 1.0);

@@ -9,10 +9,10 @@
 //! | `Kd`, `map_Kd`, `d` | base colour (linear), its texture with scale `-s`, offset `-o` and `-clamp`, alpha |
 //! | `Ke` | emission |
 //! | `Ns` | roughness = 1 − √(Ns / 1000), as Blender writes it |
-//! | `Pr`, `Pm` | roughness and metallic, where the file has them |
+//! | `Pr`, `Pm` | roughness and metallic, if the file has them |
 //!
 //! Lines, points and curves are left out; other maps too, with a warning. OBJ has no unit and no
-//! agreed upward axis: `scale` and `up` say them.
+//! agreed upward axis: the parameters `scale` and `up` state them.
 
 mod glb;
 mod mtl;
@@ -83,7 +83,7 @@ impl ImporterPlugin for Obj {
         };
         let (models, _) = tobj::load_obj_buf(&mut shapes, &options, library).map_err(|error| {
             // faces are parsed at the end of their object
-            PluginError::Failed(format!("{file}: up to line {}: {error}", line.get()))
+            PluginError::Failed(format!("{file}: at or before line {}: {error}", line.get()))
         })?;
         host.check_cancelled()?;
         let all = collected.into_inner();
@@ -103,7 +103,7 @@ fn materials(host: &Host, assets: &Assets<'_>, file: &str, names: &str) -> Vec<M
         let mut warn = |line: usize, message: String| host.warn(&format!("{name}: line {line}: {message}"));
         Ok::<_, PluginError>(mtl::parse(&text::decode(&bytes), &mut warn))
     };
-    let warn = |error: PluginError| host.warn(&format!("{file}: without its materials: {error}"));
+    let warn = |error: PluginError| host.warn(&format!("{file}: imported without its materials: {error}"));
     let error = match read(names) {
         Ok(found) => return found,
         Err(error) => error,

@@ -1,9 +1,9 @@
 //! MTL files: materials.
 //!
-//! A colour has one value or three. A map has options before its file, whose name may contain
-//! spaces. `-s` and `-o` scale and shift the texture coordinates, (u, v) ↦ s · (u, v) + o with v
-//! upwards; `-clamp on` repeats the edge. Other options that would change the appearance cause a
-//! warning, and so do invalid lines; the rest of the file is used.
+//! A colour has one value or three. A map has options before the name of its file, which may
+//! contain spaces. `-s` and `-o` scale and shift the texture coordinates, (u, v) ↦ s · (u, v) + o
+//! with v upwards; `-clamp on` repeats the edge. Other options that would change the appearance
+//! cause a warning, and so do invalid lines; the rest of the file is used.
 //!
 //! Source: Alias|Wavefront, *Object files*, version 4.2, appendix B1, "MTL material format".
 
@@ -160,7 +160,7 @@ fn map(text: &str, unused: &mut dyn FnMut(&str)) -> Option<Map> {
     (!rest.is_empty()).then_some(map)
 }
 
-/// An option at the start, and the rest of the text.
+/// The option at the start of the text, and the text after it.
 fn option(text: &str) -> Option<(&str, &str)> {
     const OPTIONS: [&str; 13] = [
         "-blendu", "-blendv", "-bm", "-boost", "-cc", "-clamp", "-imfchan", "-mm", "-o", "-s", "-t", "-texres", "-type",

@@ -2,7 +2,8 @@
 //!
 //! A line continues after a backslash at its end, and `#` begins a comment. Names and comments may
 //! have any encoding, and `vt` may have one coordinate. Faces may refer to vertices that do not
-//! exist; the parser refuses them only if its index arithmetic does not overflow.
+//! exist. The parser refuses such faces unless its index arithmetic overflows, so indices out of
+//! range are replaced here.
 
 use std::borrow::Cow;
 use std::cell::Cell;
@@ -47,7 +48,8 @@ pub(crate) struct Shapes<'a> {
     counts: Counts,
 }
 
-/// Positions, texture coordinates and normals so far; negative indices count back from these.
+/// Numbers of positions, texture coordinates and normals read so far. Negative indices are relative
+/// to these numbers.
 type Counts = [i64; 3];
 
 /// The keys of [`Counts`], in the order of a face's corner.

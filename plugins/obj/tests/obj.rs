@@ -78,19 +78,19 @@ fn a_missing_material_file_is_a_warning() {
     document(&Files(BTreeMap::from([("a.obj", OBJ)])), &json!({}), &host).unwrap();
     let messages = host.messages();
     assert_eq!(messages.len(), 1, "{messages:?}");
-    assert_eq!(messages[0], (LogLevel::Warn, "a.obj: without its materials: looks.mtl: no such file".into()));
+    assert_eq!(messages[0], (LogLevel::Warn, "a.obj: imported without its materials: looks.mtl: no such file".into()));
 }
 
 #[test]
 fn files_that_make_no_sense_are_named() {
     for (text, expected) in [
         ("", "expected faces, found none"),
-        ("v 1 2\nf 1 2 3\n", "a.obj: up to line 1: "),
-        ("f 1 2 3\n", "a.obj: up to line 1: "),
+        ("v 1 2\nf 1 2 3\n", "a.obj: at or before line 1: "),
+        ("f 1 2 3\n", "a.obj: at or before line 1: "),
         // indices on which the parser's arithmetic would overflow
         (
             "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nf 1//-2 2//1 3//1\n",
-            "a.obj: up to line 5: face normal index out of bounds",
+            "a.obj: at or before line 5: face normal index out of bounds",
         ),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 1\nf 1/9223372036854775807 2/1 3/1\n", "face texcoord index out of bounds"),
     ] {

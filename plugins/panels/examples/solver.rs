@@ -1,10 +1,11 @@
-//! A solver beside running panels: a thread that submits new stacks, and stalls for a while. The
-//! panels continue meanwhile.
+//! A solver in parallel with running panels: a thread that submits new stacks, and stalls for a
+//! while. The panels continue meanwhile.
 //!
 //! `cargo run -p lumistack-plugin-panels --features window --example solver -- 8` shows three
 //! layers on the first three outputs for eight seconds. The thread submits a stack every 0.3 s and
 //! stalls from the third to the fifth second (not with `steady` as the second argument). The
-//! program prints submissions as lines of refresh, place, stack number, seconds.
+//! program prints a line per submission: refresh number, position in the cycle of frames, stack
+//! number, seconds.
 
 use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};

@@ -8,7 +8,7 @@ use crate::Shows;
 /// An output of the computer: a monitor or a panel behind an adapter.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Output {
-    /// Its name, stable across sessions.
+    /// The output's name, stable across sessions.
     pub name: String,
     /// [x, y] of its upper left corner in the layout of all outputs, pixels.
     pub position: [i32; 2],
@@ -46,7 +46,7 @@ pub enum AssignError {
     Unknown {
         /// The key of the display file.
         key: String,
-        /// Its value.
+        /// The key's value.
         name: String,
         /// The outputs present.
         found: String,
@@ -56,7 +56,7 @@ pub enum AssignError {
     Twice {
         /// The key of the display file.
         key: String,
-        /// Its value.
+        /// The key's value.
         name: String,
     },
 }
@@ -83,8 +83,8 @@ pub fn named(display: &Display, shows: Shows) -> Option<&str> {
 /// outputs from left to right, then top to bottom, then by name.
 ///
 /// # Errors
-/// If there are too few outputs, or the display file names one that is not present, or names one
-/// twice.
+/// If there are too few outputs, or the display file names an output that is not present, or names
+/// one output twice.
 pub fn assign(display: &Display, outputs: &[Output]) -> Result<Vec<(Shows, Output)>, AssignError> {
     let all = Shows::all(display);
     let (needed, wanted) = (all.len(), list(all.iter().map(Shows::to_string)));
@@ -92,7 +92,7 @@ pub fn assign(display: &Display, outputs: &[Output]) -> Result<Vec<(Shows, Outpu
     if outputs.is_empty() {
         return Err(AssignError::None { needed, wanted });
     }
-    // Names first, so that an unknown or repeated one is reported as such.
+    // Named outputs first, so that an unknown or repeated name is reported as such.
     let mut taken: Vec<&str> = Vec::new();
     for &shows in &all {
         let Some(name) = named(display, shows) else { continue };
@@ -125,14 +125,14 @@ pub fn assign(display: &Display, outputs: &[Output]) -> Result<Vec<(Shows, Outpu
 /// A change of an assigned output.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Change {
-    /// It is no longer present.
+    /// The output is no longer present.
     Gone,
-    /// Its size changed, or its position where that matters.
+    /// The output's size changed, or its position if positions are compared.
     Other(Output),
 }
 
-/// Compares an output with the one of the same name in `now`; none if it is unchanged. Positions
-/// count only with `placed`.
+/// Compares an output with the output of the same name in `now`; `None` if it is unchanged.
+/// Positions are compared only if `placed`.
 pub fn change(was: &Output, now: &[Output], placed: bool) -> Option<Change> {
     let Some(is) = now.iter().find(|output| output.name == was.name) else { return Some(Change::Gone) };
     let same = is.size == was.size && (!placed || is.position == was.position);

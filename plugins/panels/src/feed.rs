@@ -19,7 +19,7 @@ impl<T> Feed<T> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).replace(new)
     }
 
-    /// Takes the value without blocking; none if there is none, or the lock is held.
+    /// Takes the value without blocking; `None` if there is no value, or the lock is held.
     pub fn take(&self) -> Option<T> {
         match self.0.try_lock() {
             Ok(mut place) => place.take(),

@@ -1,9 +1,9 @@
-//! 2D mode at full resolution (section 5.1.2): one panel shows a picture with all its pixels; the
-//! other panels are clear.
+//! 2D mode at full resolution (PAPER section 5.1.2): one panel shows a picture with all its pixels;
+//! the other panels are clear.
 //!
 //! The picture keeps its aspect ratio and fills the field's width or height: the tighter of the
-//! two. A panel pixel takes the mean linear light of the picture pixels below it. Where picture
-//! pixels are larger, it interpolates between four.
+//! two. A panel pixel takes the mean linear light of the picture pixels that it covers. If picture
+//! pixels are larger than panel pixels, it interpolates between four of them.
 
 use image::Rgb32FImage;
 use image::imageops::{FilterType, resize};
@@ -13,8 +13,8 @@ use lumistack_plugin::display::{Display, Formation, LayerStack};
 use crate::{Picture, Place, Shows};
 
 /// Codes `[row][col][red, green, blue, 255]` of one panel in the 2D mode. `picture` (sRGB codes) is
-/// given for the panel that shows it; without it the panel is clear. A panel behind lenslets is lit
-/// evenly.
+/// given for the panel that shows it; without a picture the panel is clear. A panel behind lenslets
+/// is lit evenly.
 pub fn flat_codes(display: &Display, shows: Shows, output: [usize; 2], picture: Option<&image::RgbImage>) -> Vec<u8> {
     let (neutral, field) = (display.formation.neutral(), &display.field);
     let Some(picture) = picture else {

@@ -56,7 +56,7 @@ fn keep(table: &mut dyn TableLike, panel: Option<&Panel>) {
     let entry = table.entry("panel").or_insert_with(|| Item::Table(Table::new()));
     let Some(own) = entry.as_table_like_mut() else { return };
     let mut put = |key: &str, new: Item| match own.get_mut(key) {
-        // keep the comment behind the value
+        // keep the comment after the value
         Some(Item::Value(old)) => {
             let decor = old.decor().clone();
             if let Item::Value(mut new) = new {

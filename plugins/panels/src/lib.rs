@@ -12,7 +12,7 @@
 //! The output plugin `panels` is a presenter; `lumistack show` drives it. Layer stacks can be
 //! submitted while it runs. Commands and events are the JSON of [`presentation`]. A build without
 //! windows lists the plugin, and its `run` returns an error. Calibration from photographs needs no
-//! windows; it is a library beside the plugin.
+//! windows; it is a part of this library that the plugin does not use.
 
 pub mod assign;
 pub mod calibrate;

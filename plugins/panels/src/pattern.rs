@@ -1,9 +1,9 @@
 //! Test patterns.
 //!
-//! The crosshair array (section 5.1) is a grid of crosses on the display's plane. Every layer draws
-//! it in perspective for an eye e at the viewing distance D. If the layers are aligned, the crosses
-//! of all layers coincide for that eye. A point P of the plane z = 0 projects onto the layer at d
-//! at
+//! The crosshair array (PAPER section 5.1) is a grid of crosses on the display plane. Every layer
+//! draws it in perspective for an eye e at the viewing distance D. If the layers are aligned, the
+//! crosses of all layers coincide for that eye. A point P of the plane z = 0 projects onto the
+//! layer at d at
 //!
 //! ```text
 //! q = e + (P − e) · (D − d) / D        so        P = e + (q − e) · D / (D − d)
@@ -80,24 +80,24 @@ impl FromStr for Pattern {
 
 /// Distance between crosses as a fraction of the field's width.
 const SPACING: f64 = 0.125;
-/// Length of a cross's arm, in units of that distance.
+/// Length of a cross's arm, in units of the distance between crosses.
 const ARM: f64 = 0.3;
 /// Half the width of a cross's lines, panel pixels.
 const HALF_LINE_PX: f64 = 1.5;
-/// The mark of the central cross is a disc above and right of it: its position and radius, in units
-/// of the crosses' distance.
+/// The mark of the central cross is a disc above and right of the cross. Position and radius of the
+/// disc, in units of the distance between crosses.
 const MARK: f64 = 0.22;
 const MARK_RADIUS: f64 = 0.07;
-/// Steps of a ramp.
+/// Number of steps of a ramp.
 const STEPS: usize = 33;
 
-/// Distance between crosses on the display's plane, millimetres.
+/// Distance between crosses on the display plane, millimetres.
 pub fn spacing_mm(display: &Display) -> f64 {
     display.field.resolution[0] as f64 * display.field.pitch_mm * SPACING
 }
 
-/// [columns, rows] of crosses on each side of the central one, such that their arms end within the
-/// field.
+/// [columns, rows] of crosses on each side of the central cross, such that their arms end within
+/// the field.
 pub fn crosses(display: &Display) -> [usize; 2] {
     let spacing = spacing_mm(display);
     display.field.resolution.map(|count| {
@@ -208,7 +208,7 @@ impl Pattern {
                 Self::Identify => picture.encode([mixed(label.at(u, v)); 3]),
                 _ => {
                     let share = place.mm(at).map_or(0.0, |mm| crosses.share(mm));
-                    // with `only` crosses are black; otherwise each layer keeps one channel
+                    // with `only` crosses are black; otherwise each layer leaves one channel clear
                     let kept = if only.is_some() { 3 } else { layer % 3 };
                     picture.encode([0, 1, 2].map(|c| if c == kept { neutral } else { mixed(share) }))
                 }
@@ -226,11 +226,11 @@ impl Pattern {
 /// The crosshair array, projected onto one layer.
 struct Crosses {
     eye_mm: [f64; 3],
-    /// Ratio of a distance on the display's plane to that on the layer.
+    /// Ratio of a distance on the display plane to its projection on the layer.
     spread: f64,
     spacing_mm: f64,
     counts: [usize; 2],
-    /// Size of a panel pixel projected onto the display's plane, millimetres.
+    /// Size of a panel pixel projected onto the display plane, millimetres.
     pixel_mm: f64,
 }
 

@@ -7,7 +7,7 @@
 //!
 //! The inverse crosstalk is that of the panel's calibration, which the solver did not model. Masks
 //! are linear light and are resampled as such; only the result is a code. Outside the mask a panel
-//! is dark, or clear where the display has `missing = "clear"`. In a colour sequence all three
+//! is dark, or clear if the display has `missing = "clear"`. In a colour sequence all three
 //! channels show one colour: such panels have no colour filters.
 
 use lumistack_plugin::display::{
@@ -160,7 +160,8 @@ impl Picture {
         };
         let rgb = |i: u32| -> [f32; 3] { values[3 * i as usize..][..3].try_into().expect("three channels") };
         let outside = self.encoder.outside;
-        // Nearest pixels are encoded once per mask pixel; interpolation mixes light before that.
+        // Nearest pixels are encoded once per mask pixel; interpolation mixes light before the
+        // encoding.
         match &self.lookup {
             Lookup::Nearest(lookup) => {
                 let mask: Vec<[u8; 3]> = values.chunks_exact(3).map(|v| code([v[0], v[1], v[2]])).collect();

@@ -43,8 +43,7 @@ impl Place {
         if self.panel.rotate_deg.is_multiple_of(180) { [cols, rows] } else { [rows, cols] }
     }
 
-    /// `[left, top, columns, rows]` of the used part of the upright picture; none where all is
-    /// used.
+    /// `[left, top, columns, rows]` of the used part of the upright picture; `None` if all is used.
     pub(crate) fn crop(&self) -> Option<[usize; 4]> {
         self.panel.crop
     }
@@ -67,7 +66,7 @@ impl Place {
     }
 
     /// Position of the output's pixel (column, row) before the homography: millimetres from the
-    /// layer's centre, x right and y up. None outside the crop.
+    /// layer's centre, x right and y up. `None` outside the crop.
     pub fn nominal_mm(&self, output: [f64; 2]) -> Option<[f64; 2]> {
         let [u, v] = self.upright(output);
         let [left, top, cols, rows] = self.panel.crop.map_or_else(
@@ -87,8 +86,8 @@ impl Place {
         Some([x * self.pitch_mm, -y * self.pitch_mm])
     }
 
-    /// Position of the output's pixel (column, row) with the homography applied, millimetres. None
-    /// outside the crop.
+    /// Position of the output's pixel (column, row) with the homography applied, millimetres.
+    /// `None` outside the crop.
     pub fn mm(&self, output: [f64; 2]) -> Option<[f64; 2]> {
         self.nominal_mm(output).map(|nominal| self.homography.apply(nominal))
     }

@@ -14,7 +14,8 @@ use crate::presentation::{Command, Content, Event, Mode, Settings};
 use crate::shows::Shows;
 use crate::window;
 
-/// Viewing distance where the display sets none: the camera distance of the paper's photographs.
+/// Viewing distance if the display has none, millimetres: the camera distance of the paper's
+/// photographs.
 const DISTANCE_MM: f64 = 2000.0;
 
 /// The plugin.
@@ -23,7 +24,7 @@ pub struct Panels {
     host: Host,
     params: PanelsParams,
     display: Display,
-    /// Taken when the presentation begins.
+    /// The inputs so far; taken when the presentation begins.
     pending: Mutex<Option<Pending>>,
     send: Sender<Command>,
 }
@@ -83,11 +84,11 @@ impl OutputPlugin for Panels {
                 false,
                 "Scale masks until they fill the panels. Layer distances then no longer match.",
             ),
-            Param::int("hold", -1, -1..=1 << 20, "Frame to hold; -1 shows all in turn.").unit("1"),
-            Param::float("duration_s", 0.0, 0.0..=1e9, "Duration; 0 shows until it is closed.").unit("s"),
+            Param::int("hold", -1, -1..=1 << 20, "Frame to hold; -1 shows all frames in turn.").unit("1"),
+            Param::float("duration_s", 0.0, 0.0..=1e9, "Duration of the presentation; 0 shows until it is closed.").unit("s"),
             Param::float("from_x_deg", 0.0, -80.0..=80.0, "Initial angle between the viewer's direction and the display's axis in the window, positive to the right.")
                 .unit("degrees"),
-            Param::float("from_y_deg", 0.0, -80.0..=80.0, "The same angle, positive upwards.").unit("degrees"),
+            Param::float("from_y_deg", 0.0, -80.0..=80.0, "The same angle in the vertical direction, positive upwards.").unit("degrees"),
             Param::text("pattern", "", &format!("Test pattern shown in place of the layer stack: {PATTERNS}.")),
             Param::text(
                 "only",
@@ -106,7 +107,7 @@ impl OutputPlugin for Panels {
                 "eye_z_mm",
                 0.0,
                 0.0..=1e6,
-                "Eye distance from the display's plane; 0 uses the display's viewing distance, or 2000 where it sets none.",
+                "Eye distance from the display plane; 0 uses the display's viewing distance, or 2000 if it has none.",
             )
             .unit("mm"),
             Param::text(
@@ -118,10 +119,10 @@ impl OutputPlugin for Panels {
                 "layer",
                 -1,
                 -1..=1 << 10,
-                "Layer that shows the picture; 0 is the rearmost, -1 the one nearest to the display's plane.",
+                "Layer that shows the picture; 0 is the rearmost, -1 the one nearest to the display plane.",
             )
             .unit("1"),
-            Param::bool("log", false, "Reports list the time of every submission."),
+            Param::bool("log", false, "Include the time of every submission in reports."),
         ])
     }
 

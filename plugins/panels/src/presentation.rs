@@ -21,9 +21,9 @@ pub struct Settings {
     pub mode: Mode,
     /// Scale masks to fill the panels ([`crate::fit`]).
     pub fit: bool,
-    /// The frame that is held until a command changes it; none shows all frames in turn.
+    /// The frame that is held until a command changes it; `None` shows all frames in turn.
     pub hold: Option<usize>,
-    /// Duration of the presentation; none shows until it is closed.
+    /// Duration of the presentation; `None` shows until it is closed.
     pub duration: Option<Duration>,
     /// Record the time of every submission in [`Report::log`].
     pub log: bool,
@@ -38,7 +38,7 @@ pub enum Content {
     Pattern {
         /// The pattern.
         pattern: Pattern,
-        /// The panel that alone shows it; none for all panels.
+        /// The panel that alone shows it; `None` for all panels.
         only: Option<Shows>,
         /// Eye position for which the crosses coincide, display space, millimetres.
         eye_mm: [f64; 3],
@@ -65,7 +65,7 @@ pub enum Content {
 pub enum Mode {
     /// One surface per output.
     Outputs,
-    /// One surface across all outputs, which then flip together.
+    /// One surface across all outputs, so that all outputs flip together.
     Span,
     /// An ordinary window.
     Window,
@@ -109,11 +109,11 @@ pub enum Event {
         panel: Shows,
         /// The output's name.
         output: String,
-        /// Its upper left corner in the layout of all outputs, pixels.
+        /// The output's upper left corner in the layout of all outputs, pixels.
         position: [i32; 2],
-        /// Its [columns, rows].
+        /// The output's [columns, rows].
         size: [usize; 2],
-        /// Its refresh rate, hertz; none where the platform does not report it.
+        /// The output's refresh rate, hertz; `None` if the platform does not report it.
         refresh_hz: Option<f64>,
     },
     /// The windows are open.
@@ -132,7 +132,7 @@ pub enum Event {
     Nudged {
         /// The panel.
         panel: Shows,
-        /// Its shift to the right and down, panel pixels.
+        /// The panel's shift to the right and down, panel pixels.
         nudge_px: [f64; 2],
     },
     /// The preview is seen from other angles.
@@ -153,7 +153,7 @@ pub enum Event {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 pub struct Report {
-    /// Refreshes submitted.
+    /// Number of refreshes submitted.
     pub refreshes: u64,
     /// Seconds from the first to the last refresh.
     pub seconds: f64,
@@ -163,22 +163,22 @@ pub struct Report {
     pub interval_s: f64,
     /// The source of `interval_s`.
     pub interval_from: String,
-    /// New layer stacks taken.
+    /// Number of new layer stacks taken from the feed.
     pub swaps: u64,
-    /// Surface images that could not be acquired, over all surfaces.
+    /// Number of surface images that could not be acquired, of all surfaces together.
     pub missed: u64,
-    /// Statistics from the times of submission; none before the first.
+    /// Statistics from the times of submission; `None` before the first submission.
     pub submitted: Option<Tally>,
-    /// Statistics from the platform's presentation times, per surface. Empty where the platform
+    /// Statistics from the platform's presentation times, per surface. Empty if the platform
     /// reports none.
     pub presented: BTreeMap<String, Tally>,
     /// Mean time between the first and the last output of a refresh, seconds, from the platform's
-    /// presentation times. None where there are none, or only one surface.
+    /// presentation times. `None` if there are no such times, or only one surface.
     pub skew_mean_s: Option<f64>,
-    /// The largest such time, seconds.
+    /// The largest time between the first and the last output of a refresh, seconds.
     pub skew_largest_s: Option<f64>,
-    /// (refresh, place in the period, number of the layer stack, seconds) of every submission, if
-    /// requested.
+    /// (refresh number, position in the period, number of the layer stack, seconds) of every
+    /// submission, if requested.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub log: Vec<(u64, usize, u64, f64)>,
 }

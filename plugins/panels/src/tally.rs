@@ -1,7 +1,7 @@
 //! Counts late refreshes and measures the skew between outputs.
 //!
 //! A refresh is late when it comes more than 1.5 intervals after the previous one. The panel then
-//! repeated the previous frame once for every whole interval in between.
+//! repeated the previous frame in all intervals between the two refreshes.
 
 use std::collections::BTreeMap;
 
@@ -15,15 +15,15 @@ pub struct Tally {
     interval_s: f64,
     #[serde(skip)]
     last: Option<(u64, f64)>,
-    /// Refreshes presented.
+    /// Number of refreshes presented.
     pub shown: u64,
-    /// Refreshes presented late.
+    /// Number of refreshes presented late.
     pub late: u64,
-    /// Times that a frame was repeated because the next was late.
+    /// Number of repetitions of a frame because the next refresh was late.
     pub repeated: u64,
-    /// Refreshes submitted and never presented.
+    /// Number of refreshes submitted and never presented.
     pub dropped: u64,
-    /// Refreshes presented in another order than submitted.
+    /// Number of refreshes presented after a refresh that was submitted later.
     pub out_of_order: u64,
 }
 
@@ -57,14 +57,14 @@ impl Tally {
 pub struct Skew {
     outputs: usize,
     open: BTreeMap<u64, Vec<f64>>,
-    /// Refreshes with a time from every output.
+    /// Number of refreshes with a time from every output.
     pub refreshes: u64,
     sum_s: f64,
     /// The largest skew, seconds.
     pub largest_s: f64,
 }
 
-/// Refreshes with times missing that are kept; an output may never report its time.
+/// Largest number of incomplete refreshes that are kept, since an output may never report its time.
 const OPEN: usize = 64;
 
 impl Skew {
@@ -90,7 +90,7 @@ impl Skew {
         }
     }
 
-    /// Mean skew, seconds; none before the first complete refresh.
+    /// Mean skew, seconds; `None` before the first complete refresh.
     pub fn mean_s(&self) -> Option<f64> {
         (self.refreshes > 0).then(|| self.sum_s / self.refreshes as f64)
     }

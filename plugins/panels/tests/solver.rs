@@ -9,14 +9,14 @@ use session::{SWAY, Session};
 
 /// Shortest stall, seconds; without a stall a stack arrives every 0.3 s.
 const STALL_S: f64 = 1.5;
-/// Refreshes that a busy machine may lose in that time, beside those lost without a stall. A
-/// present loop that waited for the solver would lose 120.
+/// Number of refreshes that a busy machine may lose in that time, in addition to those lost without
+/// a stall. A present loop that waited for the solver would lose 120.
 const NOISE: usize = 20;
-/// Rows of the log: refresh, place in the period, number of the pictures, seconds.
+/// Rows of the log: refresh number, position in the period, number of the stack, seconds.
 type Log = Vec<[f64; 4]>;
 
 fn run(session: &Session, words: &[&str]) -> Log {
-    // examples lie beside the folder of test programs
+    // the folder of examples is next to the folder of test programs
     let program = std::env::current_exe().unwrap();
     let program = program.parent().unwrap().parent().unwrap().join("examples/solver");
     let output = session.command(program.to_str().unwrap()).args(words).output().unwrap();
@@ -43,7 +43,7 @@ fn longest_without(log: &Log) -> [f64; 2] {
     spans.max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0]))).unwrap_or([0.0; 2])
 }
 
-/// Number of refreshes in a time span, late ones, and the longest gap in intervals.
+/// Number of refreshes in a time span, number of late refreshes, and the longest gap, intervals.
 fn within(log: &Log, [from, to]: [f64; 2]) -> (usize, usize, f64) {
     let interval = 1.0 / 60.0;
     let rows: Vec<_> = log.iter().filter(|row| row[3] >= from && row[3] <= to).collect();
@@ -52,8 +52,8 @@ fn within(log: &Log, [from, to]: [f64; 2]) -> (usize, usize, f64) {
     (rows.len(), late, gaps.iter().copied().fold(0.0, f64::max))
 }
 
-/// Runs with and without a stall, alternately; the difference is the effect of a stall.
-/// `LUMISTACK_PANELS_TURNS` sets the number of runs.
+/// Runs with and without a stall, alternately; the difference in lost refreshes is the effect of a
+/// stall. `LUMISTACK_PANELS_TURNS` sets the number of runs.
 #[test]
 fn panels_go_on_while_the_solver_stalls() {
     let Some(session) = Session::sway(&SWAY) else { return };

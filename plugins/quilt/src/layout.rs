@@ -34,8 +34,8 @@ pub struct Given {
 }
 
 impl Layout {
-    /// The quilt of a device; without one, the quilt of `views` pictures of `view_size` = [columns,
-    /// rows]. Given values override both.
+    /// The quilt of a device; without a device, the quilt of `views` pictures of `view_size` =
+    /// [columns, rows]. Values of `given` other than 0 override these.
     ///
     /// # Errors
     /// If only one of columns and rows is given, or a tile has no pixel.
@@ -85,8 +85,8 @@ impl Layout {
         [view % self.columns * tile[0], self.size[1] - (view / self.columns + 1) * tile[1]]
     }
 
-    /// The suffix of the name, with as many digits of the aspect as distinguish it from those of
-    /// other whole pixels.
+    /// The suffix of the name, with enough digits of the aspect to distinguish views of different
+    /// whole numbers of pixels.
     pub fn suffix(&self) -> String {
         let rounded = (self.aspect * 1e5).round() / 1e5;
         format!("_qs{}x{}a{rounded}", self.columns, self.rows)

@@ -4,11 +4,11 @@
 //! |---|---|
 //! | `NAME_qs<C>x<R>a<A>.png` | the views of one row from left to right, view 0 in the bottom-left tile; see [`layout`] |
 //! | `NAME_native.png` | with a calibration, the screen's native picture: every subpixel shows the view to which its lens directs it; see [`weave`] |
-//! | `quilt.json` | sizes, and slope and origin of every view |
+//! | `quilt.json` | sizes; slope of every view, and how it was made |
 //!
 //! Pictures are 8-bit sRGB without alpha. Time steps of a sequence are `NAME_f0000_qs…`,
-//! `NAME_f0001_qs…`, …, the numbering that video encoders read. Memory: one quilt, one view, and
-//! the native picture.
+//! `NAME_f0001_qs…`, …, the numbering that video encoders read. Memory holds one quilt, one view,
+//! and the native picture.
 
 pub mod devices;
 pub mod layout;
@@ -30,7 +30,7 @@ use layout::{Given, Layout};
 use views::{Fit, Made, Missing, Source, black_share, fitted, places};
 use weave::Calibration;
 
-/// Value of `device` for none.
+/// Value of `device` for no device.
 const CUSTOM: &str = "custom";
 /// Smaller black fractions of a tile cause no warning.
 const LEAST_BLACK: f64 = 0.01;
@@ -95,7 +95,7 @@ struct Entry {
     rows: usize,
     tile: [usize; 2],
     aspect: f64,
-    /// The video encoder for pictures of this size.
+    /// Name of the video encoder for pictures of this size.
     video: &'static str,
     /// From left to right: view 0 is the bottom-left tile.
     views: Vec<ViewEntry>,
@@ -109,8 +109,8 @@ struct ViewEntry {
 }
 
 impl OutputPlugin for Quilt {
-    const DOC: &'static str = "Writes quilts for lenticular displays, and with a display's calibration its native picture. \
-        A file quilt.json says where every view was seen from.";
+    const DOC: &'static str = "Writes quilts for lenticular displays and, with a display's calibration, its native picture. \
+        The file quilt.json states the slope of every view.";
     const PORTS: &'static [Port] = &[Port::LightField, Port::LayerStack];
     type Params = QuiltParams;
 
@@ -124,28 +124,28 @@ impl OutputPlugin for Quilt {
                 [(CUSTOM, "No device: tiles have the views' own pixels.")].into_iter().chain(known),
                 "Device whose default quilt is written; the parameters below override it.",
             ),
-            Param::int("columns", 0, 0..=100, "Columns of views; 0 for the device's, or those of the quilt nearest to a square.")
+            Param::int("columns", 0, 0..=100, "Columns of views; 0 for the device's, or without a device those of the quilt nearest to a square.")
                 .unit("views"),
             Param::int("rows", 0, 0..=100, "Rows of views; 0 as for columns.").unit("views"),
             Param::int(
                 "width",
                 0,
                 0..=16384,
-                "Width of the quilt; 0 for the device's, or that of the views side by side.",
+                "Width of the quilt; 0 for the device's, or without a device that of the views side by side.",
             )
             .unit("px"),
             Param::int(
                 "height",
                 0,
                 0..=16384,
-                "Height of the quilt; 0 for the device's, or that of the views above one another.",
+                "Height of the quilt; 0 for the device's, or without a device that of the views above one another.",
             )
             .unit("px"),
             Param::float(
                 "aspect",
                 0.0,
                 0.0..=10.0,
-                "Width over height of one view on the screen, independent of its tile; 0 for the calibration's screen, otherwise the device, otherwise the views.",
+                "Width over height of one view on the screen, independent of its tile. 0 for that of the calibration's screen, the device or the views, in this order.",
             )
             .unit("1"),
             Param::choice(
@@ -162,7 +162,7 @@ impl OutputPlugin for Quilt {
                 "view_row",
                 -1,
                 -1..=9999,
-                "Row of views to use, 0 the topmost; -1 for the central one, the upper of two.",
+                "Row of views to use: 0 is the topmost, -1 the central one (the upper of two).",
             )
             .unit("rows"),
             Param::choice(
@@ -170,7 +170,7 @@ impl OutputPlugin for Quilt {
                 "nearest",
                 [
                     ("nearest", "The nearest view, with a warning."),
-                    ("blend", "A blend of the two neighbouring views, which ghosts, with a warning."),
+                    ("blend", "A blend of the two neighbouring views, which shows double edges, with a warning."),
                     ("refuse", "An error that lists the views to render."),
                 ],
                 "Handling of tiles at whose position a light field has no view. Layer stacks are simulated at every position.",
@@ -178,7 +178,7 @@ impl OutputPlugin for Quilt {
             Param::bool(
                 "sequence",
                 false,
-                "Number the first time step, too (NAME_f0000_qs...); later time steps always are.",
+                "Number the files of the first time step, too (NAME_f0000_qs...); those of later time steps always have numbers.",
             ),
             Param::file(
                 "calibration",
@@ -336,7 +336,7 @@ impl Quilt {
         Ok((quilt, entries))
     }
 
-    /// `size` = [columns, rows].
+    /// Writes a PNG of `size` = [columns, rows].
     fn write_png(&self, path: &str, size: [usize; 2], codes: &[u8]) -> Result<(), PluginError> {
         let failed = |error: png::EncodingError| match error {
             png::EncodingError::IoError(error) => PluginError::from_io(path, error),

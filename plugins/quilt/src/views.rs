@@ -1,14 +1,14 @@
-//! The views of a quilt, from left to right, of the submitted data.
+//! Takes the views of a quilt, from left to right, from the submitted data.
 //!
-//! View i of N is at the centre of its part of the viewing zone. In units of the source's A views
-//! across,
+//! View i of N is at the centre of the i-th of N equal parts of the viewing zone. In units of the
+//! source's A views across,
 //!
 //! ```text
 //! a_i = (i + ½) / N · A − ½
 //! ```
 //!
-//! which for N = A is the source's own view i. A layer stack is simulated there; a light field has
-//! views at whole numbers only.
+//! which for N = A is the source's own view i. A layer stack is simulated at this position; a light
+//! field has views at whole numbers only.
 
 use std::borrow::Cow;
 
@@ -28,7 +28,7 @@ pub enum Missing {
     Refuse,
 }
 
-/// The origin of a quilt's view.
+/// The way in which a quilt's view was made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(crate = "lumistack_plugin::serde", rename_all = "lowercase")]
 pub enum Made {
@@ -51,15 +51,16 @@ pub enum Source<'a> {
     Field(&'a FieldInput<'a>),
 }
 
-/// Largest distance, in units of views, at which a position counts as that of a source's view.
+/// Largest distance, in units of views, at which a position is treated as that of a source's view.
 const SAME_PLACE: f64 = 1e-6;
 
-/// Positions a_i of `count` views on an axis of `available`.
+/// Positions a_i of `count` views on an axis of `available` views.
 pub fn places(count: usize, available: usize) -> Vec<f64> {
     (0..count).map(|i| (i as f64 + 0.5) / count as f64 * available as f64 - 0.5).collect()
 }
 
-/// The row of views to use of `rows`: the given one, or the central one (the upper of two).
+/// The number of the row of views to use, of `rows` rows. It is the given row, or the central row
+/// (the upper of two) if `given` is negative.
 ///
 /// # Errors
 /// If there is no such row.
@@ -83,7 +84,7 @@ impl Source<'_> {
         }
     }
 
-    /// The row of views to use: the given one, or the central one (the upper of two).
+    /// The number of the row of views to use; see [`row_of`].
     ///
     /// # Errors
     /// If there is no such row.
@@ -91,7 +92,8 @@ impl Source<'_> {
         row_of(self.geometry().grid.slope_y.len(), given)
     }
 
-    /// The view at `place` of a row, `[row][col][rgb]` linear, its origin and its slope.
+    /// The view at `place` of a row, `[row][col][rgb]` linear, the way in which it was made, and
+    /// its slope.
     ///
     /// # Errors
     /// Under [`Missing::Refuse`] if a light field has no such view; otherwise the host's errors.
@@ -120,7 +122,7 @@ impl Source<'_> {
                     return Ok((own.0.to_vec(), Made::Exact, own.1));
                 }
                 match missing {
-                    Missing::Refuse => Err(PluginError::Refused("no view at this place".into())),
+                    Missing::Refuse => Err(PluginError::Refused("the light field has no view at this position".into())),
                     Missing::Nearest => Ok((own.0.to_vec(), Made::Nearest, own.1)),
                     Missing::Blend => {
                         let place = place.clamp(0.0, last as f64);
@@ -151,11 +153,13 @@ pub fn advice(available: usize, count: usize, missing: Missing) -> Result<Option
     match missing {
         Missing::Refuse => Err(PluginError::Refused(format!("{have}: {render}"))),
         Missing::Nearest => Ok(Some(format!("{have}: the nearest views are taken; {render}"))),
-        Missing::Blend => Ok(Some(format!("{have}: neighbouring views are mixed, which ghosts; {render}"))),
+        Missing::Blend => {
+            Ok(Some(format!("{have}: neighbouring views are blended, which shows double edges; {render}")))
+        }
     }
 }
 
-/// Slope at a position, which may be up to half a view outside the outermost ones.
+/// Slope at a position, which may be up to half a view outside the outermost views.
 fn slope_at(slopes: &[f64], place: f64) -> f64 {
     let [_, .., _] = slopes else { return slopes[0] };
     let first = (place.floor().max(0.0) as usize).min(slopes.len() - 2);

@@ -11,9 +11,9 @@
 //! view = min(⌊a · N⌋, N − 1)
 //! ```
 //!
-//! The last line matters at a = 0 under invView. Third-generation subpixels are arranged in cells:
-//! dx / W and dy / H of the channel in the pixel's cell are added to u and v in place of c·s.
-//! `CellPatternMode` selects the cell; x and y count from the bottom left:
+//! The minimum in the last line matters only at a = 0 with invView. Third-generation subpixels are
+//! arranged in cells. There dx / W and dy / H of the channel in the pixel's cell are added to u and
+//! v, instead of c·s. `CellPatternMode` selects the cell; x and y count from the bottom left:
 //!
 //! * 0: one cell
 //! * 1: (x + y) mod 2, a checkerboard
@@ -33,7 +33,7 @@ use crate::layout::Layout;
 pub struct Calibration {
     /// Lenses per inch along the normal of their slant.
     pub pitch: f64,
-    /// Slant.
+    /// Slant of the lenses: `slope` of the equations above.
     pub slope: f64,
     /// Phase at the bottom left.
     pub center: f64,
@@ -41,7 +41,7 @@ pub struct Calibration {
     pub dpi: f64,
     /// [columns, rows] of the screen.
     pub screen: [usize; 2],
-    /// Slant of the lenses.
+    /// The phase a is inverted to 1 − a, which reverses the order of the views.
     pub inv_view: bool,
     /// The lens sheet is mirrored.
     pub flip_x: bool,

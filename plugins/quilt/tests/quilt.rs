@@ -79,7 +79,7 @@ fn a_quilt_gives_back_every_view() {
     let back = open(&path, &flags, &GeometryDefaults::default(), task).unwrap();
     assert_eq!(back.radiance().shape(), [1, 6, 7, 10, 3]);
     for view in 0..6 {
-        // the central one of three rows
+        // the central row of three
         let codes = codes8(&Transfer::Srgb, field.view([1, view]));
         assert_eq!(codes8(&Transfer::Srgb, back.view([0, view])), codes, "view {view}");
     }
@@ -164,7 +164,7 @@ fn a_device_s_quilt_has_its_size_and_name() {
     assert_eq!((picture.width(), picture.height(), picture.color()), (3360, 3360, image::ColorType::Rgb8));
 }
 
-/// Both pixel structures, with published calibrations of real displays.
+/// Both pixel structures (stripes and cells), with published calibrations of real displays.
 #[test]
 fn native_pictures_equal_numpy_s() {
     let Some(python) = python() else { return };
@@ -188,7 +188,7 @@ fn native_pictures_equal_numpy_s() {
         // both are f64; rounding may move a phase on a border to either view
         assert!(figures[0] <= 2, "{figures:?}");
     }
-    // the text itself in place of a file, and no quilt
+    // the text itself instead of a file, and no quilt
     let text =
         std::fs::read_to_string(tests("cells.json")).unwrap().replace("3840.0", "40.0").replace("2160.0", "20.0");
     let params = json!({"calibration": text, "write_quilt": false});
@@ -220,7 +220,7 @@ fn how_much_of_a_quilt_is_black_is_said() {
     let warnings = |params: Value| write(&display(), OutputData::LightField(&field), params).unwrap().1;
     let portrait = json!({"columns": 6, "rows": 1, "aspect": 0.75});
     let said = warnings(portrait.clone());
-    // 0.75 of 1.6 is filled
+    // a view of aspect 1.6 fills 0.75 / 1.6 of a tile of aspect 0.75
     assert!(said.iter().any(|text| text.starts_with("53 % of the quilt is black")), "{said:?}");
     assert!(said[0].contains("16 × 21") && said[0].contains("cover"), "{said:?}");
     let mut cover = portrait;

@@ -8,14 +8,14 @@
 //! | `.sog`, `meta.json` | SOG, packed or as a folder; versions 1 and 2 |
 //!
 //! Harmonics are read to degree 3. Formats do not agree on the upward axis: the parameter `up` sets
-//! it where the format's default is wrong.
+//! it if the format's default is wrong.
 
 use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::{Assets, Host, ImporterPlugin, Param, PluginError, Schema, export_plugin};
 use lumistack_splats::read::{Axes, Found, read};
 
-/// Hash of this crate's sources, computed at build. It is part of the key of every kept result that
-/// depends on this code.
+/// Hash of this crate's sources, computed at build. It is part of the key of every cached result
+/// that depends on this code.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
 /// The plugin.

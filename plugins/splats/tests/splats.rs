@@ -1,4 +1,5 @@
-//! Captures pass the plugin's C function, the glTF reader and the renderer.
+//! Captures of Gaussian splats go through the plugin's C function, the glTF reader and the
+//! renderer.
 
 use std::sync::Arc;
 

@@ -58,7 +58,7 @@ impl NodePlugin for TensorDisplay {
                 auto("The best solver known.").chain(solvers().iter().map(|solver| (solver.name(), solver.doc()))),
                 "Update rule of the layers.",
             ),
-            Param::int("iterations", defaults.iterations.into(), 0..=most, "Updates of all layers.").unit("1"),
+            Param::int("iterations", defaults.iterations.into(), 0..=most, "Iterations; each updates all layers.").unit("1"),
             Param::choice(
                 "start",
                 AUTO,
@@ -69,15 +69,15 @@ impl NodePlugin for TensorDisplay {
                 "coarse_levels",
                 -1,
                 -1..=most,
-                "Number of coarser levels before the first iteration, each at half the resolution, limited by the display's size; -1 for the solver's default.",
+                "Number of coarser resolutions that are solved first, each half the next finer one; the display's size limits it. -1 for the solver's default.",
             )
             .unit("1"),
-            Param::int("coarse_iterations", defaults.coarse_iterations.into(), 0..=most, "Updates at each coarser level.")
+            Param::int("coarse_iterations", defaults.coarse_iterations.into(), 0..=most, "Iterations at each coarser resolution.")
                 .unit("1"),
             Param::bool(
                 "levels",
                 defaults.levels,
-                "Re-optimize masks of layers with few bits on the panel's levels.",
+                "Optimize the masks of panels with few bits once more, restricted to the panel's levels.",
             ),
         ])
     }

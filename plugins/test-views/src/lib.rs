@@ -2,7 +2,7 @@
 //!
 //! | pattern | views | purpose |
 //! |---|---|---|
-//! | `numbers` | the view's column and row, 0,0 at the left and top, on a colour from red at the left to blue at the right, with green increasing upwards | assignment of views: order, mirroring, crosstalk |
+//! | `numbers` | the view's column and row (0,0 at the left and top), on a colour: from red at the left to blue at the right, more green upwards | assignment of views: order, mirroring, crosstalk |
 //! | `cards` | three chequered cards side by side, at −depth, 0 and +depth | sign and size of parallax |
 //!
 //! A ray of slope s through the point p of z = 0 hits the card at z in p + z·s. Positions are in
@@ -17,7 +17,8 @@ use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_wid
 const POINTS: usize = 4;
 /// Radiance of the wall behind the cards.
 const WALL: f32 = 0.05;
-/// Gap between cards as a fraction of the field's width; above and below them, of its height.
+/// Gap between cards, as a fraction of the field's width. Also the gap above and below the cards,
+/// as a fraction of the field's height.
 const GAP: f64 = 0.08;
 
 /// Hash of this crate's sources, computed at build. It belongs in the key of every cached result
@@ -54,11 +55,11 @@ impl SourcePlugin for TestViews {
                 "numbers",
                 [
                     ("numbers", "Every view shows its own column and row, counted from 0 at the left and top."),
-                    ("cards", "Three cards side by side, behind the display's plane, on it and in front of it."),
+                    ("cards", "Three cards side by side, behind the display plane, on it and in front of it."),
                 ],
                 "Content of the views.",
             ),
-            Param::float("depth_mm", 20.0, 0.0..=10000.0, "Distance of the outer cards from the display's plane.")
+            Param::float("depth_mm", 20.0, 0.0..=10000.0, "Distance of the outer cards from the display plane.")
                 .unit("mm"),
             Param::int("squares", 8, 1..=1000, "Squares across a card.").unit("1"),
         ])

@@ -19,7 +19,7 @@ use lumistack_plugin::display::{Channels, Layer, Transfer};
 /// A film as printed by one printer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Film {
-    /// Maps 0 (darkest state) to 1 (clear film) to codes.
+    /// Maps values from 0 (darkest state) to 1 (clear film) to codes.
     transfer: Transfer,
     /// Transmittance of the darkest state relative to clear film, per channel.
     pub dark: [f64; 3],
@@ -31,6 +31,7 @@ impl Film {
     /// A film with a measured curve, or for an empty text with sRGB codes and the darkest state
     /// `dark`.
     ///
+    /// # Errors
     /// If a list is not a curve from code 0 to code 255.
     pub fn new(curve: &str, dark: f64) -> Result<Self, PluginError> {
         if curve.trim().is_empty() {
@@ -83,7 +84,7 @@ impl Film {
     }
 }
 
-/// Values closer to the darkest state than this do not count as lost.
+/// Values closer to the darkest state than this are not treated as lost.
 const HALF_CODE: f64 = 0.5 / 255.0;
 
 /// Parses a list of pairs. It must contain the codes 0 and 255, since an unmeasured end is unknown.

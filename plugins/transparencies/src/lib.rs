@@ -8,7 +8,7 @@
 //!
 //! A film's page has the mask, registration marks in the border, and cut lines outside the border.
 //!
-//! `transparencies.json` lists the place of each mask on its page. Colours are device RGB: print
+//! `transparencies.json` lists the position of each mask on its page. Colours are device RGB: print
 //! without colour management and without scaling.
 
 pub mod curve;
@@ -113,7 +113,7 @@ impl OutputPlugin for Transparencies {
                     ("letter", "8.5 × 11 inches."),
                     ("tight", "As small as films, cut lines and titles allow."),
                 ],
-                "Size of the pages, upright or across as the films need.",
+                "Size of the pages, in portrait or landscape as the films need.",
             ),
             Param::int(
                 "dpi",
@@ -251,8 +251,8 @@ impl Transparencies {
         Ok(entries)
     }
 
-    /// Makes the page of a layer's film. Returns it with the picture's [columns, rows] and the
-    /// count of values below the film's least transmittance.
+    /// Makes the page of a layer's film. Returns the page with the picture's [columns, rows] and
+    /// the count of values below the film's least transmittance.
     fn film_page(
         &self,
         document: &mut Document<impl Write>,
@@ -290,6 +290,7 @@ impl Transparencies {
 
 /// [columns, rows] of a layer's picture in the file, at `dpi` or, for 0, at the mask's resolution.
 ///
+/// # Errors
 /// If a side exceeds [`SIDE_LIMIT`].
 fn picture_size(dpi: u32, n: usize, layer: &Layer) -> Result<[usize; 2], PluginError> {
     let printed = |count: usize| ((count as f64 * layer.pitch_mm / INCH_MM * f64::from(dpi)).round() as usize).max(1);
@@ -303,7 +304,7 @@ fn picture_size(dpi: u32, n: usize, layer: &Layer) -> Result<[usize; 2], PluginE
     Ok(size)
 }
 
-/// Most pixels per side of a picture.
+/// Largest number of pixels per side of a picture.
 const SIDE_LIMIT: usize = 1 << 17;
 
 export_plugin!("transparencies", Transparencies);

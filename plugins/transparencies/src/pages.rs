@@ -18,9 +18,10 @@ const MARGIN_MM: f64 = 12.0;
 
 /// Thickness of the spacers between neighbouring films, in mm.
 ///
-/// It is the distance of the layers in air, less half a film on either side, times the spacers'
-/// refractive index.
+/// It is the distance between the layers in air, less half a film on either side, times the
+/// spacers' refractive index.
 ///
+/// # Errors
 /// If films are thicker than a gap.
 pub(crate) fn spacers_mm(layers: &[Layer], film_mm: f64, index: f64) -> Result<Vec<f64>, PluginError> {
     layers
@@ -80,9 +81,9 @@ pub(crate) fn assembly(
         format!("Cut every film at the corner lines, {:.2} x {:.2} mm.", sheet.film_mm[0], sheet.film_mm[1]),
         "Lay the films on one another until all marks coincide; the short line is up.".into(),
         if params.mirror {
-            "Films are mirrored: their printed sides look away from the viewer.".into()
+            "Films are mirrored: their printed sides face away from the viewer.".into()
         } else {
-            "The printed sides look at the viewer.".into()
+            "The printed sides face the viewer.".into()
         },
         String::new(),
         "From the back to the viewer:".into(),
@@ -104,7 +105,7 @@ pub(crate) fn assembly(
     lines.push(format!("Films of {} mm. Darkest print over clear film: {darkest} (red, green, blue).", params.film_mm));
     if let Some(clear) = film.clear {
         let clear = clear.map(|clear| format!("{clear:.3}")).join(", ");
-        lines.push(format!("Clear film lets {clear} through; every layer loses that factor."));
+        lines.push(format!("Clear film transmits {clear} of the light; every layer is darker by that factor."));
     }
     let [width, height] = sheet.page_mm;
     let longest = lines.iter().map(|line| line.chars().count()).max().unwrap_or(1) as f64;
@@ -148,7 +149,8 @@ pub(crate) fn chart(sheet: &Sheet) -> Page {
         ("green", [false, true, false]),
         ("blue", [false, false, true]),
     ];
-    let title = "Measure light through each step over light through the last of its colour; codes are below the steps.";
+    let title =
+        "Measure the light through a step / the light through the last step of its colour. Codes are below steps.";
     let size = (room[0] / (0.5 * title.chars().count() as f64)).min(TYPE_MM);
     page.text([MARGIN_MM, height - MARGIN_MM], size, title);
     for (s, (name, channels)) in sides.iter().enumerate() {

@@ -12,8 +12,8 @@ use crate::sheet::INCH_MM;
 /// PDF units per millimetre.
 const POINTS: f64 = 72.0 / INCH_MM;
 const FONT: Name<'_> = Name(b"F");
-/// Most samples per picture in the file, since readers count a picture's bytes in 31 bits. Larger
-/// pictures are split into pieces, edge to edge.
+/// Largest number of samples per picture in the file, since readers count a picture's bytes in 31
+/// bits. Larger pictures are split into pieces, edge to edge.
 const MOST_SAMPLES: usize = if cfg!(test) { 1 << 11 } else { 1 << 28 };
 /// Largest position in a PDF's table of objects, which has ten digits.
 const LONGEST: u64 = 9_999_999_999;
@@ -85,7 +85,8 @@ impl<W: Write> Document<W> {
     ///
     /// Returns the picture's pieces from the top: rows and reference of each.
     ///
-    /// Errors of `row`, and failures to write.
+    /// # Errors
+    /// Those of `row`, or if the picture cannot be written.
     pub fn image(
         &mut self,
         size: [usize; 2],
@@ -126,6 +127,7 @@ impl<W: Write> Document<W> {
 
     /// Writes the page tree, the table of objects and the trailer.
     ///
+    /// # Errors
     /// If it cannot be written, or its size exceeds ten digits.
     pub fn finish(mut self) -> io::Result<W> {
         let pages = std::mem::take(&mut self.pages);
@@ -184,7 +186,7 @@ impl<W: Write> Write for Document<W> {
     }
 }
 
-/// Converts an error of writing; an error of the host is passed on.
+/// Converts an error of writing; an error of the host is returned unchanged.
 pub(crate) fn failed(error: io::Error) -> PluginError {
     PluginError::from_io("PDF", error)
 }

@@ -1,15 +1,16 @@
 //! Layout of a page, in millimetres from its lower left corner.
 //!
 //! All films are cut to the same rectangle. It is the smallest that contains all layers at their
-//! places in the display, plus a border with registration marks. Its centre is the page's.
+//! positions in the display, plus a border with registration marks. Its centre is the page's
+//! centre.
 //!
-//! Marks have the same places on every film, so films are aligned when their marks coincide. The
-//! same holds for cut lines, which stand outside the corners of the cut.
+//! Marks have the same positions on every film, so films are aligned when their marks coincide. The
+//! same holds for cut lines, which are outside the corners of the cut.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::Layer;
 
-/// Distance from a film's edge to the page's, in mm; it has room for cut lines and the title.
+/// Distance from a film's edge to the page's edge, in mm. Cut lines and the title are there.
 pub const OUTSIDE_MM: f64 = 12.0;
 /// Millimetres per inch.
 pub const INCH_MM: f64 = 25.4;
@@ -31,6 +32,7 @@ impl Sheet {
     /// The layout for `layers`. `paper_mm` is the paper's [shorter, longer] side; `None` gives
     /// pages of the smallest possible size.
     ///
+    /// # Errors
     /// If the films do not fit on the paper.
     pub fn new(layers: &[Layer], border_mm: f64, paper_mm: Option<[f64; 2]>) -> Result<Self, PluginError> {
         let edge = |axis: usize, sign: f64| {

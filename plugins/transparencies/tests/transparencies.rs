@@ -30,7 +30,7 @@ fn write(display: &Display, stack: &LayerStack, params: Value) -> Result<(Files,
     Ok((host.files(), warnings.collect()))
 }
 
-/// Two layers of different sizes and places, with random values.
+/// Two layers of different sizes and positions, with random values.
 fn sample() -> (Display, LayerStack) {
     let mut display = Display::uniform([90, 60], PITCH_MM[0], [3, 3], [10.0, 10.0], &[-3.0, 3.0], 1);
     display.name = "two films".into();

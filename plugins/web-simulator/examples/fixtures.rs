@@ -91,7 +91,8 @@ fn write_case(folder: &Path, display: &Display) -> Result<(), Box<dyn std::error
     for (path, bytes) in host.files() {
         write(&folder.join(path), &bytes)?;
     }
-    // centre, corners, edges' middles off the grid, three in between
+    // fractions of half the field of view: the centre, the corners, two points near the middles of
+    // edges, and two points between
     let half = (10f64.to_radians()).tan();
     let shares = [
         [0.0, 0.0],

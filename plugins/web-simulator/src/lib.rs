@@ -5,14 +5,14 @@
 //! | `index.html`, `app/` | the page; works under any path of any file server |
 //! | `preview.html` | the same in one file, which opens by a double click |
 //! | `stack/preview.json` | title, caption, display, brightness, target, and the pictures in the order of their loading: first the frames whose mean is nearest to the final picture |
-//! | `stack/poster.jpg` | the display from the middle, which the page shows at once |
+//! | `stack/poster.jpg` | the display from the middle, which the page shows immediately |
 //! | `stack/around.jpg` | for large stacks: small views from all over the zone, side by side, to look around in while the patterns load |
 //! | `stack/layerL_frameM.png` | masks: value = code / 255, linear |
 //! | `stack/emission_frameM.png` | emission of a directional backlight, bins side by side: value = code / 255, linear |
 //! | `stack/target_YY_XX.png` | views of the target, sRGB-encoded, if the host provides them; at most 7 per axis |
 //!
-//! Later time steps of a sequence have their own sites in `time_0001/`, ... Memory: one frame of
-//! patterns, regardless of their number.
+//! Later time steps of a sequence have their own sites in `time_0001/`, ... Memory holds one frame
+//! of patterns, for any number of frames.
 
 mod order;
 mod page;
@@ -37,11 +37,11 @@ pub use page::PREVIEW_JSON;
 /// cached results that this code affects.
 pub const FINGERPRINT: &str = concat!(env!("LUMISTACK_FINGERPRINT"), " ", include_str!("../dist/sources.blake3"));
 
-/// Largest number of the target's views per axis on the site. All views of a display with hundreds
-/// would be most of the site.
+/// Largest number of the target's views per axis on the site. If a display has hundreds of views,
+/// all of them would take most of the site's size.
 const MOST_TARGETS: usize = 7;
-/// Size of patterns, in bytes, from which on small views are shown first: half a second of a mobile
-/// connection.
+/// Smallest size of patterns for which small views are shown first, bytes: half a second of a
+/// mobile connection.
 const AROUND_FROM: usize = 1_000_000;
 
 /// The plugin.
@@ -75,13 +75,13 @@ impl OutputPlugin for WebSimulator {
             Param::text(
                 "title",
                 "",
-                "Title of the page: the scene's name; empty for the display's. The name of a file becomes words.",
+                "Title of the page: the scene's name; empty for the display's name. A file's name is converted to words.",
             ),
-            Param::text("caption", "", "One sentence below the title; empty for one about the display."),
+            Param::text("caption", "", "One sentence below the title; empty for a sentence about the display."),
             Param::text(
                 "address",
                 "",
-                "Where the site will be, such as https://example.org/still-life/: previews of links to it show the picture. Many services want it.",
+                "Where the site will be, such as https://example.org/still-life/: previews of links to it show the picture. Many services require it.",
             ),
             Param::bool(
                 "target",

@@ -1,6 +1,7 @@
-//! Sorts the frames: the mean of the first ones should be as near to the mean of all as possible.
+//! Sorts the frames: the mean of the first frames should be as near as possible to the mean of all
+//! frames.
 
-/// Least side of the boxes over which a frame's picture is averaged, pixels. The eye sees the
+/// Smallest side of the boxes over which a frame's picture is averaged, pixels. The eye sees the
 /// average, not the noise.
 const BOX: usize = 8;
 /// Largest number of boxes side by side, so that a frame of any size needs little memory.
@@ -19,8 +20,8 @@ pub(crate) fn coarse(linear: &[f32], cols: usize) -> Vec<f32> {
     sums
 }
 
-/// The frames in the order of their loading: each brings the mean of those so far nearest to the
-/// mean of all.
+/// The frames in the order of their loading: each next frame brings the mean of the frames so far
+/// nearest to the mean of all.
 pub(crate) fn by_importance(frames: &[Vec<f32>]) -> Vec<usize> {
     let width = frames.first().map_or(0, Vec::len);
     let whole: Vec<f64> =

@@ -19,11 +19,12 @@ const SCRIPT_LINK: &str = r#"<script type="module" src="app/viewer.js"></script>
 /// Part of the page that is replaced in every site.
 const HEAD: [&str; 2] = ["<title>", "<!--/about-->"];
 const POSTER_PLACE: &str = "<!--poster-->";
-/// Parts of the page that are removed: those about the folder in a single file, and the sentence
-/// about the single file without one.
+/// Parts of the page that are removed. The text about the folder is removed in the single file; the
+/// text about the single file is removed if there is no single file.
 const FOLDER: [&str; 2] = ["<!--folder-->", "<!--/folder-->\n"];
 const SINGLE: [&str; 2] = ["<!--single-->", "<!--/single-->"];
-/// Number of bytes; a multiple of 3, so that the encoded parts join to the encoded whole.
+/// Number of bytes that are encoded at a time; a multiple of 3, so that the encoded pieces join to
+/// the encoded whole.
 const ENCODED_AT_ONCE: usize = 3 << 16;
 
 /// A site during its writing.
@@ -34,7 +35,7 @@ pub(crate) struct Site<'a> {
     single: Option<SingleFile>,
 }
 
-/// The site in one file; every picture is appended at once, so none is kept in memory.
+/// The site in one file; every picture is appended immediately, so none is kept in memory.
 struct SingleFile {
     file: OutputFile,
     /// Bytes so far, and their limit.
@@ -137,7 +138,7 @@ impl SingleFile {
         Ok(single)
     }
 
-    /// Appends a file of the site; false if the whole would be too large.
+    /// Appends a file of the site; returns false if the single file would be too large.
     fn add(&mut self, path: &str, bytes: &[u8]) -> Result<bool, PluginError> {
         if self.length + bytes.len().div_ceil(3) * 4 > self.most {
             return Ok(false);

@@ -20,8 +20,8 @@ const AROUND_PX: usize = 240;
 const POSTER_BYTES: usize = 45_000;
 const AROUND_BYTES: usize = 110_000;
 const QUALITIES: [u8; 6] = [88, 80, 72, 64, 56, 48];
-/// Positions across and upwards: so close that a blend of neighbours has no double edges at this
-/// size.
+/// Numbers of positions across and upwards. Positions are so close that a blend of neighbours has
+/// no double edges at this size.
 const PLACES: [usize; 2] = [5, 3];
 
 /// A picture and its size.
@@ -45,13 +45,13 @@ impl Poster {
 }
 
 /// Small views from all over the zone, side by side in one picture, from left to right and from the
-/// top; and their entry in preview.json.
+/// top. Also returns their entry in preview.json.
 ///
 /// # Errors
 /// If the host cannot simulate.
 pub(crate) fn around(stack: &StackInput<'_>, fov_deg: [f64; 2]) -> Result<(Vec<u8>, Value), PluginError> {
     let views = stack.target().grid.views();
-    // a single view makes no zone
+    // with a single view there is no viewing zone
     let slopes = |axis: usize, views: usize| match (views, PLACES[axis]) {
         (1, _) => vec![0.0],
         (_, count) => {

@@ -29,7 +29,7 @@ pub(crate) fn caption_of(title: &str, display: &Display) -> String {
     let half = 0.5 * display.field.fov_deg[0].max(display.field.fov_deg[1]);
     let half = (10.0 * half).round() / 10.0;
     format!(
-        "{title} in depth, without glasses: as {layers} of pixels{below}{frames} {show} it within {half}° of straight ahead."
+        "{title} in 3D without glasses, within {half}° of straight ahead: {layers} of pixels{below}{frames} {show} it."
     )
 }
 
@@ -63,12 +63,12 @@ mod tests {
         let display = Display::uniform([6, 5], 1.0, [3, 3], [20.0, 20.0], &[-3.0, 0.0, 3.0], 6);
         assert_eq!(
             caption_of("Still life", &display),
-            "Still life in depth, without glasses: as three layers of pixels and six frames in quick succession show it within 10° of straight ahead."
+            "Still life in 3D without glasses, within 10° of straight ahead: three layers of pixels and six frames in quick succession show it."
         );
         let display = Display::uniform([6, 5], 1.0, [3, 3], [25.0, 10.0], &[0.0], 1);
         assert_eq!(
             caption_of("X", &display),
-            "X in depth, without glasses: as one layer of pixels shows it within 12.5° of straight ahead."
+            "X in 3D without glasses, within 12.5° of straight ahead: one layer of pixels shows it."
         );
     }
 }

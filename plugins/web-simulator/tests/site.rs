@@ -121,7 +121,7 @@ fn rounding_of_exact_codes_costs_nothing() {
     assert!(stated.is_none_or(|stated| stated > 120.0), "{stated:?}");
 }
 
-/// A stack of slow waves, which JPEG compression keeps.
+/// A stack of waves of low spatial frequency, which JPEG compression keeps.
 fn waves(display: &Display) -> LayerStack {
     let mut stack = LayerStack::filled(display, 0.0);
     for (n, layer) in stack.layers.iter_mut().enumerate() {
@@ -189,7 +189,7 @@ fn a_large_stack_can_be_viewed_before_it_is_loaded() {
     assert!(
         host.messages().iter().any(|(_, text)| text.contains("preview.html was left out") && text.contains("2 MB"))
     );
-    // a small stack has none
+    // a small stack has no small views
     let display = Display::uniform([6, 5], 1.0, [3, 3], [20.0, 20.0], &[-3.0, 3.0], 2);
     let files = write(&display, OutputData::LayerStack(&LayerStack::filled(&display, 0.5), None), json!({}));
     assert!(!files.contains_key("stack/around.jpg") && files.contains_key("preview.html"));

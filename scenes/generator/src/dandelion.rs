@@ -10,7 +10,7 @@ use lumistack_splats::write;
 
 use crate::{GeneratorError, SceneFile};
 
-/// Seeds on the head, and hairs of a seed.
+/// Number of seeds on the head, and number of hairs of a seed.
 const SEEDS: usize = 190;
 const HAIRS: usize = 13;
 /// Radius of the head at the hairs' feet, and length of the hairs.

@@ -21,12 +21,12 @@ use crate::textures;
 use crate::window::{Window, node_at, uniform_scale};
 use crate::{GeneratorError, SceneFile};
 
-/// Place of the window and the camera.
+/// Tilt of the window, and distance of the camera.
 pub(crate) const WINDOW: Window = Window { pitch_rad: 22.0 * std::f64::consts::PI / 180.0, focus_distance_m: 1.5 };
 
-/// Height of the table.
+/// Height of the table, metres.
 const TABLE_Y: f64 = -0.09;
-/// Display depth of the edge between table and wall.
+/// Display depth of the edge between table and wall, metres.
 const WALL_DEPTH: f64 = -0.18;
 
 /// The scene's files.
@@ -274,7 +274,7 @@ fn add_plate_and_gem(document: &mut Document) {
     document.add_node(node);
 }
 
-/// Two rows of stretched beads: one mesh, a parent with a rotation, children with uneven scale.
+/// Two rows of stretched beads: one mesh, a parent with a rotation, children with nonuniform scale.
 fn add_beads(document: &mut Document) {
     let jade = document.add_material(json!({
         "name": "jade",

@@ -9,13 +9,13 @@ use serde_json::{Value, json};
 use crate::gltf_document::{Document, TRIANGLE_STRIP, TRIANGLES};
 use crate::mesh::Mesh;
 
-/// Cells along each side of the plate.
+/// Number of cells along each side of the plate.
 const PLATE_CELLS: u32 = 48;
 /// Waves on the plate lie within this radius, in plate half-widths; the rest stays flat.
 const RIPPLE_RADIUS: f64 = 0.8;
-/// Height of the first wave over the plate's half-width.
+/// Height of the first wave, in plate half-widths.
 const RIPPLE_HEIGHT: f64 = 0.035;
-/// Waves between the plate's middle and [`RIPPLE_RADIUS`].
+/// Number of waves between the plate's middle and [`RIPPLE_RADIUS`].
 const RIPPLES: f64 = 3.0;
 
 /// A square plate of half-width 1 in the plane y = 0, its middle raised in rings.
@@ -84,7 +84,7 @@ pub(crate) fn paper_ribbon(document: &mut Document, [length, height, swing]: [f6
 }
 
 /// A cut gem of unit radius that stands on its point: triangles without indices and without
-/// normals. The glTF specification defines these as flat.
+/// normals. The glTF specification defines flat shading for these.
 pub(crate) fn cut_gem(document: &mut Document, material: usize) -> Value {
     const SIDES: u32 = 8;
     let ring = |k: u32, half_steps: u32, radius: f64, height: f64| {

@@ -1,4 +1,5 @@
-//! A glTF 2.0 document under construction: JSON arrays, one binary buffer, and the files beside it.
+//! A glTF 2.0 document under construction: JSON arrays, one binary buffer, and the files to which
+//! it refers.
 //!
 //! Source: Khronos glTF 2.0 specification, sections 3.6 (binary data) and 5 (properties). Vertex
 //! data goes into one buffer view per accessor, each aligned to four bytes, tightly packed.
@@ -23,8 +24,8 @@ pub(crate) const TRIANGLES: u32 = 4;
 /// Primitive mode of a triangle strip.
 pub(crate) const TRIANGLE_STRIP: u32 = 5;
 
-/// Digits kept behind the decimal point in JSON. Coarser than the last bit of a platform's sine or
-/// tangent, so that the text is the same everywhere.
+/// Numbers in JSON are rounded to multiples of the inverse of this. That is coarser than the last
+/// bit of a platform's sine or tangent, so the text is the same everywhere.
 const JSON_DECIMALS: f64 = 1e9;
 
 /// A number for JSON, rounded to nine decimals.
@@ -73,12 +74,12 @@ impl Document {
         document
     }
 
-    /// Names an extension in `extensionsUsed`. None of ours is required.
+    /// Names an extension in `extensionsUsed`. No extension of the scenes is required.
     pub(crate) fn use_extension(&mut self, name: &'static str) {
         self.extensions.insert(name);
     }
 
-    /// Adds a texture from an encoded image, which is written beside the document.
+    /// Adds a texture from an encoded image, which is written to the document's folder.
     pub(crate) fn add_texture(&mut self, file: SceneFile, wrap: Wrap) -> usize {
         let source = self.push("images", json!({ "uri": file.0 }));
         self.files.push(file);

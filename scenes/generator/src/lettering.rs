@@ -1,7 +1,7 @@
 //! Solid letters: the dots of the bitmap font as one extruded body per line of text.
 //!
-//! Dots that touch make one solid. A few large rectangles cover its front and back. A side wall
-//! stands only where a dot has no neighbour, joined with the walls in line with it.
+//! Dots that touch make one solid. A few large rectangles cover its front and back. A dot has a
+//! side wall only where it has no neighbour; walls in one line are joined.
 
 use glam::{DVec2, DVec3};
 

@@ -1,8 +1,8 @@
-//! `letters`: solid words at five depths before finely ruled paper and resolution charts.
+//! `letters`: solid words at five depths in front of finely ruled paper and resolution charts.
 //!
 //! The camera looks along -z, so display axes are world axes. Each word stands on a rail that
-//! extends past the window on both sides. A small number beside it gives the depth of its front
-//! face in millimetres.
+//! extends past the window on both sides. A small number next to the word gives the depth of its
+//! front face in millimetres.
 
 use std::f64::consts::FRAC_PI_6;
 
@@ -19,10 +19,10 @@ use crate::textures;
 use crate::window::{Window, node_at};
 use crate::{GeneratorError, SceneFile};
 
-/// Place of the window and the camera.
+/// Tilt of the window, and distance of the camera.
 pub(crate) const WINDOW: Window = Window { pitch_rad: 0.0, focus_distance_m: 1.5 };
 
-/// The wall of ruled paper.
+/// Display depth of the wall of ruled paper, metres.
 const WALL_DEPTH: f64 = -0.175;
 /// Depth of a word from its front to its back.
 const LETTER_DEPTH_M: f64 = 0.012;
@@ -68,7 +68,7 @@ pub(crate) fn build() -> Result<Vec<SceneFile>, GeneratorError> {
             "baseColorFactor": [0.03, 0.03, 0.035, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.6
         }
     }));
-    // each word has its depth in millimetres beside it
+    // each word has its depth in millimetres next to it
     for word in words() {
         add_word(&mut document, &word);
         add_rail(&mut document, &word, rail);

@@ -1,13 +1,13 @@
-//! Writes Lumistack's sample scenes: glTF 2.0 with textures, a camera and an environment, and one
-//! of Gaussian splats.
+//! Writes Lumistack's sample scenes: glTF 2.0 with textures, a camera and an environment, and a
+//! scene of Gaussian splats.
 //!
 //! `cargo run -p lumistack-scene-generator [FOLDER]` rewrites `still-life/`, `letters/`, `glass/`
 //! and `dandelion/` in FOLDER (default: the repository's `scenes/`). The same source gives the same
-//! bytes on every run. The tests compare the committed files with its output.
+//! bytes on every run. The tests compare the committed files with the generator's output.
 //!
-//! Scenes are modelled at true size, 1 unit = 1 metre. They stand around a window of 475.02 mm x
-//! 296.89 mm (840 x 525 pixels of 0.5655 mm), whose centre is the origin. Each scene's camera looks
-//! at the window's centre, and its frustum at the focus distance is the window.
+//! Scenes are modelled at true size, 1 unit = 1 metre. They are around a window of 475.02 mm x
+//! 296.89 mm (840 x 525 pixels of 0.5655 mm). The window's centre is the origin. Each scene's
+//! camera looks at the window's centre, and its frustum at the focus distance is the window.
 
 mod bitmap_font;
 mod dandelion;

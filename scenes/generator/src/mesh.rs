@@ -8,7 +8,7 @@ use std::f64::consts::{PI, TAU};
 
 use glam::{DMat4, DVec2, DVec3};
 
-/// Edges up to this length come from coinciding vertices at a pole.
+/// Edges up to this length are treated as coinciding vertices at a pole.
 const COLLAPSED_EDGE_M: f64 = 1e-9;
 
 /// An indexed triangle list; `texcoords` is empty or as long as `positions`.

@@ -51,8 +51,8 @@ pub(crate) fn paint(width: u32, height: u32, samples: u32, color: impl Fn(f64, f
     Picture { width, height, pixels }
 }
 
-/// A tangent-space normal map of `height(u, v)`, tiled; `relief` is the height's scale over the
-/// tile's width.
+/// A tangent-space normal map of `height(u, v)`, tiled; `relief` is the height, in tile
+/// widths, where `height` is 1.
 ///
 /// n ∝ (-∂h/∂x, -∂h/∂y, 1) with x to the right and y up the image, stored as (n + 1)/2 (glTF 2.0,
 /// 3.9.3).

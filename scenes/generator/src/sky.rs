@@ -30,11 +30,11 @@ pub(crate) struct Glow {
 /// A gradient from ground over horizon to zenith with glows; linear radiance.
 #[derive(Debug, Clone)]
 pub(crate) struct Sky {
-    /// Straight up.
+    /// Radiance straight up.
     pub(crate) zenith: DVec3,
-    /// At eye height.
+    /// Radiance at the horizon.
     pub(crate) horizon: DVec3,
-    /// Straight down.
+    /// Radiance straight down.
     pub(crate) ground: DVec3,
     /// Broad lights.
     pub(crate) glows: Vec<Glow>,

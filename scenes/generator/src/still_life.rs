@@ -15,12 +15,12 @@ use crate::textures::{self, CHECKS_PER_TILE};
 use crate::window::{Window, node_at, uniform_scale};
 use crate::{GeneratorError, SceneFile};
 
-/// Place of the window and the camera.
+/// Tilt of the window, and distance of the camera.
 pub(crate) const WINDOW: Window = Window { pitch_rad: 24.0 * std::f64::consts::PI / 180.0, focus_distance_m: 1.5 };
 
-/// Height of the floor.
+/// Height of the floor, metres.
 const FLOOR_Y: f64 = -0.09;
-/// Display depth of the edge between floor and wall.
+/// Display depth of the edge between floor and wall, metres.
 const WALL_DEPTH: f64 = -0.17;
 /// Side of one check of the floor.
 const CHECK_M: f64 = 0.032;

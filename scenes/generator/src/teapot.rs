@@ -14,7 +14,7 @@ use glam::DVec3;
 use crate::mesh::Mesh;
 use crate::teapot_data::{CONTROL_POINTS, PATCHES};
 
-/// Derivatives shorter than this, in units of the data set, count as vanishing.
+/// Derivatives shorter than this, in units of the data set, are treated as zero.
 const DEGENERATE_LENGTH: f64 = 1e-9;
 
 /// Patches of the rim whose first row is the inner edge, and of the lid whose last row is the outer
@@ -30,7 +30,7 @@ const LID_EDGE_PATCHES: std::ops::Range<usize> = 24..28;
 /// Texture coordinates run over 0..1 on every patch.
 pub(crate) fn teapot(divisions: u32, scale: f64) -> Mesh {
     let mut mesh = Mesh::default();
-    // Seen from outside the pot, u runs to the left; a grid's runs to the right.
+    // Seen from outside the pot, u of a patch runs to the left; u of a grid runs to the right.
     for patch in &PATCHES {
         let points = control_points(patch);
         mesh.append(&Mesh::grid(divisions, divisions, |u, v| {
@@ -53,7 +53,7 @@ fn control_points(patch: &[u16; 16]) -> [DVec3; 16] {
     patch.map(|index| DVec3::from_array(CONTROL_POINTS[usize::from(index)]))
 }
 
-/// Rotates the data set's axes (z up) to ours (y up), so handedness is kept.
+/// Rotates the data set's axes (z up) to the scene's axes (y up). A rotation keeps the handedness.
 fn y_up(point: DVec3) -> DVec3 {
     DVec3::new(point.x, point.z, -point.y)
 }

@@ -30,8 +30,8 @@ fn committed_folder() -> std::path::PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// Extensions of files beside a scene that the generator does not write: job files, and USD (by
-/// `to_usd.py`).
+/// Extensions of files in a scene's folder that the generator does not write: job files, and USD
+/// (by `to_usd.py`).
 const OTHERS: [&str; 4] = ["toml", "usda", "usdc", "usdz"];
 
 /// Files of a scene's folder by name, without [`OTHERS`].

@@ -1,14 +1,15 @@
-//! Textures of the scenes. The comment of each function gives its tile and, if fixed, its scale.
+//! Textures of the scenes. A picture that tiles repeats without a seam. The comment of each
+//! function states its content and, if fixed, its scale.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 use crate::bitmap_font::{columns, is_set};
 use crate::paint::{Picture, Rgba, fractal_noise, hash, mix, noise, paint, paint_normals, rgb, ruled, shade, wave};
 
-/// Checks along each side of [`checkerboard`].
+/// Number of checks along each side of [`checkerboard`].
 pub(crate) const CHECKS_PER_TILE: u32 = 8;
 
-/// Checkerboard of two stones with grain, inlaid lines and a small star in every check; tiles.
+/// Checkerboard of two stones with grain, inlaid lines and a small star in every check; it tiles.
 pub(crate) fn checkerboard() -> Picture {
     let (ivory, slate) = (rgb(228, 218, 196), rgb(58, 74, 88));
     paint(1024, 1024, 3, |u, v| {
@@ -31,7 +32,7 @@ pub(crate) fn checkerboard() -> Picture {
     })
 }
 
-/// Wallpaper: stripes with a woven thread, and a small flower at each point of a lattice; tiles.
+/// Wallpaper: stripes with a woven thread, and a small flower at each point of a lattice; it tiles.
 pub(crate) fn wallpaper() -> Picture {
     let (ground, stripe, flower) = (rgb(96, 128, 132), rgb(116, 147, 146), rgb(205, 205, 178));
     paint(1024, 1024, 3, |u, v| {
@@ -114,7 +115,7 @@ pub(crate) fn striped_ball() -> Picture {
     })
 }
 
-/// Brushed metal as glTF stores it: roughness in green, metalness in blue; tiles.
+/// Brushed metal as glTF stores it: roughness in green, metalness in blue; it tiles.
 pub(crate) fn brushed_metal() -> Picture {
     paint(256, 256, 1, |u, v| {
         let streaks = 0.7 * noise(u, v, 4, 128, 3) + 0.3 * noise(u, v, 8, 256, 4);
@@ -154,7 +155,7 @@ pub(crate) fn resolution_charts() -> Picture {
             return ink(ring || (radius < 0.43 && radius > 0.01 && sector));
         }
         // 4 x 4 fields: upright pairs, level pairs, checks and slanted pairs, each row finer than
-        // the last
+        // the row above it
         let (column, row) = ((x * 4.0).floor(), (y * 4.0).floor());
         let (a, b) = ((x * 4.0).fract(), (y * 4.0).fract());
         if a.min(b).min(1.0 - a).min(1.0 - b) < 0.1 {
@@ -187,7 +188,8 @@ pub(crate) fn tile_normals() -> Picture {
     paint_normals(512, 0.012, tile_height)
 }
 
-/// Colour of the glazed tiles: two glazes with brush marks, a painted ring and dark joints; tiles.
+/// Colour of the glazed tiles: two glazes with brush marks, a painted ring and dark joints; it
+/// tiles.
 pub(crate) fn tile_colors() -> Picture {
     let (cream, teal, joint) = (rgb(214, 206, 186), rgb(74, 126, 128), rgb(70, 66, 62));
     paint(512, 512, 3, |u, v| {
@@ -208,7 +210,7 @@ pub(crate) fn tile_colors() -> Picture {
 }
 
 /// A screen of leaves on a lattice: alpha 1 on the leaves and bars, 0 between (for alpha mode
-/// MASK); tiles.
+/// MASK); it tiles.
 pub(crate) fn leaf_screen() -> Picture {
     let (leaf, vein, bar) = (rgb(64, 110, 48), rgb(138, 168, 84), rgb(92, 70, 44));
     paint(256, 256, 4, |u, v| {

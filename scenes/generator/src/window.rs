@@ -2,7 +2,7 @@
 //!
 //! Display axes: x right, y up, z to the viewer; the window is z = 0 with its centre at the origin.
 //! A scene with a floor tilts the camera down by `pitch_rad`, so that parallel views see the floor
-//! from above: `world_from_display` is then the rotation by -pitch about x. World y is up.
+//! from above. Then `world_from_display` is the rotation by -pitch about x. World y is up.
 
 use glam::{DMat3, DQuat, DVec3};
 use serde_json::{Value, json};

@@ -23,12 +23,12 @@ use crate::LoadError;
 use crate::dynamic;
 use crate::serve::Functions;
 
-/// Time for which an answer about cancellation stays valid; every other answer of the program
-/// updates it.
+/// Time for which an answer about cancellation stays valid. Every answer of the program reports the
+/// state of cancellation anew.
 const CANCEL_VALIDITY: Duration = Duration::from_millis(2);
 /// Stack size of a plugin's thread, bytes: that of main threads.
 const STACK: usize = 8 << 20;
-/// Time for destructors of the library's statics.
+/// Longest time for the destructors of the library's statics.
 const EXIT_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// The main function of a process that runs a plugin for another process. `args` are those that
@@ -154,7 +154,7 @@ struct Link {
     /// Plugin threads that wait for answers, by request number.
     waiting: Mutex<HashMap<u64, Sender<(Answer, Vec<u8>)>>>,
     requests: AtomicU64,
-    /// Number of running calls; loading the library counts as one.
+    /// Number of running calls; loading the library is included as one call.
     active: AtomicUsize,
     /// The last known state of cancellation, and its time.
     asked: Mutex<(Option<Instant>, bool)>,
@@ -207,7 +207,7 @@ impl Link {
             return cancelled;
         }
         let (answer, _) = self.ask(Request::IsCancelled, &[]);
-        // a lost host counts as cancelled
+        // a lost host is treated as a cancellation
         answer.cancelled || answer.status != Status::OK.0
     }
 
@@ -262,7 +262,7 @@ unsafe fn bytes<'a>(ptr: *const u8, len: usize, what: &str, error: *const ErrorS
     }
 }
 
-// SAFETY of all functions below: the plugin returns the context of their table, lends texts and
+// SAFETY of all functions below: the plugin returns the context of their table. It lends texts and
 // bytes for the call, and passes null or a valid sink for errors.
 
 unsafe extern "C" fn log(context: *const c_void, level: u32, message: Str) {
@@ -317,7 +317,7 @@ unsafe extern "C" fn file_append(context: *const c_void, file: u64, content: Byt
     }
 }
 
-/// Sends bytes in parts; sends one empty part if there are none.
+/// Sends bytes in pieces; if there are no bytes, it sends one empty piece.
 fn in_parts(bytes: &[u8], mut send: impl FnMut(&[u8]) -> Status) -> Status {
     if bytes.is_empty() {
         return send(bytes);
@@ -412,7 +412,7 @@ unsafe extern "C" fn weight_plane(
     unsafe { fetch(context, |call| Request::WeightPlane { call, view_y, view_x }, plane, error) }
 }
 
-/// Fetches a plane. The plugin owns it until it releases it.
+/// Fetches a plane. The plugin owns the plane until it releases the plane.
 ///
 /// # Safety
 /// `context` is that of data of a running call, `plane` is memory for a plane whose `size` is set,
@@ -427,7 +427,7 @@ unsafe fn fetch(
     let (Running { link, call }, size) = unsafe { (running(context), (*plane).size) };
     if size < size_of::<Plane>() {
         // SAFETY: guaranteed by the caller.
-        unsafe { write_error(error, &format!("a plane of {size} bytes")) };
+        unsafe { write_error(error, &format!("the plane's `size` is {size} bytes, fewer than this version's")) };
         return Status::REFUSED;
     }
     let (answer, body) = link.ask(what(*call), &[]);
@@ -449,7 +449,8 @@ unsafe fn fetch(
         owner: Box::into_raw(owner).cast(),
         release: Some(release),
     };
-    // SAFETY: guaranteed by the caller. A newer plugin's plane is longer; its end stays unchanged.
+    // SAFETY: guaranteed by the caller. A newer plugin's `Plane` is longer; the bytes after this
+    // version's members stay unchanged.
     unsafe { *plane = filled };
     Status::OK
 }
@@ -586,7 +587,7 @@ unsafe fn give(
     let (Running { link, call }, size) = unsafe { (running(context), (*plane).size) };
     if size < size_of::<Plane>() {
         // SAFETY: guaranteed by the caller.
-        unsafe { write_error(error, &format!("a plane of {size} bytes")) };
+        unsafe { write_error(error, &format!("the plane's `size` is {size} bytes, fewer than this version's")) };
         return Status::REFUSED;
     }
     // SAFETY: guaranteed by the caller; the plugin keeps ownership, so nothing is released.
@@ -627,8 +628,8 @@ impl Link {
         let work = move || {
             // binds the whole value, which is `Send`, instead of capturing the pointer field
             let Instance(handle) = { instance };
-            // SAFETY: the handle is that of `open`, which the program closes later; all else is
-            // lent for the call.
+            // SAFETY: the handle is that of `open`, which the program closes later; the other
+            // arguments are lent for the call.
             done(self, call, |error| unsafe {
                 match &what {
                     Call::Submit { time, data } => {
@@ -646,7 +647,8 @@ impl Link {
         }
     }
 
-    /// Runs any other call, on the main thread. The plugin keeps a pointer to the host's table.
+    /// Runs a call that is not one of [`beside`](Self::beside), on the main thread. The plugin
+    /// keeps a pointer to the host's table.
     fn run(&'static self, host: &'static HostServices, call: u64, what: Call) {
         let Some(functions) = self.functions.get() else { return };
         let (link, instance) = (self, *locked(&self.instance));

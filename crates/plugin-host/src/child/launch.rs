@@ -5,9 +5,10 @@ use std::path::PathBuf;
 use std::sync::OnceLock;
 use std::time::Duration;
 
-/// Longest time without any call or return of a running plugin, seconds; 0 for no limit.
+/// Environment variable with the longest time in which a running plugin neither calls the host nor
+/// returns, seconds; 0 for no limit.
 const SILENCE: &str = "LUMISTACK_PLUGIN_SILENCE_S";
-/// Longest time to load a library, seconds; 0 for no limit.
+/// Environment variable with the longest time to load a library, seconds; 0 for no limit.
 const LOAD: &str = "LUMISTACK_PLUGIN_LOAD_S";
 
 /// A program that runs one plugin. The library's path and the plugin's id are appended to `args`.
@@ -23,7 +24,7 @@ pub struct Launcher {
 static OF_PROCESS: OnceLock<Launcher> = OnceLock::new();
 
 impl Launcher {
-    /// The current program, with `first` as the argument that selects this task.
+    /// The current program. `first` is its first argument, which makes it run a plugin.
     pub fn this_program(first: &str) -> Option<Self> {
         // on Linux this is the running file, even if it was replaced on disk
         let own = PathBuf::from("/proc/self/exe");
@@ -46,12 +47,12 @@ impl Launcher {
 /// Time limits of a child; `None` for no limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
-    /// From the start until the plugin has described itself.
+    /// Longest time from the start of the process until the plugin has described itself.
     pub load: Option<Duration>,
     /// Longest time of a running call without a sign of life: a call of a host service, or a
     /// returned function.
     pub silence: Option<Duration>,
-    /// Time to end after cancellation.
+    /// Time for a running call to end after cancellation; then the process is ended.
     pub grace: Duration,
 }
 
@@ -67,7 +68,7 @@ impl Limits {
     /// `LUMISTACK_PLUGIN_SILENCE_S`: seconds, 0 for no limit.
     ///
     /// # Errors
-    /// The variable and its value, if it is no number of seconds.
+    /// The variable and its value, if the value is no number of seconds.
     pub(crate) fn of_system() -> Result<Self, (&'static str, String)> {
         let mut limits = Self::default();
         for (variable, limit) in [(LOAD, &mut limits.load), (SILENCE, &mut limits.silence)] {

@@ -10,12 +10,13 @@
 //!    │◀──────────────────────────────── Done(status) ─────│
 //! ```
 //!
-//! There is one child per output, scene, field or stack.
+//! Every open output has a child process. So has every call that makes a scene, a light field or a
+//! layer stack.
 //!
 //! Both ends implement the C interface, so the host's code and the plugin's are the same with and
 //! without a child. Planes are sent through the pipe one at a time, when the plugin fetches them.
-//! Shared memory would save one copy. However, a child that truncates the file below it would end
-//! the program by a bus error.
+//! Shared memory would save one copy. However, if the child truncated the file behind that memory,
+//! a bus error would end the program.
 //!
 //! [`outside`] forwards the plugin's functions, [`session`] controls the child, [`requests`] serves
 //! its requests, and [`inside`] runs in the child.

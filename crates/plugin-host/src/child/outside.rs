@@ -17,8 +17,8 @@ use super::session::{Owner, Stopped};
 use crate::LoadError;
 use crate::serve::{Functions, Plugin};
 
-/// Loads a library in a child, and returns its plugin. Each use of the plugin's functions starts a
-/// child.
+/// Loads a library in a child, and returns its plugin. Later, every open output and every call that
+/// makes data starts a child of its own.
 pub(crate) fn probe(library: &Path, id: &str, launcher: Launcher, limits: Limits) -> Result<Plugin, LoadError> {
     let path = || library.to_path_buf();
     // an absolute path, since the loader searches other folders for a bare name
@@ -58,7 +58,7 @@ impl Remote {
         Owner::start(&self.library, &self.id, &self.launcher, self.limits, cancelled)
     }
 
-    /// Runs one function of the plugin in its own child.
+    /// Runs one function of the plugin in a child that is started for this call.
     ///
     /// # Safety
     /// All borrowed arguments are valid until this returns; `error` is null or a valid sink.
@@ -103,8 +103,9 @@ unsafe fn data_of(data: *const Data) -> protocol::Data {
     unsafe { protocol::Data { port: (*data).port, description: text((*data).description_json) } }
 }
 
-// SAFETY: borrowed data are kept in the session while the call runs, and removed before it returns;
-// the table of `open` when the session ends. Every use holds the lock that the removal takes.
+// SAFETY: borrowed data are kept in the session while the call runs, and removed before it returns.
+// The host's table of `open` is removed when the session ends. Every use holds the lock that the
+// removal takes.
 unsafe impl Functions for Remote {
     unsafe fn import(
         &self,
@@ -196,7 +197,7 @@ unsafe impl Functions for Remote {
             let opened = &*instance.cast::<Opened>();
             let lent = Lent { data, ..Lent::nothing() };
             let what = Call::Submit { time: time_of(time), data: data_of(data) };
-            let doing = format!("it took time {}", (*time).index);
+            let doing = format!("it took time step {}", (*time).index);
             opened.owner.call(opened.host, lent, what, &doing, error)
         }
     }

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 const MAX_HEAD: u32 = 64 << 20;
 /// Longest body, bytes: a plane of 35 000 × 10 000 pixels.
 const MAX_BODY: u64 = 4 << 30;
-/// Largest part of a file or a scene in one message, bytes.
+/// Largest piece of a file or a scene in one message, bytes.
 pub(super) const PART: usize = 16 << 20;
 
 /// Messages from the program.
@@ -141,7 +141,7 @@ pub(super) enum Request {
     ReadAsset {
         call: u64,
     },
-    /// The body is the next part of the scene.
+    /// The body is the next piece of the scene.
     GiveScene {
         call: u64,
     },
@@ -227,7 +227,7 @@ pub(super) fn read_frame<T: DeserializeOwned>(from: &mut impl Read) -> io::Resul
     let head_length = u32::from_le_bytes(start[..4].try_into().expect("four bytes"));
     let body_length = u64::from_le_bytes(start[4..].try_into().expect("eight bytes"));
     if head_length > MAX_HEAD || body_length > MAX_BODY {
-        return Err(io::Error::other("no frame of the protocol"));
+        return Err(io::Error::other("expected a message of the plugin protocol, found other bytes"));
     }
     let mut part = |length: u64| {
         let mut bytes = Vec::with_capacity(length.min(PART as u64) as usize);

@@ -14,7 +14,8 @@ use super::protocol::{Answer, Request, Say};
 /// The objects lent to the running calls of a child.
 #[derive(Default)]
 pub(super) struct Lending {
-    /// By the number of the call; the output's own number is [`HOST`].
+    /// By the number of the call. The host's table, lent to the whole output, has the number
+    /// [`HOST`].
     all: RwLock<HashMap<u64, Lent>>,
     /// Files being written, by their handles.
     files: Mutex<BTreeMap<u64, String>>,
@@ -44,7 +45,8 @@ unsafe impl Send for Lent {}
 // SAFETY: as above.
 unsafe impl Sync for Lent {}
 
-/// The number of the host's table between `open` and `close`, when no call may be running.
+/// The number of the host's table. The table is lent from `open` to `close`, also while no call
+/// runs.
 pub(super) const HOST: u64 = 0;
 
 /// # Safety
@@ -60,7 +62,7 @@ impl Lending {
         self.all.read().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The same, mutable; waits until no request uses them.
+    /// The objects of all calls, mutable; waits until no request uses them.
     pub(super) fn all_mut(&self) -> RwLockWriteGuard<'_, HashMap<u64, Lent>> {
         self.all.write().unwrap_or_else(PoisonError::into_inner)
     }
@@ -222,8 +224,8 @@ impl Lending {
     }
 }
 
-/// The error for use of an object after its call has returned.
-const CALL_RETURNED: &str = "that was lent to a call which has returned";
+/// The error if the plugin uses an object after the call to which it was lent has returned.
+const CALL_RETURNED: &str = "this object was lent to a call that has returned";
 
 /// Forwards a notification to the host.
 ///
@@ -291,7 +293,10 @@ unsafe fn give_to_sink(
     if count.and_then(|count| count.checked_mul(element)) != Some(body.len()) {
         // SAFETY: guaranteed by the caller.
         unsafe {
-            write_error(error, &format!("a plane of shape {:?} in {} bytes", [rows, cols, channels], body.len()))
+            write_error(
+                error,
+                &format!("expected a plane of shape {:?}, found {} bytes", [rows, cols, channels], body.len()),
+            )
         };
         return Status::REFUSED;
     }

@@ -1,9 +1,9 @@
 //! A child's session: start, calls, supervision and end.
 //!
 //! Every child has three threads in the program. One writes messages, one reads messages and serves
-//! requests, and one forwards the plugin's prints. The caller of a plugin function waits for its
-//! end. Meanwhile it checks for cancellation, for the child's exit and for its silence. No call
-//! joins the three threads, since a process started by the plugin may hold the pipes open.
+//! requests, and one forwards the plugin's prints. The caller of a plugin function waits for the
+//! function's end. Meanwhile it checks for cancellation, for the child's exit and for its silence.
+//! No call joins the three threads, since a process started by the plugin may hold the pipes open.
 
 use std::collections::HashMap;
 use std::io::{Read, Write};
@@ -27,9 +27,9 @@ const TICK: Duration = Duration::from_millis(20);
 const EXIT_TIMEOUT: Duration = Duration::from_secs(2);
 /// Time to read the last messages of a process that has ended.
 const DRAIN_TIMEOUT: Duration = Duration::from_millis(300);
-/// Bytes of the plugin's prints that are kept for messages: the last ones.
+/// Number of bytes of the plugin's prints that are kept for messages. The last bytes are kept.
 const KEPT_BYTES: usize = 16 << 10;
-/// Largest number of files in a message.
+/// Largest number of files named in a message.
 const MAX_FILES: usize = 3;
 
 /// A call did not complete.
@@ -70,7 +70,7 @@ impl Owner {
         };
         #[cfg(target_os = "linux")]
         for pipe in [std::os::fd::AsFd::as_fd(&input), std::os::fd::AsFd::as_fd(&output)] {
-            // a larger pipe is faster, where the system allows it
+            // a larger pipe is faster, if the system allows it
             let _ = rustix::pipe::fcntl_setpipe_size(pipe, 1 << 20);
         }
         let (outgoing, frames) = channel::<Option<(ToChild, Vec<u8>)>>();
@@ -118,7 +118,7 @@ impl std::ops::Deref for Owner {
 
 impl Drop for Owner {
     fn drop(&mut self) {
-        // the table ends with the output; the lock waits for requests that use it
+        // the host's table ends with the output; the lock waits for requests that use the table
         self.lending.all_mut().clear();
         self.shut_down();
     }
@@ -135,7 +135,7 @@ pub(super) struct Session {
     state: Mutex<State>,
     /// Objects lent to its running calls.
     lending: Lending,
-    /// The end of the plugin's prints, and whether it is complete.
+    /// The last bytes of the plugin's prints; true if the plugin can print no more.
     printed: Mutex<(Vec<u8>, bool)>,
 }
 
@@ -202,7 +202,7 @@ impl Session {
         // SAFETY: guaranteed by the caller.
         let result = self.wait(&waits, doing, limit, &|| unsafe { is_cancelled(host) });
         {
-            // waits for requests that use it
+            // the lock waits for requests that use the lent objects
             let mut all = self.lending.all_mut();
             all.remove(&call);
         }
@@ -235,7 +235,7 @@ impl Session {
                 Err(RecvTimeoutError::Timeout) => {}
             }
             // If a process started by the child holds the pipe, the exit status alone reveals the
-            // end. Its last messages are read first.
+            // child's end. The child's last messages are read first.
             if matches!(locked(&self.child).try_wait(), Ok(Some(_))) {
                 if gone.get_or_insert_with(Instant::now).elapsed() > DRAIN_TIMEOUT {
                     return Err(self.died(doing));
@@ -272,7 +272,7 @@ impl Session {
         if names.is_empty() { call.into() } else { format!("it wrote {}", names.join(", ")) }
     }
 
-    /// The cause of the child's end, which has occurred or is about to.
+    /// Waits for the end of a child that has ended or is about to end, and returns the cause.
     fn died(&self, doing: &str) -> Stopped {
         let doing = self.doing(doing);
         let deadline = Instant::now() + EXIT_TIMEOUT;
@@ -298,7 +298,7 @@ impl Session {
         let printed = locked(&self.printed);
         let printed = String::from_utf8_lossy(&printed.0);
         let line = printed.lines().map(str::trim).rfind(|line| !line.is_empty());
-        line.map_or_else(String::new, |line| format!("; the last it printed: {line}"))
+        line.map_or_else(String::new, |line| format!("; the last line it printed: {line}"))
     }
 
     /// Kills the child and its process group.
@@ -316,7 +316,7 @@ impl Session {
         }
     }
 
-    /// Closes the child's input, upon which it ends itself; kills it after a timeout.
+    /// Closes the child's input, so that the child ends itself; kills the child after a timeout.
     fn shut_down(&self) {
         let _ = self.outgoing.send(None);
         let deadline = Instant::now() + EXIT_TIMEOUT;
@@ -425,7 +425,7 @@ fn cause_of(status: ExitStatus) -> String {
             5 => " (trap)",
             6 => " (abort)",
             8 => " (arithmetic error)",
-            9 => " (kill, as of a system without memory)",
+            9 => " (kill; the system may have run out of memory)",
             11 => " (segmentation fault)",
             15 => " (termination)",
             7 if cfg!(target_os = "linux") => " (bus error)",

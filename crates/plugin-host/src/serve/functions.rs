@@ -9,14 +9,14 @@ use lumistack_plugin::abi::{
 };
 use lumistack_plugin::wire::answer;
 
-/// The functions of the interface's tables, for every kind of plugin: those of a library in this
-/// process, or of a process to which calls are forwarded. Functions of another kind than the
-/// plugin's return [`Status::REFUSED`].
+/// The functions of the interface's tables, for every kind of plugin. They are those of a plugin in
+/// this process, or they forward calls to another process. Functions that do not belong to the
+/// plugin's kind return [`Status::REFUSED`].
 ///
 /// # Safety
-/// An implementation follows the interface's rules for a plugin. It uses nothing borrowed after the
-/// call returns, and `host` of [`open`](Self::open) not after [`close`](Self::close). Callers
-/// follow the rules for a host in the documentation of the tables.
+/// An implementation follows the interface's rules for a plugin. It does not use borrowed arguments
+/// after the call has returned; `host` of [`open`](Self::open) may be used until
+/// [`close`](Self::close). Callers follow the rules for a host in the documentation of the tables.
 #[expect(clippy::missing_safety_doc, reason = "the tables' documentation has it, function by function")]
 pub unsafe trait Functions: Send + Sync {
     /// [`ImporterVtable::import`].

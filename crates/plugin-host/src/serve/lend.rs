@@ -11,8 +11,8 @@ use lumistack_plugin::{PluginError, Port, Time};
 /// Input data of an output at one time step.
 #[derive(Clone, Copy, Debug)]
 pub enum OutputData<'a> {
-    /// The layer stack of a tensor display, and the light field that it was solved for, whose views
-    /// are lent as well. Without a light field the geometry is the display's.
+    /// The layer stack of a tensor display, and the light field that it was solved for. The views
+    /// of this light field are lent as well; without it the geometry is the display's.
     LayerStack(&'a LayerStack, Option<&'a LightField>),
     /// Linear radiance of many views.
     LightField(&'a LightField),
@@ -56,7 +56,7 @@ impl<'a> NodeData<'a> {
 pub(crate) struct Lent<'a> {
     data: OutputData<'a>,
     display: &'a Display,
-    /// Geometry of the light field that the stack was solved for; for a light field its own.
+    /// Geometry of the light field that the stack was solved for, or of the lent light field.
     geometry: FieldGeometry,
     /// Created at the first request for a simulated view.
     simulator: OnceLock<Simulator<'a>>,
@@ -276,7 +276,11 @@ pub(crate) unsafe fn simulate(data: *const Data, from: *const View, plane: *mut 
     let grid = match kind {
         view::SLOPE => ViewGrid::single(Projection::Oblique, [x, y]),
         view::EYE => ViewGrid::single(Projection::Perspective { distance_mm: z }, [x / z, y / z]),
-        other => return Err(PluginError::Refused(format!("view of kind {other}"))),
+        other => {
+            return Err(PluginError::Refused(format!(
+                "expected a view of kind 1 (slope) or 2 (eye), found kind {other}"
+            )));
+        }
     };
     let geometry = lent.geometry.with_grid(grid);
     geometry.check().map_err(|error| PluginError::Refused(format!("view: {error}")))?;
@@ -312,9 +316,10 @@ unsafe fn give(plane: *mut Plane, values: &[f32], shape: [usize; 3]) -> Result<(
     // SAFETY: guaranteed by the caller.
     let size = unsafe { (*plane).size };
     if size < size_of::<Plane>() {
-        return Err(PluginError::Refused(format!("a plane of {size} bytes")));
+        return Err(PluginError::Refused(format!("the plane's `size` is {size} bytes, fewer than this version's")));
     }
-    // SAFETY: guaranteed by the caller. A newer plugin's plane is longer; its end stays unchanged.
+    // SAFETY: guaranteed by the caller. A newer plugin's `Plane` is longer; the bytes after this
+    // version's members stay unchanged.
     unsafe { *plane = Plane { size, ..dense(values, shape) } };
     Ok(())
 }
@@ -324,7 +329,7 @@ fn within(what: &str, index: usize, count: usize) -> Result<(), PluginError> {
 }
 
 fn beyond(what: &str, index: usize, count: usize) -> PluginError {
-    PluginError::Refused(format!("{what} {index} of {count}"))
+    PluginError::Refused(format!("{what}: expected an index below {count}, found {index}"))
 }
 
 fn wrong_port(what: &str) -> PluginError {

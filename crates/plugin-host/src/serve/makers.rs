@@ -18,8 +18,8 @@ use crate::serve::services::{Services, table};
 /// Largest number of values in a plugin's light field: 16 GiB.
 const MAX_VALUES: usize = 1 << 32;
 
-/// Reads files for an importer: from a path, relative to the folder of the imported file, to the
-/// file's bytes.
+/// Reads files for an importer: takes a path relative to the folder of the imported file, and
+/// returns the file's bytes.
 pub type ReadAsset<'a> = dyn Fn(&str) -> Result<Vec<u8>, PluginError> + Sync + 'a;
 
 /// Runs an importer: converts `file` into a glTF document, which is not yet validated.
@@ -154,7 +154,8 @@ pub fn make_stack<S: Services>(
     Ok(made)
 }
 
-/// Context of a sink. Plugins must call from one thread; the lock guards against those that do not.
+/// Context of a sink. A plugin must call a sink from one thread at a time; the lock guards against
+/// plugins that do not.
 struct Builder<T>(Mutex<T>);
 
 /// A light field under construction: its values, and a flag for each view received.
@@ -203,7 +204,9 @@ unsafe extern "C" fn field_geometry(context: *mut c_void, geometry_json: Str, er
         let geometry = FieldGeometry::try_from(geometry)?;
         let shape = LightField::shape_of(&geometry);
         if Tensor::<5>::element_count(shape).is_none_or(|count| count > MAX_VALUES) {
-            return Err(PluginError::Refused(format!("a light field of shape {shape:?} is too large")));
+            return Err(PluginError::Refused(format!(
+                "a light field of shape {shape:?} is too large: expected at most 2^32 values"
+            )));
         }
         let views = shape[0] * shape[1];
         let black = LightField::black(geometry).map_err(|error| PluginError::Refused(error.to_string()))?;
@@ -230,7 +233,7 @@ unsafe extern "C" fn field_view(
         let what = || format!("view {view_y}, {view_x}");
         let [views_y, views_x, rows, cols, channels] = field.radiance().shape();
         if view_y >= views_y || view_x >= views_x {
-            return Err(PluginError::Refused(format!("{} of {views_y} × {views_x}", what())));
+            return Err(PluginError::Refused(format!("{}: expected a view below {views_y}, {views_x}", what())));
         }
         // SAFETY: the plugin lends the plane for the call.
         let values = unsafe { values_of(plane, [rows, cols, channels], f32::MAX, &what)? };
@@ -268,7 +271,7 @@ unsafe extern "C" fn stack_layer(
         let Stack { made: Made { stack, .. }, frames, given_layers, .. } = &mut *built;
         let what = || format!("layer {layer}, frame {frame}");
         if layer >= stack.layers.len() || frame >= *frames {
-            let text = format!("{} of {} layers and {frames} frames", what(), stack.layers.len());
+            let text = format!("{}: expected a layer below {} and a frame below {frames}", what(), stack.layers.len());
             return Err(PluginError::Refused(text));
         }
         let [_, rows, cols, channels] = stack.layers[layer].shape();
@@ -299,7 +302,10 @@ unsafe extern "C" fn stack_emission(
             return Err(PluginError::Refused("the backlight is uniform and takes no emission".into()));
         };
         if frame >= *frames || bin_y >= bins[0] || bin_x >= bins[1] {
-            return Err(PluginError::Refused(format!("{} of {frames} frames, {bins:?} bins", what())));
+            return Err(PluginError::Refused(format!(
+                "{}: expected a frame below {frames} and a bin below {bins:?}",
+                what()
+            )));
         }
         let [_, _, _, rows, cols, channels] = emission.shape();
         // SAFETY: the plugin lends the plane for the call.
@@ -324,7 +330,7 @@ unsafe extern "C" fn stack_step(
         let mut built = unsafe { Builder::<Stack>::of(context) };
         let seconds = built.began.elapsed().as_secs_f64();
         if built.made.steps.last().is_some_and(|(last, _)| last.iteration >= iteration) {
-            return Err(PluginError::Refused(format!("iteration {iteration} came after a later one")));
+            return Err(PluginError::Refused(format!("iteration {iteration} came after the same or a later one")));
         }
         built.made.steps.push((Step { iteration, objective, psnr_view }, seconds));
         Ok(())
@@ -362,7 +368,7 @@ unsafe fn values_of(
     // SAFETY: guaranteed by the caller.
     let size = unsafe { (*plane).size };
     if size < size_of::<Plane>() {
-        return refused(format!("a plane of {size} bytes"));
+        return refused(format!("the plane's `size` is {size} bytes, fewer than this version's"));
     }
     // SAFETY: guaranteed by the caller; the plugin keeps ownership, so nothing is released.
     let view = unsafe { PlaneView::new(Plane { release: None, ..*plane })? };

@@ -16,22 +16,22 @@ use crate::serve::lend::{Lent, OutputData};
 use crate::serve::plugin::{Plugin, PluginKind};
 use crate::serve::services::{Services, table};
 
-/// An open output of a plugin. Dropping it closes it, and discards it unless it was finished.
+/// An open output of a plugin. Dropping the output closes it. An output that was not finished is
+/// discarded.
 pub struct Output<'a> {
     functions: Arc<dyn Functions>,
     instance: *mut c_void,
     id: String,
     ports: Vec<Port>,
     display: &'a Display,
-    /// The plugin keeps a pointer to it.
+    /// The plugin keeps a pointer to this table.
     _table: Rc<HostServices>,
     _services: PhantomData<&'a ()>,
 }
 
 // SAFETY: the interface allows calls of an output's functions from any thread.
 unsafe impl Send for Output<'_> {}
-// SAFETY: a shared output offers `submit` and `command` besides `run`, and these may be called
-// concurrently.
+// SAFETY: a shared output offers `submit`, `command` and `run`, which may be called concurrently.
 unsafe impl Sync for Output<'_> {}
 
 impl<'a> Output<'a> {
@@ -66,8 +66,8 @@ impl<'a> Output<'a> {
         let table = Rc::new(table(services));
         let functions = plugin.of_kind(PluginKind::Output)?.clone();
         let mut instance = std::ptr::null_mut();
-        // SAFETY: the table lives until `close` has returned (fields are dropped after `drop`); all
-        // else is lent for the call.
+        // SAFETY: the table lives until `close` has returned (fields are dropped after `drop`); the
+        // other arguments are lent for the call.
         call(|error| unsafe {
             functions.open(Rc::as_ptr(&table), Str::new(params_json), Str::new(&display_json), &mut instance, error)
         })?;

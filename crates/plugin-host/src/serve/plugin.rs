@@ -57,14 +57,14 @@ pub struct PluginInfo {
     pub version: String,
     /// The description; listings show its first sentence.
     pub doc: String,
-    /// The data that it accepts.
+    /// The kinds of data that the plugin accepts.
     pub ports: Vec<Port>,
     /// For an importer: file extensions that it reads, without the dot.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub extensions: Vec<String>,
-    /// A presenter, which runs until the user closes it.
+    /// True for a presenter, which runs until the user closes it.
     pub presents: bool,
-    /// Its parameters.
+    /// The plugin's parameters.
     #[serde(flatten)]
     pub schema: Schema,
 }
@@ -169,7 +169,7 @@ impl Plugin {
         Ok(Self { info, functions })
     }
 
-    /// Its functions, if it is of this kind.
+    /// The plugin's functions, if the plugin is of this kind.
     pub(crate) fn of_kind(&self, wanted: PluginKind) -> Result<&Arc<dyn Functions>, PluginError> {
         if self.info.kind != wanted {
             let text = format!("`{}` is no {} but {}", self.info.id, wanted.name(), self.info.kind);
@@ -178,12 +178,12 @@ impl Plugin {
         Ok(&self.functions)
     }
 
-    /// Its functions, for a process that runs them for another process.
+    /// The plugin's functions, for a process that runs them for another process.
     pub fn functions(&self) -> &Arc<dyn Functions> {
         &self.functions
     }
 
-    /// Its description.
+    /// The plugin's description.
     pub fn info(&self) -> &PluginInfo {
         &self.info
     }
@@ -198,8 +198,8 @@ impl fmt::Debug for Plugin {
 /// The functions of a plugin's kind, if all required ones are present.
 ///
 /// # Safety
-/// The descriptor's `vtable` is null, or points to the functions of its kind, at least as many
-/// bytes as their `size`, which live as long as the process.
+/// The descriptor's `vtable` is null, or points to the table of functions of its kind. The table
+/// has at least as many bytes as its `size`, and lives as long as the process.
 unsafe fn vtable_of(descriptor: &Descriptor) -> Result<(PluginKind, Vtable), String> {
     let missing = |kind: PluginKind| format!("a function of {kind} is missing");
     let table = descriptor.vtable;
@@ -238,6 +238,6 @@ unsafe fn vtable_of(descriptor: &Descriptor) -> Result<(PluginKind, Vtable), Str
         kind::SOURCE => Err(missing(PluginKind::Source)),
         kind::NODE => Err(missing(PluginKind::Node)),
         kind::OUTPUT => Err(missing(PluginKind::Output)),
-        other => Err(format!("plugins of kind {other} are not driven by this version")),
+        other => Err(format!("plugins of kind {other} are not supported by this version")),
     }
 }

@@ -26,7 +26,8 @@ pub enum LogLevel {
 
 /// Services of a host for its plugins. Calls come from any thread.
 pub trait Services: Sync {
-    /// The task of the plugin: receives its progress, and its cancel flag stops the plugin.
+    /// The task of the plugin. It receives the plugin's progress, and its cancel flag stops the
+    /// plugin.
     fn task(&self) -> Task<'_>;
     /// Receives a warning for the user.
     fn warn(&self, message: &str);
@@ -69,7 +70,7 @@ pub trait Services: Sync {
     }
     /// The error of a host without files. A host with files implements the four functions above.
     fn no_files(&self) -> PluginError {
-        PluginError::Refused("no files are taken here".into())
+        PluginError::Refused("this host accepts no files".into())
     }
     /// The port of the data that an output will receive, if it is known at `open`.
     fn port(&self) -> Option<Port> {

@@ -20,7 +20,7 @@ pub fn child() -> Launcher {
     Launcher { program: built(&format!("plugin_child{EXE_SUFFIX}")), args: Vec::new() }
 }
 
-/// Search paths with that program as launcher.
+/// Search paths, with [`child`] as launcher.
 pub fn paths(named: Vec<PathBuf>) -> PluginPaths {
     PluginPaths { named, launcher: Some(child()), ..PluginPaths::default() }
 }
@@ -29,6 +29,6 @@ fn built(name: &str) -> PathBuf {
     let test = std::env::current_exe().unwrap();
     let folder = test.parent().and_then(|deps| deps.parent()).unwrap().join("examples");
     let file = folder.join(name);
-    assert!(file.exists(), "{}: cargo builds it unless a single test target is asked for", file.display());
+    assert!(file.exists(), "{}: cargo builds it unless a single test target is requested", file.display());
     file
 }

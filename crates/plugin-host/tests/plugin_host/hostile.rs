@@ -92,7 +92,7 @@ impl Bench {
     }
 }
 
-/// The message of a failure while a file was written, or during `doing`.
+/// The message if the process ended by `cause` during the operation `doing`.
 fn message(cause: &str, doing: &str) -> String {
     format!("output `hostile` failed: its process ({}) {cause} while {doing}", common::file_name("hostile"))
 }
@@ -103,13 +103,13 @@ fn the_cause_of_a_crash_is_named_and_the_other_outputs_are_written() {
     for (fault, cause, doing) in [
         ("submit:abort", "ended by signal 6 (abort)", "it wrote `a.txt`"),
         ("submit:segfault", "ended by signal 11 (segmentation fault)", "it wrote `a.txt`"),
-        ("submit:kill", "ended by signal 9 (kill, as of a system without memory)", "it wrote `a.txt`"),
+        ("submit:kill", "ended by signal 9 (kill; the system may have run out of memory)", "it wrote `a.txt`"),
         ("submit:exit", "ended itself with exit code 0", "it wrote `a.txt`"),
-        ("before:abort", "ended by signal 6 (abort)", "it took time 0"),
+        ("before:abort", "ended by signal 6 (abort)", "it took time step 0"),
         ("open:segfault", "ended by signal 11 (segmentation fault)", "it was opened"),
         ("open:exit", "ended itself with exit code 0", "it was opened"),
         ("finish:abort", "ended by signal 6 (abort)", "it finished"),
-        ("submit:say and abort", "ended by signal 6 (abort)", "it wrote `a.txt`; the last it printed: out of ink"),
+        ("submit:say and abort", "ended by signal 6 (abort)", "it wrote `a.txt`; the last line it printed: out of ink"),
         ("submit:scribble", "broke off its connection to the program", "it wrote `a.txt`"),
         ("submit:close all", "broke off its connection to the program", "it wrote `a.txt`"),
         ("submit:fork and abort", "ended by signal 6 (abort)", "it wrote `a.txt`"),
@@ -213,7 +213,7 @@ fn libraries_that_misbehave_while_they_are_loaded_are_listed_with_the_cause() {
     }
     hostile(folder.path(), "sound", "OUTPUT", "print");
     let registry = registry(&[folder.path()], LOAD, SILENCE);
-    // a requested one is reported with its cause, and no other is loaded for it
+    // a requested plugin is reported with its cause, and no other plugin is loaded
     let error = registry.get("aborts").unwrap_err().to_string();
     let library = |id: &str| folder.path().join(common::file_name(id)).display().to_string();
     let told = |id: &str| format!("{}: its process ({}) {}", library(id), common::file_name(id), causes[id].1);
@@ -316,7 +316,7 @@ fn a_plugin_needs_memory_for_one_plane() {
     assert_eq!(numbers[0], plane * 18.0 * 4.0);
     println!("{:.0} MB in {seconds:.2} s; most memory of the process {:.0} MB", numbers[0] / 1e6, numbers[1] / 1e3);
     if cfg!(target_os = "linux") {
-        // one plane, and its parts in transit; all planes would be 207 MB
+        // one plane, and copies of it in transit; all planes together have 207 MB
         assert!(numbers[1] * 1024.0 < 6.0 * plane, "{} kB", numbers[1]);
     }
 }
@@ -358,7 +358,7 @@ fn a_program_that_cannot_be_started_is_named() {
     let nothing = lumistack_plugin_host::Launcher { program: "/no/such/program".into(), args: Vec::new() };
     let error = load(Some(nothing));
     assert!(error.contains("the process for it cannot be started: /no/such/program: "), "{error}");
-    assert!(load(None).contains("no program is known that loads plugins for this one"));
+    assert!(load(None).contains("the process for it cannot be started: no launcher is set"));
     // another program than a launcher
     let other = lumistack_plugin_host::Launcher { program: "echo".into(), args: Vec::new() };
     let error = load(Some(other));

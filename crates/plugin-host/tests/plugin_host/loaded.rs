@@ -40,7 +40,7 @@ fn every_plugin_is_the_same_loaded_as_compiled_in() {
             _ => &[],
         };
         conformance_of(plugin, at_default).unwrap_or_else(|broken| panic!("{origin}: {broken}"));
-        // the samples are not compiled in
+        // the tutorial's samples are not compiled in
         let Ok(same) = compiled.get(&info.id) else {
             println!("{}: keeps the rules", info.id);
             continue;
@@ -170,7 +170,8 @@ const LumistackDescriptor *lumistack_plugin_entry_garbage(void) { return &descri
         let (host, sample) = (MemoryHost::new(), &samples()[0]);
         let output = Output::open(plugin, &host, &json!({}), &sample.display).unwrap();
         let error = output.submit(Time::default(), sample.data()).unwrap_err();
-        // 1234 is its own status; a negative one would count operations that the host accepted
+        // 1234 is the plugin's status of success; otherwise it returns minus the number of calls
+        // that the host answered wrongly
         assert_eq!(error.to_string(), "no reason given (status 1234)");
         assert_eq!(host.files().into_keys().collect::<Vec<_>>(), ["a.txt"]);
         assert!(host.open_files().is_empty());

@@ -15,7 +15,7 @@ const ELF_MACHINES: [(u16, &str); 4] = [(62, "x86_64"), (183, "aarch64"), (243, 
 fn load(named: &[&Path]) -> Registry {
     let mut registry = Registry::built_in().unwrap();
     registry.load(&common::paths(named.iter().map(|path| path.to_path_buf()).collect()));
-    // load all, for errors that appear only then
+    // load all libraries, since some errors appear only then
     let _ = registry.infos().count();
     registry
 }
@@ -106,7 +106,7 @@ fn names_and_places_are_checked() {
     assert!(failure(&upper).starts_with("expected a file named"));
     let missing = failure(&folder.path().join("nothing"));
     assert!(missing.starts_with("expected a plugin or a folder of plugins, found: "), "{missing}");
-    // the exports count, not the file name
+    // the ids are those of the exports, not of the file name
     let renamed = folder.path().join(file_name("other"));
     fs::copy(example("faulty"), &renamed).unwrap();
     let registry = load(&[&renamed]);
@@ -197,12 +197,12 @@ fn libraries_of_other_versions_are_recognized() {
     let expected = format!("its descriptor says version {ABI_MAJOR}.{ABI_MINOR} and 24 bytes");
     assert!(short.starts_with(&expected), "{short}");
     let unknown = message("unknown", ABI_MAJOR, ABI_MINOR, size, "77, 4, TEXTS, 0");
-    assert_eq!(unknown, "plugin `unknown`: plugins of kind 77 are not driven by this version");
+    assert_eq!(unknown, "plugin `unknown`: plugins of kind 77 are not supported by this version");
     let bare = message("bare", ABI_MAJOR, ABI_MINOR, size, "4, 4, TEXTS, 0");
     assert_eq!(bare, "plugin `bare`: a function of an output is missing");
 
-    // Versions of an interface differ at the ends of their structs: a newer one is longer, one
-    // before 0.4 has no `command`.
+    // Versions of an interface differ at the ends of their structs: a newer struct is longer, and a
+    // struct before version 0.4 has no `command`.
     for (id, last, vtable) in [("grown", ", *command, *more", vtable + 8), ("older", "", vtable - 8)] {
         let code = format!(
             "static int open_(const void *h, struct str p, struct str d, void **i, const void *e) {{ *i = 0; return 0; }}\n\

@@ -31,7 +31,7 @@ impl Bench {
         Self::with(registry)
     }
 
-    /// The same, with the plugin from a library.
+    /// As [`new`](Self::new), with the plugin from a library.
     fn loaded() -> Self {
         let mut registry = Registry::built_in().unwrap();
         registry.load(&common::paths(vec![common::example("faulty")]));
@@ -112,7 +112,7 @@ impl Progress for StopAtFirstStep<'_> {
     fn end(&self) {}
 }
 
-/// Tries every failure; the bench's folder must stay unchanged.
+/// Causes every failure; the bench's folder must stay unchanged.
 fn everything_goes_wrong(bench: &Bench) {
     let before = bench.tree();
     for (params, message) in [

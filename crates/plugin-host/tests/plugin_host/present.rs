@@ -108,9 +108,15 @@ fn presenters_and_writers_are_distinguished() {
         task,
     };
     let error = run_output(&registry, "echo", &json!({}), context).unwrap_err().to_string();
-    assert!(error.contains("expected a plugin that writes files, found one that presents"), "{error}");
+    assert!(
+        error.contains("expected an output that writes files, found one that drives panels (for `lumistack show`)"),
+        "{error}"
+    );
     assert!(!folder.path().join("out").exists());
     let (_send, input) = channel();
     let error = presented(&registry, "images", &stacks()[0], input, &cancel).unwrap_err().to_string();
-    assert!(error.contains("expected a plugin that presents, found one that writes files"), "{error}");
+    assert!(
+        error.contains("expected an output that drives panels (for `lumistack show`), found one that writes files"),
+        "{error}"
+    );
 }

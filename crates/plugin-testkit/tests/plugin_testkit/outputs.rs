@@ -100,7 +100,10 @@ fn planes(data: &Input<'_>) -> Result<Vec<(String, Vec<f32>)>, PluginError> {
             let view = stack.simulate(ViewPoint::Slope([0.05, -0.02]))?;
             all.push(("simulated".into(), view.to_vec()));
             let error = stack.layer(stack.layer_count(), 0).unwrap_err();
-            assert_eq!(error, PluginError::Refused(format!("layer {0} of {0}", stack.layer_count())));
+            assert_eq!(
+                error,
+                PluginError::Refused(format!("layer: expected an index below {0}, found {0}", stack.layer_count()))
+            );
             assert!(stack.layer(0, stack.frames()).is_err() && stack.simulate(ViewPoint::Eye([0.0; 3])).is_err());
         }
         Input::LightField(field) => {
@@ -302,7 +305,7 @@ fn the_kit_notices_broken_rules() {
         let export = Box::leak(Box::new(export));
         conformance(export).unwrap_err().rule
     }
-    assert_eq!(broken::<IGNORES_CANCEL>(), "returns `cancelled` when asked to stop before");
+    assert_eq!(broken::<IGNORES_CANCEL>(), "returns `cancelled` if cancelled before it begins");
     assert_eq!(broken::<SWALLOWS_ERRORS>(), "passes on why the host could not write");
     assert_eq!(broken::<DIFFERS>(), "writes the same bytes again");
     assert_eq!(broken::<LEAKS_FILES>(), "no file stays open");

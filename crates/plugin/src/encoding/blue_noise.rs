@@ -3,8 +3,9 @@
 //!
 //! Dots are ranked one by one on a torus. The energy of a position is the sum of exp(−r²/2σ²) over
 //! all dots, σ = 1.5 pixels. The initial pattern is relaxed: the dot in the tightest cluster moves
-//! to the largest void until both coincide. Its dots are ranked by removing the tightest one
-//! repeatedly, all others by filling the largest void.
+//! to the largest void until both coincide. Its dots are then ranked: the dot in the tightest
+//! cluster is removed repeatedly. All other positions are ranked by filling the largest void
+//! repeatedly.
 
 use std::sync::OnceLock;
 
@@ -14,7 +15,7 @@ use lumistack_core::seed::{Stream, derive};
 pub const BLUE_NOISE_SIDE: usize = 64;
 
 const COUNT: usize = BLUE_NOISE_SIDE * BLUE_NOISE_SIDE;
-/// Dots of the initial pattern.
+/// Number of dots in the initial pattern.
 const FIRST: usize = COUNT / 10;
 const SIGMA: f64 = 1.5;
 
@@ -45,7 +46,8 @@ fn ranks() -> Vec<usize> {
             break;
         }
     }
-    // Ranks below the first pattern: remove dots from clusters. Ranks above it: fill voids.
+    // Dots of the initial pattern get the low ranks, as they are removed from clusters. The other
+    // positions get the high ranks, as voids are filled.
     let mut ranks = vec![0; COUNT];
     let mut thinned = pattern.clone();
     for rank in (0..FIRST).rev() {

@@ -1,9 +1,9 @@
 //! Codes of a panel of b bits, with optional dithering.
 //!
 //! A value v lies between the light l₀ < v < l₁ of two neighbouring codes. The brighter code is
-//! used for the fraction t = (v − l₀)/(l₁ − l₀) of the pixels, so that the mean *light* is exact
-//! for any transfer function. Pixels are selected by a threshold map, or by error diffusion in
-//! linear light (Floyd and Steinberg, 1976; serpentine rows).
+//! used for the fraction t = (v − l₀)/(l₁ − l₀) of the pixels. So the mean *light* is exact for any
+//! transfer function. Pixels are selected by a threshold map, or by error diffusion in linear light
+//! (Floyd and Steinberg, 1976; serpentine rows).
 
 use lumistack_display::Transfer;
 use serde::Deserialize;
@@ -24,12 +24,12 @@ pub enum Dither {
     Diffusion,
 }
 
-/// Codes 0..2^bits − 1 of driven values in 0..1, `[row][col][rgb]`; `size` is [rows, cols], `bits`
+/// Codes 0..2^bits − 1 of linear values in 0..1, `[row][col][rgb]`; `size` is [rows, cols], `bits`
 /// 1 to 16. Threshold maps are shifted by `pattern` and by channel, so that patterns of different
 /// layers and frames are uncorrelated.
 ///
 /// # Panics
-/// If the length of `rgb` is not that of `size`, or `bits` is out of range.
+/// If the length of `rgb` does not match `size`, or `bits` is out of range.
 pub fn panel_codes(
     transfer: &Transfer,
     bits: u32,
@@ -44,7 +44,7 @@ pub fn panel_codes(
     if dither == Dither::None {
         return rgb.iter().enumerate().map(|(i, &value)| nearest(i % 3, value)).collect();
     }
-    // Dithering averages light, so codes are compared by the light that they stand for.
+    // Dithering averages light, so codes are compared by the light that they emit.
     let light: [Vec<f32>; 3] =
         [0, 1, 2].map(|channel| (0..=top).map(|code| transfer.decode(channel, code as f32 / top as f32)).collect());
     if dither == Dither::Diffusion {
@@ -81,8 +81,8 @@ struct ThresholdMap {
 impl ThresholdMap {
     fn of(dither: Dither) -> Self {
         if dither == Dither::Ordered {
-            // interleaved bits of x and x ^ y, lowest first, form the rank from its highest bit
-            // down
+            // the rank's bits, from the highest, are in turn those of x ^ y and of y, from the
+            // lowest
             let rank = |x: usize, y: usize| {
                 (0..3).fold(0, |rank, bit| {
                     let pair = 2 * ((x ^ y) >> bit & 1) + (y >> bit & 1);
@@ -95,8 +95,8 @@ impl ThresholdMap {
         Self { side: BLUE_NOISE_SIDE, thresholds: blue_noise().to_vec() }
     }
 
-    /// The `n`-th of a sequence of shifts. The Bayer map swaps its checkerboards; on blue noise the
-    /// shifts fill the map evenly.
+    /// The `n`-th of a sequence of shifts, [rows, columns]. A step of the sequence exchanges the
+    /// two checkerboards of a Bayer map. On blue noise the shifts are spread evenly over the map.
     fn shift(&self, n: usize) -> [usize; 2] {
         if self.side < BLUE_NOISE_SIDE {
             return [3 * n, 2 * n];
@@ -168,7 +168,8 @@ mod tests {
                     let codes = panel_codes(&transfer, bits, dither, SIZE, &flat(value), 3);
                     for channel in 0..3 {
                         let mean = mean_light(&transfer, bits, &codes, channel);
-                        // 64 thresholds: half of 1/64 of the largest step, which is the highest
+                        // with 64 thresholds the error is at most half of 1/64 of a step between
+                        // codes; the highest step is the largest
                         let top = ((1u32 << bits) - 1) as f32;
                         let step = 1.0 - transfer.decode(channel, (top - 1.0) / top);
                         let allowed = f64::from(step) / 100.0;

@@ -33,8 +33,7 @@ pub fn call(function: impl FnOnce(*const ErrorSink) -> Status) -> Result<(), Plu
 /// # Safety
 /// `error` is null or a valid sink.
 pub unsafe fn answer(error: *const ErrorSink, function: impl FnOnce() -> Result<(), PluginError>) -> Status {
-    // After a panic the plugin's instance refuses further calls, and all other state has its own
-    // lock.
+    // After a panic the plugin's instance refuses further calls, and locks protect all other state.
     let outcome = catch_unwind(AssertUnwindSafe(function))
         .unwrap_or_else(|payload| Err(PluginError::Panicked(panic_text(payload))));
     let (status, text) = match outcome {
@@ -84,7 +83,7 @@ pub(crate) fn panic_text(payload: Box<dyn Any + Send>) -> String {
 /// Text lent by the other side; `what` names it in errors.
 ///
 /// # Errors
-/// If its length exceeds that of any array, or it is not UTF-8.
+/// If it is longer than an array can be, or it is not UTF-8.
 ///
 /// # Safety
 /// `text` points to `len` readable bytes (or `len` is 0) as long as the result is used.
@@ -94,8 +93,8 @@ pub unsafe fn lent_text<'a>(text: Str, what: &str) -> Result<&'a str, PluginErro
     std::str::from_utf8(bytes).map_err(|error| PluginError::failed(what, error))
 }
 
-/// Text lent by the other side, with invalid UTF-8 replaced; empty if its length exceeds that of
-/// any array.
+/// Text lent by the other side, with invalid UTF-8 replaced; empty if it is longer than an array
+/// can be.
 ///
 /// # Safety
 /// As for [`lent_text`].
@@ -107,7 +106,7 @@ pub unsafe fn lent_lossy<'a>(text: Str) -> std::borrow::Cow<'a, str> {
 /// Bytes lent by the other side; `what` names them in errors.
 ///
 /// # Errors
-/// If their length exceeds that of any array.
+/// If they are more than an array can hold.
 ///
 /// # Safety
 /// `bytes` points to `len` readable bytes (or `len` is 0) as long as the result is used.
@@ -116,7 +115,7 @@ pub unsafe fn lent_bytes<'a>(bytes: Bytes, what: &str) -> Result<&'a [u8], Plugi
         return Ok(&[]);
     }
     if bytes.ptr.is_null() || isize::try_from(bytes.len).is_err() {
-        let place = if bytes.ptr.is_null() { "nowhere" } else { "somewhere" };
+        let place = if bytes.ptr.is_null() { "at a null pointer" } else { "in one array" };
         return Err(PluginError::Refused(format!("{what}: {} bytes {place}, which is invalid", bytes.len)));
     }
     // SAFETY: guaranteed by the caller; the length was checked.

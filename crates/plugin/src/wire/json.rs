@@ -33,7 +33,7 @@ pub enum Description {
     },
     /// Radiance of many views.
     LightField {
-        /// Its geometry.
+        /// The light field's geometry.
         geometry: Geometry,
         /// Depth of the central view.
         #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -41,7 +41,7 @@ pub enum Description {
         /// Random seed for nodes.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         seed: Option<u64>,
-        /// Weights of the rays for nodes; without it all are equal.
+        /// Weights of the rays for nodes; without this key all rays have the same weight.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         weights: Option<RayWeights>,
         /// Layer stack that a node may start from.
@@ -138,7 +138,11 @@ impl TryFrom<Geometry> for FieldGeometry {
         let projection = match (json.projection.as_str(), json.distance_mm) {
             (OBLIQUE, _) => Projection::Oblique,
             (PERSPECTIVE, Some(distance_mm)) => Projection::Perspective { distance_mm },
-            (other, _) => return Err(PluginError::Refused(format!("view grid of projection `{other}`"))),
+            (other, _) => {
+                return Err(PluginError::Refused(format!(
+                    "expected projection `oblique`, or `perspective` with a distance, found `{other}`"
+                )));
+            }
         };
         let grid = ViewGrid { projection, slope_x: json.slope_x, slope_y: json.slope_y };
         let field = FieldGeometry { rows: json.rows, cols: json.cols, pitch_mm: json.pitch_mm, grid };
@@ -147,8 +151,8 @@ impl TryFrom<Geometry> for FieldGeometry {
     }
 }
 
-/// Reads a display and skips keys that this version does not know. (A display *file* with such a
-/// key is an error; see DESIGN section 5. The host has already read that file.)
+/// Reads a display and skips keys that this version does not know. (In a display *file* such a key
+/// is an error, but the host has already read that file.)
 pub(crate) fn display_from_json(text: &str) -> Result<Display, PluginError> {
     let mut json: Value = serde_json::from_str(text).map_err(|error| PluginError::failed("display", error))?;
     let display: Display = loop {

@@ -2,7 +2,7 @@
 
 use lumistack_plugin_abi::{Plane, dtype};
 
-/// Lends dense values `[row][col][channel]`; the plane is valid as long as they are.
+/// Lends dense values `[row][col][channel]`; the plane is valid as long as the values are.
 pub fn dense(values: &[f32], [rows, cols, channels]: [usize; 3]) -> Plane {
     let element = size_of::<f32>() as isize;
     Plane {

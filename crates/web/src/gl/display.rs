@@ -12,9 +12,9 @@ use crate::{Error, Model, err};
 
 /// One triangle that covers the canvas.
 const FULL: &str = include_str!("../shaders/full.vert.glsl");
-/// Computes the seen picture at every pixel of the field: the mean over the pixel's parts and the
-/// pupil's points of the values that their rays hit. The hits are looked up in the tables of
-/// `tables.rs`, made by `AreaMap`.
+/// Computes the seen picture at every pixel of the field. It is the mean light of rays: a ray for
+/// every part of the pixel and every point of the pupil. The rays' hits are looked up in the tables
+/// of `tables.rs`, made by `AreaMap`.
 ///
 /// ```text
 /// attenuating    (1/M) Σ_m b ∏_n v
@@ -22,11 +22,11 @@ const FULL: &str = include_str!("../shaders/full.vert.glsl");
 /// polarization   (1/M) Σ_m b sin²(π/2 Σ_n v)
 /// ```
 ///
-/// These are defined before the text: `DECLARE_LAYERS`, `MEET_LAYERS` (`MEET(n, layer_n)` for every
-/// layer), `FORMATION` (0, 1, 2), `DIRECTIONAL`, `LAYERS`. Visitors load the text, so its comments
-/// are short.
+/// The program puts these macros in front of the text: `DECLARE_LAYERS`, `MEET_LAYERS` (`MEET(n,
+/// layer_n)` for every layer), `FORMATION` (0, 1, 2), `DIRECTIONAL`, `LAYERS`. Visitors load the
+/// text, so its comments are short.
 const DISPLAY: &str = include_str!("../shaders/display.frag.glsl");
-/// Texture units besides the layers': tables, the emission.
+/// Texture units in addition to the layers': two tables and the emission.
 const OTHER_UNITS: usize = 3;
 
 /// Objects of a context that shows a preview.
@@ -81,7 +81,7 @@ impl Gpu {
         Ok(gpu)
     }
 
-    /// Uploads a complete frame to a slice.
+    /// Uploads a complete frame to a slice of the texture arrays.
     pub(crate) fn upload(&self, model: &Model, frame: usize, slot: usize) -> Result<(), Error> {
         let gl = &self.gl;
         check(gl)?;
@@ -135,7 +135,7 @@ impl Gpu {
         Ok(())
     }
 
-    /// Draws the view from a slope to the canvas, one of its pixels per pixel of the field.
+    /// Draws the view from a slope to the canvas, with one canvas pixel per pixel of the field.
     pub(crate) fn draw(&self, model: &Model, slope: [f64; 2]) -> Result<(), Error> {
         let gl = &self.gl;
         check(gl)?;

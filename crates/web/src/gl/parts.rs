@@ -17,7 +17,7 @@ pub(crate) fn message(value: &JsValue) -> Error {
 }
 
 /// # Errors
-/// If the context is lost; all data must be uploaded to a new one.
+/// If the context is lost; all data must be uploaded to a new context.
 pub(crate) fn check(gl: &Gl) -> Result<(), Error> {
     if gl.is_context_lost() { Err(err(LOST)) } else { Ok(()) }
 }

@@ -3,12 +3,12 @@ uniform sampler2DArray emission;
 uniform sampler2D taps_x;
 uniform sampler2D taps_y;
 uniform ivec2 slots;      // first frame slice, number of slices
-uniform ivec4 places;     // on the pupil along an axis; table rows per part; parts along x, y
+uniform ivec4 places;     // points per axis of the pupil; table rows per part; parts along x, y
 uniform float on_disc[81];
 uniform ivec2 lenslets;   // columns, rows
 uniform float gain;
 uniform float black;
-uniform bool dropped;     // rays that leave a layer do not count
+uniform bool dropped;     // rays that miss a layer are left out
 uniform int rows;
 out vec4 colour;
 
@@ -33,7 +33,7 @@ vec3 read(sampler2DArray layer, vec4 x, vec4 y, int slice) {
     if (x[N].x < 0.0 || y[N].x < 0.0) { counts = counts && !dropped; } \
     else { met JOIN black + (1.0 - black) * read(LAYER, x[N], y[N], slice); }
 
-// Of a part; fourth: its share, where its ray counts.
+// Mean light of a pixel's part times its area, and the area; 0 if its ray is left out.
 vec4 part_of(ivec2 at, ivec2 table) {
     // the same in every frame
     vec4 x[LAYERS + DIRECTIONAL], y[LAYERS + DIRECTIONAL];
@@ -72,7 +72,7 @@ vec4 part_of(ivec2 at, ivec2 table) {
     return counts && slots.y > 0 ? share * vec4(sum / float(slots.y), 1.0) : vec4(0.0);
 }
 
-// Of a place: the mean over the parts that count.
+// Mean light seen from a point of the pupil.
 vec3 seen(ivec2 at, ivec2 place) {
     vec4 sum = vec4(0.0);
     for (int j = 0; j < places.w; j++) {

@@ -1,4 +1,4 @@
-//! The sum over frames against the target, ray by ray.
+//! Compares the sum over frames with the target, ray by ray.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Backlight, Display, LensletBacklight, RayMap, Simulator};

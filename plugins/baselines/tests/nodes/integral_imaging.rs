@@ -1,4 +1,4 @@
-//! The lens array's light field against the target, ray by ray.
+//! Compares the lens array's light field with the target, ray by ray.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Backlight, Display, LensletBacklight, RayMap, Simulator};

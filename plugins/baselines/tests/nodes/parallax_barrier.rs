@@ -1,4 +1,4 @@
-//! The masks against a barrier's definition, ray by ray.
+//! Compares the masks and the light field with the definition of a barrier, ray by ray.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Display, RayMap, Simulator};

@@ -1,4 +1,4 @@
-//! The update against the matrix rule, and the gain by frames.
+//! Compares the update with the matrix rule, and scores with different numbers of frames.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Display, LayerStack, RayMap, Weights, score};
@@ -18,7 +18,8 @@ fn conforms() {
     conformance(&PLUGIN).unwrap();
 }
 
-/// From the result of one update to that of two: F, then G, in f64, by the equation.
+/// Applies the equation in f64 to the result of one update, F first, then G. This must give the
+/// plugin's result of two updates.
 #[test]
 fn an_update_is_the_rule_of_the_matrix() {
     let display = display(2);

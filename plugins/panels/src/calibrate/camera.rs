@@ -6,8 +6,8 @@ use lumistack_plugin::display::Homography;
 /// A camera that photographs the plane z = 0.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
-    /// Maps millimetres on the plane to the undistorted photograph: origin at its centre, unit half
-    /// its diagonal, y down.
+    /// Maps millimetres on the plane to the undistorted photograph: the origin is its centre, the
+    /// unit is half its diagonal, y is down.
     pub homography: Homography,
     /// Radial distortion k₁, k₂.
     pub distortion: [f64; 2],
@@ -17,8 +17,8 @@ pub struct Camera {
 
 /// Largest number of iterations; the fit ends earlier without improvement.
 const STEPS: usize = 60;
-/// Fixed-point iterations of undistortion. Each halves the error at least, for distortions of real
-/// lenses.
+/// Number of fixed-point iterations of undistortion. For distortions of real lenses, each at least
+/// halves the error.
 const UNDISTORT: usize = 40;
 
 impl Camera {
@@ -60,7 +60,7 @@ impl Camera {
                 .collect();
             let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
             let mut better = false;
-            // Solve the damped normal equations; raise the damping until the cost falls.
+            // Solve the damped normal equations; raise the damping until the sum of squares falls.
             for _ in 0..8 {
                 let matrix = (0..10).map(|i| {
                     let mut row: Vec<f64> = (0..10).map(|j| dot(&columns[i], &columns[j])).collect();

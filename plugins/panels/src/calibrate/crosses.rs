@@ -1,8 +1,9 @@
 //! Detects dark crosses on a bright ground.
 //!
-//! Pixels darker than their surroundings form connected components. Long thin ones are crosses; a
-//! round one is the mark of the central cross. From that cross a search follows the steps of the
-//! array. The centre of a cross is the intersection of two lines, one fitted to each arm.
+//! Pixels darker than their surroundings form connected components. Long thin components are
+//! crosses; a round component is the mark of the central cross. From that cross a search follows
+//! the steps of the array. The centre of a cross is the intersection of two lines, one fitted to
+//! each arm.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -11,7 +12,7 @@ use image::GrayImage;
 /// A detected cross.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cross {
-    /// Its column to the right and row upwards, counted from the central cross.
+    /// [steps to the right, steps upwards] from the central cross to this cross.
     pub index: [i32; 2],
     /// [column, row] of its centre in the photograph.
     pub at_px: [f64; 2],
@@ -19,9 +20,10 @@ pub struct Cross {
 
 /// Threshold of a component's pixels, as a fraction of the largest darkness.
 const DARK: f32 = 0.4;
-/// Smallest component, pixels.
+/// Smallest number of pixels of a component.
 const MIN_PIXELS: usize = 12;
-/// Fill ratio of the bounding box: below the first is a cross, above the second a disc.
+/// Limits of the fraction of its bounding box that a component fills: less for a cross, more than
+/// [`DISC_FILLS`] for a disc.
 const CROSS_FILLS: f64 = 0.5;
 const DISC_FILLS: f64 = 0.62;
 /// Largest distance of a neighbour from its expected position, in steps of the array.
@@ -56,7 +58,7 @@ impl Component {
     }
 }
 
-/// All crosses of an array with `counts` crosses on each side of its central one.
+/// All crosses of an array with `counts` crosses on each side of the central cross.
 ///
 /// # Errors
 /// A description of the components found, if they are no array.

@@ -2,14 +2,14 @@
 //!
 //! There is one photograph per layer, all from one camera position e. Each shows the array on that
 //! layer alone, drawn in perspective for e. The reference layer's photograph yields the camera
-//! model of the display's plane:
+//! model of the display plane:
 //!
 //! ```text
 //! photograph = centre + size · distort(H(P)),   distort(u) = u · (1 + k₁ |u|² + k₂ |u|⁴)
 //! ```
 //!
-//! A cross of another layer appears at some point P' of that plane. It was drawn at q of the layer,
-//! and is at t:
+//! A cross of another layer appears at some point P' of that plane. It was drawn for point q of its
+//! layer, but is at point t:
 //!
 //! ```text
 //! q = e + (P − e) · (D − d) / D        t = e + (P' − e) · (D − d) / D
@@ -44,7 +44,7 @@ pub enum CalibrationError {
     },
     /// The camera model does not fit the crosses.
     #[error(
-        "photograph of layer {layer}: expected crosses of an array in perspective, found a reprojection error of {rms_px:.1} pixels"
+        "photograph of layer {layer}: expected crosses of an array in perspective (reprojection error of 3 pixels at most), found {rms_px:.1} pixels. Take a sharp photograph of the whole array"
     )]
     Fit {
         /// The photographed layer.
@@ -59,7 +59,7 @@ pub enum CalibrationError {
 pub struct Found {
     /// The layer.
     pub layer: usize,
-    /// The homography for its calibration; includes the previous one.
+    /// The homography for the panel's calibration; it includes the previous homography.
     pub homography: Homography,
     /// Number of crosses found.
     pub crosses: usize,
@@ -69,7 +69,7 @@ pub struct Found {
     pub moved_mm: f64,
 }
 
-/// Smallest number of crosses.
+/// Smallest number of crosses from which a calibration is computed.
 const FEWEST: usize = 9;
 /// Largest reprojection error of an array, pixels of the photograph.
 const ROUGH_PX: f64 = 3.0;
@@ -87,7 +87,7 @@ pub fn calibrate(
     others: &[(usize, &GrayImage)],
 ) -> Result<(Camera, Vec<Found>), CalibrationError> {
     let spacing = pattern::spacing_mm(display);
-    // Fit the camera to the reference layer, which defines the display's plane.
+    // Fit the camera to the reference layer, which defines the display plane.
     let on_plane = |cross: &Cross| cross.index.map(|i| f64::from(i) * spacing);
     let found = array(display, reference)?;
     let pairs: Vec<_> = found.iter().map(|cross| (on_plane(cross), cross.at_px)).collect();

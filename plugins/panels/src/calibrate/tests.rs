@@ -13,8 +13,8 @@ const OUTPUT: [usize; 2] = [840, 525];
 const EYE: [f64; 3] = [12.0, -8.0, 2000.0];
 /// Largest error of the homographies, panel pixels.
 const ERROR_PX: f64 = 0.1;
-/// The same at the panel's corners, outside the array. There the crosses are rotated, so their
-/// lines are staircases of panel pixels.
+/// Largest error at the corners of a rotated panel, outside the array, panel pixels. There the
+/// crosses are rotated too, so their lines are staircases of panel pixels.
 const ASKEW_PX: f64 = 0.2;
 
 fn display() -> Display {

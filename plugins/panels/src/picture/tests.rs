@@ -154,7 +154,8 @@ fn bilinear_reading_mixes_light_and_not_codes() {
     let codes = Picture::new(&display, Shows::Layer(0), [7, 5]).codes(&stack, 0, None);
     let value = |row: usize, col: usize, c: usize| stack.layers[0].block([0, row, col])[c];
     for (row, col) in (0..4).flat_map(|row| (1..7).map(move |col| (row, col))) {
-        // a quarter of a pixel to the left of its own, half a pixel below
+        // the lookup is a quarter of a pixel left of the pixel's own centre, and half a pixel below
+        // it
         let expected = [0, 1, 2].map(|c| {
             let line = |row| 0.25 * value(row, col - 1, c) + 0.75 * value(row, col, c);
             0.5 * line(row) + 0.5 * line(row + 1)

@@ -27,13 +27,13 @@ use crate::{Feed, Picture, Shows};
 
 /// Interval at which outputs, the duration and cancellation are checked.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
-/// Time that windows have to reach the size of their outputs.
+/// Longest time in which windows must reach the size of their outputs.
 const RESIZE_TIMEOUT: Duration = Duration::from_secs(5);
-/// Time that a thread has to end. After it the connection is closed: a hidden surface can block the
-/// present loop for ever.
+/// Time for a thread to end. After this time the connection is closed: a hidden surface can block
+/// the present loop for ever.
 const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(2);
-/// Delay before a graphics failure is reported. In it a lost output or session is found, which is
-/// the better error.
+/// Delay before a graphics failure is reported. Within this delay a lost output or session may be
+/// detected, which is the better error.
 const FAILURE_DELAY: Duration = Duration::from_millis(500);
 /// Time without a refresh after which a warning is emitted.
 const STALL_TIMEOUT: Duration = Duration::from_secs(2);
@@ -82,7 +82,7 @@ pub fn present(
         result: None,
     };
     let ran = event_loop.run_app(&mut app).map_err(session);
-    // the reason for ending precedes errors while ending
+    // the reason of the end takes precedence over errors that follow it
     app.result.unwrap_or(ran)
 }
 
@@ -103,7 +103,7 @@ struct App<'a> {
     pointer: Option<PhysicalPosition<f64>>,
     modifiers: ModifiersState,
     selected: usize,
-    /// Nudges that were not saved.
+    /// True if the nudges changed and were not saved.
     unsaved: bool,
     result: Option<Result<(), WindowError>>,
 }
@@ -546,7 +546,8 @@ impl App<'_> {
         self.apply(event_loop, command);
     }
 
-    /// Stops all threads and emits the report. The first reason is kept as the result.
+    /// Stops all threads and emits the report. If there are several reasons, the first is kept as
+    /// the result.
     fn end(&mut self, event_loop: &ActiveEventLoop, reason: Result<(), WindowError>) {
         event_loop.exit();
         if self.result.is_some() {
@@ -592,7 +593,7 @@ fn thread_error(error: std::io::Error) -> WindowError {
     WindowError::Session(format!("cannot start a thread: {error}"))
 }
 
-/// A window of fixed place and size that window managers do not change.
+/// A window of fixed position and size that window managers do not change.
 fn span_attributes(
     attributes: winit::window::WindowAttributes,
     [x, y]: [i32; 2],

@@ -36,7 +36,7 @@ struct Request {
 }
 
 impl Feedback {
-    /// None if the session is not Wayland, or lacks the protocol.
+    /// `None` if the session is not Wayland, or lacks the protocol.
     pub(super) fn new(screens: &[Screen], interval_s: f64) -> Option<Self> {
         let connection = connection_of(&screens.first()?.window)?;
         let surfaces = screens.iter().map(|screen| surface_of(&connection, &screen.window));

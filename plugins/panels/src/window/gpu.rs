@@ -33,13 +33,13 @@ pub(super) struct Viewport {
     pub(super) shows: Shows,
     pub(super) output: Output,
     pub(super) screen: usize,
-    /// [x, y] of its upper left pixel on the screen.
+    /// [x, y] of the area's upper left pixel on the screen.
     pub(super) origin: [u32; 2],
-    /// [columns, rows] on the screen; none for all of it.
+    /// [columns, rows] on the screen; `None` for the whole screen.
     pub(super) extent: Option<[u32; 2]>,
 }
 
-/// Uploaded frames of one period: `[place in the period][viewport]`.
+/// Uploaded frames of one period: `[position in the period][viewport]`.
 pub(super) struct FrameSet {
     pub(super) pictures: Vec<Vec<wgpu::BindGroup>>,
     /// Number of frame sets before this one.
@@ -205,7 +205,7 @@ impl Gpu {
     }
 
     /// Uploads the code values `[row][col][red, green, blue, 255]` of one output and submits the
-    /// copy at once.
+    /// copy immediately.
     pub(super) fn load(&self, codes: &[u8], [cols, rows]: [usize; 2], origin: [u32; 2]) -> wgpu::BindGroup {
         let size = wgpu::Extent3d { width: cols as u32, height: rows as u32, depth_or_array_layers: 1 };
         let texture = self.device.create_texture(&wgpu::TextureDescriptor {
@@ -270,8 +270,8 @@ impl Gpu {
             if width == 0 || height == 0 {
                 continue;
             }
-            // in a span, viewports lie beside one another; in a preview the viewport grows with the
-            // window
+            // in a span, viewports are next to one another; in a preview the viewport grows with
+            // the window
             let [cols, rows] = viewport.extent.unwrap_or([width, height]);
             pass.set_scissor_rect(x, y, cols.min(width), rows.min(height));
             pass.set_bind_group(0, picture, &[]);

@@ -8,8 +8,8 @@
 //! ```
 //!
 //! The present loop never waits for the producer. It waits for the display alone: Fifo surfaces are
-//! presented at vertical blanks, so the slowest output sets the rate. The loop keeps all outputs
-//! within one refresh of one another.
+//! presented at vertical blanks, so the slowest output sets the rate. The loop keeps the outputs in
+//! step: none is more than one refresh ahead of another.
 //!
 //! Where the platform reports presentation times (Wayland's presentation-time), they define late
 //! refreshes and the skew between outputs. Elsewhere the times of submission define late refreshes,

@@ -1,13 +1,13 @@
 //! Lists outputs, detects their changes, and keeps the keyboard focus on X11.
 //!
-//! On Wayland winit's list follows the registry. On X11 winit's list stays as it was at the start:
-//! RandR's events reach it through Xlib, which drops events of extensions that it did not
-//! initialize. Therefore a second connection queries the X server.
+//! On Wayland winit's list follows the registry. On X11 winit's list never changes: RandR's events
+//! reach winit through Xlib, and Xlib drops events of extensions that it did not initialize.
+//! Therefore a second connection queries the X server.
 //!
 //! X11 sends keys to the focused window. If the focus is the root window or none, keys go to the
-//! window under the pointer, and winit drops them. A window manager focuses new windows. Without
-//! one no client does, and a client that exits reverts the focus as its windows requested. For
-//! winit's fullscreen windows that is the root window.
+//! window under the pointer, and winit drops them. A window manager focuses new windows. Without a
+//! window manager no client sets the focus. When a client exits, the focus reverts to the window
+//! that the client requested: for winit's fullscreen windows, the root window.
 
 use winit::application::ApplicationHandler;
 use winit::event::WindowEvent;
@@ -78,8 +78,9 @@ impl Watch {
     }
 
     /// Sets the keyboard focus to `window` on an X server without a window manager: at the start,
-    /// and whenever the focus was lost. `unmanaged`: window managers ignore this window too. It
-    /// returns at once if nothing changed.
+    /// and whenever the focus was lost. `unmanaged` states that window managers ignore this window.
+    /// Then its focus is also set at the start if there is a window manager. Returns immediately if
+    /// nothing changed.
     pub(super) fn keep_focus(&mut self, window: &Window, unmanaged: bool) {
         #[cfg(all(unix, not(target_os = "macos")))]
         if let Self::X11(server) = self {
@@ -120,8 +121,8 @@ mod x11 {
 
     use crate::assign::Output;
 
-    /// Time without change events before a query: the server switches outputs off and on to change
-    /// them.
+    /// Time without change events before a query, since the server switches outputs off and on to
+    /// change them.
     const SETTLE_TIME: Duration = Duration::from_millis(200);
 
     /// A second connection to the X server, and the state of its events.
@@ -215,8 +216,8 @@ mod x11 {
         pub(super) fn outputs(&mut self) -> Result<&[Output], ReplyError> {
             self.poll_events()?;
             if self.changed_at.is_some_and(|changed_at| changed_at.elapsed() >= SETTLE_TIME) {
-                // The server keeps sending to an unplugged output. Outputs that never had a monitor
-                // are accepted too.
+                // The server keeps an unplugged output, so unplugged outputs are left out. Outputs
+                // that never had a monitor are kept.
                 let is = |(output, plugged): &(Output, bool)| *plugged || !self.plugged.contains(&output.name);
                 let there = self.query()?.into_iter().filter(is).map(|(output, _)| output).collect();
                 (self.outputs, self.changed_at) = (there, None);

@@ -12,9 +12,9 @@ use crate::{Feed, Tally};
 /// State shared with the present loop, which reads it without blocking.
 pub(super) struct SharedState {
     pub(super) stop: AtomicBool,
-    /// Place in the period to hold, or −1 to show all in turn.
+    /// Position in the period to hold, or −1 to show all positions in turn.
     pub(super) hold: AtomicI64,
-    /// Number of places in a period: frames, times three in a colour sequence.
+    /// Number of positions in a period: frames, times three in a colour sequence.
     pub(super) places: AtomicU64,
     /// A report is requested.
     pub(super) report: AtomicBool,
@@ -86,7 +86,7 @@ impl PresentLoop {
                 std::thread::sleep(RETRY_PAUSE);
                 continue;
             }
-            // Record the submission, then advance to the next place of the period.
+            // Record the submission, then advance to the next position of the period.
             let start = *start.get_or_insert_with(Instant::now);
             let now_s = start.elapsed().as_secs_f64();
             if let Some(tally) = &mut report.submitted {
@@ -109,7 +109,7 @@ impl PresentLoop {
         report
     }
 
-    /// Presents one frame on all surfaces; false if no surface had an image.
+    /// Presents one frame on all surfaces; returns false if no surface had an image.
     fn refresh(&mut self, pictures: &[wgpu::BindGroup], index: u64, missed: &mut u64) -> bool {
         let resized = self.shared.resized.swap(false, Ordering::Relaxed);
         // Acquire an image of every surface; this blocks until one is free.
@@ -188,7 +188,8 @@ impl PresentLoop {
             let viewports = self.viewports.iter().filter(|viewport| viewport.screen == screen);
             viewports.map(|viewport| viewport.output.name.as_str()).collect::<Vec<_>>().join(" + ")
         };
-        // a platform that announced presentation times and reported none counts as one without
+        // a platform that announced presentation times but reported none is treated as one without
+        // them
         if feedback.tallies().iter().all(|tally| tally.shown == 0) {
             return;
         }

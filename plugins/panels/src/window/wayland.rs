@@ -1,4 +1,4 @@
-//! Requests to Wayland beside winit's: inhibit idling, and disconnect.
+//! Requests to Wayland in addition to winit's: inhibit idling, and disconnect.
 
 use std::net::Shutdown;
 use std::os::unix::net::UnixStream;
@@ -12,7 +12,7 @@ use wayland_protocols::wp::idle_inhibit::zv1::client::zwp_idle_inhibitor_v1::Zwp
 use winit::raw_window_handle::{HasDisplayHandle, HasWindowHandle, RawDisplayHandle, RawWindowHandle};
 use winit::window::Window;
 
-/// The connection of a window; none if the session is not Wayland.
+/// The connection of a window; `None` if the session is not Wayland.
 pub(super) fn connection_of(window: &Window) -> Option<Connection> {
     let RawDisplayHandle::Wayland(handle) = window.display_handle().ok()?.as_raw() else { return None };
     // SAFETY: the pointer is the windows' connection, which outlives them and all objects created
