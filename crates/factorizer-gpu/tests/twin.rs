@@ -11,7 +11,7 @@ use lumistack_factorizer::{
 };
 use lumistack_factorizer_gpu::Device;
 
-#[path = "../../factorizer/src/tests/problems.rs"]
+#[path = "../../factorizer/tests/factorizer/problems.rs"]
 #[allow(dead_code, reason = "the solvers' own problems; not every part is needed here")]
 mod problems;
 

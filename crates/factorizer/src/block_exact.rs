@@ -176,6 +176,10 @@ impl Run for BlockExactRun {
         at_latest(&mut *self.state, |state| state.objective())
     }
 
+    fn known_objective(&self) -> Option<Objective> {
+        self.known
+    }
+
     fn kkt_residual(&mut self) -> f64 {
         at_latest(&mut *self.state, |state| state.kkt_residual())
     }
@@ -198,10 +202,6 @@ impl Run for BlockExactRun {
 }
 
 impl Iterated for BlockExactRun {
-    fn known_objective(&self) -> Option<Objective> {
-        self.known
-    }
-
     fn finish(mut self: Box<Self>) -> Box<dyn Updater> {
         self.state.swap_latest();
         self.state

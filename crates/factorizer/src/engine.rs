@@ -31,7 +31,7 @@ impl Executor for Processor {
 }
 
 /// The patterns of a run on the processor.
-pub(crate) struct Engine {
+pub struct Engine {
     plan: Arc<Plan>,
     display: Display,
     /// Values that rays read: layers rear to front, then the backlight.
@@ -136,27 +136,27 @@ impl Engine {
     }
 
     /// Selects the instruction set; `fast` permits the fast kernel.
-    #[cfg(test)]
-    pub(crate) fn use_kernel(&mut self, backend: lumistack_simd::Backend, fast: bool) {
+    pub fn use_kernel(&mut self, backend: lumistack_simd::Backend, fast: bool) {
         Arc::make_mut(&mut self.plan).use_backend(backend);
         self.fast = fast;
     }
 
-    /// Prepares a problem and starts its run.
-    #[cfg(test)]
-    pub(crate) fn new(problem: &crate::Problem, start: LayerStack, floor: f32) -> Result<Self, FactorizeError> {
+    /// Prepares a problem and starts its run. All values, now and later, are at least `floor`.
+    ///
+    /// # Errors
+    /// [`FactorizeError`] if the problem or the start does not fit the display.
+    pub fn new(problem: &crate::Problem, start: LayerStack, floor: f32) -> Result<Self, FactorizeError> {
         let prepared = crate::prepared::Prepared::new(problem, start, &Processor)?;
         Ok(Self::begin(prepared.into_begin(floor, false)))
     }
 
     /// Factor on all sums of weighted errors.
-    #[cfg(test)]
-    pub(crate) fn weight_scale(&self) -> f64 {
+    pub fn weight_scale(&self) -> f64 {
         self.plan.target.weight_scale
     }
 
     /// True if the fast kernel updates factor `n`.
-    pub(crate) fn is_fast(&self, n: usize) -> bool {
+    pub fn is_fast(&self, n: usize) -> bool {
         self.fast && self.plan.is_product() && self.plan.maps[n].shifted
     }
 

@@ -64,8 +64,11 @@ mod target;
 mod unlit;
 mod vector;
 
-#[cfg(test)]
-mod tests;
+/// Parts that the crate's own tests examine; they may change in any version.
+#[doc(hidden)]
+pub mod internals {
+    pub use crate::engine::Engine;
+}
 
 pub use block_exact::{BlockExact, Extrapolated};
 pub use engine::Processor;

@@ -4,7 +4,7 @@
 use crate::FactorizeError;
 use crate::device::Updater;
 use crate::prepared::Prepared;
-use crate::solver::{Objective, Run, Solver};
+use crate::solver::{Run, Solver};
 
 /// A solver that can start on a prepared problem.
 pub(crate) trait Method: Solver {
@@ -14,12 +14,6 @@ pub(crate) trait Method: Solver {
 
 /// A run that can hand over its patterns.
 pub(crate) trait Iterated: Run {
-    /// The objective that the last step found on its way; it may belong to the extrapolated
-    /// patterns.
-    ///
-    /// `None` if only [`Run::objective`] can compute it, or after a restart.
-    fn known_objective(&self) -> Option<Objective>;
-
     /// Ends the run and returns the updater that holds its patterns.
     fn finish(self: Box<Self>) -> Box<dyn Updater>;
 }

@@ -75,6 +75,11 @@ impl Run for MultiplicativeRun {
         self.state.objective()
     }
 
+    fn known_objective(&self) -> Option<Objective> {
+        // the rule does not compute by how much a step lowers the objective
+        None
+    }
+
     fn kkt_residual(&mut self) -> f64 {
         self.state.kkt_residual()
     }
@@ -97,11 +102,6 @@ impl Run for MultiplicativeRun {
 }
 
 impl Iterated for MultiplicativeRun {
-    fn known_objective(&self) -> Option<Objective> {
-        // the rule does not compute by how much a step lowers the objective
-        None
-    }
-
     fn finish(self: Box<Self>) -> Box<dyn Updater> {
         self.state
     }

@@ -43,7 +43,7 @@ pub struct Plan {
     pub(crate) valid_rows: Vec<Vec<bool>>,
     pub(crate) target: Target,
     /// Number of valid rays with a weight above 0.
-    pub(crate) rays: u64,
+    pub rays: u64,
     /// For a tile, its position in the whole display and its free pixels.
     pub(crate) tile: Option<TilePlace>,
     /// Instruction set of all kernels of the run.
@@ -145,7 +145,6 @@ impl Plan {
     }
 
     /// Selects the instruction set.
-    #[cfg(test)]
     pub(crate) fn use_backend(&mut self, backend: Backend) {
         self.backend = backend;
         self.row = RowFunctions::new(backend);

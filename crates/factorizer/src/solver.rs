@@ -36,6 +36,12 @@ pub trait Run {
     /// Computes the objective of the current patterns.
     fn objective(&mut self) -> Objective;
 
+    /// The objective that the last step found on its way; it may belong to the extrapolated
+    /// patterns.
+    ///
+    /// `None` if only [`Self::objective`] can compute it, or after a restart.
+    fn known_objective(&self) -> Option<Objective>;
+
     /// Computes the KKT residual: the distance of the patterns from the first-order conditions.
     ///
     /// It is the root mean square, over all values, of the change of the emission by an exact

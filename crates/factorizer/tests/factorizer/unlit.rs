@@ -4,10 +4,10 @@ use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{LayerStack, RayMap};
 use lumistack_simd::Backend;
 
-use super::problems::{Kind, Owned, display, random};
-use crate::device::Updater;
-use crate::engine::Engine;
-use crate::{Settings, StartKind, factorize, random_start};
+use crate::problems::{Kind, Owned, display, random};
+use lumistack_factorizer::device::Updater;
+use lumistack_factorizer::internals::Engine;
+use lumistack_factorizer::{Settings, StartKind, factorize, random_start};
 
 /// Largest loss by the end of a run, dB.
 const COST_DB: f64 = 1e-3;
@@ -110,7 +110,7 @@ fn the_end_of_a_run_costs_nothing_and_is_the_same_by_every_kernel() {
         let mut engine = Engine::new(&problem, stack.clone(), 0.0).unwrap();
         for _ in 0..10 {
             (0..engine.plan().factor_count()).for_each(|n| {
-                engine.update(n, crate::step::Rule::Block { sweeps: 4 }, None);
+                engine.update(n, lumistack_factorizer::device::Rule::Block { sweeps: 4 }, None);
             });
         }
         let before = engine.download();
@@ -138,7 +138,7 @@ fn darkening_changes_no_value_that_light_reaches_on_any_display() {
             let problem = owned.problem();
             let mut engine = Engine::new(&problem, random_start(&owned.display, seed), 0.0).unwrap();
             (0..engine.plan().factor_count()).for_each(|n| {
-                engine.update(n, crate::step::Rule::Block { sweeps: 4 }, None);
+                engine.update(n, lumistack_factorizer::device::Rule::Block { sweeps: 4 }, None);
             });
             let before = engine.objective();
             engine.darken_unlit();

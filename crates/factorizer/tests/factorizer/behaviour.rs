@@ -6,11 +6,11 @@ use std::sync::Arc;
 use lumistack_core::{Cancel, Collector, Progress, Task, Tensor};
 use lumistack_display::{LayerStack, Sampling, Weights};
 
-use super::problems::{Kind, Owned, display, random};
-use crate::device::Updater;
-use crate::engine::Engine;
-use crate::step::Rule;
-use crate::{ChannelRun, Factorization, FactorizeError, Settings, factorize};
+use crate::problems::{Kind, Owned, display, random};
+use lumistack_factorizer::device::Rule;
+use lumistack_factorizer::device::Updater;
+use lumistack_factorizer::internals::Engine;
+use lumistack_factorizer::{ChannelRun, Factorization, FactorizeError, Settings, factorize};
 
 /// Tolerance for an exact solution in f32.
 const EXACT: f32 = 1e-6;
@@ -161,8 +161,8 @@ fn a_cancelled_step_leaves_the_lines_that_it_did_not_reach() {
     for kind in [Kind::Plain, Kind::Bilinear, Kind::LensletsDark, Kind::Additive] {
         let owned = random(kind, 6);
         for solver in ["multiplicative", "block-exact"] {
-            let start = crate::random_start(&owned.display, 6);
-            let mut run = crate::solver(solver).unwrap().start(&owned.problem(), start).unwrap();
+            let start = lumistack_factorizer::random_start(&owned.display, 6);
+            let mut run = lumistack_factorizer::solver(solver).unwrap().start(&owned.problem(), start).unwrap();
             let (before, cancel) = (run.download(), Cancel::default());
             cancel.cancel();
             assert!(run.step(&cancel).is_err(), "{kind:?} {solver}");
@@ -179,7 +179,8 @@ fn the_objective_is_reported_as_often_as_asked_and_at_the_end() {
     let settings = Settings { report_every: 4, ..iterations(10) };
     let result = solve(&owned, &settings, None).unwrap();
     assert_eq!(result.history.iter().map(|entry| entry.iteration).collect::<Vec<_>>(), [0, 4, 8, 10]);
-    let mut run = crate::solver("multiplicative").unwrap().start(&owned.problem(), result.stack).unwrap();
+    let mut run =
+        lumistack_factorizer::solver("multiplicative").unwrap().start(&owned.problem(), result.stack).unwrap();
     let objective = run.objective();
     assert_eq!(objective.value, result.history[3].objective);
 }

@@ -4,10 +4,10 @@
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{LayerColour, LayerStack, RayMap, Region, Tap, Tile, Tiling, Weights};
 
-use super::problems::{Kind, Owned, random};
-use crate::device::Updater;
-use crate::engine::Engine;
-use crate::{FactorizeError, Problem, Settings, factorize, factorize_tile, random_start};
+use crate::problems::{Kind, Owned, random};
+use lumistack_factorizer::device::Updater;
+use lumistack_factorizer::internals::Engine;
+use lumistack_factorizer::{FactorizeError, Problem, Settings, factorize, factorize_tile, random_start};
 
 /// Tolerance of a gain, relative to the previous objective. Tile and whole sum the gain in f32.
 const GAIN_TOLERANCE: f64 = 2e-5;
@@ -134,7 +134,7 @@ fn what_a_tile_gains_with_fixed_borders_the_whole_gains() {
             // a warm start lifts black
             let tensors = stack.layers.iter_mut().map(|layer| layer.data_mut());
             for values in tensors.chain(stack.emission.iter_mut().map(|emission| emission.data_mut())) {
-                values.iter_mut().for_each(|value| *value = value.max(crate::FLOOR));
+                values.iter_mut().for_each(|value| *value = value.max(lumistack_factorizer::FLOOR));
             }
             let before = objective(&problem, &stack);
             let start = stack.cut(&held);
@@ -193,7 +193,7 @@ fn tiles_begin_as_the_whole_does() {
     let geometry = owned.target.geometry();
     let tiling = Tiling::new(&owned.display, geometry, [2, 2]);
     let settings = Settings {
-        start: Some(crate::StartKind::Random),
+        start: Some(lumistack_factorizer::StartKind::Random),
         iterations: 0,
         coarse_levels: Some(0),
         ..Settings::default()

@@ -3,10 +3,10 @@
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{Display, EyeBox, Formation, LayerColour, LayerStack, LightField, Sampling, Weights, score};
 
-use super::fields::{display, light_field};
-use crate::device::Updater;
-use crate::engine::Engine;
-use crate::{Factorization, Problem, Settings, factorize};
+use crate::fields::{display, light_field};
+use lumistack_factorizer::device::Updater;
+use lumistack_factorizer::internals::Engine;
+use lumistack_factorizer::{Factorization, Problem, Settings, factorize};
 
 /// Number of iterations of every solve; PSNR differences then vary by about 0.2 dB.
 const ITERATIONS: u32 = 30;

@@ -4,14 +4,12 @@ use lumistack_core::Cancel;
 use lumistack_display::score;
 use lumistack_simd::Backend;
 
-use super::oracle::Oracle;
-use super::problems::{Kind, random};
-use crate::device::Updater;
-use crate::engine::{Engine, Processor};
-use crate::prepared::Prepared;
-use crate::solvers::method;
-use crate::step::Rule;
-use crate::{FLOOR, random_start};
+use crate::oracle::Oracle;
+use crate::problems::{Kind, random};
+use lumistack_factorizer::device::Rule;
+use lumistack_factorizer::device::Updater;
+use lumistack_factorizer::internals::Engine;
+use lumistack_factorizer::{FLOOR, random_start, solver};
 
 /// Largest allowed difference of a mask value between full updates in f32 and in f64.
 const MASK_TOLERANCE: f64 = 1e-5;
@@ -157,13 +155,13 @@ fn many_steps_end_where_the_first_order_conditions_hold() {
         let owned = random(kind, 1);
         let problem = owned.problem();
         let start = random_start(&owned.display, 1);
-        for solver in ["block-exact", "extrapolated"] {
-            let mut run = crate::solver(solver).unwrap().start(&problem, start.clone()).unwrap();
+        for name in ["block-exact", "extrapolated"] {
+            let mut run = solver(name).unwrap().start(&problem, start.clone()).unwrap();
             let first = run.kkt_residual();
             (0..2000).for_each(|_| run.step(&Cancel::default()).unwrap());
             let last = run.kkt_residual();
-            println!("{kind:?} {solver}: {first:.1e} to {last:.1e}, objective {:.6e}", run.objective().value);
-            assert!(last < 1e-3 * first && last < SETTLED, "{kind:?} {solver}: {first} to {last}");
+            println!("{kind:?} {name}: {first:.1e} to {last:.1e}, objective {:.6e}", run.objective().value);
+            assert!(last < 1e-3 * first && last < SETTLED, "{kind:?} {name}: {first} to {last}");
         }
     }
 }
@@ -197,8 +195,8 @@ fn the_objective_that_a_step_finds_on_its_way_is_that_of_its_end() {
     for kind in Kind::ALL {
         for seed in SEEDS {
             let owned = random(kind, seed);
-            let prepared = Prepared::new(&owned.problem(), random_start(&owned.display, seed), &Processor).unwrap();
-            let mut run = method("block-exact").unwrap().begin(prepared).unwrap();
+            let start = random_start(&owned.display, seed);
+            let mut run = solver("block-exact").unwrap().start(&owned.problem(), start).unwrap();
             for _ in 0..3 {
                 run.step(&Cancel::default()).unwrap();
                 let Some(known) = run.known_objective() else { continue };
@@ -218,8 +216,7 @@ fn steps_by_the_local_curvature_never_worsen_either() {
     for seed in SEEDS {
         let owned = random(Kind::Polarization, seed);
         let problem = owned.problem();
-        let mut run =
-            crate::solver("block-exact").unwrap().start(&problem, random_start(&owned.display, seed)).unwrap();
+        let mut run = solver("block-exact").unwrap().start(&problem, random_start(&owned.display, seed)).unwrap();
         let first = run.objective().value;
         let mut before = first;
         for step in 0..30 {

@@ -3,8 +3,8 @@
 use lumistack_core::Cancel;
 use lumistack_display::LayerStack;
 
-use super::problems::{Owned, display};
-use crate::{Multiplicative, Solver, random_start};
+use crate::problems::{Owned, display};
+use lumistack_factorizer::{Multiplicative, Solver, random_start};
 
 /// Light field of a card at z = `d_mm` in closed form: L(x, s) = texture(x + d·s).
 fn card(d_mm: f64) -> Owned {

@@ -3,7 +3,7 @@
 use lumistack_core::{Cancel, Collector, Task, Tensor};
 use lumistack_display::{Backlight, Display, LensletBacklight, LightField, Missing, OutsideBins, Weights};
 
-use crate::{Multiplicative, Problem, Settings, Solver, factorize, random_start};
+use lumistack_factorizer::{Multiplicative, Problem, Settings, Solver, factorize, random_start};
 
 /// Tolerance for differences between random starts, dB.
 const FIGURE_TOLERANCE: f64 = 0.3;

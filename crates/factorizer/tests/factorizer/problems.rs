@@ -7,7 +7,7 @@ use lumistack_display::{
     Sampling, Weights,
 };
 
-use crate::Problem;
+use lumistack_factorizer::Problem;
 
 /// The property that a random problem has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

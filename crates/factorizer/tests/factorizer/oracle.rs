@@ -6,7 +6,7 @@ use lumistack_display::{
     Backlight, Formation, Layer, LayerColour, LayerStack, Missing, OutsideBins, Projection, Sampling,
 };
 
-use crate::Problem;
+use lumistack_factorizer::Problem;
 
 /// A stored value that a ray reads.
 #[derive(Clone)]

@@ -4,8 +4,8 @@
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{LightField, Weights};
 
-use super::problems::{Owned, display};
-use crate::{Settings, factorize, warm_start_pays};
+use crate::problems::{Owned, display};
+use lumistack_factorizer::{Settings, factorize, warm_start_pays};
 
 /// A wall of waves behind the display, and in front of it a striped card that moved by `shift`
 /// pixels. Another `scene` changes everything.
