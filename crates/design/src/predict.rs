@@ -1,18 +1,17 @@
-//! Predicted quality of a design before it is solved: a ranking, in decibels.
+//! Predicts the quality of a design before it is solved, in decibels, to rank designs.
 //!
-//! Three properties of a display explain most of the quality on a light field that suits it. They
-//! are degrees of freedom per ray, brightness, and the detail that the bound allows over the
-//! display's useful depths. These reach to z_1 = p/Δs, a disparity of one pixel between
-//! neighbouring views:
+//! Three properties of a display explain most of the quality, for a light field whose depths suit
+//! it: degrees of freedom per ray, brightness, and the detail that the bound allows. Detail is
+//! averaged up to the depth z_1 = p/Δs, where neighbouring views differ by one pixel:
 //!
 //! ```text
 //! PSNR ≈ c_0 + c_1 log2 ρ + c_2 log2 1/β + c_3 mean of min(1, ω(z) 2p) over |z| ≤ z_1
-//! ρ = values per ray
+//! ρ = values of the patterns per ray
 //! ```
 //!
 //! The constants were fitted by least squares to 80 random designs on one scene ([`COEFFICIENTS`]).
 //! Another scene mainly changes c_0, so use the ranking, not the value. `cargo xtask bench design`
-//! prints the rank correlation with solved designs outside the fit.
+//! prints the rank correlation of predicted and solved designs that the fit did not use.
 
 use lumistack_display::Display;
 
@@ -31,7 +30,7 @@ pub fn features(display: &Display) -> [f64; 3] {
     let steps =
         [0, 1].map(|axis| 2.0 / display.views()[axis] as f64 * (0.5 * display.field.fov_deg[axis].to_radians()).tan());
     let step = steps[0].max(steps[1]);
-    // one direction has no depth
+    // a single direction shows no depth
     let reach = if step > 0.0 { display.field.pitch_mm / step } else { 0.0 };
     let share = |i: usize| {
         let z = reach * (2.0 * i as f64 / (DEPTHS - 1) as f64 - 1.0);

@@ -9,7 +9,7 @@ use lumistack_plot::{self as plot, FAMILY, PlotError};
 /// A picture and its caption.
 #[derive(Clone, Debug, Default)]
 pub struct Cell {
-    /// Under the picture; empty for nothing.
+    /// Text under the picture; empty for none.
     pub caption: String,
     /// Codes `[row][col][rgb]`.
     pub rgb: Vec<u8>,
@@ -18,11 +18,11 @@ pub struct Cell {
 /// Pictures in rows and columns.
 #[derive(Clone, Debug, Default)]
 pub struct Sheet {
-    /// [columns, rows] of pixels of every picture.
+    /// [columns, rows] of pixels; all pictures have this size.
     pub size: [usize; 2],
-    /// Lines of text above every column, the first one larger.
+    /// Lines of text above every column. The first line is larger.
     pub columns: Vec<Vec<String>>,
-    /// Text beside a row, and its pictures.
+    /// For each row, the text next to it, and its pictures.
     pub rows: Vec<(String, Vec<Cell>)>,
 }
 
@@ -30,7 +30,7 @@ pub struct Sheet {
 const LEAST_WIDTH: usize = 200;
 const SPACE: usize = 8;
 const LINE: usize = 17;
-/// Width of the text beside rows.
+/// Width of the text next to the rows, pixels.
 const SIDE: usize = 30;
 
 impl Sheet {
