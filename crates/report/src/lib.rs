@@ -1,4 +1,5 @@
-//! The run's report: the display's views beside the target, as one HTML file and as numbers.
+//! The report of a run: views of the display next to those of the target, as one HTML file, and
+//! scores.
 //!
 //! [`build`] simulates every target view once with the display's forward model and returns two
 //! texts. It writes no files, reads no clock and makes no network request. `report.html` is one
@@ -11,17 +12,17 @@
 //!                                      patterns pictures of the masks
 //! ```
 //!
-//! A sequence of time steps has its own report, [`sequence()`], and so has a job with several
+//! A sequence of time steps has another report, [`sequence()`], and so has a job with several
 //! displays, [`graph()`].
 //!
-//! The main figure is `psnr_zone`: PSNR of pixel-averaged views in directions over the whole zone,
-//! independent of the target views.
+//! The main score is `psnr_zone`: PSNR of seen pictures in directions over the whole zone. It does
+//! not depend on the choice of target views.
 //!
-//! PSNR is the display crate's: peak 1, linear light, over all channels and all rays with w > 0
-//! that hit the display. `psnr_view` compares L̃/β with L. `psnr_raw` compares L̃ with βL and is
-//! higher by −20·log10 β. SSIM and FLIP compare L̃/β with L, clamped to 0..1, as
-//! [`lumistack_core::metrics`] defines them. Rays that do not count are set to the target in both
-//! pictures, and the means run over the pixels that count.
+//! PSNR is defined as in the display crate: peak 1, linear light, over all channels and all rays
+//! with w > 0 that hit the display. `psnr_view` compares L̃/β with L. `psnr_raw` compares L̃ with
+//! βL and is higher by −20·log10 β. SSIM and FLIP compare L̃/β with L, clamped to 0..1, as
+//! [`lumistack_core::metrics`] defines them. Other rays are excluded: both pictures have the
+//! target's value there, and the means do not include these pixels.
 //!
 //! # report.json
 //!
@@ -47,9 +48,9 @@
 //! | `display`, `settings`, `scene` | the display file, the resolved job, facts about the scene or null |
 //! | `warnings`, `outputs` | lists of `place`, `message` and of `label`, `path` (relative to the report), `failed` (null, or the reason) |
 //!
-//! JSON has no infinity: a PSNR of equal pictures is the text `"Infinity"`, which Python's
-//! `float()`, JavaScript's `Number()` and Rust's `str::parse::<f64>` read. A figure without any ray
-//! that counts is `null`.
+//! JSON has no infinity: the PSNR of equal pictures is the text `"Infinity"`. Python's `float()`,
+//! JavaScript's `Number()` and Rust's `str::parse::<f64>` read it. A score that includes no ray is
+//! `null`.
 
 mod convergence;
 mod depth;
@@ -84,10 +85,10 @@ pub use sequence::{SequenceFigures, SequenceInput, SequenceReport, SequenceSerie
 /// that this code affects.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
-/// Simulates the display and makes its report.
+/// Simulates the display and makes the report.
 ///
 /// # Errors
-/// If stack or weights do not fit display and target, or the task is cancelled.
+/// If stack or weights do not match display and target, or the task is cancelled.
 pub fn build(input: &ReportInput, task: Task) -> Result<Report, ReportError> {
     input.stack.check(input.display)?;
     input.weights.check(input.target.geometry())?;
