@@ -11,7 +11,7 @@ use serde::Serialize;
 /// Number of depths at which the bound is sampled.
 const SAMPLES: usize = 1601;
 
-/// The analysis of a display.
+/// Limits of a display, and the depths of a scene if there is one.
 #[derive(Clone, Debug, Serialize)]
 pub struct Analysis {
     /// Name of the display.
@@ -32,7 +32,7 @@ pub struct Analysis {
     pub bound_holds: bool,
     /// The bound along x and along y.
     pub axes: [AxisAnalysis; 2],
-    /// The viewing zone.
+    /// The viewing zone of the display.
     pub zone: Zone,
     /// Frames and refresh rate.
     pub timing: Timing,
@@ -54,17 +54,18 @@ pub struct AxisAnalysis {
     pub cutoff_on_screen: f64,
     /// Points of the bound: [z in millimetres, bound].
     pub bound: Vec<[f64; 2]>,
-    /// Corners of the spectral support: [cycles per millimetre, cycles per unit of slope].
+    /// Corners of the spectral support, a polygon: [cycles per millimetre, cycles per unit of
+    /// slope].
     pub support: Vec<[f64; 2]>,
     /// Width of the prefilter, as a range of slopes.
     pub footprint: f64,
-    /// The paper's closed form for a display of this kind.
+    /// The closed form that the paper has for displays of this kind, if there is one.
     pub closed: Option<Closed>,
     /// Equation (23), for the lens array without the layers.
     pub lens_array: Option<Closed>,
 }
 
-/// A closed form, compared with the general bound.
+/// A closed form of the paper, compared with the general bound.
 #[derive(Clone, Debug, Serialize)]
 pub struct Closed {
     /// Number of the equation in the paper.
@@ -86,7 +87,7 @@ pub struct Closed {
 /// The viewing zone. Pairs are [horizontal, vertical].
 #[derive(Clone, Debug, Serialize)]
 pub struct Zone {
-    /// Full angles, degrees.
+    /// Field of view: full angles, degrees.
     pub fov_deg: [f64; 2],
     /// Number of views.
     pub views: [usize; 2],
@@ -108,13 +109,13 @@ pub struct Zone {
 /// Frames and refresh rate.
 #[derive(Clone, Debug, Serialize)]
 pub struct Timing {
-    /// Frames M.
+    /// Number of frames M.
     pub frames: usize,
-    /// Refreshes of a period: M, or 3M with a colour sequence.
+    /// Refreshes of the panels in one period: M, or 3M with a colour sequence.
     pub subframes: usize,
     /// Refresh rate of the panels, hertz.
     pub refresh_hz: f64,
-    /// Periods a second.
+    /// Number of periods a second.
     pub period_hz: f64,
     /// Refresh rate at which [`Display::FLICKER_HZ`] periods a second are shown, hertz.
     pub wanted_hz: f64,
@@ -129,7 +130,7 @@ pub struct Brightness {
     pub beta: f64,
     /// Largest transmittance of all layers together; a larger β cannot be reached.
     pub white: f64,
-    /// Light of the darkest state divided by that of the brightest.
+    /// Light of the darkest state divided by the light of the brightest.
     pub black: f64,
 }
 
@@ -148,7 +149,7 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Reads a depth budget in the form of `report.json`.
+    /// Reads the depths of a scene from a depth budget, in the form that `report.json` has.
     pub fn from_budget(budget: &serde_json::Value, sentence: String) -> Self {
         let number = |value: &serde_json::Value| value.as_f64().unwrap_or(f64::NAN);
         let histogram = &budget["depth_histogram"];

@@ -22,12 +22,12 @@
 //! There are three measures ([`Achieved`]).
 //!
 //! * *At the target views*: over the rays of the target. Errors between the views are not measured.
-//! A display may be exact at these rays and yet show nothing of the grating elsewhere.
+//!   A display may be exact at these rays and yet show nothing of the grating elsewhere.
 //! * *In between*: over rays of the whole zone, with [`POINTS`] rays per pixel and at least two
-//! slopes per view. This covers the whole emission, including the pixels' shape.
+//!   slopes per view. This covers the whole emission, including the pixels' shape.
 //! * *With more views*: over the same rays, for patterns that are solved for more views: one per
-//! [`angular_footprint`](Display::angular_footprint), as many as the bound can use. This measures
-//! the hardware; *in between* measures the display with its own number of views.
+//!   [`angular_footprint`](Display::angular_footprint), as many as the bound can use. This measures
+//!   the hardware; *in between* measures the display with its own number of views.
 //!
 //! Contrast over rays in between obeys the bound, except in narrow zones. A grating may move by no
 //! more than [`HALF_SINC`] periods over the zone. Then even a picture that is the same for all
@@ -59,7 +59,7 @@ const SLOPES: usize = 40;
 /// Largest number of views of a strip.
 const MOST_VIEWS: usize = 48;
 
-/// The gratings to measure, and the effort of the solver.
+/// The gratings to measure, and settings of the solver.
 #[derive(Clone, Debug)]
 pub struct Gratings {
     /// Depths, millimetres.
@@ -72,7 +72,7 @@ pub struct Gratings {
     pub seed: u64,
 }
 
-/// Contrast of one grating.
+/// Contrast of one grating, by three measures.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Contrast {
     /// Depth of the grating, millimetres.
@@ -101,7 +101,7 @@ pub enum Achieved {
 }
 
 impl Contrast {
-    /// The contrast by one measure.
+    /// The contrast of the grating by one measure.
     pub fn of(&self, achieved: Achieved) -> f64 {
         match achieved {
             Achieved::AtTheViews => self.contrast,
@@ -241,7 +241,7 @@ fn useful_views(display: &Display, axis: usize) -> usize {
     if footprint > 0.0 { ((zone / footprint - 1e-9).ceil() as usize).clamp(1, MOST_VIEWS) } else { 1 }
 }
 
-/// The display reduced to one row of pixels and this number of views along an axis.
+/// The display reduced to one row of pixels, and to `views` views, along an axis.
 fn strip(display: &Display, axis: usize, views: usize) -> Result<Display, ContrastError> {
     let mut strip = display.clone();
     let cols = display.field.resolution[axis].min(MOST_COLS);
@@ -258,7 +258,8 @@ fn strip(display: &Display, axis: usize, views: usize) -> Result<Display, Contra
     }
     if let Backlight::Lenslets(backlight) = &mut strip.backlight {
         let needed = ((width_mm + 2.0 * backlight.d_mm.abs() * half) / backlight.pitch_mm).ceil() as usize + 2;
-        // keep the parity, as arrays of even and odd counts differ by half a lenslet
+        // keep the count odd or even, since the lenslets of odd and even arrays differ by half a
+        // lenslet
         let count = needed.min(backlight.lenslets[axis]);
         let same_parity = count + (backlight.lenslets[axis] - count) % 2;
         backlight.lenslets = [same_parity.max(1), 1];
@@ -282,8 +283,8 @@ pub fn achieved_cutoff(found: &[Contrast], achieved: Achieved) -> Vec<[f64; 2]> 
     }
     let cutoff = |mut list: Vec<&Contrast>| {
         list.sort_by(|a, b| a.frequency.total_cmp(&b.frequency));
-        // linear interpolation from contrast 1 at frequency 0 to the first value below the
-        // threshold
+        // interpolate between the last contrast above the threshold and the first one below it; the
+        // contrast is 1 at frequency 0
         let (mut frequency, mut before) = (0.0, 1.0);
         for contrast in list {
             if contrast.of(achieved) < SHOWN {
@@ -341,6 +342,7 @@ fn bound_of(found: &[Contrast]) -> Vec<[f64; 2]> {
 }
 
 /// The half-contrast frequency of a display over depth, by each measure, next to its bound, as SVG.
+///
 /// # Errors
 /// If there are no results.
 pub fn achieved_plot(name: &str, found: &[Contrast]) -> Result<String, PlotError> {
@@ -427,7 +429,8 @@ mod tests {
     #[test]
     fn a_layer_helps_integral_imaging_on_the_screen_and_off_it_only_with_frames() {
         let bin = 0.4 * 10f64.to_radians().tan();
-        // between the lens array's limit, 1/(2Δx), and the bound with the layer, 1/(2 z Δs)
+        // a depth at which the frequency is above the lens array's limit, 1/(2Δx), and below the
+        // bound with the layer, 1/(2 z Δs)
         let off = 0.45 * 2.0 / bin;
         let gratings = |display: &Display| {
             let found = measured(display, &[0.0, off], &[0.45]);

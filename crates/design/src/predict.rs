@@ -1,7 +1,7 @@
 //! Predicts the quality of a design before it is solved, in decibels, to rank designs.
 //!
-//! Three properties of a display explain most of the quality, for a light field whose depths suit
-//! it: degrees of freedom per ray, brightness, and the detail that the bound allows. Detail is
+//! For a light field whose depths suit the display, three properties explain most of the quality.
+//! They are degrees of freedom per ray, brightness, and the detail that the bound allows. Detail is
 //! averaged up to the depth z_1 = p/Δs, where neighbouring views differ by one pixel:
 //!
 //! ```text
@@ -17,13 +17,13 @@ use lumistack_display::Display;
 
 use crate::table::Design;
 
-/// c_0 to c_3, dB.
+/// Constants c_0 to c_3, dB.
 pub const COEFFICIENTS: [f64; 4] = [26.1, 7.7, 0.9, 14.7];
 
 /// Number of depths over which the bound is averaged.
 const DEPTHS: usize = 65;
 
-/// log2 ρ, log2 1/β, and the mean detail.
+/// The features of a display: log2 ρ, log2 1/β, and the mean detail.
 pub fn features(display: &Display) -> [f64; 3] {
     let design = Design::of("", display);
     let own = 0.5 / display.field.pitch_mm;
@@ -46,8 +46,8 @@ pub fn predicted_db(display: &Display) -> f64 {
     c0 + rest.iter().zip(features(display)).map(|(c, feature)| c * feature).sum::<f64>()
 }
 
-/// Spearman's rank correlation of two lists of equal length; ties have their mean rank. NaN if a
-/// list is constant.
+/// Spearman's rank correlation of two lists of equal length. Equal values have the mean of their
+/// ranks. NaN if a list is constant.
 pub fn rank_correlation(first: &[f64], second: &[f64]) -> f64 {
     let [a, b] = [first, second].map(ranks);
     let mean = (a.len() as f64 - 1.0) / 2.0;
@@ -84,7 +84,7 @@ mod tests {
         let close = |found: f64, expected: f64| assert!((found - expected).abs() < 1e-12, "{found}");
         close(rank_correlation(&[1.0, 2.0, 3.0], &[10.0, 20.0, 1e9]), 1.0);
         close(rank_correlation(&[1.0, 2.0, 3.0], &[3.0, 2.0, 1.0]), -1.0);
-        // 1 − 6 Σ d²/(n (n² − 1)) without ties
+        // without equal values, the correlation is 1 − 6 Σ d²/(n (n² − 1))
         close(rank_correlation(&[1.0, 2.0, 3.0, 4.0], &[2.0, 1.0, 4.0, 3.0]), 1.0 - 6.0 * 4.0 / 60.0);
         close(rank_correlation(&[1.0, 1.0, 2.0], &[5.0, 5.0, 7.0]), 1.0);
         assert!(rank_correlation(&[1.0, 1.0], &[1.0, 2.0]).is_nan());

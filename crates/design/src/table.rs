@@ -11,16 +11,16 @@ use lumistack_plot::{self as plot, Axes, COLOURS, Curve, Map, PlotError};
 pub struct Design {
     /// Name of the display file that the design varies.
     pub display: String,
-    /// Layers N.
+    /// Number of layers N.
     pub layers: usize,
-    /// Frames M.
+    /// Number of frames M.
     pub frames: usize,
     /// Brightness scale β.
     pub brightness: f64,
     /// Mean distance between neighbouring layers, millimetres. For a single layer, its distance to
     /// the backlight; 0 if there is no directional backlight.
     pub gap_mm: f64,
-    /// [horizontal, vertical] full angles, degrees.
+    /// Field of view: [horizontal, vertical] full angles, degrees.
     pub fov_deg: [f64; 2],
     /// [columns, rows] of lenslets; [0, 0] without lenslets.
     pub lenslets: [usize; 2],
@@ -70,7 +70,7 @@ impl Design {
 pub struct Row {
     /// The design.
     pub design: Design,
-    /// PSNR of pixel-averaged views / β over the whole zone, dB, if a scene was rendered.
+    /// Zone score: PSNR of seen pictures over the whole zone, dB, if a scene was rendered.
     #[serde(default)]
     pub psnr_zone_db: Option<f64>,
     /// The PSNR of `psnr_zone_db` for the worst tenth of the directions, dB.
@@ -280,7 +280,7 @@ const GOOD_DB: f64 = 40.0;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Plots {
-    /// None.
+    /// No plots.
     None,
     /// Maps of one pair of N, M and β, and a plot for every other axis.
     #[default]
@@ -388,7 +388,7 @@ fn values(rows: &[Row], axis: Axis) -> Vec<String> {
     found.into_iter().map(|(_, name)| name).collect()
 }
 
-/// Groups of rows that agree on all of `axes`, in order of appearance.
+/// Groups of rows that have equal values on all of `axes`, in order of appearance.
 fn groups(rows: &[Row], axes: &[Axis]) -> Vec<Vec<Row>> {
     let mut found: Vec<(Vec<String>, Vec<Row>)> = Vec::new();
     for row in rows {

@@ -77,7 +77,7 @@ impl Views for PictureGrid {
     }
 }
 
-/// Camera data in a picture's name.
+/// Data that the name of a camera's picture contains.
 #[derive(Clone, Debug, PartialEq)]
 struct CameraName {
     prefix: String,

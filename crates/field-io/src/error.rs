@@ -18,7 +18,7 @@ pub enum FieldError {
         path: PathBuf,
         /// The operation: "read", "write", "list the folder".
         action: &'static str,
-        /// The system's error.
+        /// The operating system's error.
         #[source]
         source: io::Error,
     },

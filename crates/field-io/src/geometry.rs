@@ -35,7 +35,7 @@ pub struct GeometryFlags {
     /// [columns, rows] of tiles of a quilt whose name does not contain them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub quilt: Option<[usize; 2]>,
-    /// [horizontal, vertical] views of a single picture of tiles, view (0, 0) at the top left.
+    /// [horizontal, vertical] views of a single picture of tiles, with view (0, 0) at the top left.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tiles: Option<[usize; 2]>,
     /// [columns, rows] of every view after reduction, by area averaging after a crop to this

@@ -25,8 +25,8 @@ impl AsRef<[f32]> for Mapped {
     }
 }
 
-/// Maps `count` little-endian `float32` values from byte `first` on.
 /// Maps `count` little-endian `float32` values of a file, from byte `first` on.
+///
 /// `None` if this machine cannot use the bytes of the file directly, or the file is too short.
 pub(crate) fn lend(file: &File, first: u64, count: usize) -> Option<Lender> {
     if !(cfg!(target_endian = "little") && cfg!(target_pointer_width = "64") && first.is_multiple_of(4)) {

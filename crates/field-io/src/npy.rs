@@ -17,7 +17,7 @@ use crate::{FieldError, atomic};
 const HEADER_LIMIT: usize = 1 << 16;
 /// Largest number of digits in a header, so that the product of its numbers fits into 64 bits.
 const DIGIT_LIMIT: usize = 18;
-/// Number of values converted at a time.
+/// Number of values that are converted together.
 const CHUNK: usize = 1 << 14;
 
 /// An array file, open for reading.

@@ -24,7 +24,7 @@ pub struct StackWriter {
 struct Array {
     path: PathBuf,
     file: NamedTempFile,
-    /// Bytes before the values.
+    /// Number of bytes before the values.
     header: u64,
     rows: usize,
     cols: usize,

@@ -115,7 +115,7 @@ pub enum Refusal {
     Outside {
         /// The path that the name leads to, without links.
         found: PathBuf,
-        /// The folder.
+        /// The folder that the name may not leave.
         folder: PathBuf,
     },
 }

@@ -6,6 +6,7 @@
 //!
 //! An eye e at distance D with a pupil, focused on depth z, sees the mean of pictures from points q
 //! of the pupil. Each picture is shifted so that content at depth z stays in place:
+//!
 //! ```text
 //! shift on z = 0:  (q − e) z/(D − z)
 //! ```
@@ -38,13 +39,13 @@ pub struct RunComparison {
     pub second_zone: Option<ZoneLikeness>,
     /// Number of directions of the first run's viewing zone whose seen pictures were compared.
     pub directions: usize,
-    /// The second run against the first, over these directions.
+    /// The second run compared with the first, over these directions.
     pub between: Likeness,
     /// Number of views of the first run's target that were compared; 0 without a target.
     pub views: usize,
-    /// The first run against the first run's target.
+    /// The first run compared with its target.
     pub first: Option<Likeness>,
-    /// The second run against the same target.
+    /// The second run compared with the same target.
     pub second: Option<Likeness>,
     /// Written pictures.
     #[serde(serialize_with = "lumistack_core::path_text::told_each")]

@@ -59,7 +59,7 @@ pub enum PipelineError {
         /// Process and host of the other run.
         owner: String,
     },
-    /// A folder without a plan of units of work.
+    /// The folder has no plan of units of work.
     #[error(
         "{}: expected a run folder with a farm's plan, found none; check that this machine shares the folder under the same path",
         folder.display()
@@ -101,9 +101,9 @@ pub enum PipelineError {
         input.display(), folder.display()
     )]
     Overwrites {
-        /// The input, a file or folder.
+        /// The input file or folder.
         input: PathBuf,
-        /// Its role, such as `scene`.
+        /// Role of the input, such as `scene`.
         role: &'static str,
         /// The output folder.
         folder: PathBuf,
@@ -142,7 +142,7 @@ pub enum PipelineError {
         /// The preset with the most similar name, if there is one.
         nearest: Option<String>,
     },
-    /// A wrong value.
+    /// A value is wrong.
     #[error(transparent)]
     Value(Box<BadValue>),
     /// Another program replaced a result that a stage has just written.
@@ -175,7 +175,7 @@ pub enum PipelineError {
         /// The cause.
         source: WindowError,
     },
-    /// A wrong view grid.
+    /// A view grid is wrong.
     #[error(transparent)]
     Grid(#[from] GridError),
     /// A light field or stack cannot be read or written.
@@ -257,7 +257,7 @@ impl PipelineError {
         Self::value(Place::Job, key, expected, found)
     }
 
-    /// Error for a wrong value of an option or an environment variable.
+    /// Error for a wrong value of a command-line option or an environment variable.
     pub fn option(
         name: &'static str,
         key: impl Into<String>,

@@ -45,13 +45,13 @@ const DIGITS: usize = 16;
 /// Interval between two checks for input units.
 const INPUT_INTERVAL: Duration = Duration::from_millis(200);
 
-/// Returns a hash of all code that results pass through. All workers of a run must have the same.
+/// Returns a hash of all code that affects results. All workers of a run must have the same hash.
 pub fn code() -> String {
     let lists = [code::SCENE, code::VIEWS, code::FIELDS, code::PATTERNS, code::DESIGNS, code::PLUGINS, code::REPORTS];
     hash(lists.concat().concat().as_bytes())[..DIGITS].to_owned()
 }
 
-/// The plan of a run: its job and its units, as `plan.json` has them.
+/// The plan of a run: its job and its units, in the form of `plan.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FarmPlan {
     /// Hash of job, code and units. Records of units that belong to another plan are ignored.
@@ -66,7 +66,7 @@ pub struct FarmPlan {
     pub units: Vec<Unit>,
     /// The job as TOML, with absolute paths.
     job: String,
-    /// Folder that relative paths in plugin parameters refer to.
+    /// Folder to which relative paths in parameters of plugins refer.
     #[serde(default, with = "lumistack_core::path_text::optional")]
     folder: Option<PathBuf>,
 }

@@ -57,15 +57,15 @@ pub struct Job {
     #[serde(default, skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub light_field: Option<PathBuf>,
-    /// Seed of all random streams.
+    /// Seed of all random numbers.
     #[serde(default = "default_seed")]
     pub seed: u64,
-    /// Geometry of a light field whose files do not state it.
+    /// Geometry of a light field, for values that its files do not state.
     #[serde(default, skip_serializing_if = "is_default")]
     pub geometry: GeometryFlags,
     /// The display.
     pub display: DisplayJob,
-    /// Where the display stands in the scene.
+    /// Position of the display in the scene.
     #[serde(default)]
     pub window: WindowJob,
     /// The scene's animation and variant.
@@ -89,7 +89,7 @@ pub struct Job {
     /// Report.
     #[serde(default)]
     pub report: ReportJob,
-    /// Plugin, folders and memory to read the scene's files with.
+    /// Plugin, folders and memory for reading the scene's files.
     #[serde(default, skip_serializing_if = "is_default")]
     pub importer: ImporterJob,
     /// Plugin that makes the light field.
@@ -104,7 +104,7 @@ pub struct Job {
     /// Folder of the job file. Paths in parameters of plugins are relative to this folder.
     #[serde(skip)]
     pub folder: PathBuf,
-    /// The job file, if there is one; a run does not write over it.
+    /// The job file, if there is one. A run does not overwrite it.
     #[serde(skip)]
     pub file: Option<PathBuf>,
 }
@@ -225,7 +225,8 @@ impl Job {
         }
         if job.name.is_empty() {
             job.name = path.file_stem().map_or("job".into(), |stem| stem.to_string_lossy().into_owned());
-            // A file job.toml takes its folder's name: scenes/still-life/job.toml is still-life.
+            // A file with the name job.toml is named after its folder: scenes/still-life/job.toml
+            // is still-life.
             if job.name == "job"
                 && let Some(folder) = path.parent().and_then(Path::file_name)
             {

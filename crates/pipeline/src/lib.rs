@@ -9,9 +9,9 @@
 //! in a run folder (`store/`).
 //!
 //! * A job with `[[nodes]]` solves several displays for one light field. Patterns and report of
-//! each are in `nodes/ID/`.
+//!   each are in `nodes/ID/`.
 //! * A sequence has these steps for each time step. Every time step starts from the patterns of the
-//! previous one.
+//!   previous one.
 //! * A sweep solves many designs, for the light fields of a still, a sequence or a graph.
 
 mod compare;

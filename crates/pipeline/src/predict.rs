@@ -18,7 +18,7 @@ pub struct Prediction {
     pub depth: DepthBudget,
     /// Fraction of the window where the middle view has a hit, 0..1.
     pub coverage: f64,
-    /// Memory of the scene after it is prepared for rendering.
+    /// Memory of the scene when it is ready for rendering.
     pub memory: Memory,
 }
 

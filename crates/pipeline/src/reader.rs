@@ -7,7 +7,7 @@ use lumistack_plugin_host::{PluginKind, Registry};
 use crate::error::PipelineError;
 use crate::job::ImporterJob;
 
-/// Reader of a scene's file.
+/// The reader of a scene's file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Reader {
     Gltf,

@@ -232,7 +232,7 @@ fn share_outside_zone(display: &Display, viewpoint: Viewpoint) -> Option<f64> {
     Some(outside as f64 / (PROBES * PROBES) as f64)
 }
 
-/// Points of the display per axis at which the viewer's slope is tested.
+/// Number of points of the display per axis at which the slope to the viewer is tested.
 const PROBES: usize = 32;
 
 /// Rounds degrees to one digit, for messages.
@@ -305,7 +305,7 @@ mod tests {
         // obliquely.
         assert_eq!(share(Viewpoint::Eye([100.0, 0.0, 2000.0])), 0.0);
         let near = share(Viewpoint::Eye([100.0, 0.0, 600.0]));
-        // |x - 100| <= 105.8 of ±237.5, |y| <= 105.8 of ±148.4
+        // the zone's part of the display: |x - 100| <= 105.8 of ±237.5, |y| <= 105.8 of ±148.4
         assert!((near - (1.0 - (211.6 / 475.0) * (211.6 / 296.9))).abs() < 0.05, "{near}");
         assert_eq!(share_outside_zone(&display, Viewpoint::Sweep(3)), None);
         let mut perspective = display.clone();

@@ -21,9 +21,9 @@ pub struct ViewOptions {
 /// An additional channel of a view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExtraChannel {
-    /// z in display space of the first hit on a pixel's central ray, millimetres.
+    /// Depth z of the first hit on a pixel's central ray, in display space, millimetres.
     Depth,
-    /// Shading normal.
+    /// Shading normal of the first hits.
     Normal,
     /// Albedo of the first hits.
     Albedo,

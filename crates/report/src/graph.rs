@@ -6,7 +6,7 @@
 //! |---|---|
 //! | `schema`, `version` | `"lumistack/graph-report"`, 1 |
 //! | `title`, `lumistack_version`, `command` | texts; `command` may be null |
-//! | `psnr_view` | dB, that of the first node |
+//! | `psnr_view` | dB, of the first node |
 //! | `nodes` | list of `id`, `plugin`, `display`, `report` (path), `psnr_view`, `psnr_raw`, `held_out_psnr_view`, `psnr_zone`, `brightness`, `layers`, `frames`, `seconds`, `outputs` (paths of files written) |
 //! | `outputs` | paths of files written for the light field itself |
 //! | `settings`, `warnings` | the resolved job; list of `place`, `message` |

@@ -13,7 +13,7 @@ use crate::depth::DepthBudget;
 pub struct Iteration {
     /// Number of completed iterations.
     pub iteration: u32,
-    /// Σ w (βL − L̃)² (eq. 27).
+    /// Objective Σ w (βL − L̃)² (eq. 27).
     pub objective: f64,
     /// PSNR of L̃/β against L, dB.
     pub psnr_view: f64,
@@ -177,9 +177,9 @@ pub struct Report {
     pub psnr_view: f64,
     /// PSNR of all target rays, L̃ against βL, dB.
     pub psnr_raw: f64,
-    /// `psnr_view` of the held-out views, dB.
+    /// PSNR of L̃/β against L for the held-out views, dB.
     pub held_out_psnr_view: Option<f64>,
-    /// `psnr_view` of the views outside the zone, dB.
+    /// PSNR of L̃/β against L for the views outside the zone, dB.
     pub outside_psnr_view: Option<f64>,
 }
 

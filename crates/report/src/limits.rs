@@ -41,7 +41,7 @@ pub(crate) fn find(input: &ReportInput, target: &FieldScore, task: Task) -> Resu
         return Ok(Vec::new());
     }
     if base.sum == 0.0 {
-        // a perfect result has no limits
+        // an exact result has no other limits
         return Ok(vec![solver::frames(input, target, None)]);
     }
     let error = |variant| errors.iter().find(|(other, _)| *other == variant).map(|(_, error)| *error);

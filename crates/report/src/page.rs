@@ -19,7 +19,7 @@ use crate::{Found, ReportError, ReportInput};
 
 const STYLE: &str = include_str!("page/style.css");
 const SCRIPT: &str = include_str!("page/script.js");
-/// No network requests: pictures are data URIs, style and script are inline.
+/// Forbids network requests: pictures are data URIs, style and script are inline.
 const POLICY: &str = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'; base-uri 'none'; form-action 'none'";
 
 /// Pictures with fewer columns than this are enlarged without smoothing.

@@ -69,7 +69,7 @@ const BUDGET: usize = 2_400_000;
 /// Maximum number of pixels of the large pictures.
 const LARGE_BUDGET: usize = 1_400_000;
 
-/// Reduction factor and encoding of pictures.
+/// Reduction factor and encoding of a group of pictures.
 #[derive(Clone, Copy)]
 struct Size {
     shrunk: usize,

@@ -35,7 +35,7 @@ pub(crate) struct Embedded {
 /// File format of an embedded picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Encoding {
-    /// Lossless.
+    /// Lossless, for small groups of pictures.
     Png,
     /// For large pictures, without chroma subsampling.
     Jpeg,

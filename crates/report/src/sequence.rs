@@ -54,7 +54,7 @@ pub struct SequenceTime {
     pub name: String,
     /// Origin of the time step's light field.
     pub source: String,
-    /// Path of the time step's report, relative to that of the sequence, if it has one.
+    /// Path of the time step's report relative to the sequence's report, if it has one.
     pub report: Option<String>,
     /// Error of L̃/β against L.
     pub error: SquaredError,

@@ -28,7 +28,7 @@ impl Analysis {
                     let of = if form.equation == 23 { "its lens array alone" } else { "closed form" };
                     let name = format!("eq. {}: {of}", form.equation);
                     let points = form.bound.clone();
-                    // displays with the same lens array share its curve
+                    // several displays with the same lens array have one curve for it
                     let same = |other: &Curve| other.name == name && other.points.first() == points.first();
                     if curves.iter().any(same) {
                         continue;

@@ -22,7 +22,7 @@ pub const GAIN: f32 = 4.0;
 pub struct Halves {
     size: [usize; 2],
     halves: [Vec<f32>; 2],
-    /// True for pixels of which a surface covers more than half.
+    /// True for pixels more than half of which a surface covers.
     covered: Vec<bool>,
 }
 
@@ -99,7 +99,7 @@ pub fn figures(ours: &Halves, other: &Halves) -> Figures {
     }
     let relative = |sum: f64| (sum.max(0.0) / (3 * pixels.len()).max(1) as f64).sqrt() / mean;
     let both = pixels.iter().filter(|&&i| ours.covered[i] && other.covered[i]).count();
-    // Centroids show a shift of the camera.
+    // Compute the centroids of the covered pixels, whose difference shows a shift of the camera.
     let centre = |covered: &[bool]| {
         let (mut at, mut count) = ([0.0; 2], 0.0);
         for i in (0..covered.len()).filter(|&i| covered[i]) {

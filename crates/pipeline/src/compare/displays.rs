@@ -60,7 +60,7 @@ pub fn compare_displays(run: &Path, out: Option<&Path>, task: Task<'_>) -> Resul
     let geometry = target.geometry();
     let (shape, [views_y, views_x]) = ([geometry.rows, geometry.cols], geometry.grid.views());
     let (shown, views) = (middle_views(&geometry.grid), some_views(&geometry.grid));
-    // The first column of the sheet shows the target.
+    // Draw the target in the first column of the sheet.
     let codes = |linear: &mut dyn Iterator<Item = f32>| linear.map(colour::srgb_code).collect::<Vec<u8>>();
     let mut sheet = Sheet {
         size: [geometry.cols, geometry.rows],
@@ -98,7 +98,7 @@ pub fn compare_displays(run: &Path, out: Option<&Path>, task: Task<'_>) -> Resul
             }
             views_db.push(of_row);
         }
-        // Seen pictures for the display's column of the sheet.
+        // Draw seen pictures for the display's column of the sheet.
         for (&view, (_, cells)) in shown.iter().zip(&mut sheet.rows) {
             let (rgb, counts) = seen(&simulator, made.stack.brightness, geometry, view);
             let mut own = Sums::new();
@@ -108,7 +108,7 @@ pub fn compare_displays(run: &Path, out: Option<&Path>, task: Task<'_>) -> Resul
             task.progress.advance(1, "");
         }
         let likeness = sums.likeness();
-        // The column's heading.
+        // Make the column's heading.
         let plural = |count: usize, one: &str| format!("{count} {one}{}", if count == 1 { "" } else { "s" });
         let lenses = if made.stack.emission.is_some() { ", directional" } else { "" };
         let layers = format!("{}{lenses}", plural(made.display.layers.len(), "layer"));

@@ -31,7 +31,7 @@ use super::likeness::{Likeness, Sums, difference, save};
 use crate::error::{PipelineError, field_error};
 use crate::simulate::{RunFolder, Viewpoint};
 
-/// The camera's position for a photograph.
+/// The position of the camera that took a photograph.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Pose {
     /// A measured position.
@@ -44,7 +44,7 @@ pub enum Pose {
 /// Comparison of a photograph with the simulation.
 #[derive(Clone, Debug, Serialize)]
 pub struct PhotoComparison {
-    /// Photograph against simulation, at the simulation's exposure.
+    /// Photograph compared with the simulation, after its exposure is adapted.
     pub likeness: Likeness,
     /// Factor g on the photograph's linear values.
     pub gain: f64,

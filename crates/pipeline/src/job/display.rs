@@ -44,7 +44,7 @@ pub struct DisplayJob {
     /// Interpolation of a layer between its pixels' centres.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sampling: Option<Sampling>,
-    /// Transmittance for a ray that passes outside of a layer.
+    /// Transmittance for a ray that goes past the edge of a layer.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub missing: Option<Missing>,
 }

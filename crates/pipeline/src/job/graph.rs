@@ -11,7 +11,7 @@ use lumistack_core::path_text::is_default;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ImporterJob {
-    /// Allows glTF and OBJ files to refer to files outside of their own folder.
+    /// If true, glTF and OBJ files may refer to files outside of their folder.
     #[serde(default, skip_serializing_if = "is_default")]
     pub allow_outside: bool,
     /// Memory for the decoded pictures of a glTF or OBJ scene, MiB: 1 to 1048576.

@@ -119,7 +119,7 @@ impl LiveFields {
         }
         // Keep the key before reading, so that a broken file is reported only once.
         self.shown = Some(key);
-        // Only reports need the views of the zone score.
+        // Omit the views of the zone score, which only reports need.
         let report = ReportJob { zone_directions: 0, ..self.job.report.clone() };
         let (field, _) = read::run(path, &Job { report, ..self.job.clone() }, &self.display, task)?;
         let adapted = self.display.adapted_to(field.geometry());

@@ -135,8 +135,8 @@ impl<'a> Executor<'a> {
         self.context.check()
     }
 
-    /// Solves a tile of the patterns in a round, or traces a block of pictures. Tracing needs only
-    /// the scene and its placement.
+    /// Executes one block of a step: solves a tile of the patterns in a round, or traces some
+    /// pictures. Tracing needs only the scene and its placement.
     fn run_block(&mut self, index: usize, block: Block, round: Option<usize>) -> Result<(), PipelineError> {
         let plan = self.context.plan;
         let step = &plan.steps[index];

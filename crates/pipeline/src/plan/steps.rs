@@ -19,7 +19,7 @@ pub struct Plan {
     /// The run folder.
     #[serde(serialize_with = "lumistack_core::path_text::told")]
     pub folder: PathBuf,
-    /// Steps, each after its inputs.
+    /// The steps, in an order in which each comes after its inputs.
     pub steps: Vec<Step>,
     #[serde(skip)]
     pub(crate) parts: Vec<Part>,
@@ -54,7 +54,7 @@ pub struct Step {
     pub(crate) kind: StepKind,
 }
 
-/// The work of a step in its part.
+/// The work of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum StepKind {
     Ingest,
@@ -87,7 +87,7 @@ pub(crate) struct Part {
     /// The folder, relative to the run folder.
     pub(crate) folder: PathBuf,
     pub(crate) kind: PartKind,
-    /// The folder's job, as far as it is known before execution.
+    /// The job of the folder, as far as it is known before execution.
     pub(crate) job: Job,
     /// The part whose folder contains this part's folder.
     pub(crate) parent: Option<usize>,

@@ -67,7 +67,7 @@ pub(crate) fn write_channels(
                 channels.push((ExtraChannel::Albedo.channels()[axis], values));
             }
         }
-        // Variance and coverage come from the cache of the views.
+        // Read variance and coverage from the cache of the views.
         if has(ExtraChannel::Variance) {
             let variance = target.variance(view, kind)?;
             for (axis, name) in ExtraChannel::Variance.channels().iter().enumerate() {

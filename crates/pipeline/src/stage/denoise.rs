@@ -30,7 +30,7 @@ use crate::store::views::{read_split, read_view, split_path, view_path, write_vi
 /// Returns the version of Open Image Denoise that the denoiser `oidn` uses.
 ///
 /// # Errors
-/// If it is not installed. The message lists the places where it was searched.
+/// If it is not installed. The message lists where it was searched.
 pub fn oidn_version() -> Result<String, PipelineError> {
     Oidn::find().map(|oidn| oidn.version)
 }
@@ -44,7 +44,7 @@ const CHECKED_VIEWS: usize = 25;
 /// Maximum number of samples of the path tracer.
 const MOST_SAMPLES: u32 = 65536;
 
-/// Effect of a denoiser on the target.
+/// How a denoiser changed the target.
 pub(crate) struct Denoised {
     kind: Denoise,
     /// Scores of each view, in the order of the grid, for exposed radiance.
@@ -76,7 +76,7 @@ pub(crate) fn run(shot: Shot<'_>, fields: &[FieldJob], task: Task<'_>) -> Result
     Ok(cached)
 }
 
-/// True if all filtered views of a field are in the cache.
+/// True if all filtered views of a light field are in the cache.
 pub(crate) fn is_finished(field: &FieldJob, kind: Denoise) -> bool {
     let folder = field.finished(kind);
     let is_there = |view| read_view(&view_path(&folder, view, None), &field.traced).is_some();

@@ -73,8 +73,8 @@ impl Solve<'_> {
             .map_err(factorize_error)
     }
 
-    /// Returns true if `solver` reaches more from these patterns than from a fresh start. This runs
-    /// on the processor whatever the device is, so that all machines make the same choice.
+    /// Returns true if `solver` reaches a smaller error from these patterns than from a fresh start.
+    /// The processor computes this for every device, so that all machines make the same choice.
     ///
     /// # Errors
     /// The errors of [`factorize`](Self::factorize).
@@ -198,7 +198,7 @@ pub(crate) fn reuse_or_make(
     })
 }
 
-/// [`reuse_or_make`], for a `make` that writes `layers/` itself.
+/// Does the same as [`reuse_or_make`], for a `make` that writes `layers/` itself.
 ///
 /// # Errors
 /// The errors of [`reuse_or_make`].

@@ -1,4 +1,4 @@
-//! The light field that a run's nodes and outputs start from, and its folder `target/`.
+//! The light field that is the input of a run's nodes and outputs, and its folder `target/`.
 
 use std::path::{Path, PathBuf};
 

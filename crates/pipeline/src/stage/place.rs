@@ -46,7 +46,7 @@ impl Subject for CachedScene<'_> {
     }
 }
 
-/// [`lumistack_shot::place()`], for a loaded scene.
+/// Calls [`lumistack_shot::place()`] for a loaded scene.
 ///
 /// # Errors
 /// The errors of that function, and if a result cannot be written.
@@ -61,7 +61,7 @@ pub(crate) fn place(
     lumistack_shot::place(&CachedScene { ingested, cache_dir }, job, display, geometry, task)
 }
 
-/// [`find_window`], for a loaded scene: the window before it is moved to fit the depth.
+/// Calls [`find_window`] for a loaded scene. Returns the window before it is moved to fit the depth.
 ///
 /// # Errors
 /// The errors of that function, and if a result cannot be written.

@@ -53,11 +53,11 @@ const MIDDLE: usize = 40;
 const ITERATIONS: u32 = 8;
 /// Number of directions in which a section is seen.
 const DIRECTIONS: usize = 4;
-/// Paths per pixel of each of the two renders of a direction.
+/// Number of paths per pixel in each of the two renders of a direction.
 const REFERENCE_PATHS: u32 = 4;
 /// A pixel is included if at least this fraction of its area is seen.
 const WHOLE: f32 = 0.999;
-/// Stream of random numbers that no view uses.
+/// Number of a stream of random numbers that no view uses.
 const STREAM: u64 = 0x5a3b_0001;
 
 /// Returns the number of paths per pixel and view, if the job sets none. It is measured once, and

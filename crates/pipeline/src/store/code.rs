@@ -4,7 +4,7 @@
 /// Fingerprints of crates.
 pub(crate) type Code = &'static [&'static str];
 
-/// This crate, which computes the keys.
+/// Fingerprint of this crate, which computes the keys.
 const PIPELINE: &str = env!("LUMISTACK_FINGERPRINT");
 const CORE: &str = lumistack_core::FINGERPRINT;
 const DISPLAY: &str = lumistack_display::FINGERPRINT;

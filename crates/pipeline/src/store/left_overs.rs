@@ -50,7 +50,7 @@ pub(crate) fn left_overs(dir: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// [`left_overs`], for folders that contain only files of Lumistack.
+/// Does the same as [`left_overs`], for folders that contain only files of Lumistack.
 fn below(folder: &Path, found: &mut Vec<PathBuf>) {
     for (name, path) in entries(folder) {
         let temporary = name.starts_with(".lumistack-") && name.ends_with(".tmp");

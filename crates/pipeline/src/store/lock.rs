@@ -37,13 +37,13 @@ pub(crate) const UNIT_LIMIT: Duration = Duration::from_secs(600);
 /// How a unit of work locks a folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Hold {
-    /// Together with other units.
+    /// The lock is shared with other units.
     Shared,
-    /// Without other units.
+    /// The lock is not shared.
     Alone,
 }
 
-/// The lock of a run folder, held until it is dropped.
+/// The lock of a run folder. It is held until this value is dropped.
 #[derive(Debug)]
 pub(crate) struct FolderLock {
     lock: Option<File>,

@@ -66,7 +66,7 @@ fn is_whole(text: &str) -> Option<bool> {
     Some(blake3::hash(rest.as_bytes()).to_hex().as_str() == hash.trim_end())
 }
 
-/// [`is_whole`], for a file.
+/// Calls [`is_whole`] for the text of a file.
 pub(crate) fn is_sealed(path: &Path) -> Option<bool> {
     is_whole(&std::fs::read_to_string(path).ok()?)
 }

@@ -1,4 +1,4 @@
-//! Positions of views among others, and their names.
+//! Positions of views in their grid, and names for them.
 
 use lumistack_display::ViewGrid;
 

@@ -23,7 +23,7 @@ pub(crate) struct Comparison {
     pub(crate) difference: Option<Embedded>,
     /// Factor by which the difference picture is amplified.
     pub(crate) amplification: u32,
-    /// FLIP error.
+    /// Picture of the FLIP error.
     pub(crate) flip: Option<Embedded>,
 }
 
@@ -35,7 +35,7 @@ pub(super) struct Shown {
     pub(super) figures: Option<ViewFigures>,
     pub(super) counted_share: f64,
     pub(super) target: Option<Linear>,
-    /// L̃/β.
+    /// The view of the display, L̃/β.
     pub(super) simulated: Linear,
     /// Signed error of each pixel; see [`picture::signed_error`].
     pub(super) errors: Option<Vec<Option<f32>>>,

@@ -333,7 +333,7 @@ fn reached_by(lines: &[Reached]) -> Markup {
     }
 }
 
-/// Seconds per stage.
+/// Time of each stage, seconds.
 pub(super) fn timings(stages: &[Stage]) -> Markup {
     let total: f64 = stages.iter().map(|stage| stage.seconds).sum();
     let share = |stage: &Stage| if total > 0.0 { (100.0 * stage.seconds / total).clamp(0.0, 100.0) } else { 0.0 };

@@ -20,14 +20,15 @@ pub(crate) struct Window {
     pub(crate) cols: usize,
 }
 
-/// Summed-area table.
+/// Summed-area table of a layer's energy.
 struct Totals {
     rows: usize,
     cols: usize,
     sums: Vec<f64>,
 }
 
-/// The windows around one point on all layers; `None` if no layer is larger than a close-up.
+/// The windows on all layers around one point of z = 0. `None` if no layer is larger than a
+/// close-up.
 pub(super) fn on_layers(display: &Display, layers: &[Tensor<4>]) -> Option<Vec<Window>> {
     let larger = |layer: &Layer| layer.resolution[0] > CLOSEUP[0] || layer.resolution[1] > CLOSEUP[1];
     if !display.layers.iter().any(larger) {
@@ -45,7 +46,7 @@ pub(super) fn on_layers(display: &Display, layers: &[Tensor<4>]) -> Option<Vec<W
         let shares = energies.iter().zip(windows).map(|(energy, window)| energy.share(*window));
         shares.sum::<f64>()
     };
-    // of equal positions take the first, so that the result is deterministic
+    // if positions are equal, take the first, so that the result is deterministic
     found
         .map(|windows| (gain(&windows), windows))
         .reduce(|best, next| if next.0 > best.0 { next } else { best })

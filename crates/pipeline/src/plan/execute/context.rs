@@ -160,7 +160,7 @@ impl<'a> Context<'a> {
             .ok_or_else(|| PipelineError::value(place, "plan", format!("{name_of_result} of an earlier step"), "none"))
     }
 
-    /// Returns the scene of a part: its own, or the scene of its sequence.
+    /// Returns the scene of a part, or else the scene of its sequence.
     pub(super) fn ingested(&self, part: usize) -> Result<Arc<Ingested>, PipelineError> {
         let shared = |state: &State| state.ingested.clone();
         let above = self.plan.time(part).map(|(_, sequence)| sequence);
