@@ -25,7 +25,7 @@ pub struct Analysis {
     /// Depth from the rearmost to the frontmost of layers and backlight, millimetres.
     pub thickness_mm: f64,
     /// [low, high] depths between which the display can show the finest detail of the light field's
-    /// pixels, millimetres. `None` if it can at no depth.
+    /// pixels, millimetres. `None` if there is no such depth.
     pub depth_of_field_mm: Option<[f64; 2]>,
     /// True if the bound can be achieved at all depths. If the display adds its layers' light, the
     /// bound holds only on the planes of the layers.

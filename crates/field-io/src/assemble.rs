@@ -272,7 +272,7 @@ impl Window {
             return Ok(());
         };
         if cols == 0 || rows == 0 || cols as f64 > self.size[0] || rows as f64 > self.size[1] {
-            let expected = format!("1 × 1 to {} × {} pixels: views are only reduced", self.size[0], self.size[1]);
+            let expected = format!("1 × 1 to {} × {} pixels, since views are not enlarged", self.size[0], self.size[1]);
             return Err(FieldError::malformed(&source.path, "--resolution", expected, format!("{cols} × {rows}")));
         }
         let wanted = cols as f64 / rows as f64;

@@ -25,7 +25,7 @@ const REACH: usize = 64;
 const BLOCKS_PER_AXIS: usize = 40;
 /// Smallest number of blocks that gives a result.
 const FEWEST_BLOCKS: usize = 12;
-/// A block has texture if √luminance of neighbours differs by more than this in the mean.
+/// A block has texture if the mean difference of √luminance between neighbours is above this.
 const TEXTURE: f32 = 0.01;
 /// A minimum is distinct if the sums at all shifts more than two pixels away are larger by this
 /// factor.

@@ -90,7 +90,7 @@ pub(crate) fn source(path: &Path, flags: &GeometryFlags) -> Result<Source, Field
 fn tile_size(path: &Path, flag: &str, size: [usize; 2], counts: [usize; 2]) -> Result<[usize; 2], FieldError> {
     let fits = |axis: usize| (1..=TILE_LIMIT.min(size[axis])).contains(&counts[axis]);
     if !fits(0) || !fits(1) {
-        let expected = format!("1 × 1 tiles to one per pixel of {} × {}", size[0], size[1]);
+        let expected = format!("1 × 1 to {} × {} tiles, at most one per pixel", size[0], size[1]);
         return Err(FieldError::malformed(path, flag, expected, format!("{} × {}", counts[0], counts[1])));
     }
     Ok([size[0] / counts[0], size[1] / counts[1]])

@@ -163,7 +163,7 @@ pub fn refocused(
         return Err(PipelineError::option("--pupil-mm", "MM", "a diameter ≥ 0", pupil_mm.to_string()));
     }
     if !(focus_mm.is_finite() && focus_mm < distance) {
-        let expected = format!("a depth less than that of the eye, {distance} mm");
+        let expected = format!("a depth below {distance} mm, the distance of the eye");
         return Err(PipelineError::option("--focus", "Z", expected, focus_mm.to_string()));
     }
     // Average over a square grid of samples, without those outside of the pupil's disc.

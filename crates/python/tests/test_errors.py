@@ -106,7 +106,7 @@ def test_broken_scenes(tmp_path: Path) -> None:
     with pytest.raises(lumistack.SceneError, match="bad.glb"):
         Scene(tmp_path / "bad.glb")
     (tmp_path / "x.docx").write_bytes(b"")
-    with pytest.raises(lumistack.SettingError, match="expected a file .gltf, .glb"):
+    with pytest.raises(lumistack.SettingError, match="expected a file with the extension .gltf, .glb"):
         Scene(tmp_path / "x.docx")
 
 

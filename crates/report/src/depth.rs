@@ -21,7 +21,7 @@ const FEW: f64 = 0.75;
 #[derive(Clone, Debug, PartialEq)]
 pub struct DepthBudget {
     /// [low, high] depths between which the display shows the finest detail of the light field's
-    /// pixels, millimetres. `None` if it does at no depth.
+    /// pixels, millimetres. `None` if there is no such depth.
     pub depth_of_field_mm: Option<[f64; 2]>,
     /// Fraction of hits in the depth of field, over all views, 0..1; NaN without hits.
     pub inside: f64,

@@ -343,7 +343,7 @@ fn missing_geometry_names_the_flag() {
     let flags = GeometryFlags { quilt: Some([9, 1]), ..GeometryFlags::default() };
     assert!(
         error_of(&picture, &flags, &defaults())
-            .contains("--quilt: expected 1 × 1 tiles to one per pixel of 8 × 8, found 9 × 1")
+            .contains("--quilt: expected 1 × 1 to 8 × 8 tiles, at most one per pixel, found 9 × 1")
     );
 }
 

@@ -29,7 +29,7 @@ use crate::store::views::{missing, read_view, write_view};
 
 /// Number of directions that have enough samples for SSIM, FLIP and the report's pictures.
 const CLEAN: usize = 8;
-/// Samples per pixel of these directions, and of the others.
+/// Samples per pixel of the first [`CLEAN`] directions, and of the others.
 const SAMPLES: [u32; 2] = [24, 4];
 /// Number of a stream of random numbers that no view uses.
 const STREAM: u64 = 3;

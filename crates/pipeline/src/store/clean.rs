@@ -66,7 +66,12 @@ pub fn clean(dir: &Path, all: bool, dry_run: bool, task: Task<'_>) -> Result<Cle
             Ok(data) if !data.is_dir() => "a file".into(),
             Ok(_) => "a folder without files of a run".into(),
         };
-        return Err(PipelineError::value(dir, "folder", "a folder of a run, a sequence, a sweep or of views", found));
+        return Err(PipelineError::value(
+            dir,
+            "folder",
+            "the folder of a run, a sequence, a sweep or of rendered views",
+            found,
+        ));
     }
     let _owned = lock_known(dir, task)?;
     let mut kinds: Vec<(&'static str, Vec<PathBuf>)> = vec![("left-overs of stopped runs", left_overs(dir))];

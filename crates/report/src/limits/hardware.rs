@@ -15,7 +15,7 @@ const BRIGHTER_SHOWN: f64 = 0.1;
 
 /// Fractions of the stack's values that are at the ends of their ranges.
 pub(super) struct Ends {
-    /// For each layer, rearmost first, then for the backlight.
+    /// Fractions for each layer, rearmost first, and then for the backlight.
     darkest: Vec<f64>,
     brightest: Vec<f64>,
 }

@@ -36,7 +36,7 @@ pub(super) fn section(budget: &DepthBudget) -> Result<Markup, ReportError> {
                 @if budget.moved_back_mm != 0.0 || budget.depth_scale != 1.0 {
                     p {
                         @if budget.moved_back_mm != 0.0 {
-                            "To fit, the window was moved " @if budget.moved_back_mm > 0.0 { "back" } @else { "forward" } " by " (mm(budget.moved_back_mm.abs())) " mm. "
+                            "To fit the scene, the window was moved " @if budget.moved_back_mm > 0.0 { "back" } @else { "forward" } " by " (mm(budget.moved_back_mm.abs())) " mm. "
                         }
                         @if budget.depth_scale != 1.0 {
                             "Parallax, and thereby depth, is " (format::percent(budget.depth_scale)) " of that of the scene. Depths on this page are those that are shown."

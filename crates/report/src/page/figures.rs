@@ -40,8 +40,8 @@ pub(super) fn key_figures(input: &ReportInput, measured: &Measured) -> Markup {
         None => (mean(|view| view.ssim), mean(|view| view.flip)),
     };
     figures.extend([
-        ("SSIM", ssim, "structure that is kept; 1 is all"),
-        ("FLIP", flip, "difference that an eye sees; 0 is none"),
+        ("SSIM", ssim, "structure that is kept; 1 means all of it"),
+        ("FLIP", flip, "difference that an eye sees; 0 means none"),
     ]);
     let backlight = if input.stack.emission.is_some() { "and a directional backlight" } else { "uniform backlight" };
     figures.extend([

@@ -56,7 +56,7 @@ fn key_figures(input: &SequenceSeries<'_>, report: &SequenceFigures) -> Markup {
         (
             "Flicker over time",
             db(report.psnr_change),
-            "psnr_change: PSNR of the shown change against that of the target; higher means less flicker",
+            "psnr_change: PSNR of the shown change against the change of the target; higher means less flicker",
         ),
         ("Flicker where still", db(report.psnr_still), "psnr_still: psnr_change over rays whose target is constant"),
         ("Brightness β", format::number(input.brightness), "emitted light as a fraction of the target's"),
