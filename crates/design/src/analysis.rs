@@ -311,7 +311,7 @@ impl Brightness {
         };
         let (white, black) = match display.formation {
             Formation::Attenuating => (peaks.product(), blacks.product::<f64>() * lamp),
-            // If light of the layers adds up, or rotations add up under one sine, any single layer
+            // If the light of layers adds up, or rotations add up under one sine, any single layer
             // reaches the brightest state.
             _ => (1.0, blacks.fold(0.0, f64::max)),
         };
@@ -393,6 +393,6 @@ mod tests {
             assert!(Analysis::depth_of_field_plot(&all, axis).unwrap().contains("prototype"));
             assert!(Analysis::support_plot(&all, axis).unwrap().contains("prototype"));
         }
-        assert!(all[2].text().contains("layers add"), "{}", all[2].text());
+        assert!(all[2].text().contains("the layers' light adds up"), "{}", all[2].text());
     }
 }
