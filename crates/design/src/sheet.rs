@@ -1,6 +1,6 @@
 //! A contact sheet: pictures of one size in rows and columns, with text. Text uses the font of the
-//! plots. Pixels of the pictures stay unchanged; small pictures are enlarged by a whole factor to
-//! fit their captions.
+//! plots. Pixels of the pictures stay unchanged; small pictures are enlarged by a whole
+//! number, so that their captions fit.
 
 use std::fmt::Write as _;
 
@@ -43,7 +43,7 @@ impl Sheet {
         if let Some(cell) = self.rows.iter().flat_map(|row| &row.1).find(|cell| cell.rgb.len() != 3 * cols * rows) {
             return Err(PlotError::new(format!("{} values in a picture of {cols} × {rows} pixels", cell.rgb.len())));
         }
-        // Lay out cells, enlarged by a whole factor, with room for headings and captions.
+        // Lay out cells, enlarged by a whole number, with room for headings and captions.
         let larger = LEAST_WIDTH.div_ceil(cols.max(1)).max(1);
         let [wide, high] = [larger * cols, larger * rows];
         let heads = self.columns.iter().map(Vec::len).max().unwrap_or(0);
