@@ -219,7 +219,7 @@ struct Centres {
 }
 
 impl Centres {
-    /// Computes the centres. `None` if a name has no centre, or centres of rows or columns coincide.
+    /// Computes the centres. `None` if a name has no centre, or those of rows or columns coincide.
     fn new(names: &BTreeMap<(u32, u32), (CameraName, PathBuf)>, rows: &[u32], cols: &[u32]) -> Option<Self> {
         let mut sums = (vec![0.0; cols.len()], vec![0.0; rows.len()]);
         for ((row, col), (name, _)) in names {

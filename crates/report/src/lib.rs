@@ -39,7 +39,7 @@
 //! | `light` | luminances relative to the backlight's: `emitted` (mean of L̃), `wanted` (mean of L), `open` and `text`. `open` is the luminance, from straight ahead, of a display with all pixels at their brightest |
 //! | `views` | The target's `slope_x[view_x]`, `slope_y[view_y]` (tangents, y up), `projection`, `distance_mm`, `rows`, `cols`, `pitch_mm`. Arrays `[view_y][view_x]`: `psnr_view` (dB), `ssim`, `flip` and `counted_share` (fraction of rays that scores include, 0..1) |
 //! | `held_out`, `outside` | null, or the same keys as `views` for views that the solver did not use: held-out views, and views outside of the zone. Also `overall_psnr_view`, `overall_psnr_raw`, `overall_ssim` and `overall_flip` |
-//! | `limits` | list, the largest first, of `name`, `decibels` (gain of psnr_view if the effect were absent; null if one run cannot determine it), `text` and `figures` (the numbers of the measurement) |
+//! | `limits` | list, the largest first, of `name`, `decibels`, `text` and `figures` (the numbers of the measurement). `decibels` is the gain of psnr_view if the effect were absent; null if one run cannot determine it |
 //! | `depth` | null, or over the rays of all views with a hit: `depth_of_field_mm` ([low, high] or null), fractions `inside` it, `inside_middle` (of the central view) and `beyond_a_pixel`. Percentiles `depth_mm` and `disparity_px` (between neighbouring views), `window_moved_back_mm`, `depth_scale`, and two histograms |
 //! | `convergence` | list of `iteration`, `objective` (Σ w (βL − L̃)²), `psnr_view` (dB), `seconds` since the solver's start |
 //! | `reached` | list of `seconds`, `iteration`, `psnr_view`: the last point of the convergence by that time |

@@ -73,8 +73,8 @@ impl Solve<'_> {
             .map_err(factorize_error)
     }
 
-    /// Returns true if `solver` reaches a smaller error from these patterns than from a fresh start.
-    /// The processor computes this for every device, so that all machines make the same choice.
+    /// Returns true if `solver` reaches a smaller error from these patterns than from a fresh
+    /// start. The processor computes this for every device, so all machines make the same choice.
     ///
     /// # Errors
     /// The errors of [`factorize`](Self::factorize).

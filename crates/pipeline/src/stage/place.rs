@@ -61,7 +61,8 @@ pub(crate) fn place(
     lumistack_shot::place(&CachedScene { ingested, cache_dir }, job, display, geometry, task)
 }
 
-/// Calls [`find_window`] for a loaded scene. Returns the window before it is moved to fit the depth.
+/// Calls [`find_window`] for a loaded scene. Returns the window before it is moved to fit the
+/// depth.
 ///
 /// # Errors
 /// The errors of that function, and if a result cannot be written.
