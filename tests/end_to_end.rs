@@ -183,12 +183,12 @@ fn one_ray_does_not_decide_a_report_unseen() {
     };
     let plain = factorize(&[]);
     let (said, psnr) = (messages(&plain).join("; "), number(&plain, "psnr_view"));
-    assert!(said.contains("1 of 17280 values lie above 1, the largest 10000"), "{said}");
+    assert!(said.contains("1 of 17280 values are above 1; the largest is 10000"), "{said}");
     assert!(said.contains("--exposure-ev") && said.contains("--tone linear") && psnr < -20.0, "{psnr} dB: {said}");
     for more in [["--tone", "linear"], ["--tone", "agx"], ["--exposure-ev", "-1"]] {
         let report = factorize(&more);
         let (said, psnr) = (messages(&report).join("; "), number(&report, "psnr_view"));
-        assert!(!said.contains("lie above 1") && psnr > 15.0, "{more:?}: {psnr} dB: {said}");
+        assert!(!said.contains("are above 1") && psnr > 15.0, "{more:?}: {psnr} dB: {said}");
     }
 }
 

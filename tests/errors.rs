@@ -60,7 +60,7 @@ fn scenes() {
     let text = run_fails("model.obj", b"v 0 0 0");
     assert!(text.contains("model.obj"), "{text}");
     let text = run_fails("model.stl", b"solid");
-    assert!(text.contains("expected a file .gltf, .glb") && text.contains("`stl`"), "{text}");
+    assert!(text.contains("expected a file with the extension .gltf, .glb") && text.contains("`stl`"), "{text}");
 }
 
 /// A scene file may be untrusted: it reads only regular files in its own folder, unless the user

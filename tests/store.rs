@@ -420,7 +420,7 @@ fn unneeded_files_are_removed_and_reported() {
     let text = succeed(lumistack().arg("clean").arg(&run).args(["--all", "--dry-run"]));
     assert!(text.contains("cached views") && text.contains("would be freed"), "{text}");
     let error = fail(lumistack().arg("clean").arg(folder.path()));
-    assert!(error.contains("a folder of a run"), "{error}");
+    assert!(error.contains("the folder of a run"), "{error}");
 }
 
 #[test]

@@ -1,5 +1,6 @@
-//! Limits of a display by its geometry alone: bound on depth of field, spectral support, viewing
-//! zone, frame rate, brightness. Depths of a scene are compared with them.
+//! Limits of a display that follow from its geometry alone: bound on depth of field, spectral
+//! support, viewing zone, frame rate and brightness. If there is a scene, its depths are compared
+//! with them.
 
 mod plots;
 mod text;
@@ -10,144 +11,145 @@ use serde::Serialize;
 /// Number of depths at which the bound is sampled.
 const SAMPLES: usize = 1601;
 
-/// The analysis of a display.
+/// Limits of a display, and the depths of a scene if there is one.
 #[derive(Clone, Debug, Serialize)]
 pub struct Analysis {
-    /// Its name.
+    /// Name of the display.
     pub name: String,
     /// Number of layers N.
     pub layers: usize,
-    /// Their distances from z = 0, millimetres.
+    /// Distances of the layers from z = 0, millimetres.
     pub layers_mm: Vec<f64>,
-    /// Distance of a directional backlight from z = 0, millimetres; none for a uniform one.
+    /// Distance of a directional backlight from z = 0, millimetres; `None` for a uniform backlight.
     pub backlight_mm: Option<f64>,
-    /// Depth from the rearmost part to the frontmost, millimetres.
+    /// Depth from the rearmost to the frontmost of layers and backlight, millimetres.
     pub thickness_mm: f64,
-    /// [low, high] depths at which the finest detail of the light field's pixels can be shown,
-    /// millimetres.
+    /// [low, high] depths between which the display can show the finest detail of the light field's
+    /// pixels, millimetres. `None` if there is no such depth.
     pub depth_of_field_mm: Option<[f64; 2]>,
-    /// The bound applies to this display. With additive layers only the layers' own planes have a
-    /// bound.
+    /// True if the bound can be achieved at all depths. If the display adds its layers' light, the
+    /// bound holds only on the planes of the layers.
     pub bound_holds: bool,
-    /// Along x and y.
+    /// The bound along x and along y.
     pub axes: [AxisAnalysis; 2],
-    /// The viewing zone.
+    /// The viewing zone of the display.
     pub zone: Zone,
-    /// Frames in time.
+    /// Frames and refresh rate.
     pub timing: Timing,
-    /// Light.
+    /// Brightness and contrast.
     pub brightness: Brightness,
     /// Depths of a scene, if there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scene: Option<Scene>,
 }
 
-/// The bound along one axis. Frequencies are cycles per millimetre.
+/// The bound along one axis. Frequencies are in cycles per millimetre.
 #[derive(Clone, Debug, Serialize)]
 pub struct AxisAnalysis {
-    /// Finest frequency of the light field's pixels, 1/(2 pitch).
+    /// Highest frequency of the light field's pixels, 1/(2 pitch).
     pub own_cutoff: f64,
-    /// ω0: the finest layer's cutoff.
+    /// ω0: the highest frequency that the finest layer can show.
     pub layer_cutoff: f64,
-    /// The bound on the display's plane.
+    /// The bound on the display plane.
     pub cutoff_on_screen: f64,
-    /// [z in millimetres, bound].
+    /// Points of the bound: [z in millimetres, bound].
     pub bound: Vec<[f64; 2]>,
-    /// Corners of the spectral support: [cycles per millimetre, cycles per unit of slope].
+    /// Corners of the spectral support, a polygon: [cycles per millimetre, cycles per unit of
+    /// slope].
     pub support: Vec<[f64; 2]>,
-    /// Width of the prefilter in slope.
+    /// Width of the prefilter, as a range of slopes.
     pub footprint: f64,
-    /// The paper's closed form for a display of this kind.
+    /// The closed form that the paper has for displays of this kind, if there is one.
     pub closed: Option<Closed>,
-    /// Equation (23) for the lens array alone.
+    /// Equation (23), for the lens array without the layers.
     pub lens_array: Option<Closed>,
 }
 
-/// A closed form, compared with the general bound.
+/// A closed form of the paper, compared with the general bound.
 #[derive(Clone, Debug, Serialize)]
 pub struct Closed {
-    /// Its number in the paper.
+    /// Number of the equation in the paper.
     pub equation: u32,
-    /// Its assumptions.
+    /// Assumptions of the equation.
     pub assumes: &'static str,
-    /// The assumptions that are violated here.
+    /// The assumptions that this display violates.
     pub broken: Vec<String>,
-    /// Largest of |general/closed − 1| over the sampled depths.
+    /// Maximum of |general/closed − 1| over the sampled depths.
     pub largest_difference: f64,
-    /// The depth of that maximum, millimetres.
+    /// Depth at which `largest_difference` is found, millimetres.
     pub at_mm: f64,
-    /// General over closed form − 1, far from the display.
+    /// General bound over closed form, minus 1, far from the display.
     pub difference_far: f64,
-    /// [z in millimetres, value].
+    /// Points of the closed form: [z in millimetres, bound].
     pub bound: Vec<[f64; 2]>,
 }
 
 /// The viewing zone. Pairs are [horizontal, vertical].
 #[derive(Clone, Debug, Serialize)]
 pub struct Zone {
-    /// Full angles, degrees.
+    /// Field of view: full angles, degrees.
     pub fov_deg: [f64; 2],
-    /// Views.
+    /// Number of views.
     pub views: [usize; 2],
     /// Slope between neighbouring views.
     pub step: [f64; 2],
-    /// Distance from which the whole zone contains the display for an eye on the axis, millimetres;
-    /// for pinhole views their own distance.
+    /// Distance from which on an eye on the axis sees the whole display within the zone,
+    /// millimetres. For pinhole views, their own viewing distance.
     pub whole_from_mm: f64,
-    /// Width of the zone at twice that distance (for pinhole views at their own), millimetres.
+    /// Width and height of the zone at the distance `at_mm`, millimetres.
     pub width_mm: [f64; 2],
-    /// Distance at which the width applies, millimetres.
+    /// Twice `whole_from_mm`, or the viewing distance of pinhole views, millimetres.
     pub at_mm: f64,
-    /// Number of views between two eyes 63 mm apart, at that distance.
+    /// Number of views between two eyes that are 63 mm apart, at the distance `at_mm`.
     pub views_between_eyes: f64,
-    /// The zone repeats to its sides.
+    /// True if the zone repeats at its sides.
     pub repeats: bool,
 }
 
-/// Frames in time.
+/// Frames and refresh rate.
 #[derive(Clone, Debug, Serialize)]
 pub struct Timing {
-    /// Frames M.
+    /// Number of frames M.
     pub frames: usize,
-    /// Refreshes of a period: M, or 3M with a colour sequence.
+    /// Refreshes of the panels in one period: M, or 3M with a colour sequence.
     pub subframes: usize,
     /// Refresh rate of the panels, hertz.
     pub refresh_hz: f64,
-    /// Periods a second.
+    /// Number of periods a second.
     pub period_hz: f64,
-    /// Refresh rate required for [`Display::FLICKER_HZ`] periods a second, hertz.
+    /// Refresh rate at which [`Display::FLICKER_HZ`] periods a second are shown, hertz.
     pub wanted_hz: f64,
-    /// The period is below [`Display::FLICKER_HZ`].
+    /// True if there are fewer than [`Display::FLICKER_HZ`] periods a second.
     pub flickers: bool,
 }
 
-/// Light.
+/// Brightness and contrast.
 #[derive(Clone, Debug, Serialize)]
 pub struct Brightness {
     /// Brightness scale β.
     pub beta: f64,
-    /// Brightest white of the layers; a larger β cannot be reached.
+    /// Largest transmittance of all layers together; a larger β cannot be reached.
     pub white: f64,
-    /// Darkest over brightest state.
+    /// Light of the darkest state divided by the light of the brightest.
     pub black: f64,
 }
 
 /// Depths of a scene, from the depth budget of a run or a prediction.
 #[derive(Clone, Debug, Serialize)]
 pub struct Scene {
-    /// One sentence.
+    /// One sentence that describes the depths.
     pub sentence: String,
     /// Fraction of hits within the depth of field.
     pub inside: Option<f64>,
-    /// 2nd, 25th, 50th, 75th and 98th percentile of depth, millimetres, each with the bound
-    /// relative to the pixels' own frequency.
+    /// 2nd, 25th, 50th, 75th and 98th percentile of depth. Each is [depth in millimetres, bound
+    /// there divided by the highest frequency of the pixels].
     pub percentiles: Vec<[f64; 2]>,
-    /// Bars: [from, to in millimetres, fraction].
+    /// Bars of the depth histogram: [from, to in millimetres, fraction of the hits].
     pub shares: Vec<[f64; 3]>,
 }
 
 impl Scene {
-    /// Reads a depth budget in the form of `report.json`.
+    /// Reads the depths of a scene from a depth budget, in the form that `report.json` has.
     pub fn from_budget(budget: &serde_json::Value, sentence: String) -> Self {
         let number = |value: &serde_json::Value| value.as_f64().unwrap_or(f64::NAN);
         let histogram = &budget["depth_histogram"];
@@ -165,8 +167,8 @@ impl Scene {
 }
 
 impl Analysis {
-    /// Computes the analysis. `reach_mm` is the largest depth at which the bound is sampled;
-    /// without it, the depths of the display and the scene decide.
+    /// Computes the analysis. `reach_mm` is the largest depth at which the bound is sampled. `None`
+    /// derives it from the depths of the display and of the scene.
     pub fn of(display: &Display, scene: Option<Scene>, reach_mm: Option<f64>) -> Self {
         let depth_of_field_mm = display.depth_of_field(display.field.pitch_mm);
         let layers_mm: Vec<f64> = display.layers.iter().map(|layer| layer.d_mm).collect();
@@ -174,7 +176,7 @@ impl Analysis {
             Backlight::Lenslets(backlight) => Some(backlight.d_mm),
             Backlight::Uniform => None,
         };
-        // Sample depths up to the reach: that requested, or the extent of layers, scene and field.
+        // Sample depths up to the requested reach, or up to the extent of layers, scene and field.
         let parts = || layers_mm.iter().copied().chain(backlight_mm);
         let (rear, front) = parts().fold((f64::MAX, f64::MIN), |(a, b), d| (a.min(d), b.max(d)));
         let of_scene = scene.iter().flat_map(|scene| &scene.percentiles).map(|p| 1.2 * p[0].abs());
@@ -220,7 +222,7 @@ impl Analysis {
     }
 }
 
-/// Fraction of the bars between two depths; cut bars count in part.
+/// Fraction of the hits between two depths. A bar that the limits cut contributes in proportion.
 fn share_between(bars: &[[f64; 3]], low: f64, high: f64) -> Option<f64> {
     let all: f64 = bars.iter().map(|bar| bar[2]).sum();
     let inside =
@@ -264,8 +266,8 @@ impl Zone {
         let size = display.field_pixels().size_mm();
         let step = [0, 1].map(|axis| 2.0 * half[axis] / display.views()[axis] as f64);
         let pinholes = field.distance_mm.filter(|_| field.projection == ProjectionKind::Perspective);
-        // from D on, rays to both edges have slopes of at most tan(α/2); an axis with one direction
-        // never has
+        // From a distance D on, the rays from the eye to both edges have slopes of at most
+        // tan(α/2). An axis with a single direction has no such distance.
         let whole = [0, 1].map(|axis| if half[axis] > 0.0 { 0.5 * size[axis] / half[axis] } else { 0.0 });
         let whole_from_mm = pinholes.unwrap_or(whole[0].max(whole[1]));
         let at_mm = pinholes.unwrap_or(2.0 * whole_from_mm);
@@ -309,7 +311,8 @@ impl Brightness {
         };
         let (white, black) = match display.formation {
             Formation::Attenuating => (peaks.product(), blacks.product::<f64>() * lamp),
-            // a sum of layers, and the sine of one: any single layer reaches the brightest state
+            // If the light of layers adds up, or rotations add up under one sine, any single layer
+            // reaches the brightest state.
             _ => (1.0, blacks.fold(0.0, f64::max)),
         };
         Self { beta: display.brightness, white, black }
@@ -351,7 +354,7 @@ mod tests {
         assert!(analysis.text().contains("eq. 25") && analysis.text().contains("the same"), "{}", analysis.text());
     }
 
-    /// Oracle: an eye at D sees the edge at W/2 under a slope of W/(2D).
+    /// Oracle: an eye at distance D sees the edge at W/2 under a slope of W/(2D).
     #[test]
     fn the_zone_holds_the_whole_display() {
         let zone = Analysis::of(&directional(), None, None).zone;
@@ -370,7 +373,8 @@ mod tests {
         let display = Display::uniform([84, 52], 1.0, [5, 5], [20.0, 20.0], &[-40.0, 0.0, 40.0], 2);
         let analysis = Analysis::of(&display, Some(Scene::from_budget(&budget, "deep".into())), None);
         let scene = analysis.scene.as_ref().unwrap();
-        // depth of field is −80 to 80 mm: half of the first and of the last bar are outside
+        // the depth of field is −80 to 80 mm, so half of the first bar and half of the last are
+        // outside
         assert!((scene.inside.unwrap() - 0.625).abs() < 1e-6, "{:?}", scene.inside);
         let expected = [0.8, 3.0 * 40.0 / 90.0, 3.0, 1.5, 1.0];
         for (found, expected) in scene.percentiles.iter().zip(expected) {
@@ -389,6 +393,6 @@ mod tests {
             assert!(Analysis::depth_of_field_plot(&all, axis).unwrap().contains("prototype"));
             assert!(Analysis::support_plot(&all, axis).unwrap().contains("prototype"));
         }
-        assert!(all[2].text().contains("layers add"), "{}", all[2].text());
+        assert!(all[2].text().contains("the layers' light adds up"), "{}", all[2].text());
     }
 }

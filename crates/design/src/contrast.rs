@@ -1,4 +1,4 @@
-//! Achieved contrast by depth: gratings at many depths and frequencies, through the solved stack.
+//! Achieved contrast by depth: the display is solved for gratings of many depths and frequencies.
 //!
 //! A plane at z with a grating of frequency ω has, along the ray of slope s through x on z = 0, the
 //! radiance
@@ -11,26 +11,27 @@
 //! modulation transfer is
 //!
 //! ```text
-//! contrast = Σ (L̃/β − mean) cos φ / Σ (L − mean) cos φ        over all rays that count
+//! contrast = Σ (L̃/β − mean) cos φ / Σ (L − mean) cos φ        over all valid rays
 //! ```
 //!
 //! It is 1 for an exact grating and 0 for grey. Axes are measured separately, on a strip of one row
 //! of pixels and of views. The three channels have three phases φ_0, a third of a period apart, and
-//! the mean over them counts. The bound of [`Display::spatial_cutoff`] limits the frequencies that
-//! can be shown at all. The contrast is the result of a solver with M frames.
+//! the result is their mean. The bound of [`Display::spatial_cutoff`] limits the frequencies that
+//! any factors could show; the contrast is that of one solver with M frames.
 //!
 //! There are three measures ([`Achieved`]).
 //!
-//! * *At the target views*: over the rays of the solution. Errors between the views are not
-//!   measured. A display may be exact at these rays and yet show nothing of the grating elsewhere.
-//! * *In between*: over rays in the whole zone, [`POINTS`] per pixel and at least two slopes per
-//!   view. This covers the whole emission, including the pixels' shape.
-//! * *With more views*: the same, solved for one view per
-//!   [`angular_footprint`](Display::angular_footprint), which is as many as the bound can use. This
-//!   measures the hardware; *in between* measures the display with its own views.
+//! * *At the target views*: over the rays of the target. Errors between the views are not measured.
+//!   A display may be exact at these rays and yet show nothing of the grating elsewhere.
+//! * *In between*: over rays of the whole zone, with [`POINTS`] rays per pixel and at least two
+//!   slopes per view. This covers the whole emission, including the pixels' shape.
+//! * *With more views*: over the same rays, for patterns that are solved for more views: one per
+//!   [`angular_footprint`](Display::angular_footprint), as many as the bound can use. This measures
+//!   the hardware; *in between* measures the display with its own number of views.
 //!
-//! The bound holds in between, except for a limit of narrow zones. Over a slope range S a static
-//! picture has half the contrast of a grating that moves by [`HALF_SINC`] periods over the zone.
+//! Contrast over rays in between obeys the bound, except in narrow zones. A grating may move by no
+//! more than [`HALF_SINC`] periods over the zone. Then even a picture that is the same for all
+//! slopes has half of its contrast.
 
 use std::f64::consts::TAU;
 
@@ -47,23 +48,23 @@ use lumistack_plot::{self as plot, Axes, Curve, PlotError};
 
 /// Largest number of columns of a strip.
 const MOST_COLS: usize = 96;
-/// Contrast from which a grating counts as shown.
+/// Contrast from which on a grating is regarded as shown.
 pub const SHOWN: f64 = 0.5;
-/// Rays per pixel in between.
+/// Rays per pixel of the measures over the whole zone.
 pub const POINTS: usize = 3;
-/// x with sin(πx)/(πx) = ½.
+/// The x at which sin(πx)/(πx) = ½.
 pub const HALF_SINC: f64 = 0.603;
-/// Approximate number of slopes over the zone, in between.
+/// Approximate number of slopes of the measures over the whole zone.
 const SLOPES: usize = 40;
 /// Largest number of views of a strip.
 const MOST_VIEWS: usize = 48;
 
-/// The gratings to measure, and the effort of the solver.
+/// The gratings to measure, and settings of the solver.
 #[derive(Clone, Debug)]
 pub struct Gratings {
     /// Depths, millimetres.
     pub depths_mm: Vec<f64>,
-    /// Frequencies, relative to the finest of the light field's pixels, above 0 and at most 1.
+    /// Frequencies, relative to the highest of the light field's pixels, above 0 and at most 1.
     pub frequencies: Vec<f64>,
     /// Iterations of the solver.
     pub iterations: u32,
@@ -71,27 +72,27 @@ pub struct Gratings {
     pub seed: u64,
 }
 
-/// Contrast of one grating.
+/// Contrast of one grating, by three measures.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Contrast {
-    /// Its depth, millimetres.
+    /// Depth of the grating, millimetres.
     pub z_mm: f64,
-    /// Its frequency, relative to the finest of the light field's pixels.
+    /// Frequency of the grating, relative to the highest of the light field's pixels.
     pub frequency: f64,
-    /// The bound at this depth, relative to the same.
+    /// The bound at this depth, relative to the highest frequency of the light field's pixels.
     pub bound: f64,
     /// Contrast at the target views.
     pub contrast: f64,
     /// Contrast of the whole emission into the viewing zone.
     pub between: f64,
-    /// The same, solved with as many views as the bound can use.
+    /// Contrast of the whole emission, solved with as many views as the bound can use.
     pub dense: f64,
 }
 
 /// Measures of contrast.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Achieved {
-    /// At the rays of the solution.
+    /// At the rays of the target.
     AtTheViews,
     /// Over the whole emission into the viewing zone.
     InBetween,
@@ -100,7 +101,7 @@ pub enum Achieved {
 }
 
 impl Contrast {
-    /// The contrast by one measure.
+    /// The contrast of the grating by one measure.
     pub fn of(&self, achieved: Achieved) -> f64 {
         match achieved {
             Achieved::AtTheViews => self.contrast,
@@ -110,7 +111,7 @@ impl Contrast {
     }
 }
 
-/// The grating cannot be solved.
+/// The contrast cannot be measured.
 #[derive(Debug, Error)]
 pub enum ContrastError {
     /// The display cannot be reduced to a strip.
@@ -159,7 +160,7 @@ impl Gratings {
         Ok(found)
     }
 
-    /// Contrast at the target views and in between.
+    /// Contrast at the target views, and over rays in between.
     fn one(&self, strip: &Display, z_mm: f64, frequency: f64, task: Task<'_>) -> Result<[f64; 2], ContrastError> {
         let geometry = strip.geometry()?;
         let mut target = LightField::black(geometry.clone())?;
@@ -199,7 +200,7 @@ impl Grating {
     /// Contrast at the rays of a geometry.
     fn share_of(&self, display: &Display, stack: &LayerStack, geometry: &FieldGeometry) -> f64 {
         let (simulator, map) = (Simulator::new(display, stack), RayMap::new(display, geometry));
-        // Σ of weight, L, L̃/β, cos, and products with cos, per channel
+        // Σ of weight, L, L̃/β and cos φ, and of the products of L and L̃/β with cos φ, per channel
         let mut sums = [[0.0f64; 6]; 3];
         for view in 0..geometry.grid.views()[1] {
             let emitted = simulator.view(&map, geometry, [0, view]);
@@ -216,7 +217,7 @@ impl Grating {
     }
 }
 
-/// The rays of a strip's light field and rays in between.
+/// The geometry of a strip with more rays: [`POINTS`] per pixel, and slopes in between.
 fn finer(geometry: &FieldGeometry) -> FieldGeometry {
     let slopes = &geometry.grid.slope_x;
     let per_view = (SLOPES / slopes.len()).max(2);
@@ -240,7 +241,7 @@ fn useful_views(display: &Display, axis: usize) -> usize {
     if footprint > 0.0 { ((zone / footprint - 1e-9).ceil() as usize).clamp(1, MOST_VIEWS) } else { 1 }
 }
 
-/// The display reduced to one row of pixels and this number of views along an axis.
+/// The display reduced to one row of pixels, and to `views` views, along an axis.
 fn strip(display: &Display, axis: usize, views: usize) -> Result<Display, ContrastError> {
     let mut strip = display.clone();
     let cols = display.field.resolution[axis].min(MOST_COLS);
@@ -250,14 +251,15 @@ fn strip(display: &Display, axis: usize, views: usize) -> Result<Display, Contra
     strip.field.views = Views::Fixed([views, 1]);
     strip.field.fov_deg = [display.field.fov_deg[axis], 0.0];
     for layer in &mut strip.layers {
-        // no wider than the layer, no narrower than the rays require
+        // no wider than the layer itself, no narrower than the rays require
         let needed = ((width_mm + 2.0 * layer.d_mm.abs() * half) / layer.pitch_mm).ceil() as usize + 2;
         layer.resolution = [needed.min(layer.resolution[axis]).max(1), 1];
         layer.offset_mm = [layer.offset_mm[axis], 0.0];
     }
     if let Backlight::Lenslets(backlight) = &mut strip.backlight {
         let needed = ((width_mm + 2.0 * backlight.d_mm.abs() * half) / backlight.pitch_mm).ceil() as usize + 2;
-        // keep the parity, as arrays of even and odd counts differ by half a lenslet
+        // keep the count odd or even, since the lenslets of odd and even arrays differ by half a
+        // lenslet
         let count = needed.min(backlight.lenslets[axis]);
         let same_parity = count + (backlight.lenslets[axis] - count) % 2;
         backlight.lenslets = [same_parity.max(1), 1];
@@ -270,7 +272,7 @@ fn strip(display: &Display, axis: usize, views: usize) -> Result<Display, Contra
 }
 
 /// The highest frequency with a contrast of at least [`SHOWN`], by depth: [z in millimetres,
-/// frequency relative to the pixels'].
+/// frequency relative to the highest of the pixels].
 pub fn achieved_cutoff(found: &[Contrast], achieved: Achieved) -> Vec<[f64; 2]> {
     let mut by_depth: Vec<(f64, Vec<&Contrast>)> = Vec::new();
     for contrast in found {
@@ -281,8 +283,8 @@ pub fn achieved_cutoff(found: &[Contrast], achieved: Achieved) -> Vec<[f64; 2]> 
     }
     let cutoff = |mut list: Vec<&Contrast>| {
         list.sort_by(|a, b| a.frequency.total_cmp(&b.frequency));
-        // linear interpolation from contrast 1 at frequency 0 to the first value below the
-        // threshold
+        // interpolate between the last contrast above the threshold and the first one below it; the
+        // contrast is 1 at frequency 0
         let (mut frequency, mut before) = (0.0, 1.0);
         for contrast in list {
             if contrast.of(achieved) < SHOWN {
@@ -296,8 +298,8 @@ pub fn achieved_cutoff(found: &[Contrast], achieved: Achieved) -> Vec<[f64; 2]> 
     by_depth.into_iter().map(|(z, list)| [z, cutoff(list)]).collect()
 }
 
-/// Contrast of the whole emission, with as many views as required, over depth: one curve per
-/// frequency, as SVG.
+/// Contrast of the whole emission over depth, with as many views as the bound can use, as SVG: a
+/// curve per frequency.
 ///
 /// # Errors
 /// If there are no results.
@@ -307,7 +309,7 @@ pub fn contrast_plot(name: &str, found: &[Contrast]) -> Result<String, PlotError
     frequencies.dedup();
     let curves = frequencies.iter().enumerate().map(|(place, &frequency)| {
         let own = found.iter().filter(|contrast| contrast.frequency == frequency);
-        let name = format!("{frequency:.3} × the pixels' own").replace(".000", "");
+        let name = format!("{frequency:.3} × the finest of the pixels").replace(".000", "");
         let points = own.map(|contrast| [contrast.z_mm, contrast.dense]).collect();
         let (colour, dashed) = (place % plot::COLOURS.len(), place >= plot::COLOURS.len());
         Curve { name, points, colour, dashed, dots: true }
@@ -327,7 +329,7 @@ fn cutoff_axes(title: String) -> Axes {
     Axes {
         title,
         x_label: "depth, mm towards the viewer".into(),
-        y_label: "frequency, × the pixels' own".into(),
+        y_label: "frequency, × the finest of the pixels".into(),
         x: None,
         y: Some([0.0, 1.6]),
     }
@@ -339,7 +341,7 @@ fn bound_of(found: &[Contrast]) -> Vec<[f64; 2]> {
     bound
 }
 
-/// The half-contrast frequency of a display over depth, by each measure, and its bound, as SVG.
+/// The half-contrast frequency of a display over depth, by each measure, next to its bound, as SVG.
 ///
 /// # Errors
 /// If there are no results.
@@ -356,13 +358,13 @@ pub fn achieved_plot(name: &str, found: &[Contrast]) -> Result<String, PlotError
         Curve { name: "bound".into(), points: bound_of(found), colour: black, dashed: true, ..Curve::default() },
         achieved("solved for more views, over the whole zone", Achieved::WithMoreViews, 1),
         achieved("solved for its views, over the whole zone", Achieved::InBetween, 0),
-        achieved("solved for its views, at these alone", Achieved::AtTheViews, 2),
+        achieved("solved for its views, measured only at them", Achieved::AtTheViews, 2),
     ];
     plot::curves(&cutoff_axes(format!("{name}: half contrast")), &curves, &[], &[])
 }
 
-/// The half-contrast frequencies of several displays with as many views as required, and their
-/// bounds, as SVG.
+/// The half-contrast frequencies of several displays, with as many views as their bounds can use,
+/// and these bounds, as SVG.
 ///
 /// # Errors
 /// If there are no results.
@@ -396,8 +398,8 @@ mod tests {
         Display { brightness: 0.3, ..display }
     }
 
-    /// A lens array of Δx = 4 pixels with a layer in its plane; `open` keeps the layer clear, which
-    /// is integral imaging.
+    /// A lens array of Δx = 4 pixels with a layer in its plane. If `open`, the layer is clear, so
+    /// the display is integral imaging.
     fn lenses(frames: usize, open: bool) -> Display {
         let mut display = stack(&[0.0], frames);
         display.backlight = Backlight::Lenslets(LensletBacklight::new(-1e-6, [16, 10], 2.0, [5, 5], [20.0, 20.0]));
@@ -423,11 +425,12 @@ mod tests {
     }
 
     /// The paper's Figure 11, over the whole emission: a layer in front of integral imaging
-    /// improves the display plane at once. Off that plane it needs more than one frame.
+    /// improves the display plane with a single frame. Off that plane it needs more than one frame.
     #[test]
     fn a_layer_helps_integral_imaging_on_the_screen_and_off_it_only_with_frames() {
         let bin = 0.4 * 10f64.to_radians().tan();
-        // between the lens array's limit, 1/(2Δx), and the bound with the layer, 1/(2 z Δs)
+        // a depth at which the frequency is above the lens array's limit, 1/(2Δx), and below the
+        // bound with the layer, 1/(2 z Δs)
         let off = 0.45 * 2.0 / bin;
         let gratings = |display: &Display| {
             let found = measured(display, &[0.0, off], &[0.45]);
@@ -442,11 +445,11 @@ mod tests {
         assert!(many[0] > 0.9 && many[1] > SHOWN, "six frames: {many:?}");
     }
 
-    /// Over the whole emission no display exceeds its bound, except for the limit of narrow zones.
-    /// At its own views alone each of these displays does.
+    /// Over the whole emission no display exceeds its bound, except by the term for narrow zones.
+    /// At the target views alone, each of these displays exceeds it.
     #[test]
     fn the_bound_holds_for_all_that_is_emitted() {
-        // half contrast is interpolated between two measured frequencies
+        // the half-contrast frequency is interpolated between two measured frequencies
         const BETWEEN_FREQUENCIES: f64 = 0.01;
         let zone = 2.0 * 10f64.to_radians().tan();
         let depths = [-90.0, -50.0, -30.0, 25.0, 60.0];
@@ -483,7 +486,7 @@ mod tests {
         let views = Achieved::AtTheViews;
         assert_eq!(achieved_cutoff(&[at(0.5, 1.0), at(1.0, 0.0)], views), [[3.0, 0.75]]);
         assert_eq!(achieved_cutoff(&[at(1.0, 0.9), at(0.5, 1.0)], views), [[3.0, 1.0]]);
-        // from 1 at frequency 0 to ¼ at the first frequency
+        // linear from contrast 1 at frequency 0 to contrast ¼ at the first frequency
         assert_eq!(achieved_cutoff(&[at(0.5, 0.5)], Achieved::InBetween), [[3.0, 0.5 * 0.5 / 0.75]]);
         assert!(contrast_plot("a", &[at(0.5, 1.0), at(1.0, 0.0)]).unwrap().contains("contrast of gratings"));
         assert!(achieved_plot("a", &[at(0.5, 1.0)]).unwrap().contains("a: half contrast"));

@@ -4,7 +4,7 @@
 //! Display ──▶ analysis: bound on depth of field, spectral support, zone, ... ──▶ text, JSON, plots
 //! Display ──▶ contrast: gratings at many depths through the solved stack ──▶ achieved contrast
 //! results of a sweep ──▶ table: CSV, maps and curves like the paper's Figures 7 and 8
-//! pictures ──▶ sheet: side by side, with text
+//! pictures ──▶ sheet: pictures next to each other, with text
 //! ```
 //!
 //! Plots are SVG, and PNG rasterized from the same SVG.

@@ -1,37 +1,36 @@
-//! Predicted quality of a design before it is solved: a ranking, in decibels.
+//! Predicts the quality of a design before it is solved, in decibels, to rank designs.
 //!
-//! Three properties of a display explain most of the quality on a light field that suits it. They
-//! are degrees of freedom per ray, brightness, and the detail that the bound allows over the
-//! display's useful depths. These reach to z_1 = p/Δs, a disparity of one pixel between
-//! neighbouring views:
+//! For a light field whose depths suit the display, three properties explain most of the quality.
+//! They are degrees of freedom per ray, brightness, and the detail that the bound allows. Detail is
+//! averaged up to the depth z_1 = p/Δs, where neighbouring views differ by one pixel:
 //!
 //! ```text
 //! PSNR ≈ c_0 + c_1 log2 ρ + c_2 log2 1/β + c_3 mean of min(1, ω(z) 2p) over |z| ≤ z_1
-//! ρ = values per ray
+//! ρ = values of the patterns per ray
 //! ```
 //!
 //! The constants were fitted by least squares to 80 random designs on one scene ([`COEFFICIENTS`]).
 //! Another scene mainly changes c_0, so use the ranking, not the value. `cargo xtask bench design`
-//! prints the rank correlation with solved designs outside the fit.
+//! prints the rank correlation of predicted and solved designs that the fit did not use.
 
 use lumistack_display::Display;
 
 use crate::table::Design;
 
-/// c_0 to c_3, dB.
+/// Constants c_0 to c_3, dB.
 pub const COEFFICIENTS: [f64; 4] = [26.1, 7.7, 0.9, 14.7];
 
 /// Number of depths over which the bound is averaged.
 const DEPTHS: usize = 65;
 
-/// log2 ρ, log2 1/β, and the mean detail.
+/// The features of a display: log2 ρ, log2 1/β, and the mean detail.
 pub fn features(display: &Display) -> [f64; 3] {
     let design = Design::of("", display);
     let own = 0.5 / display.field.pitch_mm;
     let steps =
         [0, 1].map(|axis| 2.0 / display.views()[axis] as f64 * (0.5 * display.field.fov_deg[axis].to_radians()).tan());
     let step = steps[0].max(steps[1]);
-    // one direction has no depth
+    // a single direction shows no depth
     let reach = if step > 0.0 { display.field.pitch_mm / step } else { 0.0 };
     let share = |i: usize| {
         let z = reach * (2.0 * i as f64 / (DEPTHS - 1) as f64 - 1.0);
@@ -47,8 +46,8 @@ pub fn predicted_db(display: &Display) -> f64 {
     c0 + rest.iter().zip(features(display)).map(|(c, feature)| c * feature).sum::<f64>()
 }
 
-/// Spearman's rank correlation of two lists of equal length; ties have their mean rank. NaN if a
-/// list is constant.
+/// Spearman's rank correlation of two lists of equal length. Equal values have the mean of their
+/// ranks. NaN if a list is constant.
 pub fn rank_correlation(first: &[f64], second: &[f64]) -> f64 {
     let [a, b] = [first, second].map(ranks);
     let mean = (a.len() as f64 - 1.0) / 2.0;
@@ -85,7 +84,7 @@ mod tests {
         let close = |found: f64, expected: f64| assert!((found - expected).abs() < 1e-12, "{found}");
         close(rank_correlation(&[1.0, 2.0, 3.0], &[10.0, 20.0, 1e9]), 1.0);
         close(rank_correlation(&[1.0, 2.0, 3.0], &[3.0, 2.0, 1.0]), -1.0);
-        // 1 − 6 Σ d²/(n (n² − 1)) without ties
+        // without equal values, the correlation is 1 − 6 Σ d²/(n (n² − 1))
         close(rank_correlation(&[1.0, 2.0, 3.0, 4.0], &[2.0, 1.0, 4.0, 3.0]), 1.0 - 6.0 * 4.0 / 60.0);
         close(rank_correlation(&[1.0, 1.0, 2.0], &[5.0, 5.0, 7.0]), 1.0);
         assert!(rank_correlation(&[1.0, 1.0], &[1.0, 2.0]).is_nan());

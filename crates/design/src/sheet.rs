@@ -1,6 +1,6 @@
 //! A contact sheet: pictures of one size in rows and columns, with text. Text uses the font of the
-//! plots. Pixels of the pictures stay unchanged; small pictures are enlarged by a whole factor to
-//! fit their captions.
+//! plots. Pixels of the pictures stay unchanged; small pictures are enlarged by a whole
+//! number, so that their captions fit.
 
 use std::fmt::Write as _;
 
@@ -9,7 +9,7 @@ use lumistack_plot::{self as plot, FAMILY, PlotError};
 /// A picture and its caption.
 #[derive(Clone, Debug, Default)]
 pub struct Cell {
-    /// Under the picture; empty for nothing.
+    /// Text under the picture; empty for none.
     pub caption: String,
     /// Codes `[row][col][rgb]`.
     pub rgb: Vec<u8>,
@@ -18,11 +18,11 @@ pub struct Cell {
 /// Pictures in rows and columns.
 #[derive(Clone, Debug, Default)]
 pub struct Sheet {
-    /// [columns, rows] of pixels of every picture.
+    /// [columns, rows] of pixels; all pictures have this size.
     pub size: [usize; 2],
-    /// Lines of text above every column, the first one larger.
+    /// Lines of text above every column. The first line is larger.
     pub columns: Vec<Vec<String>>,
-    /// Text beside a row, and its pictures.
+    /// For each row, the text next to it, and its pictures.
     pub rows: Vec<(String, Vec<Cell>)>,
 }
 
@@ -30,7 +30,7 @@ pub struct Sheet {
 const LEAST_WIDTH: usize = 200;
 const SPACE: usize = 8;
 const LINE: usize = 17;
-/// Width of the text beside rows.
+/// Width of the text next to the rows, pixels.
 const SIDE: usize = 30;
 
 impl Sheet {
@@ -43,7 +43,7 @@ impl Sheet {
         if let Some(cell) = self.rows.iter().flat_map(|row| &row.1).find(|cell| cell.rgb.len() != 3 * cols * rows) {
             return Err(PlotError::new(format!("{} values in a picture of {cols} × {rows} pixels", cell.rgb.len())));
         }
-        // Lay out cells, enlarged by a whole factor, with room for headings and captions.
+        // Lay out cells, enlarged by a whole number, with room for headings and captions.
         let larger = LEAST_WIDTH.div_ceil(cols.max(1)).max(1);
         let [wide, high] = [larger * cols, larger * rows];
         let heads = self.columns.iter().map(Vec::len).max().unwrap_or(0);

@@ -9,29 +9,29 @@ use lumistack_plot::{self as plot, Axes, COLOURS, Curve, Map, PlotError};
 /// One design: its parameters and hardware requirements.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Design {
-    /// Name of the display that it varies.
+    /// Name of the display file that the design varies.
     pub display: String,
-    /// Layers N.
+    /// Number of layers N.
     pub layers: usize,
-    /// Frames M.
+    /// Number of frames M.
     pub frames: usize,
     /// Brightness scale β.
     pub brightness: f64,
-    /// Mean distance between neighbouring layers, millimetres; for a single layer its distance to
-    /// the backlight, 0 without one.
+    /// Mean distance between neighbouring layers, millimetres. For a single layer, its distance to
+    /// the backlight; 0 if there is no directional backlight.
     pub gap_mm: f64,
-    /// [horizontal, vertical] full angles, degrees.
+    /// Field of view: [horizontal, vertical] full angles, degrees.
     pub fov_deg: [f64; 2],
     /// [columns, rows] of lenslets; [0, 0] without lenslets.
     pub lenslets: [usize; 2],
-    /// Depth from the rearmost part to the frontmost, millimetres.
+    /// Depth from the rearmost to the frontmost of layers and backlight, millimetres.
     pub thickness_mm: f64,
-    /// Panels: the layers, and the one behind the lenslets.
+    /// Number of panels: the layers, and the panel behind the lenslets.
     pub panels: usize,
-    /// Refresh rate without flicker, hertz; 0 for a static display.
+    /// Refresh rate from which on the display does not flicker, hertz; 0 for a static display.
     pub refresh_hz: f64,
-    /// Stack values per ray of the light field: degrees of freedom. From 1 on every ray could have
-    /// its own value.
+    /// Values of the patterns per ray of the light field: degrees of freedom. With 1 or more, each
+    /// ray could have a value of its own.
     pub values_per_ray: f64,
 }
 
@@ -70,30 +70,31 @@ impl Design {
 pub struct Row {
     /// The design.
     pub design: Design,
-    /// PSNR of pixel-averaged views / β over the whole zone, dB, if a scene was rendered.
+    /// Zone score: PSNR of seen pictures over the whole zone, dB, if a scene was rendered.
     #[serde(default)]
     pub psnr_zone_db: Option<f64>,
-    /// The same for the worst tenth of the directions, dB.
+    /// The PSNR of `psnr_zone_db` for the worst tenth of the directions, dB.
     #[serde(default)]
     pub psnr_zone_worst_tenth_db: Option<f64>,
     /// PSNR of L̃/β against L, dB, at most [`MOST_DB`].
     pub psnr_view_db: f64,
     /// PSNR of L̃ against βL, dB.
     pub psnr_raw_db: f64,
-    /// PSNR of L̃/β at views between the target's, dB, if they are known.
+    /// PSNR of L̃/β at views between those of the target, dB, if such views are known.
     pub psnr_between_db: Option<f64>,
-    /// For several time steps, the worst one's PSNR of L̃/β against L, dB. The figures above are
-    /// over all time steps.
+    /// For several time steps, the PSNR of L̃/β against L of the worst one, dB. The values above
+    /// are over all time steps.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub psnr_worst_db: Option<f64>,
-    /// For a job with several nodes, the results of each. The figures above are the first node's.
+    /// For a job with several nodes, the results of each. The values above are those of the first
+    /// node.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub nodes: Vec<NodeRow>,
 }
 
 impl Row {
-    /// Ranking criterion, dB: the zone score; for given light fields and sequences, the PSNR at the
-    /// target views.
+    /// PSNR by which designs are ranked, dB: the zone score. For given light fields and sequences,
+    /// which have none, the PSNR at the target views.
     pub fn quality_db(&self) -> f64 {
         self.psnr_zone_db.unwrap_or(self.psnr_view_db)
     }
@@ -102,7 +103,7 @@ impl Row {
 /// Results of one node with a design.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NodeRow {
-    /// Its name.
+    /// Name of the node.
     pub id: String,
     /// As in [`Row`].
     #[serde(default)]
@@ -121,11 +122,11 @@ pub struct NodeRow {
     pub psnr_worst_db: Option<f64>,
 }
 
-/// Upper limit of figures: an exact display has an infinite PSNR.
+/// Largest PSNR in the table. An exact display has an infinite PSNR, which JSON cannot store.
 pub const MOST_DB: f64 = 200.0;
 
-/// The table as CSV: a line of names, a line per row. Several time steps add a column for the worst
-/// one, several nodes add columns for each.
+/// The table as CSV: a line of names, then a line per row. With several time steps there is a
+/// column for the worst one, with several nodes there are columns for each.
 pub fn csv(rows: &[Row]) -> String {
     let mut text = String::from(
         "display,layers,frames,brightness,gap_mm,fov_x_deg,fov_y_deg,lenslets_x,lenslets_y,thickness_mm,panels,refresh_hz,values_per_ray,\
@@ -180,7 +181,7 @@ pub fn csv(rows: &[Row]) -> String {
     text
 }
 
-/// A number with at most this many decimals.
+/// A number with at most `digits` decimals.
 fn rounded(value: f64, digits: usize) -> String {
     let text = format!("{value:.digits$}");
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
@@ -219,7 +220,7 @@ impl Axis {
         ["display", "layers", "frames", "brightness", "gap", "fov", "lenslets"][self as usize]
     }
 
-    /// Position of a design along it.
+    /// Position of a design on this axis.
     fn number(self, design: &Design) -> f64 {
         match self {
             Self::Display => f64::NAN,
@@ -232,7 +233,7 @@ impl Axis {
         }
     }
 
-    /// Returns true if the design has a position along it.
+    /// Returns true if the design has a position on this axis.
     fn concerns(self, design: &Design) -> bool {
         match self {
             Self::Gap => design.layers > 1,
@@ -241,7 +242,7 @@ impl Axis {
         }
     }
 
-    /// Its value as text, distinct for each value.
+    /// Value of a design on this axis, as text that differs between values.
     fn name(self, design: &Design) -> String {
         match self {
             Self::Display => design.display.clone(),
@@ -249,7 +250,7 @@ impl Axis {
         }
     }
 
-    /// The value with its name, for titles.
+    /// Name and value of a design on this axis, for titles.
     fn with_value(self, design: &Design) -> String {
         let value = self.name(design);
         match self {
@@ -270,25 +271,26 @@ pub type Plot = (String, String);
 
 /// Largest number of plots of one kind.
 const MOST_PLOTS: usize = 12;
-/// Largest number of plots without a request.
+/// Largest number of plots if the job does not request all.
 const FEW_PLOTS: usize = 6;
 /// The paper's threshold of good quality.
 const GOOD_DB: f64 = 40.0;
 
-/// How many plots of a table.
+/// Number of plots of a table.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Plots {
-    /// None.
+    /// No plots.
     None,
-    /// The maps of one pair of N, M and β, and a plot for every other axis.
+    /// Maps of one pair of N, M and β, and a plot for every other axis.
     #[default]
     Few,
-    /// Maps of every pair, curves along every axis, for all values of the others.
+    /// Maps of every pair and curves along every axis, for all values of the other axes.
     All,
 }
 
-/// The content of a plot: a map over two axes, or curves along one for the values of another.
+/// The content of a plot: a map over two axes, or curves along the first axis, one per value of the
+/// second.
 enum View {
     Map(Axis, Axis),
     Curves(Axis, Option<Axis>),
@@ -302,8 +304,9 @@ struct Sketch {
     others: Vec<Axis>,
 }
 
-/// Plots of the varied axes, by [`Row::quality_db`]: maps over two of N, M and β (Figures 7 and 8),
-/// and curves along single axes. Also returns the number of omitted plots.
+/// Plots of the axes along which designs differ, by [`Row::quality_db`]. There are maps over two of
+/// N, M and β (Figures 7 and 8), and curves along single axes. Also returns the number of omitted
+/// plots.
 ///
 /// # Errors
 /// If drawing fails.
@@ -349,7 +352,7 @@ fn sketches(rows: &[Row]) -> Vec<Sketch> {
     found
 }
 
-/// The first maps, all of one pair, and the first curves along every other axis.
+/// Selects all maps of the first pair of axes, and the first curves along every other axis.
 fn few(all: Vec<Sketch>) -> Vec<Sketch> {
     let mut shown: Vec<Axis> = Vec::new();
     let mut pair = None;
@@ -385,7 +388,7 @@ fn values(rows: &[Row], axis: Axis) -> Vec<String> {
     found.into_iter().map(|(_, name)| name).collect()
 }
 
-/// Groups of rows that agree on all of `axes`, in order of appearance.
+/// Groups of rows that have equal values on all of `axes`, in order of appearance.
 fn groups(rows: &[Row], axes: &[Axis]) -> Vec<Vec<Row>> {
     let mut found: Vec<(Vec<String>, Vec<Row>)> = Vec::new();
     for row in rows {
@@ -398,15 +401,15 @@ fn groups(rows: &[Row], axes: &[Axis]) -> Vec<Vec<Row>> {
     found.into_iter().map(|(_, part)| part).collect()
 }
 
-/// Returns true if designs are ranked by the zone score.
+/// Returns true if the zone score ranks the designs.
 fn of_zone(rows: &[Row]) -> bool {
     rows.iter().any(|row| row.psnr_zone_db.is_some())
 }
 
 fn value_label(rows: &[Row]) -> String {
     match of_zone(rows) {
-        true => "PSNR all over the zone, dB".into(),
-        false => format!("PSNR at the target views, dB; framed from {GOOD_DB:.0} dB on"),
+        true => "PSNR over the whole zone, dB".into(),
+        false => format!("PSNR at the target views, dB; a frame marks {GOOD_DB:.0} dB or more"),
     }
 }
 
@@ -521,9 +524,9 @@ mod tests {
         for stem in ["psnr-frames-layers-01", "psnr-frames-layers-02", "psnr-layers-01", "psnr-frames-01"] {
             assert!(all.iter().any(|other| other == stem), "{stem} is not among {all:?}");
         }
-        // a single layer has no distance to vary
+        // a single layer has no gap to vary
         assert!(!all.iter().any(|stem| stem.contains("brightness") || stem.contains("gap")), "{all:?}");
-        // axes of the maps need no curves
+        // axes that the maps show need no curves
         assert_eq!(stems(Plots::Few), ["psnr-frames-layers-01", "psnr-frames-layers-02"]);
         assert_eq!(plots(&rows(), Plots::None).unwrap(), (Vec::new(), all.len()));
         assert!(plots(&rows()[..1], Plots::All).unwrap().0.is_empty(), "one design is no trend");

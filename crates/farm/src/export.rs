@@ -26,7 +26,7 @@ impl Format {
     pub const ALL: [Self; 6] =
         [Self::Makefile, Self::Shell, Self::OpenJd, Self::Flamenco, Self::OpenCue, Self::Deadline];
 
-    /// Its name on the command line.
+    /// Name of the format on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Makefile => "makefile",
@@ -38,7 +38,7 @@ impl Format {
         }
     }
 
-    /// Writes a graph as files of this format.
+    /// Converts a graph into the files of this format.
     pub fn export(self, graph: &Graph) -> Vec<File> {
         match self {
             Self::Makefile => makefile::export(graph),

@@ -3,11 +3,11 @@
 /// A file of an export.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct File {
-    /// Name, without a folder.
+    /// Name of the file, without a folder.
     pub name: String,
     /// Content.
     pub text: String,
-    /// The file is a program.
+    /// True if the file is a program.
     pub executable: bool,
 }
 
@@ -35,13 +35,13 @@ pub(crate) fn line(words: &[String]) -> String {
     words.iter().map(|word| quoted(word)).collect::<Vec<_>>().join(" ")
 }
 
-/// Replaces all but letters, digits and `-` by `_`.
+/// Replaces all characters except ASCII letters, digits and `-` by `_`.
 pub(crate) fn plain(name: &str) -> String {
     name.chars().map(|c| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' }).collect()
 }
 
-/// Time after which a manager stops a unit as hung, seconds. It is far longer than the expected
-/// time, since estimates are rough.
+/// Time after which a manager stops a unit that hangs, seconds. It is far longer than the expected
+/// time, since that is a rough estimate.
 pub(crate) fn limit_seconds(expected: f64) -> u64 {
     3600 + (20.0 * expected) as u64
 }

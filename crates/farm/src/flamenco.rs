@@ -5,8 +5,8 @@ use serde_json::json;
 use crate::file::{File, limit_seconds};
 use crate::graph::Graph;
 
-/// The job type. By it the manager compiles a job into tasks: one per unit, with the dependencies
-/// of the graph.
+/// The job type: a script by which the manager compiles a job into tasks. There is a task per unit,
+/// with the dependencies of the graph.
 const JOB_TYPE: &str = include_str!("flamenco.js");
 
 pub(crate) fn export(graph: &Graph) -> Vec<File> {

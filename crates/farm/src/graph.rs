@@ -16,7 +16,7 @@ pub enum Kind {
     Score,
     /// A light field, made of its views, a file or a source.
     Field,
-    /// The patterns of a tile of a display, in a round.
+    /// The patterns of one tile of a display, in one round.
     Tile,
     /// The patterns of a display at a time step.
     Patterns,
@@ -24,12 +24,12 @@ pub enum Kind {
     Results,
     /// A design of a sweep.
     Design,
-    /// All remaining steps, and a check of the whole run.
+    /// All remaining steps of the run, and a check that the run is complete.
     Finish,
 }
 
 impl Kind {
-    /// Its name in files.
+    /// Name of the kind in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Place => "place",
@@ -48,21 +48,23 @@ impl Kind {
 /// A unit of work.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Unit {
-    /// Unique in the graph. A unit of a block ends with `N-of-COUNT`, N from 1.
+    /// Id that is unique in the graph. If the unit is a block of a step, it ends with `N-of-COUNT`,
+    /// where N counts from 1.
     pub id: String,
     /// Kind of work.
     pub kind: Kind,
-    /// Ids of the units whose results it reads.
+    /// Ids of the units whose results this unit reads.
     pub inputs: Vec<String>,
-    /// Ids of the plan's steps that it executes.
+    /// Ids of the plan's steps that this unit executes.
     pub steps: Vec<String>,
-    /// Number of the block from 1, and the number of blocks, where the step is cut into blocks.
+    /// If the step is cut into blocks: number of this block, from 1, and number of blocks.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub block: Option<[usize; 2]>,
-    /// The round of a tile, from 1; tiles exchange their borders between rounds.
+    /// If the unit is a tile: number of the round, from 1. Tiles exchange their borders between
+    /// rounds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub round: Option<usize>,
-    /// Files and folders that it publishes, relative to the run folder.
+    /// Files and folders that this unit publishes, relative to the run folder.
     pub writes: Vec<String>,
     /// Expected time on one worker, seconds.
     pub seconds: f64,
@@ -70,28 +72,29 @@ pub struct Unit {
     pub memory_bytes: u64,
 }
 
-/// Units, and the command that executes one.
+/// All units of a run, and the command that executes one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Graph {
     /// Name of the job.
     pub name: String,
     /// The run folder, absolute.
     pub folder: String,
-    /// Words of a worker's command line before run folder and unit id: `lumistack farm unit`.
+    /// Beginning of the command line of a unit, such as `lumistack farm unit`. The run folder and
+    /// the unit's id follow it.
     pub command: Vec<String>,
-    /// Every unit comes after its inputs.
+    /// The units, in an order in which each comes after its inputs.
     pub units: Vec<Unit>,
 }
 
-/// Units that differ in the number of their block alone. A unit without blocks is a group of its
-/// own.
+/// Units whose ids differ only in the number of the block. A unit without blocks is a group by
+/// itself.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Group<'a> {
-    /// Common part of the ids.
+    /// Common beginning of the units' ids.
     pub(crate) name: &'a str,
-    /// In the order of their blocks.
+    /// The units, in the order of their blocks.
     pub(crate) units: Vec<&'a Unit>,
-    /// Numbers of the groups whose results it reads, ascending.
+    /// Numbers of the groups whose results this group reads, ascending.
     pub(crate) inputs: Vec<usize>,
 }
 
@@ -121,12 +124,12 @@ impl Graph {
         self.command.iter().cloned().chain([self.folder.clone(), id.to_owned()]).collect()
     }
 
-    /// Numbers of the units by id.
+    /// Index of each unit, by the unit's id.
     pub(crate) fn indices(&self) -> HashMap<&str, usize> {
         self.units.iter().enumerate().map(|(index, unit)| (unit.id.as_str(), index)).collect()
     }
 
-    /// Numbers of the inputs of each unit.
+    /// For each unit, the indices of its inputs.
     pub(crate) fn inputs(&self) -> Vec<Vec<usize>> {
         let indices = self.indices();
         let of = |unit: &Unit| unit.inputs.iter().filter_map(|id| indices.get(id.as_str()).copied()).collect();

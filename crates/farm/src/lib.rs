@@ -1,14 +1,14 @@
-//! Units of work as data: a plan in pieces that many machines execute.
+//! Units of work as data: a plan in steps that many machines execute.
 //!
 //! ```text
 //! plan ─▶ units ─▶ Dask                 the Python module lumistack.farm
-//!               ─▶ Makefile, shell      one machine, or any that share a folder
+//!               ─▶ Makefile, shell      one machine, or several that share a folder
 //!               ─▶ OpenJD, Flamenco, OpenCue, Deadline
 //! ```
 //!
-//! A unit is a command that reads from one shared folder and publishes into it. Its bytes are the
-//! same if it runs twice, or again after it was killed. The crate knows the graph of units and
-//! nothing of their work; it opens no files.
+//! A unit is a command that reads from one shared folder and publishes into it. It publishes the
+//! same bytes if it runs twice, or runs again after it was killed. The crate contains the graph of
+//! units, but nothing about their work, and opens no files.
 
 mod deadline;
 mod export;

@@ -1,5 +1,5 @@
-//! GNU make: a target per unit. `make -j N` executes N units at once; `make -k` continues with
-//! other units where one fails.
+//! GNU make: a target per unit. `make -j N` executes N units in parallel. With `-k`, make continues
+//! with other units after one fails.
 
 use std::fmt::Write;
 
@@ -13,7 +13,7 @@ fn recipe(command: &str) -> String {
 
 pub(crate) fn export(graph: &Graph) -> Vec<File> {
     let mut text = format!(
-        "# {}\n# make -j N executes N units at once; calling make again continues a run that was stopped\n\n",
+        "# {}\n# make -j N executes N units in parallel; calling make again continues a run that was stopped\n\n",
         graph.name.replace('\n', " ")
     );
     text.push_str(".DELETE_ON_ERROR:\n");

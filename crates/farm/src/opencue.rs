@@ -19,7 +19,7 @@ pub(crate) fn export(graph: &Graph) -> Vec<File> {
     let _ = writeln!(text, "    job = outline.Outline({}, frame_range=\"1\")", literal(&plain(&graph.name)));
     text.push_str("    layers = {}\n");
     for group in &groups {
-        // a frame's number is the number of a block
+        // the number of a frame is the number of a block
         let mut words = graph.command(&group.id_with("#IFRAME#"));
         let frames = match group.units.len() {
             1 if group.units[0].block.is_none() => "1".to_owned(),

@@ -7,7 +7,7 @@ use crate::graph::{Graph, Group};
 
 /// Longest name of a step, characters.
 const LONGEST_NAME: usize = 64;
-/// Most values of a task parameter.
+/// Largest number of values of a task parameter.
 const MOST_TASKS: usize = 1024;
 const MIB: u64 = 1 << 20;
 
@@ -25,7 +25,7 @@ pub(crate) fn export(graph: &Graph) -> Vec<File> {
             steps.push(step(graph, group, &name, &ids, &needed));
         }
     }
-    // two braces would begin an expression
+    // two braces would begin an expression of Open Job Description
     let name: String = graph.name.replace("{{", "{ {").chars().filter(|c| !c.is_control()).take(128).collect();
     let template = json!({
         "specificationVersion": "jobtemplate-2023-09",
@@ -39,7 +39,7 @@ pub(crate) fn export(graph: &Graph) -> Vec<File> {
             },
             {
                 "name": "Folder",
-                // the specification allows no absolute default for paths
+                // a parameter of type PATH may not have an absolute default
                 "type": "STRING",
                 "default": graph.folder,
                 "description": "The run folder, which all workers share",
@@ -51,8 +51,8 @@ pub(crate) fn export(graph: &Graph) -> Vec<File> {
     vec![File::new("template.json", text + "\n")]
 }
 
-/// Turns a group into steps, each a name and ids of units. A group with more units than a step may
-/// have tasks becomes several steps.
+/// Turns a group into steps; each has a name and ids of units. A group with more than
+/// [`MOST_TASKS`] units becomes several steps.
 fn parts<'a>(group: &Group<'a>, number: usize) -> Vec<(String, Vec<&'a str>)> {
     let ids: Vec<&str> = group.units.iter().map(|unit| unit.id.as_str()).collect();
     let chunks: Vec<&[&str]> = ids.chunks(MOST_TASKS).collect();

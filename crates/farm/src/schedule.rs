@@ -1,12 +1,13 @@
-//! Prediction of the time that a number of workers needs for a graph.
+//! Predicts the time that a number of workers needs for a graph.
 //!
 //! ```text
 //! length of a path = Σ (seconds + overhead) from a unit to the end
 //! a free worker takes the ready unit with the longest path
 //! ```
 //!
-//! With many workers the makespan tends to the longest path, with one worker to the sum. Memory and
-//! transfers are not modelled: reading from the shared folder is part of a unit's measured time.
+//! With many workers the makespan approaches the longest path, with one worker it is the sum of all
+//! units. Memory and transfers are not modelled: the measured time of a unit includes reading from
+//! the shared folder.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -22,11 +23,12 @@ pub struct Prediction {
     pub workers: usize,
     /// Time from the first unit's start to the last unit's end, seconds.
     pub makespan_seconds: f64,
-    /// Share of the workers' time that units take, 0 to 1.
+    /// Fraction of the workers' time in which they execute units, 0 to 1.
     pub busy: f64,
 }
 
-/// Seconds from the start of each unit to the end of every unit that depends on it.
+/// For each unit, the length of its path: seconds from its start to the end of the last unit that
+/// depends on it.
 pub fn paths(graph: &Graph, overhead_seconds: f64) -> Vec<f64> {
     let mut after = vec![0.0f64; graph.units.len()];
     let mut paths = vec![0.0; graph.units.len()];
@@ -40,8 +42,8 @@ pub fn paths(graph: &Graph, overhead_seconds: f64) -> Vec<f64> {
     paths
 }
 
-/// Simulates the schedule on a number of workers, at least one. Each unit takes its seconds and the
-/// overhead.
+/// Simulates the schedule on a number of workers (at least one). Each unit takes its own seconds
+/// and the overhead.
 pub fn predict(graph: &Graph, workers: usize, overhead_seconds: f64) -> Prediction {
     let workers = workers.max(1);
     let priority = paths(graph, overhead_seconds);
@@ -51,7 +53,7 @@ pub fn predict(graph: &Graph, workers: usize, overhead_seconds: f64) -> Predicti
     for (index, inputs) in inputs.iter().enumerate() {
         inputs.iter().for_each(|&input| followers[input].push(index));
     }
-    // non-negative floats have the order of their bits
+    // the bits of non-negative floats have the same order as the floats
     let bits = |seconds: f64| seconds.max(0.0).to_bits();
     let mut ready: BinaryHeap<(u64, Reverse<usize>)> =
         (0..waits.len()).filter(|&i| waits[i] == 0).map(|i| (bits(priority[i]), Reverse(i))).collect();
@@ -66,7 +68,7 @@ pub fn predict(graph: &Graph, workers: usize, overhead_seconds: f64) -> Predicti
             sum += seconds;
             running.push(Reverse((bits(now + seconds), index)));
         }
-        // Advance to the next end, which may make other units ready.
+        // Advance to the next end of a unit, which may make other units ready.
         let Some(Reverse((end, index))) = running.pop() else { break };
         now = f64::from_bits(end);
         for &next in &followers[index] {
@@ -91,13 +93,13 @@ mod tests {
         let sum: f64 = graph.units.iter().map(|unit| unit.seconds).sum();
         let one = predict(&graph, 1, 0.0);
         assert_eq!((one.makespan_seconds, one.busy), (sum, 1.0));
-        // place, views, field, two factorizations, finish
+        // place, views, field, two factorizations, finish: one after the other
         let longest = 1.0 + 8.0 + 1.0 + 2.0 + 2.0 + 1.0;
         assert_eq!(paths(&graph, 0.0)[0], longest);
         assert_eq!(predict(&graph, 1000, 0.0).makespan_seconds, longest);
         assert_eq!(predict(&graph, 1, 0.5).makespan_seconds, sum + 0.5 * graph.units.len() as f64);
-        // place, views of both time steps in pairs, both light fields at once, one factorization
-        // after the other
+        // place, the views of each time step in pairs, both light fields in parallel, the
+        // factorizations one after the other, finish
         assert_eq!(predict(&graph, 2, 0.0).makespan_seconds, 1.0 + 8.0 + 8.0 + 1.0 + 2.0 + 2.0 + 1.0);
     }
 }

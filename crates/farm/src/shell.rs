@@ -1,5 +1,5 @@
-//! A POSIX shell script that executes levels in turn. The units of a level do not depend on each
-//! other and run at once.
+//! A POSIX shell script that executes levels of the graph in turn. The units of one level do not
+//! depend on each other, so they run in parallel.
 
 use std::fmt::Write;
 
@@ -14,7 +14,7 @@ pub(crate) fn export(graph: &Graph) -> Vec<File> {
     let mut text = String::from("#!/bin/sh\n");
     let _ = writeln!(text, "# {}", graph.name.replace('\n', " "));
     text.push_str(
-        "# JOBS=N executes N units at once; calling the script again continues a run that was stopped\nset -e\n",
+        "# JOBS=N executes N units in parallel; calling the script again continues a run that was stopped\nset -e\n",
     );
     let _ = writeln!(
         text,

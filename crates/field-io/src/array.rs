@@ -1,8 +1,8 @@
 //! `.npy` light fields, axes `[view_y][view_x][row][col][rgb]`, with an optional JSON file of the
 //! same name.
 //!
-//! Floats are linear light. Integers are decoded as sRGB code values, with a warning, unless the
-//! JSON has `"linear": true`. Floats are decoded if it has `"linear": false`.
+//! Floats are linear light, unless the JSON has `"linear": false`. Integers are decoded as sRGB
+//! code values, with a warning, unless the JSON has `"linear": true`.
 
 use std::path::{Path, PathBuf};
 
@@ -35,7 +35,7 @@ pub(crate) fn source(path: &Path, task: Task<'_>) -> Result<Source, FieldError> 
             format!("{:?}", array.shape()),
         ));
     }
-    // A JSON of the same name describes the geometry and the encoding.
+    // A JSON file of the same name describes the geometry and the encoding.
     let views = [rows, cols];
     let json = path.with_extension("json");
     let mut linear = None;
@@ -46,12 +46,12 @@ pub(crate) fn source(path: &Path, task: Task<'_>) -> Result<Source, FieldError> 
         linear = geometry.linear;
         hints = geometry.into_hints(&json, views)?;
     }
-    // Without it, integers are sRGB codes and floats are linear.
+    // Without that file, integers are sRGB codes and floats are linear.
     let encoded = !linear.unwrap_or(!array.scalar().is_code());
     if encoded && linear.is_none() {
         task.warn(
             place(path),
-            "integers are taken as sRGB code values (\"linear\": true in a JSON beside it says otherwise)",
+            "integers are taken as sRGB code values; if they are linear, write \"linear\": true in a JSON file of the same name",
         );
     }
     Ok(Source {

@@ -1,10 +1,10 @@
-//! Assembles a light field in memory from a source: selects views, focuses, crops and reduces,
-//! checks values.
+//! Assembles a light field in memory from a source: selects views, focuses them, crops and reduces
+//! their pixels, and checks values.
 //!
-//! A camera at position p (in steps, right and up) sees content of disparity k (pixels a step)
-//! shifted. The shift is k·p pixels to the left and downwards, relative to the central camera.
+//! A camera at position p (in steps, right and up) sees content of disparity k (pixels per step)
+//! shifted by k·p pixels. The shift is to the left and downwards, relative to the central camera.
 //! Reading view p from column c − k·p and row r + k·p moves that content to z = 0. The result is
-//! the part that all views have in common.
+//! the rectangle that all views have in common.
 
 use std::path::Path;
 
@@ -21,23 +21,24 @@ use crate::source::Source;
 
 /// Largest accepted value: the largest half float.
 pub(crate) const LARGEST: f32 = 65504.0;
-/// Smaller values are no overshoot of a filter.
+/// Negative values down to this one are regarded as overshoot of a filter and become 0.
 const OVERSHOOT: f32 = -1e-3;
-/// Pixels count as square below this relative difference of width and height.
+/// Pixels are regarded as square below this relative difference of width and height.
 const SQUARE: f64 = 0.01;
-/// The focus is searched only if disparities exceed this, in pixels a view.
+/// The focus is moved only if all disparities are larger than this, in the same direction. In
+/// pixels per view.
 const STILL_PX: f64 = 0.5;
 
-/// A view between the kept ones that is not kept itself.
+/// A view of the source that is not kept, and lies between two kept ones.
 #[derive(Clone, Debug)]
 pub struct LeftOut {
-    /// Its direction, as a grid of one view.
+    /// Direction of the view, as a grid with this view alone.
     pub grid: ViewGrid,
-    /// Linear radiance, `[row][col][rgb]`, on the kept views' pixels.
+    /// Linear radiance, `[row][col][rgb]`, with the pixels of the kept views.
     pub radiance: Vec<f32>,
 }
 
-/// The parts of a source to read, and their geometry.
+/// The views and pixels of a source that are read, and the geometry of the result.
 pub(crate) struct Plan {
     /// Kept views: [view rows, view columns].
     picks: [Vec<usize>; 2],
@@ -95,7 +96,7 @@ pub(crate) fn assemble(
         for (view, share) in &views {
             let mut values = source.reader.load(*view)?;
             check_values(source, *view, &mut values, &mut range)?;
-            // memory is touched only here: a header may claim any size
+            // memory is touched only after the view is read, since a header may claim any size
             data.resize((index + 1) * length, 0.0);
             let part = &mut data[index * length..];
             if views.len() == 1 {
@@ -127,7 +128,7 @@ pub(crate) fn assemble(
     Ok((field, left_out))
 }
 
-/// Views between the kept ones, with their slopes: at most `most`, evenly spread.
+/// Up to `most` views between the kept ones, with their slopes, evenly spread.
 fn left_out(
     source: &Source,
     picks: &[Vec<usize>; 2],
@@ -136,7 +137,7 @@ fn left_out(
 ) -> Vec<([usize; 2], ViewGrid)> {
     let grid = &geometry.grid;
     let positions = positions(source);
-    // all views of an axis that are kept or lie between two kept ones
+    // per axis: the views that are kept or lie between two kept ones, each with its slope
     let along = |axis: usize, slopes: &[f64]| -> Vec<(usize, f64)> {
         let (kept, positions) = (&picks[1 - axis], &positions[axis]);
         let mut found = vec![(kept[0], slopes[0])];
@@ -156,7 +157,7 @@ fn left_out(
             all.push(([*row, *col], ViewGrid::single(grid.projection, [*slope_x, *slope_y])));
         }
     }
-    // the golden ratio spreads any number of them evenly
+    // multiples of the golden ratio, modulo 1, are evenly spread for any count
     let mut order: Vec<(f64, usize)> = (0..all.len()).map(|i| ((i as f64 * GOLDEN).fract(), i)).collect();
     order.sort_by(|a, b| a.0.total_cmp(&b.0));
     order.truncate(most);
@@ -167,7 +168,8 @@ fn left_out(
 /// (√5 − 1)/2.
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
-/// The views averaged into each kept one: [view rows, view columns].
+/// For every kept view row and view column, the rows and columns that are averaged into it, with
+/// weights: [view rows, view columns].
 fn averaged(
     source: &Source,
     flags: &GeometryFlags,
@@ -182,13 +184,18 @@ fn averaged(
         return Ok(alone);
     }
     let Some(footprint) = footprint else {
-        return Err(FieldError::malformed(&source.path, "--prefilter", "a display whose prefilter it is", "none"));
+        return Err(FieldError::malformed(
+            &source.path,
+            "--prefilter",
+            "a display, whose prefilter is applied",
+            "none",
+        ));
     };
     let (width, positions) = (footprint(geometry), positions(source));
     let along = |axis: usize, slopes: &[f64]| {
         let mut shares = prefilter::shares(slopes, &picks[1 - axis], &positions[axis], width[axis]);
         for list in &mut shares {
-            // a view whose window is cut by its own border is excluded
+            // exclude a view if its window extends past the border of its picture
             let room = source.size[axis] as f64 - window.size[axis] + 1e-6;
             list.retain(|(view, _)| (-1e-6..=room).contains(&(window.corner[axis] + window.shift[axis][*view])));
             let sum: f32 = list.iter().map(|(_, share)| share).sum();
@@ -198,7 +205,7 @@ fn averaged(
     };
     let shares = [along(1, &geometry.grid.slope_y), along(0, &geometry.grid.slope_x)];
     if shares == alone {
-        let message = "its views stand too far apart for the display's prefilter, which changes nothing";
+        let message = "the prefilter changes nothing: the views are too far apart for this display";
         task.warn(geometry::place(&source.path), message);
     }
     Ok(shares)
@@ -212,18 +219,18 @@ fn picks(source: &Source, flags: &GeometryFlags) -> Result<[Vec<usize>; 2], Fiel
     let [rows, cols] = source.views;
     let [kept_cols, kept_rows] = flags.views.unwrap_or([cols, rows]);
     if !(1..=cols).contains(&kept_cols) || !(1..=rows).contains(&kept_rows) {
-        let expected = format!("1 × 1 to {cols} × {rows} views, which it has");
+        let expected = format!("1 × 1 to {cols} × {rows} views, as many as the light field has");
         return Err(FieldError::malformed(&source.path, "--views", expected, format!("{kept_cols} × {kept_rows}")));
     }
     Ok([pick(rows, kept_rows), pick(cols, kept_cols)])
 }
 
-/// The window of every view.
+/// The rectangle of pixels that is read from every view.
 struct Window {
     corner: [f64; 2],
     size: [f64; 2],
     out_size: [usize; 2],
-    /// Offset of the corner: per view column, per view row.
+    /// Offset of the corner, for each view column and for each view row.
     shift: [Vec<f64>; 2],
 }
 
@@ -240,7 +247,7 @@ impl Window {
             window.corner[axis] = -low;
             window.size[axis] = (source.size[axis] as f64 - (high - low)).floor();
             if window.size[axis] < 1.0 {
-                let expected = "a disparity that leaves pixels which all views have";
+                let expected = "a disparity at which all views have some pixels in common";
                 return Err(FieldError::malformed(&source.path, "--focus-px", expected, focus_px.to_string()));
             }
         }
@@ -250,8 +257,8 @@ impl Window {
         Ok(window)
     }
 
-    /// Makes pixels square and reduces to `resolution`. `pixel_aspect` is width over height of a
-    /// file's pixel.
+    /// Makes pixels square and reduces the picture to `resolution`. `pixel_aspect` is the width of
+    /// a file's pixel divided by its height.
     fn fit(&mut self, source: &Source, resolution: Option<[usize; 2]>, pixel_aspect: f64) -> Result<(), FieldError> {
         let pixel_aspect = if (pixel_aspect - 1.0).abs() < SQUARE { 1.0 } else { pixel_aspect };
         let rounded = |length: f64| (length.round() as usize).max(1);
@@ -265,7 +272,7 @@ impl Window {
             return Ok(());
         };
         if cols == 0 || rows == 0 || cols as f64 > self.size[0] || rows as f64 > self.size[1] {
-            let expected = format!("1 × 1 to {} × {} pixels: views are only reduced", self.size[0], self.size[1]);
+            let expected = format!("1 × 1 to {} × {} pixels, since views are not enlarged", self.size[0], self.size[1]);
             return Err(FieldError::malformed(&source.path, "--resolution", expected, format!("{cols} × {rows}")));
         }
         let wanted = cols as f64 / rows as f64;
@@ -287,7 +294,7 @@ impl Window {
     }
 }
 
-/// Positions of view columns (right) and view rows (up) around the centre, in steps.
+/// Positions of view columns (x, right) and view rows (y, up) relative to the centre, in steps.
 fn positions(source: &Source) -> [Vec<f64>; 2] {
     if let Some(cameras) = &source.hints.cameras {
         return cameras.positions.clone();
@@ -297,8 +304,9 @@ fn positions(source: &Source) -> [Vec<f64>; 2] {
     [centred(source.views[1], 1.0), centred(source.views[0], -1.0)]
 }
 
-/// Disparity of the focus for pictures that may be unsheared. If all content is on one side of
-/// their plane, it is that of the median depth, in whole pixels; otherwise 0.
+/// Disparity of the plane that becomes z = 0, for pictures that may be unsheared. If all content
+/// has a disparity of the same sign, the result is the median disparity in whole pixels; otherwise
+/// 0.
 fn find_focus(source: &mut Source, task: Task<'_>) -> Result<f64, FieldError> {
     if !source.hints.cameras.as_ref().is_some_and(|cameras| cameras.plane_unknown) {
         return Ok(0.0);
@@ -309,17 +317,17 @@ fn find_focus(source: &mut Source, task: Task<'_>) -> Result<f64, FieldError> {
     }
     let focus_px = median.round();
     let mut message = format!(
-        "no content lies on the pictures' common plane: content moves by {low:.1} to {high:.1} pixels a view; {focus_px} is put on z = 0 (--focus-px sets it)"
+        "no content is at zero disparity: content moves by {low:.1} to {high:.1} pixels per view, so a disparity of {focus_px} is moved to z = 0 (--focus-px sets it)"
     );
     if median < 0.0 {
-        message += "; it moves with the camera, so if it looks inside out, its views are in reverse order (--mirror)";
+        message += "; content moves with the camera, so if the scene looks inside out, the views are in reverse order (--mirror)";
     }
     task.warn(geometry::place(&source.path), message);
     Ok(focus_px)
 }
 
-/// Disparity between the two central views: shift of content to the left (down) per step of the
-/// viewpoint to the right (up).
+/// Disparity between the two central views: the shift of content to the left (or down) while the
+/// viewpoint moves one step to the right (or up).
 fn disparity_per_step(source: &mut Source) -> Result<Option<Motion>, FieldError> {
     let positions = positions(source);
     let [rows, cols] = source.views;
@@ -355,7 +363,7 @@ impl Range {
     }
 }
 
-/// Refuses values that are no radiance; sets small negative values to 0.
+/// Refuses values that are not radiance, and sets small negative values to 0.
 fn check_values(
     source: &Source,
     [view_y, view_x]: [usize; 2],

@@ -1,5 +1,5 @@
-//! Files that are complete or absent: written beside the target, flushed to disk, then renamed over
-//! it.
+//! Writes files so that they are complete or absent. A file is written in the target's folder under
+//! another name, flushed to disk, then renamed to the target.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
@@ -12,7 +12,7 @@ use crate::FieldError;
 const PREFIX: &str = ".lumistack-";
 const SUFFIX: &str = ".tmp";
 
-/// The writer passed to the closure of [`fn@write`]: buffered, seekable.
+/// The writer that `fill` of [`fn@write`] receives: buffered and seekable.
 pub type Writer<'a> = BufWriter<&'a mut File>;
 
 /// Writes a file through `fill`. If `fill` or the disk fails, the target stays unchanged and no
@@ -49,7 +49,8 @@ pub fn create_folder(path: &Path) -> Result<(), FieldError> {
     fs::create_dir_all(path).map_err(FieldError::io(path, "make the folder"))
 }
 
-/// Removes a file that may be absent. An index is removed before the files that it lists change.
+/// Removes a file that may be absent. An index is removed before the files that it lists are
+/// changed.
 ///
 /// # Errors
 /// If the file exists and cannot be removed.
@@ -69,7 +70,7 @@ fn replace(path: &Path, fill: impl FnOnce(&mut Writer<'_>) -> io::Result<()>) ->
         return Err(io::Error::new(io::ErrorKind::IsADirectory, "a folder has this name"));
     }
     let mut beside = temporary_beside(folder)?;
-    // The lock marks a live writer. Without locks, the file's age decides.
+    // A locked file has a live writer. Where locks are not available, the file's age decides.
     let _ = beside.as_file().try_lock();
     {
         let mut writer = BufWriter::with_capacity(1 << 16, beside.as_file_mut());
@@ -79,7 +80,7 @@ fn replace(path: &Path, fill: impl FnOnce(&mut Writer<'_>) -> io::Result<()>) ->
     publish(beside, path)
 }
 
-/// Flushes a temporary file to disk and gives it its name.
+/// Flushes a temporary file to disk and renames it to `path`.
 pub(crate) fn publish(beside: tempfile::NamedTempFile, path: &Path) -> io::Result<()> {
     beside.as_file().sync_all()?;
     beside.persist(path).map_err(|error| error.error)?;
@@ -87,7 +88,7 @@ pub(crate) fn publish(beside: tempfile::NamedTempFile, path: &Path) -> io::Resul
     Ok(())
 }
 
-/// A younger temporary file may have a writer that has not locked it yet.
+/// Age below which a temporary file may have a writer that has not locked it yet.
 const YOUNG: Duration = Duration::from_secs(2);
 
 /// Returns true for a temporary file of [`fn@write`] whose writer was killed or stopped.
@@ -101,17 +102,18 @@ pub fn is_abandoned(path: &Path) -> bool {
     is_old && File::options().write(true).open(path).is_ok_and(|file| file.try_lock().is_ok())
 }
 
-/// A temporary file of [`fn@write`], for callers that write it piece by piece.
+/// Creates a temporary file like those of [`fn@write`], for callers that write it step by step.
 pub(crate) fn temporary_beside(folder: &Path) -> io::Result<tempfile::NamedTempFile> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(PREFIX).suffix(SUFFIX);
-    // temporary files are private by default; results are as readable as the user's other files
+    // by default only the user can read a temporary file; results have the permissions of other
+    // files
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     builder.tempfile_in(folder)
 }
 
-/// Makes the rename durable. Failure is no error, since the file itself is written.
+/// Makes the rename durable. Failure is not an error, since the file itself is written.
 fn sync_folder(folder: &Path) {
     if cfg!(unix)
         && let Ok(folder) = File::open(folder)

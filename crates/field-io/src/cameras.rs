@@ -1,12 +1,13 @@
 //! Folders with one picture per camera, named by row and column.
 //!
-//! Stanford archive: `NAME_RR_CC_<Y>_<X>[_...].png`; the numbers after row and column are the
+//! Stanford archive: `NAME_RR_CC_<Y>_<X>[_...].png`; the numbers after row RR and column CC are the
 //! camera's centre. X increases to the right and Y downwards. Views are ordered by these centres,
-//! not by their index, since the direction of CC against X differs between scenes. Renderers with
-//! this scheme may append focal length and sensor width in millimetres; such cameras are parallel
-//! and unsheared. Row and column numbers may have gaps (every third camera of a larger set).
+//! not by row and column, since the direction of CC relative to X differs between scenes. Renderers
+//! with this scheme may append focal length and sensor width in millimetres; such cameras are
+//! parallel and unsheared. Row and column numbers may have gaps (every third camera of a larger
+//! set).
 //!
-//! `RR_CC.png`: no centres; row 0 is the topmost, column 0 the leftmost.
+//! `RR_CC.png`: names without centres; row 0 is the topmost, column 0 the leftmost.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -19,7 +20,8 @@ use crate::geometry::{Cameras, Hints, place};
 use crate::picture::{Picture, has_picture_extension};
 use crate::source::{Kind, Source, Views};
 
-/// Centres below this distance, relative to the mean spacing, count as equal.
+/// Two centres are regarded as equal if their distance, relative to the mean spacing, is below
+/// this.
 const SAME_CENTRE: f64 = 1e-3;
 
 /// Views that are pictures of one size.
@@ -31,7 +33,8 @@ pub(crate) struct PictureGrid {
 }
 
 impl PictureGrid {
-    /// `files` are row by row, `views` is [vertical, horizontal]. Reads every header.
+    /// `files` are listed row by row, and `views` is [vertical, horizontal]. Reads the header of
+    /// every file.
     pub(crate) fn new(files: Vec<PathBuf>, views: [usize; 2]) -> Result<Self, FieldError> {
         let size = Picture::size_of(&files[0])?;
         for file in &files[1..] {
@@ -74,13 +77,13 @@ impl Views for PictureGrid {
     }
 }
 
-/// Camera data in a picture's name.
+/// Data that the name of a camera's picture contains.
 #[derive(Clone, Debug, PartialEq)]
 struct CameraName {
     prefix: String,
     row: u32,
     col: u32,
-    /// (Y, X).
+    /// Centre of the camera, (Y, X).
     centre: Option<[f64; 2]>,
     /// Focal length and sensor width, millimetres.
     lens: Option<[f64; 2]>,
@@ -90,14 +93,15 @@ struct CameraName {
 pub(crate) fn source(folder: &Path, task: Task<'_>) -> Result<Option<Source>, FieldError> {
     let mut cameras = Vec::new();
     for file in pictures(folder)? {
-        // only the numbers matter; a prefix may have any encoding
+        // only the numbers are used; the name before them may have any encoding
         let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         if let Some(name) = parse_name(&stem) {
             cameras.push((name, file));
         }
     }
     let Some((first, _)) = cameras.first() else { return Ok(None) };
-    // depth or disparity maps may have another prefix; the largest group is the light field
+    // depth or disparity maps may have another prefix; the largest group of names is the light
+    // field
     let mut groups = BTreeMap::<&str, usize>::new();
     cameras.iter().for_each(|(name, _)| *groups.entry(&name.prefix).or_default() += 1);
     let prefix = groups.iter().max_by_key(|(_, count)| **count).map_or(&first.prefix[..], |(prefix, _)| prefix);
@@ -147,7 +151,7 @@ fn grid(folder: &Path, cameras: Vec<(CameraName, PathBuf)>) -> Result<Source, Fi
     let mut by_index = BTreeMap::<(u32, u32), (CameraName, PathBuf)>::new();
     for (name, file) in cameras {
         if let Some((_, other)) = by_index.get(&(name.row, name.col)) {
-            let found = format!("{} as well", other.display());
+            let found = format!("also {}", other.display());
             return Err(FieldError::malformed(file, "row and column", "one picture per view", found));
         }
         by_index.insert((name.row, name.col), (name, file));
@@ -174,7 +178,7 @@ fn grid(folder: &Path, cameras: Vec<(CameraName, PathBuf)>) -> Result<Source, Fi
             }
         }
     }
-    // Order rows and columns by the cameras' centres, if names contain them.
+    // Order rows and columns by the cameras' centres, if the names contain them.
     let centres = Centres::new(&by_index, &rows, &cols);
     if let Some(centres) = &centres {
         let x = |col: &u32| centres.x[cols.binary_search(col).unwrap_or(0)];
@@ -184,7 +188,7 @@ fn grid(folder: &Path, cameras: Vec<(CameraName, PathBuf)>) -> Result<Source, Fi
         sorted_rows.sort_by(|a, b| y(a).total_cmp(&y(b)));
         (cols, rows) = (sorted_cols, sorted_rows);
     }
-    // Build the reader and the cameras in that order.
+    // Build the reader and the cameras in the order of rows and columns.
     let in_order = || rows.iter().flat_map(|row| cols.iter().map(|col| &by_index[&(*row, *col)]));
     let lens = in_order().next().and_then(|(name, _)| name.lens);
     let views = [rows.len(), cols.len()];
@@ -207,15 +211,15 @@ fn grid(folder: &Path, cameras: Vec<(CameraName, PathBuf)>) -> Result<Source, Fi
     })
 }
 
-/// Mean camera centre of each column (X, right) and each row (Y, down), in the order of their
-/// numbers.
+/// Mean camera centre of each column (X, right) and of each row (Y, down), in the order of their
+/// numbers in the names.
 struct Centres {
     x: Vec<f64>,
     y: Vec<f64>,
 }
 
 impl Centres {
-    /// `None` if a name has no centre, or the centres of rows or columns are not distinct.
+    /// Computes the centres. `None` if a name has no centre, or those of rows or columns coincide.
     fn new(names: &BTreeMap<(u32, u32), (CameraName, PathBuf)>, rows: &[u32], cols: &[u32]) -> Option<Self> {
         let mut sums = (vec![0.0; cols.len()], vec![0.0; rows.len()]);
         for ((row, col), (name, _)) in names {
@@ -232,7 +236,7 @@ impl Centres {
         (differ(&x) && differ(&y)).then_some(Self { x, y })
     }
 
-    /// Positions in steps, right and up, in the order of this crate.
+    /// Positions in steps, right and up, in the order of this crate's views.
     fn positions(mut self) -> [Vec<f64>; 2] {
         self.x.sort_by(f64::total_cmp);
         self.y.sort_by(f64::total_cmp);
@@ -248,8 +252,8 @@ fn spacing(sorted: &[f64]) -> f64 {
     }
 }
 
-/// Positions shifted so that the centre of the first and last is 0; positions whole steps apart are
-/// made exact.
+/// Shifts positions so that the middle between the first and the last is 0. Positions that are a
+/// whole number of steps apart become exact.
 fn middle_zero(positions: impl Iterator<Item = f64>) -> Vec<f64> {
     let positions: Vec<f64> = positions.collect();
     let middle = 0.5 * (positions.first().unwrap_or(&0.0) + positions.last().unwrap_or(&0.0));

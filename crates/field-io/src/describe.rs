@@ -1,5 +1,5 @@
-//! Describes a light field: geometry as far as the files define it, and the range of values, read
-//! view by view.
+//! Describes a light field: its geometry as far as the files define it, and the range of its
+//! values, which are read view by view.
 
 use std::path::Path;
 
@@ -12,18 +12,18 @@ use crate::geometry::{GeometryFlags, full_angle_deg};
 use crate::source::Kind;
 use crate::{FieldError, detect};
 
-/// Summary of a light field on disk; `None` where neither files nor flags define a value.
+/// Summary of a light field on disk. A value is `None` if neither files nor flags define it.
 #[derive(Clone, Debug, Serialize)]
 pub struct Description {
-    /// Kind of files.
+    /// Kind of the files.
     pub kind: Kind,
-    /// Its path.
+    /// Path of the light field.
     pub path: String,
     /// [horizontal, vertical] views.
     pub views: [usize; 2],
     /// [columns, rows] of every view.
     pub resolution: [usize; 2],
-    /// Projection of one view's rays.
+    /// Projection of the rays of one view.
     pub projection: Option<ProjectionKind>,
     /// Viewing distance of a perspective grid, millimetres.
     pub distance_mm: Option<f64>,
@@ -43,16 +43,16 @@ pub struct Description {
     pub mean: f64,
     /// Values that are infinite or not a number.
     pub not_finite: u64,
-    /// Notes of the writer of a `lightfield.json` folder.
+    /// Notes in the index of a `lightfield.json` folder, by the program that wrote it.
     pub info: Map<String, Value>,
 }
 
-/// Describes a light field of any kind that [`open`](crate::open) reads; holds one view (or one
-/// quilt) at a time.
+/// Describes a light field of any kind that [`open`](crate::open) reads. One view (or one quilt) at
+/// a time is in memory.
 ///
 /// # Errors
-/// Those of [`open`](crate::open). Incomplete geometry and unusual values are no errors here, but
-/// part of the description.
+/// The errors of [`open`](crate::open). Incomplete geometry and unusual values are not errors here;
+/// the description contains them.
 pub fn describe(path: &Path, flags: &GeometryFlags, task: Task<'_>) -> Result<Description, FieldError> {
     let mut source = detect::detect(path, flags, task)?;
     let [rows, cols] = source.views;

@@ -58,7 +58,7 @@ fn detect_folder(path: &Path, flags: &GeometryFlags, task: Task<'_>) -> Result<S
             let found = match (pictures.len(), arrays.len()) {
                 (0, 0) => "neither pictures nor arrays".into(),
                 (pictures, 0) => format!("{pictures} pictures with other names"),
-                (pictures, arrays) => format!("{arrays} arrays and {pictures} pictures: name one of them"),
+                (pictures, arrays) => format!("{arrays} arrays and {pictures} pictures: give the path of one of them"),
             };
             Err(FieldError::malformed(path, "content of the folder", expected, found))
         }

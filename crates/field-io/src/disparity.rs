@@ -1,37 +1,38 @@
 //! Disparity between two neighbouring views: block matching along one axis.
 //!
-//! For each textured block of the first picture: the shift with the smallest sum of absolute
-//! differences of √luminance in the second. Blocks without a distinct minimum are omitted.
-//! Percentiles of the shifts describe the scene's depth range.
+//! For each textured block of the first picture, the second picture is searched for the shift with
+//! the smallest sum of absolute differences of √luminance. Blocks without a distinct minimum are
+//! omitted. Percentiles of the shifts describe the scene's depth range.
 
 use lumistack_core::colour;
 
-/// Motion of content from the first picture to the second, pixels, positive to higher indices.
+/// Motion of content from the first picture to the second, pixels; positive towards higher indices.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Motion {
-    /// 10th percentile of blocks.
+    /// 10th percentile of the blocks' shifts.
     pub(crate) low: f64,
-    /// 50th percentile.
+    /// 50th percentile of the blocks' shifts.
     pub(crate) median: f64,
-    /// 90th percentile.
+    /// 90th percentile of the blocks' shifts.
     pub(crate) high: f64,
 }
 
-/// Block size across and along the axis of motion.
+/// Size of a block across and along the axis of motion, pixels.
 const BLOCK: [usize; 2] = [12, 24];
 /// Largest shift, pixels.
 const REACH: usize = 64;
 /// Approximate number of blocks per axis.
 const BLOCKS_PER_AXIS: usize = 40;
-/// Smallest number of blocks for a result.
+/// Smallest number of blocks that gives a result.
 const FEWEST_BLOCKS: usize = 12;
-/// Mean difference of √luminance between neighbours below which a block has no texture.
+/// A block has texture if the mean difference of √luminance between neighbours is above this.
 const TEXTURE: f32 = 0.01;
-/// A minimum is distinct if all shifts more than two pixels away are worse by this factor.
+/// A minimum is distinct if the sums at all shifts more than two pixels away are larger by this
+/// factor.
 const DISTINCT: f32 = 1.5;
 
 /// Motion along `axis` (0: columns, 1: rows) between two pictures `[row][col][rgb]` of `size` =
-/// [columns, rows]; `None` with too little texture.
+/// [columns, rows]. `None` if they have too little texture.
 pub(crate) fn motion(first: &[f32], second: &[f32], size: [usize; 2], axis: usize) -> Option<Motion> {
     let (length, lines) = (size[axis], size[1 - axis]);
     let first = Lines::new(first, size, axis);

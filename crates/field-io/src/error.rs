@@ -1,5 +1,5 @@
-//! Errors of files: every message contains the file, the place in it, the expected and the found
-//! value.
+//! Errors of files. Every message contains the file, the position in it, the expected value and the
+//! found value.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -18,7 +18,7 @@ pub enum FieldError {
         path: PathBuf,
         /// The operation: "read", "write", "list the folder".
         action: &'static str,
-        /// The system's error.
+        /// The operating system's error.
         #[source]
         source: io::Error,
     },
@@ -27,7 +27,7 @@ pub enum FieldError {
     Malformed {
         /// The file or folder.
         path: PathBuf,
-        /// The place in it: a key, an axis, an index.
+        /// The position in the file: a key, an axis, an index.
         place: String,
         /// The expected value.
         expected: String,
@@ -40,13 +40,13 @@ pub enum FieldError {
         first.display(), first_size[0], first_size[1], second.display(), second_size[0], second_size[1]
     )]
     ViewSizes {
-        /// One view.
+        /// The first of the two views.
         first: PathBuf,
-        /// Its [columns, rows].
+        /// [columns, rows] of the first view.
         first_size: [usize; 2],
-        /// The first view that differs from it.
+        /// The first view with another size.
         second: PathBuf,
-        /// Its [columns, rows].
+        /// [columns, rows] of the second view.
         second_size: [usize; 2],
     },
     /// Neither files nor flags define the views' geometry.

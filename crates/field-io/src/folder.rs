@@ -1,4 +1,4 @@
-//! Our light-field folder: `lightfield.json` with the geometry of every view, and one half-float
+//! Our light-field folder: `lightfield.json` with the geometry of every view, and a half-float
 //! OpenEXR picture per view.
 //!
 //! ```json
@@ -38,9 +38,10 @@ use crate::{FieldError, atomic};
 pub(crate) const INDEX: &str = "lightfield.json";
 const SCHEMA: &str = "lumistack/lightfield";
 const VERSION: u32 = 1;
-/// Largest difference between a view's own slope and that of its row and column.
+/// Largest difference between the slope in a view's entry and the slope of the view's row and
+/// column.
 const SLOPE_TOLERANCE: f64 = 1e-6;
-/// Views per axis above which an index counts as damaged.
+/// An index with more views than this along an axis is regarded as damaged.
 const VIEW_LIMIT: usize = 1 << 14;
 
 #[derive(Serialize)]
@@ -56,7 +57,7 @@ struct Index<'a> {
     distance_mm: Option<f64>,
     slope_x: &'a [f64],
     slope_y: &'a [f64],
-    /// Views are missing.
+    /// True if the folder lacks some of the views that the slopes define.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     partial: bool,
     info: &'a Map<String, Value>,
@@ -73,7 +74,7 @@ struct ViewEntry {
     eye_mm: Option<[f64; 3]>,
 }
 
-/// Keys beside those of [`GeometryJson`].
+/// Keys of the index in addition to those of [`GeometryJson`].
 #[derive(Deserialize)]
 struct Listing {
     schema: String,
@@ -86,8 +87,8 @@ struct Listing {
     info: Map<String, Value>,
 }
 
-/// Rounds every value to the nearest half float, as a light field's folder stores it. A
-/// factorization of the result uses exactly the values on disk.
+/// Rounds every value to the nearest half float, as the folder of a light field stores it. A
+/// factorization of the rounded light field reads exactly the values on disk.
 pub fn round_to_half(values: &mut [f32]) {
     for value in values {
         *value = f16::from_f32(value.clamp(-LARGEST, LARGEST)).to_f32();
@@ -121,7 +122,7 @@ pub fn write_field(folder: &Path, field: &LightField, info: &Map<String, Value>)
 /// If a value is not finite, or the file cannot be written.
 ///
 /// # Panics
-/// If the length of `rgb` is not that of the geometry.
+/// If `rgb` has another length than the geometry requires.
 pub fn write_view(folder: &Path, geometry: &FieldGeometry, view: [usize; 2], rgb: &[f32]) -> Result<(), FieldError> {
     write_view_as(folder, geometry, view, rgb, Precision::Half)
 }
@@ -142,12 +143,13 @@ fn write_view_as(
     write_exr(&path, [geometry.cols, geometry.rows], rgb, precision)
 }
 
-/// [`write_field`] with a subset of the views, [view_y, view_x], each once, in this precision.
-/// Files have the same names as in the whole field.
+/// Writes a subset of the views, [view_y, view_x], each once, as [`write_field`] does but in this
+/// precision. Files have the same names as in the folder of the whole field.
 ///
-/// Whole rows and columns form a light field of their own. Its index has their slopes only, and
-/// `info.part_of` lists the rows and columns and their total. Otherwise the index has the slopes of
-/// all views and `"partial": true`, and readers refuse the folder.
+/// A selection of whole rows and columns is a complete light field. Its index has the slopes of
+/// these only, and `info.part_of` lists them and the total number of rows and columns. For another
+/// selection, the index has the slopes of all views and `"partial": true`, and readers refuse the
+/// folder.
 ///
 /// # Errors
 /// If a value is not finite, or the files cannot be written.
@@ -160,7 +162,7 @@ pub fn write_views(
 ) -> Result<(), FieldError> {
     let geometry = field.geometry();
     atomic::create_folder(folder)?;
-    // Without an index, an interrupted write is not taken for a light field.
+    // Without an index, a folder whose writing was interrupted is not taken for a light field.
     atomic::remove(&folder.join(INDEX))?;
     for &view in views {
         write_view_as(folder, geometry, view, field.view(view), precision)?;
@@ -169,7 +171,7 @@ pub fn write_views(
     if views.len() == all[0] * all[1] {
         return write_index(folder, geometry, info);
     }
-    // Whole rows and columns form a light field of their own; other selections are marked partial.
+    // Whole rows and columns form a complete light field; other selections are marked partial.
     let of_axis = |axis: usize| views.iter().map(|view| view[axis]).collect::<BTreeSet<_>>().into_iter().collect();
     let [rows, cols]: [Vec<usize>; 2] = [of_axis(0), of_axis(1)];
     let is_grid = rows.len() * cols.len() == views.len();
@@ -198,7 +200,7 @@ pub fn write_index(folder: &Path, geometry: &FieldGeometry, info: &Map<String, V
     write_index_of(folder, geometry, entries, false, info)
 }
 
-/// Writes the index of a folder with these views of a geometry in these files.
+/// Writes the index of a folder: the views of a geometry, and the file of each.
 fn write_index_of(
     folder: &Path,
     geometry: &FieldGeometry,
@@ -211,7 +213,7 @@ fn write_index_of(
         Projection::Oblique => None,
         Projection::Perspective { distance_mm } => Some(distance_mm),
     };
-    // Entries repeat slopes and eyes for readers that know no grids.
+    // Entries repeat slope and eye position, for readers that do not interpret the grid.
     let entry = |(view, file): ([usize; 2], String)| {
         let slope = [grid.slope_x[view[1]], grid.slope_y[view[0]]];
         ViewEntry {
@@ -239,7 +241,7 @@ fn write_index_of(
     write_json(&folder.join(INDEX), &index)
 }
 
-/// Reads a light field's folder, with the `info` of its index.
+/// Reads the folder of a light field, and `info` of its index.
 ///
 /// # Errors
 /// If the index is malformed, a view is missing, damaged or of another size, or a value is not
@@ -253,10 +255,11 @@ pub fn read_field_folder(folder: &Path) -> Result<(LightField, Map<String, Value
     Ok((field, info))
 }
 
-/// Reads some rows and columns of all views of a light field's folder, as a light field of this
-/// geometry. One view is in memory at a time.
+/// Reads a region, some rows and columns of pixels, of all views of a light field's folder. The
+/// result has this geometry. One view is in memory at a time.
 ///
-/// Errors of [`read_field_folder`], and if the folder has other views or fewer pixels.
+/// The errors of [`read_field_folder`]. Also if the folder has other views than the geometry, or
+/// fewer pixels than the region.
 pub fn read_field_region(
     folder: &Path,
     geometry: FieldGeometry,
@@ -296,14 +299,14 @@ pub(crate) fn source(folder: &Path) -> Result<Source, FieldError> {
     if geometry.linear == Some(false) {
         return Err(FieldError::malformed(&path, "linear", "true", "false"));
     }
-    // Partial folders are no light fields.
+    // Refuse partial folders, which are not light fields.
     if listing.partial {
         let count = |slopes: &Option<Vec<f64>>| slopes.as_ref().map_or(0, Vec::len);
         let all = count(&geometry.slope_y) * count(&geometry.slope_x);
-        let expected = "all views of a light field, or whole rows and columns (`lumistack render` without --only-views renders the rest)";
-        return Err(FieldError::malformed(&path, "views", expected, format!("{} of {all}", listing.views.len())));
+        let expected = "all views, or whole rows and columns of views (`lumistack render` without --only-views renders the missing ones)";
+        return Err(FieldError::malformed(&path, "views", expected, format!("{} of {all} views", listing.views.len())));
     }
-    // Required keys and plausible counts, before files are opened.
+    // Check required keys and plausible counts before files are opened.
     let missing = |key: &str| FieldError::malformed(&path, key, "a value", "none");
     let slope_x = geometry.slope_x.clone().ok_or_else(|| missing("slope_x"))?;
     let slope_y = geometry.slope_y.clone().ok_or_else(|| missing("slope_y"))?;
@@ -318,12 +321,12 @@ pub(crate) fn source(folder: &Path) -> Result<Source, FieldError> {
         return Err(FieldError::malformed(
             &path,
             "slope_x, slope_y",
-            format!("1 to {VIEW_LIMIT} views an axis"),
+            format!("1 to {VIEW_LIMIT} views per axis"),
             found,
         ));
     }
     let distance_mm = geometry.distance_mm;
-    // Check listed files against the slopes, and their size against the index.
+    // Check the listed files against the slopes, and the size of the pictures against the index.
     let files = listed_files(folder, &path, &listing.views, &slope_x, &slope_y, distance_mm)?;
     let reader = PictureGrid::new(files, views)?;
     let size = reader.size();
@@ -343,7 +346,7 @@ pub(crate) fn source(folder: &Path) -> Result<Source, FieldError> {
     })
 }
 
-/// The files of all views, row by row.
+/// The files of all views, in the order of view rows.
 fn listed_files(
     folder: &Path,
     index: &Path,
@@ -381,7 +384,7 @@ fn listed_files(
         if !plain || entry.file.is_empty() {
             return bad("file", "a name inside the folder".into(), entry.file.clone());
         }
-        // a link may lead outside; a missing file is an error when it is read
+        // a link may lead outside of the folder; a missing file is reported when it is read
         if let Err(refusal @ Refusal::Outside { .. }) = inside.resolve(name) {
             return bad("file", "a name inside the folder".into(), format!("{}: {refusal}", entry.file));
         }

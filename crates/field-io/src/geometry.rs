@@ -1,7 +1,7 @@
 //! Geometry of a light field's views, from flags, files and defaults.
 //!
-//! Flags override files, and files override defaults. Every default in use causes a warning with
-//! the name of its flag.
+//! Flags override files, and files override defaults. Every default that is used causes a warning
+//! with the name of its flag.
 
 use std::path::Path;
 
@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::FieldError;
 
-/// The user's description of a light field. Each value is optional and overrides the files.
+/// Geometry that the user states. Each value is optional and overrides the files.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct GeometryFlags {
@@ -35,7 +35,7 @@ pub struct GeometryFlags {
     /// [columns, rows] of tiles of a quilt whose name does not contain them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub quilt: Option<[usize; 2]>,
-    /// [horizontal, vertical] views of a single picture of tiles, view (0, 0) at the top left.
+    /// [horizontal, vertical] views of a single picture of tiles, with view (0, 0) at the top left.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tiles: Option<[usize; 2]>,
     /// [columns, rows] of every view after reduction, by area averaging after a crop to this
@@ -59,7 +59,8 @@ fn is_unset(mirror: &[bool; 2]) -> bool {
     *mirror == [false; 2]
 }
 
-/// Defaults where neither flags nor files define a value; `None` causes an error.
+/// Values that are used if neither flags nor files define them. If such a value is `None`, it is an
+/// error that nothing defines it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GeometryDefaults {
     /// Width of the light field on z = 0, millimetres.
@@ -68,7 +69,7 @@ pub struct GeometryDefaults {
     pub fov_deg: Option<[f64; 2]>,
 }
 
-/// Geometry defined by the files.
+/// Geometry that the files define.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Hints {
     pub(crate) projection: Option<ProjectionKind>,
@@ -78,27 +79,27 @@ pub(crate) struct Hints {
     /// Slopes of view columns (x) and view rows (y, up).
     pub(crate) slopes: [Option<Vec<f64>>; 2],
     pub(crate) cameras: Option<Cameras>,
-    /// Width over height of one view, for anamorphic tiles.
+    /// Width of one view divided by its height, for anamorphic tiles.
     pub(crate) view_aspect: Option<f64>,
 }
 
 /// Cameras in a plane with a common viewing direction.
 #[derive(Clone, Debug)]
 pub(crate) struct Cameras {
-    /// Positions of view columns (x, right) and view rows (y, up), in steps: the mean distance
-    /// between neighbours along x.
+    /// Positions of view columns (x, right) and view rows (y, up), in steps. A step is the mean
+    /// distance between neighbours along x.
     pub(crate) positions: [Vec<f64>; 2],
-    /// Focal length in pixels of the files.
+    /// Focal length, in pixels of the files.
     pub(crate) focal_px: Option<f64>,
-    /// Step divided by the distance of the plane of zero disparity; 0 for parallel cameras, whose
-    /// plane is at infinity.
+    /// Slope between neighbouring cameras: a step divided by the distance of the plane of zero
+    /// disparity. 0 for parallel cameras, for which that plane is at infinity.
     pub(crate) slope_per_step: f64,
-    /// The pictures may be unsheared or sheared to any plane: the focus is searched in the
-    /// pictures.
+    /// True if the pictures may be unsheared, or sheared to any plane. Then the focus is found by
+    /// the content of the pictures.
     pub(crate) plane_unknown: bool,
 }
 
-/// Geometry in JSON files: `lightfield.json`, and the file beside an array. Unknown keys are
+/// Geometry in JSON files: `lightfield.json`, and the file next to an array. Unknown keys are
 /// ignored.
 #[derive(Clone, Debug, Default, Deserialize)]
 pub(crate) struct GeometryJson {
@@ -115,7 +116,7 @@ pub(crate) struct GeometryJson {
 }
 
 impl GeometryJson {
-    /// Checks it against the data's `views` = [vertical, horizontal].
+    /// Checks the values against the number of views in the data, `views` = [vertical, horizontal].
     pub(crate) fn into_hints(self, path: &Path, views: [usize; 2]) -> Result<Hints, FieldError> {
         let axes = lumistack_display::LightField::AXES;
         if let Some(found) = &self.axes
@@ -142,24 +143,24 @@ impl GeometryJson {
     }
 }
 
-/// Pixels of the result in relation to those of the files.
+/// Relates the pixels of the result to those of the files.
 pub(crate) struct Pixels {
     /// [columns, rows] of the result.
     pub(crate) size: [usize; 2],
-    /// Width of the used part of a file's view, file pixels.
+    /// Width of the rectangle that is read from a file's view, in pixels of the file.
     pub(crate) window_cols: f64,
-    /// Disparity that was moved to z = 0, file pixels.
+    /// Disparity that was moved to z = 0, in pixels of the file.
     pub(crate) focus_px: f64,
 }
 
-/// `count` of `available` indices: evenly spaced, as wide as possible, around the centre.
+/// Selects `count` of `available` indices: evenly spaced, as wide as possible, around the centre.
 pub(crate) fn pick(available: usize, count: usize) -> Vec<usize> {
     let stride = if count > 1 { (available - 1) / (count - 1) } else { 1 };
     let first = (available - 1 - (count - 1) * stride) / 2;
     (0..count).map(|index| first + index * stride).collect()
 }
 
-/// Resolves the geometry of a light field with the kept view rows `picks[0]` and columns
+/// Resolves the geometry of a light field. The kept view rows are `picks[0]`, the kept view columns
 /// `picks[1]`.
 pub(crate) fn resolve(
     path: &Path,
@@ -173,7 +174,8 @@ pub(crate) fn resolve(
     let pitch_mm = pitch(path, flags, defaults, hints, pixels, task)?;
     let own_slopes = physical_slopes(hints, picks, pixels);
     let (slopes, physical) = slopes(path, flags, defaults, hints, picks, own_slopes, task)?;
-    // Select the projection: flag, file, then perspective for known cameras or distances.
+    // Select the projection: by the flag, then by the file. If neither defines it, perspective if
+    // cameras or a viewing distance are known.
     let kind = flags.grid.or(hints.projection).unwrap_or(match flags.distance_mm {
         None if !physical => ProjectionKind::Oblique,
         _ => ProjectionKind::Perspective,
@@ -190,11 +192,11 @@ pub(crate) fn resolve(
             format!("its own viewing distance of {own_mm} mm is replaced by {given_mm} mm (--distance-mm)"),
         );
     }
-    // A perspective grid needs a viewing distance: flag, file, or the lens.
+    // A perspective grid needs a viewing distance: from the flag, the file, or the lens.
     let projection = match kind {
         ProjectionKind::Oblique => {
             if flags.distance_mm.is_some() {
-                task.warn(place(path), "the viewing distance is not used: the views are parallel projections");
+                task.warn(place(path), "the viewing distance is not used, since the views are parallel projections");
             }
             Projection::Oblique
         }
@@ -244,11 +246,14 @@ fn pitch(
         what: "the size of its pixels",
         flag: "--pitch-mm, for example --pitch-mm 0.5",
     })?;
-    task.warn(place(path), format!("it has no physical size; it is made {width_mm} mm wide (--pitch-mm sets it)"));
+    task.warn(
+        place(path),
+        format!("its physical size is not known; a width of {width_mm} mm is used (--pitch-mm sets the pitch)"),
+    );
     Ok(width_mm / cols)
 }
 
-/// Slopes per axis (x, y), and true if they are the cameras' own.
+/// Slopes along x and along y, and true if they come from the cameras.
 fn slopes(
     path: &Path,
     flags: &GeometryFlags,
@@ -300,7 +305,7 @@ fn slopes(
     if counts == [1, 1] {
         return Ok((filled([vec![0.0], vec![0.0]]), false));
     }
-    // Third choice: the default angles, with a warning; last the cameras' own slopes.
+    // Third choice: the default angles, with a warning. Last choice: the slopes of the cameras.
     if let Some(fov_deg) = defaults.fov_deg {
         let [x, y] = fov_deg;
         let mut message = format!("its views are spread over {x}° × {y}° (--fov sets the angles)");
@@ -313,13 +318,13 @@ fn slopes(
     }
     let missing = || FieldError::MissingGeometry {
         path: path.into(),
-        what: "the angles of its views",
+        what: "the full angle of its views",
         flag: "--fov, for example --fov 20x20",
     };
     own_slopes.map(|slopes| (filled(slopes), true)).ok_or_else(missing)
 }
 
-/// Spreads views over full angles: at the centres of equal bins, or in proportion to the cameras'
+/// Spreads views over full angles: to the centres of equal bins, or in proportion to the cameras'
 /// positions.
 fn spread(path: &Path, fov_deg: [f64; 2], hints: &Hints, picks: &[Vec<usize>; 2]) -> Result<[Vec<f64>; 2], FieldError> {
     let counts = [picks[1].len(), picks[0].len()];
@@ -337,8 +342,8 @@ fn spread(path: &Path, fov_deg: [f64; 2], hints: &Hints, picks: &[Vec<usize>; 2]
     }))
 }
 
-/// The cameras' true slopes to the plane that is now z = 0. With disparity k at focal length f
-/// (both in pixels), a step sideways is k/f of the plane's distance.
+/// True slopes of the cameras to the plane that is now z = 0. With disparity k and focal length f
+/// (both in pixels), a step sideways divided by the plane's distance is k/f.
 fn physical_slopes(hints: &Hints, picks: &[Vec<usize>; 2], pixels: &Pixels) -> Option<[Vec<f64>; 2]> {
     let cameras = hints.cameras.as_ref()?;
     let per_step = cameras.slope_per_step + pixels.focus_px / cameras.focal_px?;
@@ -347,12 +352,13 @@ fn physical_slopes(hints: &Hints, picks: &[Vec<usize>; 2], pixels: &Pixels) -> O
     })
 }
 
-/// Returns true if a flag and a file differ by more than rounding.
+/// Returns true if two values, one of a flag and one of a file, differ by more than rounding.
 fn differ(own: f64, given: f64) -> bool {
     (own - given).abs() > 1e-6 * own.abs().max(given.abs()) + 1e-9
 }
 
-/// Full angle of the views, bins included; 0 for one view.
+/// Full angle of the views, including half a bin outside of the first and of the last; 0 for one
+/// view.
 pub(crate) fn full_angle_deg(slopes: &[f64]) -> f64 {
     match slopes {
         [first, .., last] => {

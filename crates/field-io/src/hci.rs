@@ -1,8 +1,8 @@
 //! Folders of the HCI 4D light field benchmark: `input_Cam%03d.png` and `parameters.cfg`.
 //!
 //! Camera i is in row i / num_cams_x (0 the topmost) and column i % num_cams_x (0 the leftmost).
-//! With baseline b, pictures are shifted so that the plane at `focus_distance_m` has no disparity.
-//! One step sideways is the slope b / focus distance.
+//! Pictures are shifted so that the plane at `focus_distance_m` has no disparity. With baseline b,
+//! the slope between neighbouring cameras is b / focus distance.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -26,7 +26,7 @@ pub(crate) fn source(folder: &Path, task: Task<'_>) -> Result<Option<Source>, Fi
         if let Some(number) = number
             && let Some(other) = numbered.insert(number, file.clone())
         {
-            let found = format!("{} as well", other.display());
+            let found = format!("also {}", other.display());
             return Err(FieldError::malformed(file, "camera number", "one picture per camera", found));
         }
     }
@@ -35,7 +35,7 @@ pub(crate) fn source(folder: &Path, task: Task<'_>) -> Result<Option<Source>, Fi
     }
     let path = folder.join(PARAMETERS);
     let parameters = if path.is_file() {
-        // names and notes may have any encoding; only numbers are used
+        // names and notes in the file may have any encoding; only numbers are used
         let bytes = read_index(&path)?;
         Parameters { path, values: parse(&String::from_utf8_lossy(&bytes)) }
     } else {
@@ -77,7 +77,7 @@ pub(crate) fn source(folder: &Path, task: Task<'_>) -> Result<Option<Source>, Fi
     }))
 }
 
-/// Keys of `parameters.cfg`, without their sections: they are unique.
+/// Keys of `parameters.cfg`, without their sections, since keys are unique in the file.
 struct Parameters {
     path: PathBuf,
     values: BTreeMap<String, String>,
@@ -123,6 +123,6 @@ fn grid_size(folder: &Path, parameters: &Parameters, count: usize, task: Task<'_
         let expected = format!("num_cams_x and num_cams_y in {PARAMETERS}");
         return Err(FieldError::malformed(folder, "views", expected, format!("{count} pictures")));
     }
-    task.warn(place(folder), format!("no {PARAMETERS} says how cameras are arranged; {side} × {side} is taken"));
+    task.warn(place(folder), format!("no {PARAMETERS} with the arrangement of the cameras; {side} × {side} is used"));
     Ok([side, side])
 }

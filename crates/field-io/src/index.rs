@@ -1,4 +1,4 @@
-//! Index files: JSON that describes the files beside it.
+//! Index files: JSON that describes the other files of its folder.
 
 use std::path::Path;
 
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{FieldError, atomic};
 
-/// The text of an index.
+/// Reads the text of an index.
 pub(crate) fn read_index(path: &Path) -> Result<Vec<u8>, FieldError> {
     lumistack_files::read_at_most(path, MAX_TEXT_BYTES).map_err(FieldError::io(path, "read"))
 }

@@ -10,8 +10,8 @@
 //! ```
 //!
 //! All sources have one order of views: view (0, 0) is the leftmost and topmost viewpoint. Values
-//! are linear light. Every file is written beside its target and renamed, so a final name never
-//! belongs to a partial file.
+//! are linear light. Every file is written under another name in the target's folder and then
+//! renamed, so a file with a final name is complete.
 
 mod array;
 mod assemble;

@@ -1,5 +1,5 @@
-//! Arrays that may exceed memory: their values stay in the file, and the system keeps pages that
-//! are read.
+//! Arrays that may be larger than memory: their values stay in the file, and the system keeps the
+//! pages in memory that are read.
 
 use std::fs::File;
 use std::sync::Arc;
@@ -7,7 +7,7 @@ use std::sync::Arc;
 use lumistack_core::Lender;
 use memmap2::Mmap;
 
-/// Least size in bytes of an array that stays in its file.
+/// Smallest size of an array that stays in its file, bytes.
 pub(crate) const FROM: u64 = 1 << 30;
 
 /// `float32` values in a mapped file.
@@ -25,9 +25,9 @@ impl AsRef<[f32]> for Mapped {
     }
 }
 
-/// Maps `count` little-endian `float32` values from byte `first` on.
+/// Maps `count` little-endian `float32` values of a file, from byte `first` on.
 ///
-/// `None` if this machine cannot use the bytes in place, or the file is too short.
+/// `None` if this machine cannot use the bytes of the file directly, or the file is too short.
 pub(crate) fn lend(file: &File, first: u64, count: usize) -> Option<Lender> {
     if !(cfg!(target_endian = "little") && cfg!(target_pointer_width = "64") && first.is_multiple_of(4)) {
         return None;

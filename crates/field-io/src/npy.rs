@@ -1,8 +1,8 @@
 //! NumPy's array files: `.npy`, C order.
 //!
-//! Written: little-endian `float32`, which `numpy.load` reads directly. Read: `float16/32/64` and
-//! `uint8/16` of either byte order. Ranges of values can be read, so that a large array need not
-//! fit into memory.
+//! Files are written with little-endian `float32`, which `numpy.load` reads directly. Files with
+//! `float16/32/64` and `uint8/16` of either byte order are read. Ranges of values can be read, so a
+//! large array need not fit into memory.
 
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
@@ -17,7 +17,7 @@ use crate::{FieldError, atomic};
 const HEADER_LIMIT: usize = 1 << 16;
 /// Largest number of digits in a header, so that the product of its numbers fits into 64 bits.
 const DIGIT_LIMIT: usize = 18;
-/// Number of values converted at a time.
+/// Number of values that are converted together.
 const CHUNK: usize = 1 << 14;
 
 /// An array file, open for reading.
@@ -40,9 +40,9 @@ pub enum Scalar {
     F32,
     /// Doubles.
     F64,
-    /// Code values 0..255; read as 0..1.
+    /// Code values 0..255; they are read as 0..1.
     U8,
-    /// Code values 0..65535; read as 0..1.
+    /// Code values 0..65535; they are read as 0..1.
     U16,
 }
 
@@ -52,7 +52,7 @@ pub enum Scalar {
 /// If writing fails.
 ///
 /// # Panics
-/// If the length of `data` is not that of the shape.
+/// If the length of `data` differs from the number of values in `shape`.
 pub fn write(path: &Path, shape: &[usize], data: &[f32]) -> Result<(), FieldError> {
     assert_eq!(shape.iter().product::<usize>(), data.len(), "values fill the shape");
     atomic::write(path, |writer| {
@@ -61,14 +61,14 @@ pub fn write(path: &Path, shape: &[usize], data: &[f32]) -> Result<(), FieldErro
     })
 }
 
-/// The header of a row-major array of little-endian `float32`.
+/// Writes the header of a row-major array of little-endian `float32`.
 pub(crate) fn write_header(writer: impl Write, shape: &[usize]) -> io::Result<()> {
     let shape: Vec<u64> = shape.iter().map(|&n| n as u64).collect();
     let dtype = DType::new_scalar("<f4".parse().map_err(|_| io::Error::other("no float32 type"))?);
     WriteOptions::new_header_only().dtype(dtype).shape(&shape).writer(writer).write_header_only().map(drop)
 }
 
-/// Values after a header.
+/// Writes values that follow a header.
 pub(crate) fn write_values(mut writer: impl Write, data: &[f32]) -> io::Result<()> {
     let mut bytes = Vec::with_capacity(4 * CHUNK);
     for chunk in data.chunks(CHUNK) {
@@ -79,10 +79,10 @@ pub(crate) fn write_values(mut writer: impl Write, data: &[f32]) -> io::Result<(
     Ok(())
 }
 
-/// Reads a whole array as `f32`, with its shape.
+/// Reads a whole array as `f32`, and its shape.
 ///
 /// # Errors
-/// On a file that is no array, or is shorter than its header declares.
+/// If the file is not an array, or is shorter than its header declares.
 pub fn read(path: &Path) -> Result<(Vec<usize>, Vec<f32>), FieldError> {
     let mut array = NpyFile::open(path)?;
     let count = array.len();
@@ -95,7 +95,8 @@ impl NpyFile {
     /// Opens an array and checks the file's length against its header.
     ///
     /// # Errors
-    /// On a malformed header, Fortran order, other types of values, and a file that is too short.
+    /// If the header is malformed, the order is Fortran's, the values have another type, or the
+    /// file is too short.
     pub fn open(path: &Path) -> Result<Self, FieldError> {
         let mut file = BufReader::new(lumistack_files::open(path).map_err(FieldError::io(path, "read"))?);
         let file_length = file.get_ref().metadata().map_err(FieldError::io(path, "read"))?.len();
@@ -138,23 +139,23 @@ impl NpyFile {
         self.shape.iter().product()
     }
 
-    /// Returns true if it has no values.
+    /// Returns true if the array has no values.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// The values where they lie, of a file that stores them as this machine does and at least
-    /// `least_bytes` of them.
+    /// Lends the values directly from the file. `None` if the file stores them differently from
+    /// this machine, or they take less than `least_bytes`.
     pub(crate) fn lent(&self, least_bytes: u64) -> Option<lumistack_core::Lender> {
         let is_plain = self.scalar == Scalar::F32 && !self.big_endian;
         let is_large = 4 * self.len() as u64 >= least_bytes;
         (is_plain && is_large).then(|| crate::mapped::lend(self.file.get_ref(), self.data_start, self.len())).flatten()
     }
 
-    /// Reads `values.len()` values from index `start`; code values are scaled to 0..1.
+    /// Reads `values.len()` values from index `start` on; code values are scaled to 0..1.
     ///
     /// # Errors
-    /// If the file cannot be read, or ends early.
+    /// If the file cannot be read or is too short.
     pub fn read_values(&mut self, start: usize, values: &mut [f32]) -> Result<(), FieldError> {
         self.fill(start, values).map_err(FieldError::io(&self.path, "read"))
     }
@@ -205,14 +206,15 @@ impl Scalar {
     }
 }
 
-/// Zeros, or an error if the allocation would end the program.
+/// Returns `count` zeros, or an error if there is too little memory for them.
 pub(crate) fn zeros(path: &Path, count: usize) -> Result<Vec<f32>, FieldError> {
     let mut data = reserved(path, count)?;
     data.resize(count, 0.0);
     Ok(data)
 }
 
-/// Untouched capacity for `count` values, or an error as for [`zeros`].
+/// Returns a vector with untouched capacity for `count` values, or an error if there is too little
+/// memory.
 pub(crate) fn reserved(path: &Path, count: usize) -> Result<Vec<f32>, FieldError> {
     let mut data = Vec::new();
     if data.try_reserve_exact(count).is_err() {
@@ -222,8 +224,8 @@ pub(crate) fn reserved(path: &Path, count: usize) -> Result<Vec<f32>, FieldError
     Ok(data)
 }
 
-/// Checks properties that the header parser assumes (lengths, depth, overflow), then parses the
-/// same bytes.
+/// Parses a header. First checks properties that the parser of the library assumes: lengths, depth
+/// of brackets, and no overflow.
 fn read_header(path: &Path, file: &mut impl Read) -> Result<(NpyHeader, u64), FieldError> {
     let bad = |expected: &str, found: String| FieldError::malformed(path, "header", expected, found);
     let short = |_| bad("a NumPy array (.npy)", "the file ends within it".into());

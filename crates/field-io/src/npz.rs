@@ -1,7 +1,7 @@
 //! NumPy's archives: `.npz`, arrays of little-endian `float32` in an uncompressed ZIP file.
 //!
-//! Written front to back without seeking, in parts, so memory does not grow with the arrays. Equal
-//! values produce equal bytes.
+//! An archive is written front to back, without seeking and in blocks, so memory does not grow with
+//! the arrays. Equal values produce equal bytes.
 
 use std::io::{self, Write};
 
@@ -10,7 +10,7 @@ use zip::{CompressionMethod, DateTime, ZipWriter};
 
 use crate::npy;
 
-/// Arrays of at least this many bytes need ZIP's long form of sizes.
+/// An array of this many bytes or more needs ZIP's long form of sizes.
 const LARGE: u64 = 1 << 31;
 
 /// An archive in progress.
@@ -21,12 +21,12 @@ pub struct NpzWriter<W: Write> {
 }
 
 impl<W: Write> NpzWriter<W> {
-    /// An empty archive.
+    /// Begins an empty archive.
     pub fn new(writer: W) -> Self {
         Self { zip: ZipWriter::new_stream(writer), missing: 0 }
     }
 
-    /// Begins an array; its values follow through [`values`](Self::values).
+    /// Begins an array; calls of [`values`](Self::values) write its values.
     ///
     /// # Errors
     /// If writing fails.
@@ -51,7 +51,7 @@ impl<W: Write> NpzWriter<W> {
     /// If writing fails.
     ///
     /// # Panics
-    /// If there are more values than the shape has.
+    /// If there are more values than the array's shape has.
     pub fn values(&mut self, values: &[f32]) -> io::Result<()> {
         self.missing = self.missing.checked_sub(values.len()).expect("no more values than the shape has");
         npy::write_values(&mut self.zip, values)

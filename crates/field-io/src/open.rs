@@ -13,13 +13,14 @@ use crate::prefilter::Footprint;
 
 /// Reads a light field of any kind.
 ///
-/// A path is a folder with `lightfield.json` (or a run's folder), or `.npy` with or without a
-/// `.json` beside it. It may also be a quilt, a picture of tiles, or a folder of pictures. Pictures
-/// are named as in the Stanford archive, the HCI benchmark, or `RR_CC.png`.
+/// The path is a folder with `lightfield.json`, the folder of a run, or a `.npy` file with or
+/// without a `.json` of the same name. It may also be a quilt, a picture of tiles, or a folder of
+/// pictures. Such pictures are named as in the Stanford archive, as in the HCI benchmark, or
+/// `RR_CC.png`.
 ///
 /// # Errors
-/// If the path is none of these, a file is damaged, views differ in size, values are not finite, or
-/// the geometry is incomplete.
+/// If the path is of another kind, a file is damaged, views differ in size, values are not finite,
+/// or the geometry is incomplete.
 pub fn open(
     path: &Path,
     flags: &GeometryFlags,
@@ -29,12 +30,12 @@ pub fn open(
     open_for(path, flags, defaults, None, 0, task).map(|(field, _)| field)
 }
 
-/// As [`open`], for a display. With [`GeometryFlags::prefilter`] every kept view is averaged with
-/// its neighbours over the display's footprint. Also returns at most `most_left_out` views between
-/// the kept ones.
+/// Reads a light field as [`open`] does, for a display. With [`GeometryFlags::prefilter`] every
+/// kept view is averaged with its neighbours over the display's footprint. Also returns up to
+/// `most_left_out` views between the kept ones.
 ///
 /// # Errors
-/// Those of [`open`], and if a prefilter is requested without a footprint.
+/// The errors of [`open`], and if a prefilter is requested without a footprint.
 pub fn open_for(
     path: &Path,
     flags: &GeometryFlags,
@@ -48,10 +49,10 @@ pub fn open_for(
     assemble(&mut source, flags, defaults, footprint, most_left_out, task)
 }
 
-/// The geometry that [`open`] would return, without reading all pictures.
+/// The geometry of the light field that [`open`] would return, without reading all pictures.
 ///
 /// # Errors
-/// Those of [`open`] that do not depend on values.
+/// The errors of [`open`], except those of pixel values.
 pub fn geometry_of(
     path: &Path,
     flags: &GeometryFlags,

@@ -7,33 +7,33 @@
 //! ```
 //!
 //! δs is the [`angular_footprint`](lumistack_display::Display::angular_footprint) and Δs the step
-//! of the given views, per axis. A view stands for its bin of slopes, so footprints up to a bin
-//! have no effect: directions between views are unknown. The path tracer's
-//! `angular_filter = "display"` is the limit of many views. A plane at z with a grating of
-//! frequency ω keeps, for δs = nΔs,
+//! of the given views, per axis. A view represents its bin of slopes. Footprints of at most one bin
+//! have no effect, since radiance between the views is unknown. With more views the result
+//! approaches that of the path tracer's `angular_filter = "display"`. For δs = nΔs, a plane at z
+//! with a grating of frequency ω keeps this factor of its contrast:
 //!
 //! ```text
-//! sin(πω|z|nΔs)/(n sin(πω|z|Δs)) → sinc(ω z δs)        of its contrast
+//! sin(πω|z|nΔs)/(n sin(πω|z|Δs)) → sinc(ω z δs)
 //! ```
 //!
-//! At the outermost views the mean covers the available views only.
+//! The mean of an outermost view contains only the views that exist.
 
 use lumistack_display::FieldGeometry;
 
-/// The width of slopes [x, y] over which a light field may be averaged for a display, as a function
-/// of its geometry.
+/// The range of slopes [x, y] over which a light field may be averaged for a display, as a function
+/// of the light field's geometry.
 pub type Footprint<'a> = &'a dyn Fn(&FieldGeometry) -> [f64; 2];
 
-/// For every kept view along one axis: the averaged views and their weights.
+/// For every kept view along one axis: the views that are averaged into it, and their weights.
 pub(crate) type Shares = Vec<Vec<(usize, f32)>>;
 
-/// Every view alone.
+/// The shares without a prefilter: every kept view has only itself.
 pub(crate) fn alone(picks: &[usize]) -> Shares {
     picks.iter().map(|&view| vec![(view, 1.0)]).collect()
 }
 
-/// Weights along an axis. `slopes` are those of the kept views `picks`, `positions` those of all
-/// views in any unit.
+/// Weights along an axis. `slopes` are the slopes of the kept views `picks`, and `positions` the
+/// positions of all views in any unit. `width` is the footprint.
 pub(crate) fn shares(slopes: &[f64], picks: &[usize], positions: &[f64], width: f64) -> Shares {
     let ([first, .., last], [from, .., to]) = (slopes, picks) else { return alone(picks) };
     let scale = (last - first) / (positions[*to] - positions[*from]);
@@ -47,7 +47,7 @@ pub(crate) fn shares(slopes: &[f64], picks: &[usize], positions: &[f64], width: 
     };
     let of = |&picked: &usize| {
         let all = (0..positions.len()).map(|other| (other, share(picked, other)));
-        // rounding leaves slivers of adjacent bins
+        // omit adjacent bins that overlap only by a rounding error
         let all: Vec<(usize, f64)> = all.filter(|(_, share)| *share > 1e-9 * bin).collect();
         let sum: f64 = all.iter().map(|(_, share)| share).sum();
         all.into_iter().map(|(other, share)| (other, (share / sum) as f32)).collect()
@@ -62,7 +62,7 @@ mod tests {
     #[test]
     fn shares_are_lengths() {
         let positions: Vec<f64> = (0..9).map(f64::from).collect();
-        // three of nine views are kept, 0.4 apart; a bin of the nine is 0.1
+        // three of nine views are kept, with slopes 0.4 apart; a bin of the nine has a width of 0.1
         let of = |width: f64| shares(&[-0.4, 0.0, 0.4], &[0, 4, 8], &positions, width);
         let close = |found: &[(usize, f32)], expected: &[(usize, f32)]| {
             let near = |(a, b): (&(usize, f32), &(usize, f32))| a.0 == b.0 && (a.1 - b.1).abs() < 1e-6;
@@ -71,7 +71,7 @@ mod tests {
         assert_eq!(of(0.1), alone(&[0, 4, 8]));
         close(&of(0.2)[1], &[(3, 0.25), (4, 0.5), (5, 0.25)]);
         close(&of(0.3)[1], &[(3, 1.0 / 3.0), (4, 1.0 / 3.0), (5, 1.0 / 3.0)]);
-        // at the end, only the available views
+        // at the end, only views that exist
         close(&of(0.3)[0], &[(0, 0.5), (1, 0.5)]);
         assert_eq!(shares(&[0.0], &[4], &positions, 1.0), alone(&[4]), "one view has no step");
     }

@@ -1,12 +1,13 @@
-//! One picture of tiles.
+//! One picture with a tile for each view.
 //!
 //! Quilt: `NAME_qs<columns>x<rows>[a<aspect>].ext`, horizontal parallax only. View 0, the leftmost,
-//! is the bottom-left tile; views continue to the right, then upwards. The aspect is width over
-//! height of a view; its tile may be anamorphic. Sizes need not divide: tiles start at the bottom
-//! left, and the rest at the top and right is unused.
+//! is the bottom-left tile; views continue to the right, then upwards. The aspect is the width of a
+//! view divided by its height; the view's tile may be anamorphic. The picture's size need not be a
+//! multiple of the tiles: they start at the bottom left, and pixels that remain at the top and
+//! right are unused.
 //!
-//! Tiles (by flag): view (0, 0) at the top left, one tile per view, both kinds of parallax. Sizes
-//! must divide.
+//! Tiles (by a flag): view (0, 0) is at the top left, with parallax along both axes. The picture's
+//! size must be a multiple of the number of tiles.
 
 use std::path::{Path, PathBuf};
 
@@ -18,7 +19,7 @@ use crate::source::{Kind, Source, Views};
 /// Largest number of tiles per axis.
 const TILE_LIMIT: usize = 1000;
 
-/// Layout in a quilt's name.
+/// Arrangement of views by the name of a quilt.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Layout {
     pub(crate) columns: usize,
@@ -51,13 +52,13 @@ fn leading_number(text: &str) -> Option<(usize, &str)> {
 struct TileViews {
     path: PathBuf,
     tile: [usize; 2],
-    /// Top left corner of each view, row by row.
+    /// Top left corner of each view, in the order of view rows.
     corners: Vec<[usize; 2]>,
     cols: usize,
     picture: Option<Picture>,
 }
 
-/// Opens a picture of tiles; flags override its name.
+/// Opens a picture of tiles; flags override the arrangement in its name.
 pub(crate) fn source(path: &Path, flags: &GeometryFlags) -> Result<Source, FieldError> {
     let size = Picture::size_of(path)?;
     if let Some([columns, rows]) = flags.tiles {
@@ -89,7 +90,7 @@ pub(crate) fn source(path: &Path, flags: &GeometryFlags) -> Result<Source, Field
 fn tile_size(path: &Path, flag: &str, size: [usize; 2], counts: [usize; 2]) -> Result<[usize; 2], FieldError> {
     let fits = |axis: usize| (1..=TILE_LIMIT.min(size[axis])).contains(&counts[axis]);
     if !fits(0) || !fits(1) {
-        let expected = format!("1 × 1 tiles to one per pixel of {} × {}", size[0], size[1]);
+        let expected = format!("1 × 1 to {} × {} tiles, at most one per pixel", size[0], size[1]);
         return Err(FieldError::malformed(path, flag, expected, format!("{} × {}", counts[0], counts[1])));
     }
     Ok([size[0] / counts[0], size[1] / counts[1]])

@@ -1,8 +1,8 @@
-//! Area averaging in linear light: an output pixel is the mean of the source rectangle that it
-//! covers.
+//! Area averaging in linear light: an output pixel is the mean of the rectangle of the source that
+//! it covers.
 //!
-//! One function serves shifts (a rectangle that starts between pixels mixes two neighbours), crops
-//! and reductions.
+//! One function shifts, crops and reduces. A rectangle that starts between pixels mixes two
+//! neighbours, which shifts the picture.
 
 /// A rectangle of a source picture in pixels; (0, 0) is the outer corner of the first pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -11,7 +11,7 @@ pub(crate) struct Rect {
     pub(crate) size: [f64; 2],
 }
 
-/// The pixels covered by one output pixel, and their weights.
+/// The source pixels along one axis that an output pixel covers, and their weights.
 struct Cover {
     first: usize,
     weights: Vec<f32>,
@@ -45,7 +45,7 @@ pub(crate) fn area(source: &[f32], size: [usize; 2], rect: Rect, out_size: [usiz
 
 fn covers(start: f64, length: f64, count: usize, limit: usize) -> Vec<Cover> {
     let step = length / count as f64;
-    // rectangles should lie within the source; parts outside by rounding read the border pixel
+    // rectangles lie within the source; where rounding exceeds it, the border pixel is read
     let inside = |edge: f64| edge.clamp(0.0, limit as f64);
     let cover = |index: usize| {
         let from = inside(start + index as f64 * step);

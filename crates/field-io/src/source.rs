@@ -23,15 +23,16 @@ pub enum Kind {
     Numbered,
     /// Pictures named `input_Cam000`, as in the HCI 4D light field benchmark.
     Hci,
-    /// One picture of tiles, the leftmost view at the bottom left.
+    /// One picture of tiles, with the leftmost view at the bottom left.
     Quilt,
-    /// One picture of tiles, the leftmost and topmost view at the top left.
+    /// One picture of tiles, with the leftmost and topmost view at the top left.
     Tiles,
 }
 
-/// Reads views in the order of this crate: `view` = [view_y, view_x], (0, 0) leftmost and topmost.
+/// Reads views in the order of this crate: `view` = [view_y, view_x], where (0, 0) is leftmost and
+/// topmost.
 pub(crate) trait Views {
-    /// `[row][col][rgb]`, linear, as stored.
+    /// Reads a view, `[row][col][rgb]`, linear, in the file's resolution.
     fn load(&mut self, view: [usize; 2]) -> Result<Vec<f32>, FieldError>;
     /// The file that contains a view.
     fn file(&self, view: [usize; 2]) -> PathBuf;
@@ -61,7 +62,7 @@ impl std::fmt::Debug for Source {
 }
 
 impl Source {
-    /// Reverses the order of views along the axes (x, y) that are set.
+    /// Reverses the order of views along those of the axes (x, y) for which `mirror` is true.
     pub(crate) fn mirror(&mut self, mirror: [bool; 2]) {
         if mirror == [false; 2] {
             return;
@@ -100,7 +101,7 @@ impl Views for Mirrored {
     }
 }
 
-/// Placeholder while a reader is wrapped.
+/// Placeholder for a reader while it is wrapped.
 struct NoViews;
 
 impl Views for NoViews {

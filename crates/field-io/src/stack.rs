@@ -13,10 +13,10 @@ use crate::index::{check_schema, parse_json, read_index, write_json};
 use crate::{FieldError, atomic, mapped, npy};
 
 const INDEX: &str = StackIndex::FILE;
-/// Most layers and frames of one stack; more means that the index is damaged.
+/// Largest number of layers and of frames. An index with more is regarded as damaged.
 const COUNT_LIMIT: usize = 1000;
 
-/// Writes a stack into a folder, which is made where it is missing.
+/// Writes a stack into a folder, which is created if missing.
 ///
 /// # Errors
 /// If the stack does not match the display, or the files cannot be written.
@@ -38,7 +38,7 @@ pub fn write_stack(folder: &Path, display: &Display, stack: &LayerStack) -> Resu
 /// Reads a stack's index without its arrays.
 ///
 /// # Errors
-/// If it is missing or malformed.
+/// If the index is missing or malformed.
 pub fn read_stack_index(folder: &Path) -> Result<StackIndex, FieldError> {
     let path = folder.join(INDEX);
     let text = read_index(&path)?;
@@ -64,7 +64,7 @@ pub fn read_stack_index(folder: &Path) -> Result<StackIndex, FieldError> {
     for file in files {
         let plain = Path::new(file).file_name().is_some_and(|name| name.to_str() == Some(file));
         check(plain, "file", "a name inside the folder", file.clone())?;
-        // a link may lead outside; a missing file is an error when it is read
+        // a link may lead outside of the folder; a missing file is reported when it is read
         if let Err(refusal @ Refusal::Outside { .. }) = inside.resolve(file) {
             check(false, "file", "a name inside the folder", format!("{file}: {refusal}"))?;
         }
@@ -74,7 +74,7 @@ pub fn read_stack_index(folder: &Path) -> Result<StackIndex, FieldError> {
 
 /// Reads a stack.
 ///
-/// Arrays of a gigabyte and more stay in their files, and the system reads the parts in use. Until
+/// Arrays of a gigabyte and more stay in their files, and the system reads the pages in use. Until
 /// the stack is dropped such a file may be replaced, but not changed in place.
 ///
 /// # Errors

@@ -1,4 +1,4 @@
-//! Writes a stack part by part, so that it is never in memory as a whole.
+//! Writes a stack region by region, so it is never in memory as a whole.
 
 use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -9,13 +9,13 @@ use tempfile::NamedTempFile;
 use crate::index::write_json;
 use crate::{FieldError, atomic, npy};
 
-/// A stack that is being written. Its files appear at [`finish`](Self::finish); a writer that is
-/// dropped before leaves none.
+/// A stack that is being written. Its files appear when [`finish`](Self::finish) is called. A
+/// writer that is dropped without this call leaves no files.
 #[derive(Debug)]
 pub struct StackWriter {
     folder: PathBuf,
     index: StackIndex,
-    /// Layers rear to front, then the backlight.
+    /// The layers from rear to front, then the backlight.
     arrays: Vec<Array>,
 }
 
@@ -24,16 +24,17 @@ pub struct StackWriter {
 struct Array {
     path: PathBuf,
     file: NamedTempFile,
-    /// Bytes before the values.
+    /// Number of bytes before the values.
     header: u64,
     rows: usize,
     cols: usize,
 }
 
 impl StackWriter {
-    /// Begins a display's stack in a folder, which is created if missing. Pixels that no part
-    /// covers are 0.
+    /// Begins a display's stack in a folder, which is created if missing. Pixels that are never
+    /// written are 0.
     ///
+    /// # Errors
     /// If the folder or a file cannot be created.
     pub fn begin(folder: &Path, display: &Display) -> Result<Self, FieldError> {
         let index = StackIndex::of_display(display);
@@ -48,7 +49,8 @@ impl StackWriter {
         Ok(Self { folder: folder.to_owned(), index, arrays })
     }
 
-    /// Writes a part. `regions` are its pixels in each layer, and in the lenslets if there are any.
+    /// Writes some regions of the stack. `regions` are the pixels of `part` in each layer, and in
+    /// the lenslets if there are any.
     ///
     /// # Errors
     /// If the disk is full or fails.
@@ -81,7 +83,7 @@ impl Array {
     fn begin(path: PathBuf, shape: &[usize]) -> Result<Self, FieldError> {
         let begin = || {
             let mut file = atomic::temporary_beside(path.parent().unwrap_or(Path::new(".")))?;
-            // the lock marks the file as in use, see `atomic::is_abandoned`
+            // the lock marks the file as in use; see `atomic::is_abandoned`
             let _ = file.as_file().try_lock();
             npy::write_header(file.as_file_mut(), shape)?;
             let header = file.as_file_mut().stream_position()?;

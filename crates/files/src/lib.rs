@@ -1,31 +1,31 @@
-//! Reading of files that the user or another file names.
+//! Reads files that the user or another file names.
 //!
-//! A name may stand for anything: a device that never ends, a pipe without a writer, a file of
-//! terabytes, a secret in another folder. Here only regular files are opened, and their size is
-//! compared with a limit before the first byte is read. A [`Folder`] keeps the names that a file
-//! contains inside the folder of that file. Every reader of the workspace that has a path goes
-//! through this crate.
+//! A name may lead to anything: a device that never ends, a pipe without a writer, a file of
+//! terabytes, a secret in another folder. This crate opens only regular files, and compares their
+//! size with a limit before the first byte is read. A [`Folder`] keeps the names that a file
+//! contains inside the folder of that file. Every reader of the workspace that has a path uses this
+//! crate.
 
 use std::fmt;
 use std::fs::{File, FileType};
 use std::io::{self, ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
-/// Largest file that is read whole, bytes: 16 GiB.
+/// Size of the largest file that is read whole, bytes: 16 GiB.
 pub const MAX_FILE_BYTES: u64 = 16 << 30;
-/// Largest text (job, display, index) that is read whole, bytes: 64 MiB.
+/// Size of the largest text (job, display, index) that is read whole, bytes: 64 MiB.
 pub const MAX_TEXT_BYTES: u64 = 64 << 20;
 
 /// Opens a regular file for reading.
 ///
 /// # Errors
-/// As [`File::open`], and when the path leads to anything but a regular file.
+/// The errors of [`File::open`], and if the path does not lead to a regular file.
 pub fn open(path: &Path) -> io::Result<File> {
-    // before it is opened: to open a pipe waits for a writer, to open a device may already do
-    // something
+    // check before the file is opened: opening a pipe would wait for a writer, and opening a device
+    // may have an effect
     check_kind(std::fs::metadata(path)?.file_type())?;
     let file = File::open(path)?;
-    // the path may lead elsewhere by now
+    // check again, since the path may lead to another file by now
     check_kind(file.metadata()?.file_type())?;
     Ok(file)
 }
@@ -33,7 +33,7 @@ pub fn open(path: &Path) -> io::Result<File> {
 /// Reads a regular file of at most [`MAX_FILE_BYTES`].
 ///
 /// # Errors
-/// As [`read_at_most`].
+/// The errors of [`read_at_most`].
 pub fn read(path: &Path) -> io::Result<Vec<u8>> {
     read_at_most(path, MAX_FILE_BYTES)
 }
@@ -41,7 +41,8 @@ pub fn read(path: &Path) -> io::Result<Vec<u8>> {
 /// Reads a regular file of at most `most` bytes.
 ///
 /// # Errors
-/// As [`open`], when the file is larger than `most`, and when it cannot be read or held in memory.
+/// The errors of [`open`]. Also if the file is larger than `most`, cannot be read, or does not fit
+/// in memory.
 pub fn read_at_most(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     let file = open(path)?;
     let length = file.metadata()?.len();
@@ -54,7 +55,7 @@ pub fn read_at_most(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     }
     let mut bytes = Vec::new();
     bytes.try_reserve_exact(usize::try_from(length).map_err(|_| too_large(length))?)?;
-    // files of the system state no length, and others grow meanwhile
+    // limit the read too: files of the system state no length, and other files may grow
     file.take(most.saturating_add(1)).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > most { Err(too_large(bytes.len() as u64)) } else { Ok(bytes) }
 }
@@ -62,12 +63,12 @@ pub fn read_at_most(path: &Path, most: u64) -> io::Result<Vec<u8>> {
 /// Reads a regular UTF-8 file of at most [`MAX_TEXT_BYTES`].
 ///
 /// # Errors
-/// As [`read_at_most`], and when the content is not UTF-8.
+/// The errors of [`read_at_most`], and if the content is not UTF-8.
 pub fn read_text(path: &Path) -> io::Result<String> {
     let bytes = read_at_most(path, MAX_TEXT_BYTES)?;
     String::from_utf8(bytes).map_err(|error| {
         let at = error.utf8_error().valid_up_to();
-        io::Error::new(ErrorKind::InvalidData, format!("expected text in UTF-8, found another byte at {at}"))
+        io::Error::new(ErrorKind::InvalidData, format!("expected UTF-8 text, found an invalid byte at offset {at}"))
     })
 }
 
@@ -96,25 +97,25 @@ fn special(_kind: FileType) -> &'static str {
     "something else"
 }
 
-/// The folder of a file, in which the names that the file contains are looked up.
+/// The folder of a file. Names that the file contains are relative to it.
 #[derive(Clone, Debug)]
 pub struct Folder {
     base: PathBuf,
-    /// Folders of the file and of the file that it is a link to, without links; empty: names may
-    /// lead anywhere.
+    /// Folders that names may not leave, without links: the file's folder, and the folder of the
+    /// target if the file is a link. Empty if names may lead anywhere.
     inside: Vec<PathBuf>,
 }
 
 /// A name that cannot be followed.
 #[derive(Debug)]
 pub enum Refusal {
-    /// The operating system refused, or it is no regular file.
+    /// The operating system refused, or the name does not lead to a regular file.
     Io(io::Error),
-    /// It leads out of the folder.
+    /// The name leads out of the folder.
     Outside {
-        /// Where it leads, without links.
+        /// The path that the name leads to, without links.
         found: PathBuf,
-        /// The folder.
+        /// The folder that the name may not leave.
         folder: PathBuf,
     },
 }
@@ -139,16 +140,16 @@ impl From<io::Error> for Refusal {
 }
 
 impl Folder {
-    /// The folder of `file`, which names may leave.
+    /// The folder of `file`, for names that may leave it.
     pub fn anywhere(file: &Path) -> Self {
         Self { base: file.parent().unwrap_or(Path::new("")).to_owned(), inside: Vec::new() }
     }
 
-    /// The folder of `file`, which names may not leave, neither by `..` nor by a link. If the file
-    /// is a link, the folder of its target counts too.
+    /// The folder of `file`, for names that may not leave it, neither by `..` nor by a link. If the
+    /// file is a link, names may also lead into the folder of its target.
     ///
     /// # Errors
-    /// When the file is not there.
+    /// If the file does not exist.
     pub fn around(file: &Path) -> io::Result<Self> {
         let anywhere = Self::anywhere(file);
         let here = if anywhere.base.as_os_str().is_empty() { Path::new(".") } else { &anywhere.base };
@@ -161,15 +162,15 @@ impl Folder {
         Ok(Self { inside, ..anywhere })
     }
 
-    /// Where a name is looked up.
+    /// The path of a name, without a check.
     pub fn path_of(&self, name: impl AsRef<Path>) -> PathBuf {
         self.base.join(name)
     }
 
-    /// The path of a name, once it is known not to leave the folder.
+    /// The path of a name, after a check that it does not leave the folder.
     ///
     /// # Errors
-    /// When it leads out of the folder, or to nothing.
+    /// If the name leads out of the folder, or to no file.
     pub fn resolve(&self, name: impl AsRef<Path>) -> Result<PathBuf, Refusal> {
         let path = self.path_of(name);
         if let Some(folder) = self.inside.first() {
@@ -181,10 +182,10 @@ impl Folder {
         Ok(path)
     }
 
-    /// Reads the regular file of a name, of at most `most` bytes.
+    /// Reads the regular file of a name, if it has at most `most` bytes.
     ///
     /// # Errors
-    /// As [`resolve`](Self::resolve) and [`read_at_most`].
+    /// The errors of [`resolve`](Self::resolve) and [`read_at_most`].
     pub fn read(&self, name: impl AsRef<Path>, most: u64) -> Result<Vec<u8>, Refusal> {
         Ok(read_at_most(&self.resolve(name)?, most)?)
     }
@@ -207,7 +208,7 @@ mod tests {
         assert_eq!(error, "expected a regular file, found a folder");
         std::fs::write(&path, b"a\xE9").unwrap();
         let error = read_text(&path).unwrap_err().to_string();
-        assert_eq!(error, "expected text in UTF-8, found another byte at 1");
+        assert_eq!(error, "expected UTF-8 text, found an invalid byte at offset 1");
     }
 
     /// Without the check before the file is opened, the pipe would block this test for ever, and
@@ -227,7 +228,7 @@ mod tests {
         assert_eq!(open(&socket).unwrap_err().to_string(), "expected a regular file, found a socket");
     }
 
-    /// A file without a stated length is still bounded.
+    /// The limit also holds for a file that states no length.
     #[cfg(target_os = "linux")]
     #[test]
     fn a_file_of_the_system_that_states_no_length_is_cut_off() {
@@ -261,7 +262,7 @@ mod tests {
             assert_eq!(Folder::anywhere(&scene).read(name, 1).unwrap(), b"x", "{name}");
         }
         assert!(matches!(folder.read("none.png", 1).unwrap_err(), Refusal::Io(_)));
-        // a scene that is itself a link to where its files are
+        // a scene that is itself a link to a file in the folder of its textures
         symlink(&scene, outer.path().join("alias.gltf")).unwrap();
         let folder = Folder::around(&outer.path().join("alias.gltf")).unwrap();
         assert!(folder.resolve(absolute).is_ok() && folder.resolve(root.join("textures/b.png")).is_ok());

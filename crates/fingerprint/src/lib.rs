@@ -1,35 +1,35 @@
-//! A hash of a crate's own sources, for its build script.
+//! Computes a hash of a crate's own sources, for the build script of that crate.
 //!
-//! Results are kept between runs, and so between versions of the program. Their keys hold the
-//! fingerprints of all crates whose code they pass through, so that no change to that code can
-//! leave an old result in use. A version number that must be raised by hand is forgotten sooner or
-//! later.
+//! Results are kept between runs, and thus between versions of the program. Their keys contain the
+//! fingerprints of all crates whose code affects them. After any change to that code, an old result
+//! therefore has another key and is not used. A version number that must be raised by hand would be
+//! forgotten sooner or later.
 //!
 //! ```text
 //! build.rs   fn main() { lumistack_fingerprint::emit(&[]); }
 //! lib.rs     pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 //! ```
 //!
-//! The same sources give the same fingerprint on every machine: names are relative to the crate,
-//! with `/` between parts, and sorted; contents are taken byte by byte. Nothing outside the crate's
-//! folder is read, so that packaged crates build too.
+//! The same sources give the same fingerprint on every machine. Names are relative to the crate,
+//! have `/` between folders, and are sorted; contents are hashed byte by byte. Files outside of the
+//! crate's folder are not read, so packaged crates build too.
 
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// The crate's own code.
+/// Folder of the crate's code.
 const SOURCES: &str = "src";
 const MANIFEST: &str = "Cargo.toml";
-/// In a packaged crate the manifest as its author wrote it.
+/// Name of the manifest, as its author wrote it, in a packaged crate.
 const ORIGINAL_MANIFEST: &str = "Cargo.toml.orig";
 
-/// In a build script: sets `LUMISTACK_FINGERPRINT` for the crate, from `src`, the manifest and the
-/// folders `more`, relative to the manifest's.
+/// Sets `LUMISTACK_FINGERPRINT` for the crate whose build script calls this. The fingerprint
+/// contains `src`, the manifest, and the folders `more`, relative to the crate's folder.
 ///
 /// # Panics
-/// When cargo does not run it, or the sources cannot be read: a crate without a fingerprint must
-/// not build.
+/// If cargo does not run the build script, or the sources cannot be read: a crate without a
+/// fingerprint must not build.
 pub fn emit(more: &[&str]) {
     let folder = std::env::var_os("CARGO_MANIFEST_DIR").expect("cargo runs build scripts and says where the crate is");
     let folder = Path::new(&folder);
@@ -40,10 +40,10 @@ pub fn emit(more: &[&str]) {
     println!("cargo::rustc-env=LUMISTACK_FINGERPRINT={fingerprint}");
 }
 
-/// The fingerprint of the crate in `folder`, 32 hexadecimal digits; `more` as in [`emit`].
+/// The fingerprint of the crate in `folder`, 32 hexadecimal digits. For `more` see [`emit`].
 ///
 /// # Errors
-/// When a file cannot be read.
+/// If a file cannot be read.
 pub fn of(folder: &Path, more: &[&str]) -> io::Result<String> {
     let mut files = Vec::new();
     for part in [&[SOURCES], more].concat() {
@@ -56,7 +56,8 @@ pub fn of(folder: &Path, more: &[&str]) -> io::Result<String> {
     let mut hash = blake3::Hasher::new();
     for (name, path) in files {
         let bytes = fs::read(path)?;
-        // with lengths, so that neighbours cannot run together
+        // hash the lengths too, so that the end of one text cannot pass for the beginning of the
+        // next
         for part in [name.as_bytes(), &bytes] {
             hash.update(&(part.len() as u64).to_le_bytes()).update(part);
         }
@@ -64,8 +65,8 @@ pub fn of(folder: &Path, more: &[&str]) -> io::Result<String> {
     Ok(hash.finalize().to_hex()[..32].to_string())
 }
 
-/// Adds every file below a folder under its name relative to the crate. Hidden files and compiled
-/// Python are no sources.
+/// Adds every file in a folder and its subfolders, under a name relative to the crate. Hidden files
+/// and compiled Python are not sources.
 fn collect(folder: &Path, name: &str, files: &mut Vec<(String, PathBuf)>) -> io::Result<()> {
     for entry in fs::read_dir(folder)? {
         let path = entry?.path();
@@ -124,7 +125,8 @@ mod tests {
     fn the_same_sources_elsewhere_have_the_same_fingerprint() {
         let [here, there] = [(); 2].map(|()| tempfile::tempdir().unwrap());
         write(here.path(), &CRATE);
-        // written in another order, beside files that are no sources; the manifest was packaged
+        // written in another order, and next to files that are not sources; the manifest was
+        // packaged
         let mut reversed = CRATE;
         reversed.reverse();
         write(there.path(), &reversed);

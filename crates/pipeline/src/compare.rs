@@ -1,11 +1,11 @@
-//! Compares two runs, or a run with a photograph of its panels; simulates an eye with a pupil.
+//! Compares two runs, or a run with a photograph of its panels. Also simulates an eye with a pupil.
 //!
 //! Seen pictures of two runs are compared over directions of the first run's viewing zone. Both
-//! runs are also compared with the first run's target along its rays. Each run's zone score comes
-//! from its report.
+//! runs are also compared with the target of the first run, along the target's rays. The zone score
+//! of each run comes from the run's report.
 //!
-//! An eye e at distance D with a pupil, focused on depth z, sees the mean of the pictures from
-//! points q of the pupil. Each picture is shifted so that the plane at z stays in place:
+//! An eye e at distance D with a pupil, focused on depth z, sees the mean of pictures from points q
+//! of the pupil. Each picture is shifted so that content at depth z stays in place:
 //!
 //! ```text
 //! shift on z = 0:  (q − e) z/(D − z)
@@ -39,13 +39,13 @@ pub struct RunComparison {
     pub second_zone: Option<ZoneLikeness>,
     /// Number of directions of the first run's viewing zone whose seen pictures were compared.
     pub directions: usize,
-    /// The second run against the first, over these directions.
+    /// The second run compared with the first, over these directions.
     pub between: Likeness,
     /// Number of views of the first run's target that were compared; 0 without a target.
     pub views: usize,
-    /// The first run against its target.
+    /// The first run compared with its target.
     pub first: Option<Likeness>,
-    /// The second run against the same target.
+    /// The second run compared with the same target.
     pub second: Option<Likeness>,
     /// Written pictures.
     #[serde(serialize_with = "lumistack_core::path_text::told_each")]
@@ -54,8 +54,8 @@ pub struct RunComparison {
 
 /// Compares two run folders whose light fields have the same pixels.
 ///
-/// Writes seen pictures of both from the left, the middle and the right, with their differences,
-/// into `out`.
+/// If `out` is given, writes seen pictures of both runs from the left, the middle and the right,
+/// and their differences, into that folder.
 ///
 /// # Errors
 /// If a run cannot be read, or the pixels differ.
@@ -71,7 +71,8 @@ pub fn compare_runs(
         let of = |g: &FieldGeometry| format!("{} × {} pixels of {} mm", g.cols, g.rows, g.pitch_mm);
         return Err(PipelineError::value(second, "field", of(&own), of(&other)));
     }
-    // Views and directions are those of the first run: its target's, or its display's.
+    // Views and directions are those of the first run: of its target or, without one, of its
+    // display.
     let target = target_of(first)?;
     let geometry = match &target {
         Some(target) => target.geometry().clone(),
@@ -79,7 +80,8 @@ pub fn compare_runs(
     };
     let simulators = [&a, &b].map(|run| Simulator::new(&run.display, &run.stack));
     let shape = [geometry.rows, geometry.cols];
-    // Expected eyes of the job limit the zone. Saved patterns may lie in a folder without a job.
+    // Expected eye positions of the job limit the zone. Saved patterns may be in a folder without a
+    // job.
     let zone = match Job::load(&first.join("job.toml")) {
         Ok(job) => score::zone_of(&job, &a.display, &geometry),
         Err(_) => Zone::of_grid(&geometry.grid, Some(a.display.field.fov_deg)),
@@ -91,7 +93,7 @@ pub fn compare_runs(
     let pair = |geometry: &FieldGeometry, view| {
         [0, 1].map(|i| seen(&simulators[i], [&a, &b][i].stack.brightness, geometry, view))
     };
-    // Compare the runs with each other, over the pixels that both displays cover.
+    // Compare the runs with each other, over the pixels that both displays show.
     let mut between = Sums::new();
     for direction in &directions {
         task.cancel.check()?;
@@ -114,7 +116,7 @@ pub fn compare_runs(
             task.progress.advance(1, "");
         }
     }
-    // Write target, both runs and their difference side by side.
+    // Write the target, both runs and their difference next to each other.
     let mut pictures = Vec::new();
     for view in shown {
         if let Some(out) = out {
@@ -141,7 +143,7 @@ pub fn compare_runs(
     })
 }
 
-/// Samples of a pupil per axis; samples outside of its disc do not count.
+/// Samples of a pupil per axis; samples outside of its disc are skipped.
 const PUPIL_SAMPLES: usize = 7;
 
 /// The picture for an eye at `eye_mm` with a pupil of diameter `pupil_mm` that focuses on the depth
@@ -161,10 +163,10 @@ pub fn refocused(
         return Err(PipelineError::option("--pupil-mm", "MM", "a diameter ≥ 0", pupil_mm.to_string()));
     }
     if !(focus_mm.is_finite() && focus_mm < distance) {
-        let expected = format!("a depth before the eye, less than {distance} mm");
+        let expected = format!("a depth below {distance} mm, the distance of the eye");
         return Err(PipelineError::option("--focus", "Z", expected, focus_mm.to_string()));
     }
-    // Average over a square grid of the pupil, cut to its disc.
+    // Average over a square grid of samples, without those outside of the pupil's disc.
     let pixels = display.field_pixels();
     let mut sum = Tensor::zeros(["row", "col", "rgb"], [pixels.rows, pixels.cols, 3]);
     let mut count = 0u32;
@@ -174,7 +176,7 @@ pub fn refocused(
             continue;
         }
         let view = picture_from(display, stack, Viewpoint::Eye([eye_mm[0] + dx, eye_mm[1] + dy, distance]), false)?;
-        // rows point down, y points up
+        // rows count downwards, and y points up
         let shift = [-dy, dx].map(|offset| offset * focus_mm / ((distance - focus_mm) * pixels.pitch_mm));
         add_moved(&mut sum, &view, shift);
         count += 1;
@@ -183,7 +185,7 @@ pub fn refocused(
     Ok(sum)
 }
 
-/// Adds a picture, shifted by [rows, columns]; pixels at the edge extend outwards.
+/// Adds a picture that is shifted by [rows, columns]. Pixels of the edge are repeated outwards.
 fn add_moved(sum: &mut Tensor<3>, view: &Tensor<3>, [down, right]: [f64; 2]) {
     let [rows, cols, _] = view.shape();
     let axis = |i: usize, shift: f64, count: usize| {
@@ -207,7 +209,7 @@ fn add_moved(sum: &mut Tensor<3>, view: &Tensor<3>, [down, right]: [f64; 2]) {
 mod tests {
     use super::*;
 
-    /// A dot on the front layer is sharp in focus, and a disc of the pupil's size out of focus.
+    /// A dot on the front layer is sharp in focus. Out of focus it is a disc of the pupil's size.
     #[test]
     fn focus_is_sharp_where_it_lies() {
         let mut display = Display::uniform([41, 41], 1.0, [3, 3], [20.0, 20.0], &[0.0, 60.0], 1);

@@ -1,5 +1,5 @@
-//! Errors between a job file and its outputs. Every message names the file, the place in it, the
-//! expected value and the found one.
+//! Errors between a job file and its outputs. Every message contains the file, the position in it,
+//! the expected value and the found value.
 
 use std::path::{Path, PathBuf};
 
@@ -31,7 +31,7 @@ pub enum PipelineError {
     Read {
         /// The file.
         path: PathBuf,
-        /// The system's answer.
+        /// The operating system's error.
         source: std::io::Error,
     },
     /// A file or folder cannot be written.
@@ -39,10 +39,10 @@ pub enum PipelineError {
     Write {
         /// The file.
         path: PathBuf,
-        /// The system's answer.
+        /// The operating system's error.
         source: std::io::Error,
     },
-    /// The output folder's path is taken by a file.
+    /// A file has the path of the output folder.
     #[error("{}: expected a folder to write to, found a file", path.display())]
     NotAFolder {
         /// The path.
@@ -56,10 +56,10 @@ pub enum PipelineError {
     InUse {
         /// The folder.
         folder: PathBuf,
-        /// Process and host.
+        /// Process and host of the other run.
         owner: String,
     },
-    /// A folder without a plan of units of work.
+    /// The folder has no plan of units of work.
     #[error(
         "{}: expected a run folder with a farm's plan, found none; check that this machine shares the folder under the same path",
         folder.display()
@@ -68,7 +68,7 @@ pub enum PipelineError {
         /// The folder.
         folder: PathBuf,
     },
-    /// A worker of another build, whose results may differ from those of the others.
+    /// The worker has another build, whose results may differ from those of other workers.
     #[error(
         "{}: expected the program that planned the run ({plan}), found another ({worker}); install the same build on all workers, or plan the run again",
         folder.display()
@@ -76,14 +76,15 @@ pub enum PipelineError {
     OtherCode {
         /// The run folder.
         folder: PathBuf,
-        /// Version and code of the plan.
+        /// Version and code hash of the program that planned the run.
         plan: String,
-        /// Version and code of the worker.
+        /// Version and code hash of the worker.
         worker: String,
     },
-    /// A file that Lumistack did not write, or that was changed since, is in the way.
+    /// A file is in the way that Lumistack did not write, or that was changed since Lumistack wrote
+    /// it.
     #[error(
-        "{}: expected no file, or one that Lumistack wrote, found {}; {work} into this folder would replace it: move it away, or choose another folder with -o",
+        "{}: expected no file, or one that Lumistack wrote, found {}; {work} into this folder would replace it; move it away, or choose another folder with -o",
         path.display(), if *changed { "a file that was changed since Lumistack wrote it" } else { "something else" }
     )]
     Foreign {
@@ -91,18 +92,18 @@ pub enum PipelineError {
         path: PathBuf,
         /// The work that would replace it.
         work: &'static str,
-        /// True if Lumistack wrote it and it was changed since.
+        /// True if Lumistack wrote the file and it was changed since.
         changed: bool,
     },
-    /// An input lies where the output is written.
+    /// An input is among the files that the output would replace.
     #[error(
         "{}: expected a {role} outside of the output, found it among the files that are written into {}; choose another folder with -o",
         input.display(), folder.display()
     )]
     Overwrites {
-        /// The input, a file or folder.
+        /// The input file or folder.
         input: PathBuf,
-        /// Its role, such as `scene`.
+        /// Role of the input, such as `scene`.
         role: &'static str,
         /// The output folder.
         folder: PathBuf,
@@ -110,7 +111,7 @@ pub enum PipelineError {
     /// Some outputs failed; the rest of the run is finished.
     #[error("{}", failed_outputs(failed))]
     Outputs {
-        /// The outputs with their reasons.
+        /// The failed outputs and their reasons.
         failed: Vec<FailedOutput>,
     },
     /// A job file does not parse.
@@ -118,9 +119,9 @@ pub enum PipelineError {
     Config {
         /// The file.
         path: PathBuf,
-        /// Its text.
+        /// Text of the file.
         text: String,
-        /// Place and message.
+        /// Position and message.
         source: ConfigError,
     },
     /// A display file does not parse, or has a wrong value.
@@ -128,28 +129,28 @@ pub enum PipelineError {
     Display {
         /// The file or preset.
         path: PathBuf,
-        /// Its text; empty if the values do not come from a file.
+        /// Text of the file; empty if the values do not come from a file.
         text: String,
         /// The cause.
         source: DisplayError,
     },
-    /// No such preset.
+    /// There is no preset of this name.
     #[error("display `{name}`: expected a preset or a .toml file; `lumistack displays` lists the presets{}", nearest.as_ref().map_or(String::new(), |n| format!("; did you mean `{n}`?")))]
     UnknownDisplay {
         /// The requested name.
         name: String,
-        /// The nearest preset.
+        /// The preset with the most similar name, if there is one.
         nearest: Option<String>,
     },
-    /// A wrong value.
+    /// A value is wrong.
     #[error(transparent)]
     Value(Box<BadValue>),
-    /// A result that a stage has just written was replaced: another program changes the folder.
+    /// Another program replaced a result that a stage has just written.
     #[error("{}: {role}: expected the picture that was just written, found another or none; another program changes this folder", path.display())]
     Replaced {
         /// The file.
         path: PathBuf,
-        /// Its content, for the message.
+        /// The role of the file in the message.
         role: &'static str,
     },
     /// glTF ingest failed.
@@ -174,7 +175,7 @@ pub enum PipelineError {
         /// The cause.
         source: WindowError,
     },
-    /// A wrong view grid.
+    /// A view grid is wrong.
     #[error(transparent)]
     Grid(#[from] GridError),
     /// A light field or stack cannot be read or written.
@@ -188,7 +189,7 @@ pub enum PipelineError {
         /// The cause.
         source: StackError,
     },
-    /// Weights do not fit.
+    /// Weights do not fit the light field.
     #[error("{}: {source}", path.display())]
     Weights {
         /// The file.
@@ -211,7 +212,7 @@ pub enum PipelineError {
     /// A plot could not be drawn.
     #[error(transparent)]
     Plot(PlotError),
-    /// A command's work outside of the pipeline failed.
+    /// Work that a command does outside of the pipeline failed.
     #[error(transparent)]
     Command(Box<dyn std::error::Error + Send + Sync>),
 }
@@ -219,7 +220,7 @@ pub enum PipelineError {
 /// An output that could not be written.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct FailedOutput {
-    /// Its folder, relative to the run folder.
+    /// Folder of the output, relative to the run folder.
     pub path: String,
     /// The cause of the failure.
     pub reason: String,
@@ -256,7 +257,7 @@ impl PipelineError {
         Self::value(Place::Job, key, expected, found)
     }
 
-    /// Error for a wrong value of an option or an environment variable.
+    /// Error for a wrong value of a command-line option or an environment variable.
     pub fn option(
         name: &'static str,
         key: impl Into<String>,
@@ -266,17 +267,17 @@ impl PipelineError {
         Self::value(Place::Option(name), key, expected, found)
     }
 
-    /// Error for a result that was replaced after it was written, for `ok_or_else`.
+    /// Error for a result that was replaced just after it was written, for `ok_or_else`.
     pub(crate) fn replaced<'a>(path: &'a Path, role: &'static str) -> impl FnOnce() -> Self + 'a {
         move || Self::Replaced { path: path.to_owned(), role }
     }
 
-    /// Error of a command's work outside of the pipeline, for `map_err`.
+    /// Error of work that a command does outside of the pipeline, for `map_err`.
     pub fn command(error: impl std::error::Error + Send + Sync + 'static) -> Self {
         Self::Command(Box::new(error))
     }
 
-    /// True if only this machine has the problem, so that another one may do the work.
+    /// True if the cause is this machine, so that another machine may do the work.
     pub fn is_machine_specific(&self) -> bool {
         matches!(self, Self::NoFarmPlan { .. } | Self::OtherCode { .. })
     }
@@ -379,7 +380,7 @@ pub fn read_to_string(path: &Path) -> Result<String, PipelineError> {
     lumistack_files::read_text(path).map_err(|source| PipelineError::Read { path: path.to_owned(), source })
 }
 
-/// The line of the error, with marks under the place.
+/// The line of the error, with marks under the error's position.
 fn excerpt(text: &str, error: &ConfigError) -> String {
     let Some(line) = text.lines().nth(error.line.saturating_sub(1)) else { return String::new() };
     let length = error.span.len().clamp(1, line.chars().count().saturating_sub(error.column - 1).max(1));

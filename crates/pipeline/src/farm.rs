@@ -1,16 +1,18 @@
 //! Runs on many machines: units of work in one run folder that all machines share.
 //!
 //! ```text
-//! cache/farm/plan.json           the job, the fingerprint of the code that planned it, and its
-//! units
-//! cache/farm/done/ID.json        finished units: written last; only saves time
+//! cache/farm/plan.json           the job, its units, and the fingerprint of the code
+//!                                that planned them
+//! cache/farm/done/ID.json        record of a finished unit, written last; it only saves
+//!                                time
 //! ```
 //!
-//! A unit checks that its worker has the code of the plan and waits for its input units. Then it
-//! executes its steps and records that it is done.
+//! A unit checks that its worker has the same code as the plan, and waits for its input units. Then
+//! it executes its steps and records that it is done.
 //!
-//! Units share the lock of the run folder. A unit that writes a part's light field, patterns or
-//! results holds the lock of that part alone. A whole run holds the run folder's lock alone.
+//! Units share the lock of the run folder. While a unit writes the light field, patterns or results
+//! of a time step or node, it alone holds the lock of that folder. The last unit, a whole run,
+//! alone holds the lock of the run folder.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -43,33 +45,33 @@ const DIGITS: usize = 16;
 /// Interval between two checks for input units.
 const INPUT_INTERVAL: Duration = Duration::from_millis(200);
 
-/// Returns a hash of all code that results pass through. All workers of a run must have the same.
+/// Returns a hash of all code that affects results. All workers of a run must have the same hash.
 pub fn code() -> String {
     let lists = [code::SCENE, code::VIEWS, code::FIELDS, code::PATTERNS, code::DESIGNS, code::PLUGINS, code::REPORTS];
     hash(lists.concat().concat().as_bytes())[..DIGITS].to_owned()
 }
 
-/// The plan of a run: its job and its units, as `plan.json` has them.
+/// The plan of a run: its job and its units, in the form of `plan.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FarmPlan {
-    /// Hash of job, code and units. Files of done units that belong to another plan are ignored.
+    /// Hash of job, code and units. Records of units that belong to another plan are ignored.
     pub id: String,
     /// Name of the job.
     pub name: String,
     /// Version of the program.
     pub version: String,
-    /// Value of [`code`] in the program that planned.
+    /// Value of [`code`] in the program that planned the run.
     pub code: String,
-    /// Units, each after its inputs.
+    /// The units; each comes after its inputs.
     pub units: Vec<Unit>,
     /// The job as TOML, with absolute paths.
     job: String,
-    /// Folder that relative paths in plugin parameters refer to.
+    /// Folder to which relative paths in parameters of plugins refer.
     #[serde(default, with = "lumistack_core::path_text::optional")]
     folder: Option<PathBuf>,
 }
 
-/// A unit that is done.
+/// The record of a unit that is done.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct UnitDone {
     /// Id of the plan.
@@ -86,15 +88,16 @@ impl FarmPlan {
     /// Reads the plan of a run folder.
     ///
     /// # Errors
-    /// If the folder has no plan: no run was planned there, or this machine does not share the
-    /// folder.
+    /// If the folder has no plan. Either no run was planned there, or this machine does not share
+    /// the folder.
     pub fn load(dir: &Path) -> Result<Self, PipelineError> {
         let missing = || PipelineError::NoFarmPlan { folder: dir.to_owned() };
         read_json(&plan_file(dir)).ok_or_else(missing)
     }
 
-    /// Returns the graph of units in a run folder. A worker executes `command`, the folder and a
-    /// unit's id. Done units have their measured time, the others the estimate.
+    /// Returns the graph of units in a run folder. The command line of a unit is `command`, the
+    /// folder and the unit's id. Units that are done have their measured time, the others an
+    /// estimate.
     pub fn graph(&self, dir: &Path, command: Vec<String>) -> Graph {
         let folder = std::path::absolute(dir).unwrap_or_else(|_| dir.to_owned()).to_string_lossy().into_owned();
         let mut units = self.units.clone();
@@ -111,7 +114,7 @@ impl FarmPlan {
 
     fn job(&self, maps: &[(PathBuf, PathBuf)]) -> Result<Job, PipelineError> {
         let damaged =
-            |_| PipelineError::value("farm plan", "job", "the planned job", "a damaged text; plan the run again");
+            |_| PipelineError::value("farm plan", "job", "the planned job", "damaged text; plan the run again");
         let mut job: Job = config::parse(&self.job).map_err(damaged)?;
         for path in job.paths_mut() {
             *path = mapped(path, maps);
@@ -121,17 +124,18 @@ impl FarmPlan {
     }
 }
 
-/// Maps a path of the planning machine to this one, by the first map with a prefix of the path.
+/// Maps a path of the planning machine to a path of this machine, by the first map whose folder
+/// there contains the path.
 fn mapped(path: &Path, maps: &[(PathBuf, PathBuf)]) -> PathBuf {
     let found = maps.iter().find_map(|(there, here)| Some(here.join(path.strip_prefix(there).ok()?)));
     found.unwrap_or_else(|| path.to_owned())
 }
 
-/// Plans a job for many machines into its run folder, after the checks and the lock of a run. Done
-/// units of the same plan stay done.
+/// Plans a job for many machines in the job's run folder. Checks the job and locks the folder as a
+/// run does. Units that are done in the same plan stay done.
 ///
 /// # Errors
-/// Those of a run before its first step.
+/// The errors of a run before its first step.
 pub fn farm_plan(
     job: &Job,
     dir: &Path,
@@ -150,7 +154,7 @@ pub fn farm_plan(
     let owned = folder::lock(dir, work_of(&job), &job, registry, task)?;
     Executor::new(&plan, registry, None, task).check()?;
     for part in &plan.parts {
-        // The folder of a time step must be free or ours too.
+        // The folder of a time step must be free, or be ours.
         if matches!(part.kind, PartKind::Time(_)) && job.sweep.is_none() {
             drop(folder::lock(&dir.join(&part.folder), Work::Run, &part.job, registry, task)?);
         }
@@ -164,7 +168,8 @@ pub fn farm_plan(
         job: job.to_toml(),
         folder: Some(job.folder.clone()),
     };
-    // The id leaves estimates out: they differ between machines, and results do not depend on them.
+    // The id does not depend on estimates. These differ between machines, and results do not depend
+    // on them.
     let ids: Vec<_> = made.units.iter().map(|unit| (&unit.id, &unit.inputs, &unit.steps)).collect();
     let all = serde_json::to_string(&(&made.job, &made.code, ids)).expect("plans serialize");
     made.id = hash(all.as_bytes())[..DIGITS].to_owned();
@@ -179,16 +184,16 @@ pub fn farm_plan(
     Ok(made)
 }
 
-/// Executes a unit of the plan in a run folder. A done unit returns at once, except the last one,
-/// which checks the whole run.
+/// Executes a unit of the plan in a run folder. If the unit is already done, it returns
+/// immediately, unless it is the last unit, which checks the whole run.
 ///
-/// `maps` are pairs of folders: on the planning machine, and here. The job's paths are mapped by
-/// them. A unit waits up to `patience` for its input units, since a network's file system may show
-/// files late.
+/// `maps` are pairs of folders, on the planning machine and on this machine, by which the job's
+/// paths are mapped. A unit waits up to `patience` for its input units, since a network file system
+/// may show files late.
 ///
 /// # Errors
-/// If the worker has other code than the plan, or an input unit is not done in time. If another
-/// process locks the folder, or the work fails or is cancelled.
+/// If the worker has other code than the plan, or an input unit is not done in time. Also if
+/// another process holds the folder's lock, or the work fails or is cancelled.
 pub fn farm_unit(
     dir: &Path,
     id: &str,
@@ -232,7 +237,7 @@ pub fn farm_unit(
             }
         }
     }
-    // Record the end last, so that a killed unit counts as not done.
+    // Record the end last, so that a killed unit is not regarded as done.
     let seconds = start.elapsed().as_secs_f64();
     let done = UnitDone { plan: farm.id.clone(), id: id.to_owned(), seconds, cached: false };
     let path = done_file(dir, id);
@@ -254,8 +259,8 @@ fn wait_for_inputs(
         let [first, ..] = missing.as_slice() else { return Ok(()) };
         task.cancel.check()?;
         if start.elapsed() >= patience {
-            let (unit, expected) = (format!("unit `{}`", unit.id), "its input units done");
-            return Err(PipelineError::value(dir, unit, expected, format!("`{first}` not done")));
+            let (unit, expected) = (format!("unit `{}`", unit.id), "input units that are done");
+            return Err(PipelineError::value(dir, unit, expected, format!("`{first}`, which is not done")));
         }
         std::thread::sleep(INPUT_INTERVAL);
     }

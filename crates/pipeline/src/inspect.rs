@@ -17,8 +17,9 @@ pub fn describe_light_field(path: &Path, flags: &GeometryFlags, task: Task<'_>) 
     lumistack_field_io::describe(path, flags, task).map_err(field_error)
 }
 
-/// Loads the built-in plugins and, with the feature `dynamic`, those in libraries: in `paths`, in
-/// the environment variable `LUMISTACK_PLUGIN_PATH`, and in the user's data folder.
+/// Loads the built-in plugins and, with the feature `dynamic`, plugins of libraries. These are
+/// searched in `paths`, in the environment variable `LUMISTACK_PLUGIN_PATH`, and in the user's data
+/// folder.
 ///
 /// # Errors
 /// If the description of a built-in plugin is wrong.
@@ -32,11 +33,11 @@ pub fn plugins(paths: &[PathBuf]) -> Result<Registry, PipelineError> {
     Ok(registry)
 }
 
-/// Plugins as JSON, with parameters, origins, and errors of libraries; all plugins if `ids` is
-/// empty.
+/// Plugins as JSON, with their parameters and origins, and errors of libraries that do not load.
+/// All plugins if `ids` is empty.
 ///
 /// # Errors
-/// If there is no plugin of such an id, or its library cannot be used.
+/// If no plugin has one of the ids, or its library cannot be used.
 pub fn plugin_list(registry: &Registry, ids: &[String]) -> Result<serde_json::Value, PipelineError> {
     let plugins = chosen(registry, ids)?.into_iter().map(|(info, origin)| {
         let mut plugin = serde_json::to_value(info).expect("descriptions serialize");
@@ -65,10 +66,10 @@ fn failed(registry: &Registry, ids: &[String]) -> Vec<String> {
     if ids.is_empty() { registry.failed().iter().map(ToString::to_string).collect() } else { Vec::new() }
 }
 
-/// The same as text. Plugins that are requested by id list the options of their parameters too.
+/// Plugins as text. If plugins are requested by id, the options of their parameters are included.
 ///
 /// # Errors
-/// As [`plugin_list`].
+/// The errors of [`plugin_list`].
 pub fn plugin_text(registry: &Registry, ids: &[String]) -> Result<String, PipelineError> {
     let mut text = String::new();
     for (info, origin) in chosen(registry, ids)? {

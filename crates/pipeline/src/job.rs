@@ -32,7 +32,7 @@ pub use lumistack_shot::{
     ZoneSamples,
 };
 
-/// Maximum number of automatic views if Blender may render them, which takes minutes a view.
+/// Maximum number of automatic views if Blender may render them, which takes minutes per view.
 const MOST_OF_BLENDER: usize = 25;
 
 /// A job file.
@@ -45,7 +45,7 @@ pub struct Job {
     /// Version of the format.
     #[serde(default = "version")]
     pub version: u32,
-    /// Name in reports and of the run folder; default: the file's stem.
+    /// Name in reports and of the run folder; default: the file's name without extension.
     #[serde(default)]
     pub name: String,
     /// Scene to render: `.gltf`, `.glb`, USD, or a file of an importer plugin. A job has one of
@@ -57,15 +57,15 @@ pub struct Job {
     #[serde(default, skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub light_field: Option<PathBuf>,
-    /// Seed of all random streams.
+    /// Seed of all random numbers.
     #[serde(default = "default_seed")]
     pub seed: u64,
-    /// Geometry of a light field whose files do not state it.
+    /// Geometry of a light field, for values that its files do not state.
     #[serde(default, skip_serializing_if = "is_default")]
     pub geometry: GeometryFlags,
     /// The display.
     pub display: DisplayJob,
-    /// Where the display stands in the scene.
+    /// Position of the display in the scene.
     #[serde(default)]
     pub window: WindowJob,
     /// The scene's animation and variant.
@@ -89,7 +89,7 @@ pub struct Job {
     /// Report.
     #[serde(default)]
     pub report: ReportJob,
-    /// Plugin, folders and memory to read the scene's files with.
+    /// Plugin, folders and memory for reading the scene's files.
     #[serde(default, skip_serializing_if = "is_default")]
     pub importer: ImporterJob,
     /// Plugin that makes the light field.
@@ -101,10 +101,10 @@ pub struct Job {
     /// Output plugins; default: `images`.
     #[serde(default = "default_outputs")]
     pub outputs: Vec<OutputJob>,
-    /// Folder of the job file; files in parameters of plugins are relative to it.
+    /// Folder of the job file. Paths in parameters of plugins are relative to this folder.
     #[serde(skip)]
     pub folder: PathBuf,
-    /// The job file, if there is one; a run does not write over it.
+    /// The job file, if there is one. A run does not overwrite it.
     #[serde(skip)]
     pub file: Option<PathBuf>,
 }
@@ -113,24 +113,26 @@ pub struct Job {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PoseJob {
-    /// Time at which animations are sampled, seconds; outside their range they keep their first or
-    /// last values. Default: the scene without animation; with `animation`, time 0.
+    /// Time at which animations are sampled, seconds. Before the beginning of an animation its
+    /// first values are used, after its end its last. Default: the scene without animation; with
+    /// `animation`, time 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub time_s: Option<f64>,
-    /// Name or number of the animation. Default: all of them together if no two move the same
-    /// thing, otherwise the first.
+    /// Name or number of the animation. Default: all together, or the first if two move the same
+    /// object.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub animation: Option<String>,
     /// Name or number of glTF's material variant.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub variant: Option<String>,
-    /// USD's variants: `set=variant` on every prim that has them, `/prim{set=variant}` on one.
+    /// USD's variants: `set=variant` for every prim that has them, `/prim{set=variant}` for one
+    /// prim.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub variants: Vec<String>,
-    /// Opposite corners of a box, scene units: splats whose centres lie outside are left out.
+    /// Opposite corners of a box, scene units. Splats whose centres are outside are left out.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub crop_box: Option<[[f64; 3]; 2]>,
-    /// Centre and radius of a sphere, `[x, y, z, r]` in scene units: splats whose centres lie
+    /// Centre and radius of a sphere, `[x, y, z, r]` in scene units. Splats whose centres are
     /// outside are left out.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub crop_sphere: Option<[f64; 4]>,
@@ -142,7 +144,7 @@ pub struct PoseJob {
 pub struct ReportJob {
     /// Pixels of a view per degree of visual angle, for FLIP.
     pub pixels_per_degree: f64,
-    /// Directions of the viewing zone that the zone score compares; 0 for no zone score.
+    /// Number of directions of the viewing zone that the zone score compares; 0 for no zone score.
     pub zone_directions: usize,
 }
 
@@ -174,7 +176,7 @@ impl Job {
     /// The inputs that a job may have, for messages.
     pub(crate) const INPUTS: &'static str = "one of `scene`, `light_field` and `source`";
 
-    /// A job of a display, with defaults for everything else.
+    /// A job for a display, with defaults for everything else.
     pub fn new(display: DisplayJob) -> Self {
         Self {
             schema: format(),
@@ -223,7 +225,8 @@ impl Job {
         }
         if job.name.is_empty() {
             job.name = path.file_stem().map_or("job".into(), |stem| stem.to_string_lossy().into_owned());
-            // A file job.toml takes its folder's name: scenes/still-life/job.toml is still-life.
+            // A file with the name job.toml is named after its folder: scenes/still-life/job.toml
+            // is still-life.
             if job.name == "job"
                 && let Some(folder) = path.parent().and_then(Path::file_name)
             {
@@ -274,9 +277,9 @@ impl Job {
         if self.may_render_in_blender() { affordable.min(MOST_OF_BLENDER) } else { affordable }
     }
 
-    /// The job with the automatic settings set that depend on the display's views.
+    /// The job, with values for those automatic settings that depend on the display's views.
     ///
-    /// A display that does not load changes nothing here; [`Self::resolve_display`] returns its
+    /// A display that does not load changes nothing here: [`Self::resolve_display`] returns its
     /// error.
     pub(crate) fn with_automatic_settings(&self) -> Self {
         let mut job = self.clone();
@@ -289,7 +292,8 @@ impl Job {
         job
     }
 
-    /// Returns the denoiser. Automatic: views share light if their number is automatic too.
+    /// Returns the denoiser. `auto` lets views share light if the number of views is automatic too,
+    /// unless Blender may render them.
     pub(crate) fn denoise_for(&self, display: &Display) -> Denoise {
         let fixed = matches!(display.field.views, Views::Fixed(_));
         match self.render.denoise {
@@ -299,13 +303,13 @@ impl Job {
         }
     }
 
-    /// True if Blender may render the views, which takes minutes each.
+    /// True if Blender may render the views, which takes minutes per view.
     fn may_render_in_blender(&self) -> bool {
         let is_file = self.scene.as_deref().is_some_and(is_blend);
         self.render.engine == Engine::Blender || is_file && self.render.engine == Engine::Auto
     }
 
-    /// Checks ranges, and keys that exclude each other.
+    /// Checks ranges of values, and that no two keys exclude each other.
     ///
     /// # Errors
     /// For the first wrong value.
@@ -339,7 +343,7 @@ impl Job {
         if let Some(corners) =
             self.pose.crop_box.filter(|corners| !corners.as_flattened().iter().all(|x| x.is_finite()))
         {
-            return fail("pose.crop_box", "two finite corners", format!("{corners:?}"));
+            return fail("pose.crop_box", "two corners of finite numbers", format!("{corners:?}"));
         }
         let is_sphere = |sphere: &[f64; 4]| sphere.iter().all(|x| x.is_finite()) && sphere[3] > 0.0;
         if let Some(sphere) = self.pose.crop_sphere.filter(|sphere| !is_sphere(sphere)) {
@@ -351,7 +355,7 @@ impl Job {
         if !(1..=1 << 20).contains(&self.importer.picture_mib) {
             return fail("importer.picture_mib", "1 to 1048576 MiB", self.importer.picture_mib.to_string());
         }
-        // Tables with checks of their own, and combinations of tables.
+        // Check tables that have their own checks, and combinations of tables.
         self.render.check()?;
         self.window.check()?;
         self.light.check()?;
@@ -424,8 +428,8 @@ impl Job {
         Ok(())
     }
 
-    /// The plugins of the job: their key in the file, id and parameters. The id of an importer is
-    /// empty if the scene's extension selects it.
+    /// The plugins of the job: the key in the job file, the plugin's id and its parameters. The id
+    /// of an importer is empty if the scene's extension selects the plugin.
     pub(crate) fn plugins_mut(
         &mut self,
     ) -> impl Iterator<Item = (String, &str, &mut serde_json::Map<String, serde_json::Value>)> {
@@ -457,7 +461,7 @@ fn is_folder_name(name: &str) -> bool {
 mod tests {
     use super::*;
 
-    /// The keys of a table, from the parser's message about an unknown key.
+    /// Returns the keys of a table, as the parser's message about an unknown key lists them.
     fn keys<T: serde::de::DeserializeOwned>() -> Vec<String> {
         let Err(error) = config::parse::<T>("no_such_key = 1") else { panic!("unknown keys are accepted") };
         let names: Vec<String> = error.message.split('`').skip(1).step_by(2).map(String::from).collect();

@@ -5,14 +5,14 @@
 //!                        (or a light field of another renderer)      ─▶ outputs/ ─▶ report
 //! ```
 //!
-//! Every arrow is a stage (`stage/`). A job's plan (`plan/`) has the stages as steps in a run
-//! folder (`store/`).
+//! Every arrow is a stage (`stage/`). The plan of a job (`plan/`) lists stages as steps, which work
+//! in a run folder (`store/`).
 //!
-//! * A job with `[[nodes]]` feeds several displays from one light field. Each has its patterns and
-//!   its report in `nodes/ID/`.
+//! * A job with `[[nodes]]` solves several displays for one light field. Patterns and report of
+//!   each are in `nodes/ID/`.
 //! * A sequence has these steps for each time step. Every time step starts from the patterns of the
-//!   one before.
-//! * A sweep solves many designs on the light fields of a still, a sequence or a graph.
+//!   previous one.
+//! * A sweep solves many designs, for the light fields of a still, a sequence or a graph.
 
 mod compare;
 mod error;
@@ -74,7 +74,7 @@ pub use store::clean::{Cleaned, Freed, clean};
 pub use store::settings::with_new_seal;
 pub use view_options::{ExtraChannel, ViewOptions, ViewSelection};
 
-/// Sets the number of worker threads of the program. Results do not depend on it. Call it before
+/// Sets the number of worker threads of the program. Results do not depend on it. Call this before
 /// any other work.
 ///
 /// # Errors

@@ -1,6 +1,6 @@
 //! A job whose settings and files change while its display is shown (`lumistack live`).
 //!
-//! [`LiveFields`] makes its light fields and repeats only stages whose input changed.
+//! [`LiveFields`] makes the job's light fields, and repeats only stages whose input has changed.
 //! [`LiveSolver`] solves them on the job's device. [`LiveFolder`] writes the last state as a run
 //! folder.
 

@@ -14,11 +14,11 @@ use crate::stage::{depth, place};
 
 /// Depth, coverage and memory of a scene on a display.
 pub struct Prediction {
-    /// The scene's depth against the display's depth of field.
+    /// The scene's depth compared with the display's depth of field.
     pub depth: DepthBudget,
-    /// Share of the window where the middle view has a hit, 0..1.
+    /// Fraction of the window where the middle view has a hit, 0..1.
     pub coverage: f64,
-    /// Memory of the scene after it is prepared for rendering.
+    /// Memory of the scene when it is ready for rendering.
     pub memory: Memory,
 }
 
@@ -30,10 +30,10 @@ pub fn predict(job: &Job, registry: &Registry, task: Task<'_>) -> Result<Predict
     predict_on(job, &job.resolve_display()?, registry, task)
 }
 
-/// [`predict`] with another display than the job's.
+/// As [`predict`], for another display than that of the job.
 ///
 /// # Errors
-/// As [`predict`].
+/// The errors of [`predict`].
 pub fn predict_on(
     job: &Job,
     display: &Display,

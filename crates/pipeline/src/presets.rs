@@ -30,7 +30,7 @@ pub fn load(name: &str) -> Result<Display, PipelineError> {
 /// Reads a display file.
 ///
 /// # Errors
-/// If it cannot be read, does not parse, or has a wrong value.
+/// If the file cannot be read, does not parse, or has a wrong value.
 pub fn load_file(path: &Path) -> Result<Display, PipelineError> {
     parse(path, &read_to_string(path)?)
 }

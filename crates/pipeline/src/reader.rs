@@ -7,34 +7,34 @@ use lumistack_plugin_host::{PluginKind, Registry};
 use crate::error::PipelineError;
 use crate::job::ImporterJob;
 
-/// Reader of a scene's file.
+/// The reader of a scene's file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Reader {
     Gltf,
     Usd,
     Blend,
-    /// Id of an importer.
+    /// An importer plugin, by its id.
     Plugin(String),
 }
 
-/// True if a file's extension is one of USD's.
+/// True if a file has an extension of USD.
 pub fn is_usd(path: &Path) -> bool {
     let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     lumistack_usd::EXTENSIONS.contains(&extension.as_str())
 }
 
-/// True if a file's name is one of a capture, which has Gaussian splats and nothing else.
+/// True if a file has the name of a capture, which contains only Gaussian splats.
 pub(crate) fn is_capture(path: &Path) -> bool {
     let has = |known: &&str| path.extension().is_some_and(|found| found.eq_ignore_ascii_case(known));
     ["ply", "spz", "sog"].iter().any(has) || path.file_name().is_some_and(|name| name == "meta.json")
 }
 
-/// True if a file's extension is Blender's.
+/// True if a file has the extension of Blender's files.
 pub fn is_blend(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(lumistack_usd::BLEND_EXTENSION))
 }
 
-/// The built-in reader of a file, by its extension.
+/// The built-in reader of a file, by the file's extension.
 pub(crate) fn own_reader(path: &Path) -> Option<Reader> {
     let is_gltf = |extension: &std::ffi::OsStr| ["gltf", "glb"].iter().any(|own| extension.eq_ignore_ascii_case(own));
     if path.extension().is_some_and(is_gltf) {
@@ -49,7 +49,7 @@ pub(crate) fn own_reader(path: &Path) -> Option<Reader> {
 /// The reader of a job's scene: the job's importer, a built-in reader, or a plugin.
 ///
 /// # Errors
-/// If the importer does not exist, or no reader has the file's extension.
+/// If the importer does not exist, or no reader reads files with this extension.
 pub(crate) fn reader_of(path: &Path, importer: &ImporterJob, registry: &Registry) -> Result<Reader, PipelineError> {
     let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     if let Some(id) = &importer.plugin {
@@ -63,7 +63,7 @@ pub(crate) fn reader_of(path: &Path, importer: &ImporterJob, registry: &Registry
     found.map(Reader::Plugin).ok_or_else(|| {
         let known = registry.infos().flat_map(|info| info.extensions.iter().map(|extension| format!(", .{extension}")));
         let usd = lumistack_usd::EXTENSIONS.map(|extension| format!(", .{extension}")).concat();
-        let expected = format!("a file .gltf, .glb, .blend{usd}{}", known.collect::<String>());
+        let expected = format!("a file with the extension .gltf, .glb, .blend{usd}{}", known.collect::<String>());
         PipelineError::value(path, "scene", expected, format!("extension `{extension}`"))
     })
 }

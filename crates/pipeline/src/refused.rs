@@ -1,4 +1,4 @@
-//! Finds outputs that plugins refuse, before a run begins.
+//! Finds the outputs that plugins refuse, before a run begins.
 
 use lumistack_core::Task;
 use lumistack_plugin_host::Registry;
@@ -24,7 +24,8 @@ pub struct RefusedOutput {
 }
 
 /// Opens every output of a job with its display, as a run does before it renders, and returns the
-/// refused ones. For a sequence the first time step stands for all, since all have its geometry.
+/// refused outputs. For a sequence only the first time step is checked, since all have the same
+/// geometry.
 ///
 /// # Errors
 /// If a display of the job is wrong, its light field cannot be opened, or when cancelled.
@@ -35,7 +36,8 @@ pub fn refused_outputs(job: &Job, registry: &Registry, task: Task<'_>) -> Result
         None => job,
     };
     let own = job.resolve_display()?;
-    // A light field from files has its own geometry; scenes and sources take the display's.
+    // A light field from files has its own geometry; for scenes and sources it is that of the
+    // display.
     let (display, geometry) = match (&job.scene, &job.light_field) {
         (None, Some(path)) => {
             let geometry = lumistack_field_io::geometry_of(path, &job.geometry, &field_defaults(&own), task);
@@ -47,7 +49,7 @@ pub fn refused_outputs(job: &Job, registry: &Registry, task: Task<'_>) -> Result
             (own, geometry)
         }
     };
-    // Opening an output makes its plugin check display and parameters, and writes nothing.
+    // When an output is opened, its plugin checks display and parameters, and writes nothing.
     let mut refused = Vec::new();
     for (output, display) in outputs_on(&job, &display, &geometry)? {
         match output::open(&output, &display, registry, task) {

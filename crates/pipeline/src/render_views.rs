@@ -1,4 +1,5 @@
-//! Renders the views of a scene into a light-field folder: the stages of a run up to the exposure.
+//! Renders the views of a scene into the folder of a light field, by the stages of a run up to the
+//! exposure.
 
 use std::path::Path;
 
@@ -18,7 +19,7 @@ use crate::store::{plugin_files, used};
 use crate::view_options::ViewOptions;
 
 /// Renders the views of a job's scene into `target_dir`, without factorizing. Returns the depth of
-/// the views against the display's depth of field.
+/// the views, compared with the display's depth of field.
 ///
 /// # Errors
 /// If the job or the options are wrong, or ingest or rendering fails or is cancelled.
@@ -34,7 +35,7 @@ pub fn render_views(
     };
     let mut job = job.clone();
     if !options.only.is_empty() && job.render.denoise == Denoise::Auto {
-        // The denoiser needs all views.
+        // The denoiser needs all views, but the options select some.
         job.render.denoise = Denoise::Off;
     }
     let job = &plugin_files::resolved(&job, registry)?;
@@ -45,7 +46,8 @@ pub fn render_views(
     // Refuse wrong options before the scene is loaded, which may take minutes.
     options.check(job, geometry.grid.iter().count())?;
     options.chosen(geometry.grid.views())?;
-    // Run the stages. Held-out views and views outside the zone serve the report, which is absent.
+    // Run the stages. Views that only a report needs are not rendered: held-out views, and views
+    // outside the zone.
     let cache = target_dir.join("cache");
     let ingested = ingest::load_scene(scene, &job.pose, &job.importer, registry, &job.light, Some(&cache), task)?;
     let placement = place::place(&ingested, &job.window, &display, &geometry, Some(&cache), task)?;
@@ -59,7 +61,8 @@ pub fn render_views(
     let exposed = expose::run(shot, &traced, options.linear, task)?;
     let budget = depth::budget(&traced.depths, &display, &geometry, &placement);
     warn_of_depth(&budget, task);
-    // Automatic exposure depends on the rendered views, so parts of one light field may differ.
+    // Automatic exposure depends on the rendered views. So views of one light field that are
+    // rendered separately may differ in exposure.
     let all = geometry.grid.iter().count();
     if traced.views.len() < all && !options.linear && job.light.automatic_exposure {
         let count = traced.views.len();

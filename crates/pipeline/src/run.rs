@@ -1,4 +1,4 @@
-//! Runs jobs: makes a job's plan and executes it in a run folder, which it locks.
+//! Runs jobs: makes the plan of a job and executes it in a run folder, which is locked meanwhile.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -28,28 +28,28 @@ use crate::store::plugin_files;
 /// Results of a run.
 #[derive(Clone, Debug, Serialize)]
 pub struct Summary {
-    /// The report.
+    /// Path of the report.
     #[serde(serialize_with = "lumistack_core::path_text::told")]
     pub report: PathBuf,
     /// Zone score: PSNR of seen pictures over the viewing zone, dB. `None` without a scene.
     pub psnr_zone: Option<f64>,
-    /// Zone score of the worst tenth of the directions, dB.
+    /// PSNR of seen pictures over the worst tenth of the directions, dB.
     pub psnr_zone_worst: Option<f64>,
     /// PSNR of L̃/β against L at the solver's views, dB.
     pub psnr_view: f64,
     /// PSNR of L̃ against βL, dB.
     pub psnr_raw: f64,
-    /// PSNR at held-out views, dB.
+    /// PSNR of L̃/β against L at held-out views, dB.
     pub psnr_held_out: Option<f64>,
-    /// PSNR at views outside the viewing zone, dB.
+    /// PSNR of L̃/β against L at views outside the viewing zone, dB.
     pub psnr_outside: Option<f64>,
-    /// Results per node, of a job with several nodes. The scores above are the first node's.
+    /// Results of each node, if the job has several. The scores above are those of the first node.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub nodes: Vec<NodeSummary>,
-    /// The scene's depth against the display's depth of field, as in report.json. `None` without a
-    /// scene.
+    /// The scene's depth compared with the display's depth of field, as in report.json. `None`
+    /// without a scene.
     pub depth: Option<Value>,
-    /// The same as a sentence.
+    /// A sentence that describes `depth`.
     #[serde(skip)]
     pub depth_sentence: Option<String>,
     /// Results of a sequence.
@@ -71,7 +71,7 @@ pub struct NodeSummary {
     pub psnr_view: f64,
     /// PSNR of L̃ against βL, dB.
     pub psnr_raw: f64,
-    /// PSNR at held-out views, dB.
+    /// PSNR of L̃/β against L at held-out views, dB.
     pub psnr_held_out: Option<f64>,
     /// Zone score: PSNR of seen pictures over the viewing zone, dB.
     pub psnr_zone: Option<f64>,
@@ -82,19 +82,20 @@ pub struct NodeSummary {
 pub struct SequenceSummary {
     /// Number of time steps.
     pub times: usize,
-    /// Flicker: PSNR of the emitted change between time steps against the target's, dB; higher is
-    /// steadier. `None` for a single time step.
+    /// Flicker: PSNR of the change of the emission between time steps, against the change of the
+    /// target, dB. Higher values mean less flicker. `None` for a single time step.
     pub psnr_change: Option<f64>,
-    /// The same over rays whose target is constant; `None` if there are none.
+    /// The PSNR of `psnr_change`, over rays along which the target is constant. `None` if there are
+    /// none.
     pub psnr_still: Option<f64>,
 }
 
 /// Runs a job into `run_dir`.
 ///
-/// A failed output does not end the run: the report and the summary list it.
+/// A failed output does not end the run. The report and the summary contain its message.
 ///
 /// # Errors
-/// If another run uses the folder, a file of others is in the way, or a stage fails or is
+/// If another run uses the folder, a file of another program is in the way, or a stage fails or is
 /// cancelled. Finished stages are kept, and the next run reuses them.
 pub fn run(
     job: &Job,
@@ -110,10 +111,10 @@ pub fn run(
     run_in(job, run_dir, registry, command, start, task)
 }
 
-/// Runs a job after its units of work: reuses their results and makes the rest.
+/// Runs a job after its units of work: reuses their results and makes all others.
 ///
 /// # Errors
-/// As [`run`] or [`sweep`], and if an output failed.
+/// The errors of [`run`] or [`sweep`], and if an output failed.
 pub(crate) fn run_finished(
     job: &Job,
     run_dir: &Path,
@@ -149,11 +150,11 @@ fn run_in(
     Ok(Summary { seconds: start.elapsed().as_secs_f64(), ..summary(&mut executor.context, job) })
 }
 
-/// Executes one step of a job's plan in its run folder. Results of earlier steps, perhaps of other
-/// processes, are read from the folder.
+/// Executes one step of a job's plan in its run folder. Results of earlier steps are read from the
+/// folder; other processes may have made them.
 ///
 /// # Errors
-/// As [`run`], and if the plan has no such step.
+/// The errors of [`run`], and if the plan has no such step.
 pub fn run_step(
     job: &Job,
     run_dir: &Path,
@@ -167,7 +168,7 @@ pub fn run_step(
 }
 
 /// Solves the designs of a job with `[sweep]` into `dir`: all of them, or those that a search
-/// selects. A row of the table has scores over all time steps and of every node.
+/// selects. A row of the table has the scores over all time steps, and those of every node.
 ///
 /// # Errors
 /// If a design is wrong, or a stage fails or is cancelled. Finished designs are kept, and the next
@@ -203,7 +204,7 @@ fn without_sweep(job: &Job, registry: &Registry) -> Result<Job, PipelineError> {
     plugin_files::resolved(job, registry)
 }
 
-/// The kind of work of a job.
+/// The kind of work that a job requires.
 pub(crate) fn work_of(job: &Job) -> Work {
     match (&job.sweep, &job.sequence) {
         (Some(_), _) => Work::Sweep,
@@ -270,7 +271,7 @@ fn summary(context: &mut Context<'_>, job: &Job) -> Summary {
         }
         return summary;
     }
-    // A still has a report per display. The first one's scores are those of the run.
+    // A still has a report for each display. The scores of the first one are those of the run.
     let displays = if job.nodes.is_empty() { vec![0] } else { plan.within(0).collect() };
     let reports = displays.into_iter().filter_map(|part| Some((part, &context.states[part].reported.as_ref()?.report)));
     for (number, (part, report)) in reports.enumerate() {

@@ -1,8 +1,8 @@
 //! JSON Schemas of job and display files, for completion and checks in editors.
 //!
 //! Structure, defaults and descriptions come from the types that read the files. Parameters of
-//! plugins come from the plugins' declarations. Only the program checks ranges that depend on other
-//! keys.
+//! plugins come from the declarations of the plugins. Ranges that depend on other keys are not in
+//! the schema; only the program checks them.
 
 use lumistack_display::Display;
 use lumistack_plugin_host::{Kind, Param, PluginInfo, Registry};
@@ -39,7 +39,7 @@ pub fn job(registry: &Registry) -> Schema {
     schema
 }
 
-/// A rule for one plugin: a table with its id takes its parameters.
+/// A rule for the tables of one plugin: a table with the plugin's id has the plugin's parameters.
 fn parameters(info: &PluginInfo) -> Value {
     let properties: Map<String, Value> =
         info.schema.params.iter().map(|param| (param.name.clone(), parameter(param))).collect();
@@ -65,7 +65,8 @@ fn parameter(param: &Param) -> Value {
     schema
 }
 
-/// Adapts schemas of Rust types to files: no links, no null, no sizes of integers.
+/// Adapts schemas of Rust types for editors of files: removes links of documentation, null, and
+/// sizes of integers.
 struct Editors;
 
 impl Transform for Editors {
@@ -73,7 +74,7 @@ impl Transform for Editors {
         if let Some(text) = schema.get("description").and_then(Value::as_str).map(plain) {
             let _ = schema.insert("description".into(), text.into());
         }
-        // `format` has sizes of machine integers, which do not matter to an author.
+        // `format` has the size of an integer in memory, which an author need not know.
         let _ = schema.remove("format");
         // TOML has no null: optional keys are absent instead.
         if let Some(kinds) = schema.get_mut("type").and_then(Value::as_array_mut) {
@@ -145,7 +146,8 @@ mod tests {
         }
     }
 
-    /// Valid files pass a schema that allows everything too, so this test looks for restrictions.
+    /// A schema that allows everything would accept valid files too, so this test looks for
+    /// restrictions.
     #[test]
     fn a_table_of_a_job_knows_its_keys_and_its_plugins() {
         let schema = job(&Registry::built_in().unwrap());

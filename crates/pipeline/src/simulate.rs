@@ -1,4 +1,4 @@
-//! Simulates a finished run from a viewpoint, and writes the run's browser simulator.
+//! Simulates a finished run from a viewpoint, and writes the browser simulator of a run.
 
 use std::path::{Path, PathBuf};
 
@@ -18,20 +18,20 @@ use crate::store::lock::lock_preview;
 use crate::store::plugin_files::plugin_key;
 use crate::store::stamps::Stamps;
 
-/// Name of the folder and the stamp of a run's preview.
+/// Name of the folder of a run's preview, and of its stamp.
 const PREVIEW: &str = "preview";
 
-/// A finished run: the display and its patterns.
+/// A finished run: its display and patterns.
 pub struct RunFolder {
     /// The run folder.
     pub dir: PathBuf,
     /// The display.
     pub display: Display,
-    /// Its patterns.
+    /// The patterns of the display.
     pub stack: LayerStack,
 }
 
-/// The title in the run's report; empty without a report.
+/// The title in the report of a run; empty without a report.
 fn title_of(dir: &Path) -> String {
     let report = std::fs::read(dir.join("report.json")).ok();
     let report = report.and_then(|text| serde_json::from_slice::<serde_json::Value>(&text).ok());
@@ -47,7 +47,7 @@ pub enum Viewpoint {
     Slope([f64; 2]),
     /// An eye in display space, millimetres: right, up, in front.
     Eye([f64; 3]),
-    /// This many parallel projections side by side, over the horizontal field of view.
+    /// This many parallel projections next to each other, over the horizontal field of view.
     Sweep(usize),
 }
 
@@ -55,7 +55,7 @@ impl RunFolder {
     /// Reads the display and the patterns of a run.
     ///
     /// # Errors
-    /// If they are missing or wrong, or do not match.
+    /// If display or patterns are missing or wrong, or do not match.
     pub fn open(dir: &Path) -> Result<Self, PipelineError> {
         let display = presets::load_file(&dir.join("display.toml"))?;
         let layers = dir.join("layers");
@@ -65,7 +65,7 @@ impl RunFolder {
     }
 
     /// Writes the browser simulator of the run into `out_dir`, with the target if the run has one.
-    /// Returns the files, relative to `out_dir`.
+    /// Returns the paths of the files, relative to `out_dir`.
     fn write_preview(
         &self,
         registry: &Registry,
@@ -73,7 +73,7 @@ impl RunFolder {
         task: Task<'_>,
     ) -> Result<Vec<PathBuf>, PipelineError> {
         let folder = self.dir.join("target");
-        // The displays of a sequence share one target, and old runs may have none.
+        // The folder of a node has no target, and old runs may have none.
         let target = if folder.join("lightfield.json").is_file() {
             Some(lumistack_field_io::read_field_folder(&folder).map_err(field_error)?.0)
         } else {
@@ -90,7 +90,8 @@ impl RunFolder {
         written.map_err(host_error)
     }
 
-    /// A warning, if the viewpoint sees some of the display from outside of the viewing zone.
+    /// Returns a warning if the viewpoint sees some of the display from outside of the viewing
+    /// zone.
     pub fn zone_warning(&self, viewpoint: Viewpoint) -> Option<String> {
         let share = share_outside_zone(&self.display, viewpoint)?;
         let field = &self.display.field;
@@ -104,7 +105,7 @@ impl RunFolder {
         (share > 0.0).then(|| format!("this viewpoint sees {part} of the display from outside of its viewing zone of {zone}, where the solver does not constrain the emitted light"))
     }
 
-    /// [`picture_from`] the viewpoint.
+    /// The picture of the run from a viewpoint; see [`picture_from`].
     ///
     /// # Errors
     /// If the viewpoint is behind the display, or its numbers are out of range.
@@ -113,14 +114,14 @@ impl RunFolder {
     }
 }
 
-/// Writes the browser simulator of the run in `dir` into its folder `preview`, unless that is up to
-/// date. Returns true if it was written.
+/// Writes the browser simulator of the run in `dir` into the run's folder `preview`, unless the
+/// preview is current. Returns true if it was written.
 ///
-/// The check compares contents of files, not their times, which a copy or a backup changes.
+/// The check compares contents of files, not their times, since a copy or a backup changes times.
 ///
 /// # Errors
-/// If `dir` is no finished run, another process writes its preview, the plugin `web_simulator` is
-/// missing, or the files cannot be written.
+/// If `dir` is not a finished run, another process writes its preview, the plugin `web_simulator`
+/// is missing, or the files cannot be written.
 pub fn update_preview(dir: &Path, registry: &Registry, task: Task<'_>) -> Result<bool, PipelineError> {
     let stamps = Stamps::new(dir);
     let key = preview_key(dir, registry)?;
@@ -153,8 +154,8 @@ fn preview_key(dir: &Path, registry: &Registry) -> Result<String, PipelineError>
     Ok(key.add("title", title_of(dir).as_bytes()).finish())
 }
 
-/// The picture of patterns on a display from a viewpoint: `[row][col][rgb]`, linear; L̃/β, or L̃ if
-/// `raw`.
+/// The picture that patterns on a display show to a viewpoint: `[row][col][rgb]`, linear. The
+/// values are L̃/β, or L̃ if `raw` is true.
 ///
 /// # Errors
 /// If the viewpoint is behind the display, or its numbers are out of range.
@@ -164,7 +165,7 @@ pub fn picture_from(
     viewpoint: Viewpoint,
     raw: bool,
 ) -> Result<Tensor<3>, PipelineError> {
-    // Check the viewpoint, and simulate it.
+    // Check the viewpoint, and simulate the display from there.
     let scale = if raw { 1.0 } else { (1.0 / stack.brightness) as f32 };
     let simulator = Simulator::new(display, stack);
     let mut picture = match viewpoint {
@@ -190,13 +191,13 @@ pub fn picture_from(
         }
         Viewpoint::Sweep(count) => strip(display, &simulator, count)?,
     };
-    // Division by β shows the picture at the brightness of the target.
+    // Divide by β, which gives the picture the brightness of the target.
     picture.data_mut().iter_mut().for_each(|value| *value *= scale);
     Ok(picture)
 }
 
-/// Share of the display, 0..1, that a viewpoint sees along rays outside of the viewing zone. `None`
-/// for a sweep and for viewpoints that [`picture_from`] refuses.
+/// Fraction of the display, 0..1, that a viewpoint sees along rays outside of the viewing zone.
+/// `None` for a sweep, and for viewpoints that [`picture_from`] refuses.
 fn share_outside_zone(display: &Display, viewpoint: Viewpoint) -> Option<f64> {
     let field = &display.field;
     let size_mm = display.field_pixels().size_mm();
@@ -214,8 +215,9 @@ fn share_outside_zone(display: &Display, viewpoint: Viewpoint) -> Option<f64> {
         let place = [place[0] * size_mm[0], place[1] * size_mm[1]];
         let slope = slope_of(place)?;
         let is_outside = |axis: usize| {
-            // A perspective zone is a range of eye positions: follow the ray to the eyes' distance.
-            // A single view on an axis does not limit the zone, since all eyes see the same.
+            // A perspective zone is a range of eye positions, so follow the ray to the distance of
+            // the eyes. An axis with a single view does not limit the zone, since all eyes see the
+            // same view.
             let seen = match field.distance_mm {
                 Some(distance_mm) if field.projection == ProjectionKind::Perspective => {
                     place[axis] / distance_mm + slope[axis]
@@ -230,7 +232,7 @@ fn share_outside_zone(display: &Display, viewpoint: Viewpoint) -> Option<f64> {
     Some(outside as f64 / (PROBES * PROBES) as f64)
 }
 
-/// Points of the display per axis at which the viewer's slope is tested.
+/// Number of points of the display per axis at which the slope to the viewer is tested.
 const PROBES: usize = 32;
 
 /// Rounds degrees to one digit, for messages.
@@ -245,7 +247,7 @@ fn strip(display: &Display, simulator: &Simulator<'_>, count: usize) -> Result<T
     let half_width = (0.5 * display.field.fov_deg[0].to_radians()).tan();
     let views: Vec<Tensor<3>> = (0..count)
         .map(|i| {
-            // Slopes of a view grid of `count` views: the bins' centres.
+            // Slopes of a grid of `count` views: the centres of its bins.
             let slope = (2.0 * i as f64 + 1.0 - count as f64) / count as f64 * half_width;
             simulator.from_slope([slope, 0.0]).radiance
         })
@@ -261,11 +263,11 @@ fn strip(display: &Display, simulator: &Simulator<'_>, count: usize) -> Result<T
     Ok(strip)
 }
 
-/// Writes a linear picture `[row][col][rgb]` as PNG (sRGB-encoded) or EXR (linear), by the file's
-/// extension.
+/// Writes a linear picture `[row][col][rgb]` as PNG (sRGB-encoded) or EXR (linear). The extension
+/// of the file selects the format.
 ///
 /// # Errors
-/// If the extension is another one, or the file cannot be written.
+/// If the file has another extension or cannot be written.
 pub fn simulate_to_file(picture: &Tensor<3>, path: &Path) -> Result<(), PipelineError> {
     let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     let [rows, cols, _] = picture.shape();
@@ -299,10 +301,11 @@ mod tests {
         assert_eq!(share(Viewpoint::Angle([9.9, 0.0])), 0.0);
         assert_eq!(share(Viewpoint::Angle([10.1, 0.0])), 1.0);
         assert_eq!(share(Viewpoint::Angle([0.0, -30.0])), 1.0);
-        // The example of the command's help. A nearer eye sees the display's sides too obliquely.
+        // The example in the help of the command. A nearer eye sees the display's sides too
+        // obliquely.
         assert_eq!(share(Viewpoint::Eye([100.0, 0.0, 2000.0])), 0.0);
         let near = share(Viewpoint::Eye([100.0, 0.0, 600.0]));
-        // |x - 100| <= 105.8 of ±237.5, |y| <= 105.8 of ±148.4
+        // the zone's part of the display: |x - 100| <= 105.8 of ±237.5, |y| <= 105.8 of ±148.4
         assert!((near - (1.0 - (211.6 / 475.0) * (211.6 / 296.9))).abs() < 0.05, "{near}");
         assert_eq!(share_outside_zone(&display, Viewpoint::Sweep(3)), None);
         let mut perspective = display.clone();

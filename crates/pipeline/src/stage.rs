@@ -1,7 +1,7 @@
 //! Stages of the pipeline, and their table.
 //!
-//! Each stage has a file with its inputs, the key of its result, the work, and the result. The
-//! steps of a plan are stages in folders.
+//! Each stage has a file with its inputs, the key of its result, the work, and the result. A step
+//! of a plan is a stage in a folder.
 
 pub(crate) mod channels;
 pub(crate) mod denoise;
@@ -35,14 +35,14 @@ use crate::store::code::{self, Code};
 /// A row of the table of stages.
 pub(crate) struct StageInfo {
     pub(crate) name: &'static str,
-    /// Name in reports; `None` if reports leave the stage out.
+    /// Name of the stage in reports; `None` if reports do not list the stage.
     pub(crate) label: Option<&'static str>,
-    /// The job's values that the result depends on, besides results of other stages. Equal values
-    /// give equal results.
+    /// Values of the job that the result depends on, in addition to results of other stages. Equal
+    /// values give equal results.
     pub(crate) reads: fn(&Job) -> Value,
-    /// Files and folders that it writes, relative to the folder of its part.
+    /// Files and folders that the stage writes, relative to the folder of a part.
     pub(crate) writes: &'static [&'static str],
-    /// Fingerprints of the code in its key.
+    /// Fingerprints of code that are part of the stage's keys.
     pub(crate) code: Code,
 }
 
@@ -73,7 +73,8 @@ pub(crate) const TRACE: StageInfo = StageInfo {
     name: "trace",
     label: Some("render"),
     reads: |job| {
-        // Cached views serve every filter of the same kind: halves, split light or plain.
+        // Filters that need the same kind of views share cached views: halves, split views, or
+        // whole views.
         let denoise = job.render.denoise;
         let kept = [denoise.takes_halves(), denoise == Denoise::Shared];
         let render = RenderJob { denoise: Denoise::Off, ..job.render.clone() };
@@ -92,7 +93,7 @@ pub(crate) const DENOISE: StageInfo = StageInfo {
     code: code::VIEWS,
 };
 
-/// Applies one exposure and tone curve to all views: the light field.
+/// Applies one exposure and tone curve to all views, which makes the light field.
 pub(crate) const EXPOSE: StageInfo = StageInfo {
     name: "expose",
     label: Some("render"),
@@ -185,7 +186,7 @@ pub(crate) const REPORT: StageInfo = StageInfo {
     code: code::REPORTS,
 };
 
-/// Returns a job's display as TOML: a preset or a file, with the job's changes.
+/// Returns the display of a job as TOML: a preset or a file, with the values that the job changes.
 fn display(job: &Job) -> Option<String> {
     job.resolve_display().ok().map(|display| display.without_panels().to_toml())
 }
@@ -209,7 +210,7 @@ mod tests {
         }
     }
 
-    /// A value that a stage reads is part of its key; other values are not.
+    /// A value that a stage reads changes its key; other values do not.
     #[test]
     fn a_stage_depends_on_the_values_that_it_reads() {
         let job = Job { scene: Some("a.glb".into()), ..Job::new(DisplayJob::by_name_or_path("fig7-uniform")) };

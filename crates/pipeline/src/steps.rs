@@ -1,4 +1,4 @@
-//! Single stages of a run, for callers that have the data in memory and keep the results.
+//! Single stages of a run, for callers that have their data in memory and keep the results.
 
 use std::path::{Path, PathBuf};
 
@@ -27,11 +27,11 @@ use crate::view_options::ViewOptions;
 
 /// A rendered light field.
 pub struct RenderedField {
-    /// Views, rounded to half floats as in a run's target.
+    /// The views, rounded to half floats as in the target of a run.
     pub field: LightField,
-    /// The scene's depth against the display's depth of field.
+    /// The scene's depth compared with the display's depth of field.
     pub depth: DepthBudget,
-    /// Factor from scene-linear radiance to display-referred values, before the tone curve.
+    /// Factor between scene-linear radiance and display-referred values, before the tone curve.
     pub exposure: f64,
     /// Name of the tone curve.
     pub tone: &'static str,
@@ -39,10 +39,10 @@ pub struct RenderedField {
     pub references: Option<References>,
 }
 
-/// Renders the views that a display needs of a scene, and the pictures for its zone score.
+/// Renders the views of a scene that a display needs, and the pictures for its zone score.
 ///
-/// Uses `window`, `light`, `render`, `seed` and `report.zone_directions` of the job, without its
-/// held-out and outside views. Traced views are cached in `cache_dir`.
+/// Uses `window`, `light`, `render`, `seed` and `report.zone_directions` of the job. Held-out views
+/// and views outside the zone are not rendered. Traced views are cached in `cache_dir`.
 ///
 /// # Errors
 /// If a value is invalid, or rendering fails or is cancelled.
@@ -57,7 +57,7 @@ pub fn render_field(
     // Place the window, then trace, denoise and expose as a run does.
     let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
     let placement = place::place(ingested, &job.window, display, &geometry, Some(cache_dir), task)?;
-    // The caller has no report, so views for it are not rendered.
+    // There is no report here, so views that only a report needs are not rendered.
     let mut job = job.clone();
     (job.render.held_out, job.render.outside) = (0, 0);
     job.render.denoise = job.denoise_for(display);
@@ -67,7 +67,7 @@ pub fn render_field(
     let (traced, _) = trace::run(shot, &ViewOptions::default(), cache_dir, task)?;
     denoise::run(shot, &traced.fields, task)?;
     let rendered = expose::run(shot, &traced, false, task)?;
-    // Depth and references are for the caller's own report.
+    // Depth and references are for a report of the caller.
     let depth = depth::budget(&traced.depths, display, &geometry, &placement);
     warn_of_depth(&depth, task);
     let (exposure, tone) = (rendered.tone_mapping.exposure, rendered.tone_mapping.curve.name());
@@ -80,10 +80,10 @@ pub fn render_field(
 }
 
 /// Reads a light field of any kind, without rounding. Size and angles come from the file, or else
-/// from `display`. If `flags` leave views out, some of them are returned as references for scores.
+/// from `display`. If `flags` omit views, some of these are returned as references for scores.
 ///
 /// # Errors
-/// If it cannot be read, or its geometry is incomplete.
+/// If the light field cannot be read, or its geometry is incomplete.
 pub fn open_field(
     path: &Path,
     flags: &GeometryFlags,
@@ -103,11 +103,11 @@ pub fn open_field(
     Ok((field, references))
 }
 
-/// Returns a light field with another exposure in stops and a tone curve: `linear`, which clips to
-/// 0..1, `khronos-neutral` or `agx`.
+/// Returns a light field after a change of exposure, in stops, and a tone curve. The tone curve is
+/// `linear`, which clips to 0..1, `khronos-neutral` or `agx`.
 ///
 /// # Errors
-/// If the tone curve does not exist, or the exposure is not -100 to 100.
+/// If the tone curve does not exist, or the exposure is not in -100 to 100.
 pub fn expose_field(field: &LightField, exposure_ev: f64, tone: &str) -> Result<LightField, PipelineError> {
     let Some((_, curve)) = ToneCurve::ALL.into_iter().find(|(name, _)| *name == tone) else {
         let names = ToneCurve::ALL.map(|(name, _)| name).join(", ");
@@ -121,14 +121,14 @@ pub fn expose_field(field: &LightField, exposure_ev: f64, tone: &str) -> Result<
     Ok(field)
 }
 
-/// Shape and values of a weight array; `None` for the job's weights.
+/// Shape and values of an array of weights; `None` to use the weights of the job.
 pub type WeightsFrom = Option<(Vec<usize>, Vec<f32>)>;
 
-/// Returns the weights of an array, `[view_y][view_x]` or `[view_y][view_x][row][col]`, or of the
-/// job's eyes.
+/// Returns the weights of an array, `[view_y][view_x]` or `[view_y][view_x][row][col]`, or those of
+/// the job's expected eyes.
 ///
 /// # Errors
-/// If they do not fit the light field, or both are given.
+/// If the weights do not match the light field, or both are given.
 pub fn weights_of(job: &FactorizeJob, array: WeightsFrom, target: &LightField) -> Result<Weights, PipelineError> {
     match array {
         Some(_) if !job.eyes.is_empty() => {
@@ -139,11 +139,11 @@ pub fn weights_of(job: &FactorizeJob, array: WeightsFrom, target: &LightField) -
     }
 }
 
-/// Factorizes a light field. Files that the job names are not read. `on_iteration` receives every
-/// evaluation of the objective.
+/// Factorizes a light field. Files that the job names are not read. `on_iteration` is called for
+/// every evaluation of the objective.
 ///
 /// # Errors
-/// If display, light field, weights and settings do not fit, or the task is cancelled.
+/// If display, light field, weights and settings do not match, or the task is cancelled.
 pub fn factorize_field(
     problem: &Problem<'_>,
     job: &FactorizeJob,
@@ -160,10 +160,11 @@ pub fn factorize_field(
     on_device(&job.device, task, |site| solve.factorize(site, warm, task, on_iteration))
 }
 
-/// Writes files by an output plugin into `out_dir`. Returns their paths, relative to it.
+/// Writes files with an output plugin into `out_dir`. Returns the paths of the files, relative to
+/// `out_dir`.
 ///
 /// # Errors
-/// If there is no such plugin, it rejects the parameters or the data, or the files cannot be
+/// If there is no such plugin, it refuses the parameters or the data, or the files cannot be
 /// written.
 pub fn write_output(
     registry: &Registry,
@@ -188,7 +189,7 @@ pub struct ReportOn<'a> {
     pub stack: &'a LayerStack,
     /// Target of the display.
     pub target: &'a LightField,
-    /// The scene's pictures over the viewing zone, if known.
+    /// The scene's pictures over the viewing zone, if there are any.
     pub references: Option<&'a References>,
     /// Weights of the target's rays.
     pub weights: &'a Weights,
@@ -198,17 +199,17 @@ pub struct ReportOn<'a> {
     pub settings: &'a Value,
 }
 
-/// Writes `report.html` and `report.json` into `folder`. Returns the content of the latter.
+/// Writes `report.html` and `report.json` into `folder`. Returns the content of `report.json`.
 ///
 /// # Errors
-/// If the parts do not fit, a file cannot be written, or the task is cancelled.
+/// If the input does not match, a file cannot be written, or the task is cancelled.
 pub fn write_report_on(on: &ReportOn<'_>, folder: &Path, task: Task<'_>) -> Result<Value, PipelineError> {
     check_folder(folder)?;
-    // Values out of range may dominate all scores, so the report must name them.
+    // Values out of range may dominate all scores, so the report must warn about them.
     let out_of_range = OutOfRange::of(on.target).map(|out_of_range| out_of_range.message(read::REMEDY_IN_PYTHON));
     let warnings: Vec<_> =
         out_of_range.into_iter().map(|message| Warning { place: "light field".into(), message }).collect();
-    // The zone score needs references, which only rendered scenes have.
+    // The zone score needs references, which exist only for rendered scenes or with views left out.
     let zone = on.references.map(|references| references.measure(on.display, on.stack, task)).transpose()?;
     let report = lumistack_report::build(
         &ReportInput {
@@ -235,7 +236,7 @@ pub fn write_report_on(on: &ReportOn<'_>, folder: &Path, task: Task<'_>) -> Resu
         },
         task,
     )
-    // A cancelled report is a cancelled task, as everywhere.
+    // A cancelled report is returned as a cancelled task, like other cancelled work.
     .map_err(|error| match error {
         lumistack_report::ReportError::Cancelled(_) => PipelineError::Cancelled,
         other => PipelineError::Report(other),

@@ -1,4 +1,4 @@
-//! Run folders: their files, and the checks that a file is ours.
+//! Run folders: their files, and the checks that a file is from Lumistack.
 //!
 //! ```text
 //! key        hash of a result's inputs           code           fingerprints of crates, for keys

@@ -1,4 +1,5 @@
-//! Options of views without a display: a selection of views, scene-linear radiance, extra channels.
+//! Options for views without a display: a selection of views, scene-linear radiance, additional
+//! channels.
 
 use std::str::FromStr;
 
@@ -8,34 +9,34 @@ use crate::job::{Engine, Job};
 /// Options of `render_views`.
 #[derive(Clone, Debug, Default)]
 pub struct ViewOptions {
-    /// Scene-linear radiance in 32-bit floats, without exposure, tone curve, clipping and
-    /// background.
+    /// If true, the views are scene-linear radiance in 32-bit floats, without exposure, tone curve,
+    /// clipping and background.
     pub linear: bool,
-    /// Extra channels of every view.
+    /// Additional channels of every view.
     pub channels: Vec<ExtraChannel>,
     /// Views to render; all if empty.
     pub only: Vec<ViewSelection>,
 }
 
-/// An extra channel of a view.
+/// An additional channel of a view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExtraChannel {
-    /// z in display space of the first hit on a pixel's central ray, millimetres.
+    /// Depth z of the first hit on a pixel's central ray, in display space, millimetres.
     Depth,
-    /// Shading normal.
+    /// Shading normal of the first hits.
     Normal,
     /// Albedo of the first hits.
     Albedo,
     /// Variance of the radiance.
     Variance,
-    /// Share of a pixel's samples that hit a surface.
+    /// Fraction of a pixel's samples that hit a surface.
     Coverage,
 }
 
-/// Views by row and column, as in the names of their files.
+/// A selection of views by row and column, as in the names of their files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ViewSelection {
-    /// First and last row, then first and last column; `None` for all.
+    /// First and last row, then first and last column; `None` selects all.
     axes: [Option<[usize; 2]>; 2],
 }
 
@@ -48,7 +49,7 @@ impl ExtraChannel {
         ("coverage", Self::Coverage),
     ];
 
-    /// Channels in the file.
+    /// Names of the channels in the file.
     pub(crate) fn channels(self) -> &'static [&'static str] {
         match self {
             Self::Depth => &["depth.Z"],
@@ -64,20 +65,19 @@ impl ExtraChannel {
         match self {
             Self::Depth => [
                 "mm",
-                "z of the first surface on the path nearest to the pixel's centre, in display space: 0 on the display plane, above 0 in front of it; NaN where there is none",
+                "z of the first surface on the path nearest to the pixel's centre, in display space: 0 on the display plane, above 0 in front of it; NaN without a surface",
             ],
-            Self::Normal => [
-                "1",
-                "mean shading normal on the viewer's side: x right, y up, z to the viewer; 0 where there is no surface",
-            ],
+            Self::Normal => {
+                ["1", "mean shading normal on the viewer's side: x right, y up, z to the viewer; 0 without a surface"]
+            }
             Self::Albedo => {
                 ["1", "mean reflectance of the first surfaces, 0..1: base colour plus a dielectric's few percent"]
             }
             Self::Variance => [
                 "radiance²",
-                "variance of the view's scene-linear radiance before exposure and denoising: the samples' variance over their number",
+                "variance of the view's scene-linear radiance before exposure and denoising: the variance of the samples divided by their number",
             ],
-            Self::Coverage => ["1", "share of the pixel's samples that hit a surface, 0..1"],
+            Self::Coverage => ["1", "fraction of the pixel's samples that hit a surface, 0..1"],
         }
     }
 }
@@ -110,7 +110,7 @@ impl FromStr for ViewSelection {
 }
 
 impl ViewOptions {
-    /// True if variances are requested.
+    /// True if the variance is requested.
     pub(crate) fn variance(&self) -> bool {
         self.channels.contains(&ExtraChannel::Variance)
     }
@@ -120,7 +120,7 @@ impl ViewOptions {
         self.channels.iter().any(|channel| *channel != ExtraChannel::Variance)
     }
 
-    /// Checks that a job of this many views can write the selected views and channels.
+    /// Checks that a job with this number of views can write the selected views and channels.
     pub(crate) fn check(&self, job: &Job, views: usize) -> Result<(), PipelineError> {
         let fail =
             |flag: &str, expected: &str, found: String| Err(PipelineError::value("render", flag, expected, found));
@@ -131,19 +131,20 @@ impl ViewOptions {
         }
         if self.variance() {
             if job.render.engine == Engine::Blender {
-                return fail("--layers", "`variance` of our own path tracer only", "`--engine blender`".into());
+                return fail("--layers", "`variance` only with our path tracer", "`--engine blender`".into());
             }
             let least = if denoise.takes_halves() { 3 } else { 2 };
             let samples = job.render.samples_of_view(views);
             if samples < least {
-                let expected = format!("at least {least} samples a view for `variance`");
+                let expected = format!("at least {least} samples per view for `variance`");
                 return fail("--layers", &expected, samples.to_string());
             }
         }
         Ok(())
     }
 
-    /// The views to render, `[view_y, view_x]`, row by row; `views` counts rows and columns.
+    /// The views to render, `[view_y, view_x]`, in row order. `views` is [number of rows, number of
+    /// columns].
     pub(crate) fn chosen(&self, views: [usize; 2]) -> Result<Vec<[usize; 2]>, PipelineError> {
         for ViewSelection { axes } in &self.only {
             for (axis, (name, count)) in axes.iter().zip([("row", views[0]), ("column", views[1])]) {

@@ -1,9 +1,9 @@
-//! Parts of all plots: ranges of axes, decimals of tick labels, descriptions.
+//! Functions that all plots share: ranges of axes, decimals of tick labels, descriptions.
 
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::{Cartesian2d, ChartContext, SVGBackend};
 
-/// Font family of the SVG's text, on machines that have it.
+/// Font family of the SVG's text. Machines without the font use another one.
 pub const FAMILY: &str = "DejaVu Sans, sans-serif";
 
 pub(crate) type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
@@ -15,8 +15,8 @@ pub(crate) fn described(svg: &str, label: &str) -> String {
     svg.replacen("xmlns=", &format!("role=\"img\" aria-label=\"{label}\" xmlns="), 1)
 }
 
-/// A range of all values, never empty, widened by a fraction of its width on both sides; `None`
-/// without values.
+/// A range that contains all values, widened by a fraction of its width on both sides. It is never
+/// empty; `None` if there are no values.
 pub(crate) fn ends(values: impl Iterator<Item = f64>, widen: f64) -> Option<[f64; 2]> {
     let (low, high) = values.fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
     let width = high - low;
@@ -27,7 +27,7 @@ pub(crate) fn ends(values: impl Iterator<Item = f64>, widen: f64) -> Option<[f64
     }
 }
 
-/// Decimals that distinguish tick labels.
+/// Number of decimals that distinguishes tick labels.
 pub(crate) fn digits([low, high]: [f64; 2]) -> usize {
     match high - low {
         width if width >= 8.0 => 0,

@@ -1,4 +1,4 @@
-//! Plots within a page. Text, axes and grid use the page's text colour, so they are readable on
+//! Plots in a page. Text, axes and grid have the colour of the page's text, so they are readable on
 //! light and dark backgrounds.
 
 use plotters::prelude::*;
@@ -9,9 +9,9 @@ use crate::chart::{Chart, Drawn, described, digits, ends};
 
 /// Width and height in SVG units.
 const SIZE: (u32, u32) = (560, 320);
-/// Readable on white and on near-black.
+/// Colour of curves, readable on white and on near-black.
 const CURVE: RGBColor = RGBColor(46, 128, 242);
-/// Curves with more points have no markers, which would hide the curve.
+/// Curves with more points than this have no markers, which would hide the curve.
 const DOTS: usize = 40;
 
 /// Bars of equal width.
@@ -21,12 +21,12 @@ pub struct Bars<'a> {
     pub low: f64,
     /// Width of a bar.
     pub width: f64,
-    /// Heights as fractions, 0..1; drawn in percent.
+    /// Heights as fractions, 0..1. They are drawn in percent.
     pub shares: &'a [f64],
 }
 
-/// Draws a line through finite points, with the last value in decibels beside it. `labels` name the
-/// horizontal and the vertical axis.
+/// Draws a line through finite points. The last value, in decibels, is written next to its end.
+/// `labels` name the horizontal and the vertical axis.
 ///
 /// # Errors
 /// If there are no points.
@@ -34,7 +34,7 @@ pub fn line(points: &[(f64, f64)], labels: [&str; 2]) -> Result<String, PlotErro
     let none = || PlotError::new("no point");
     let x = ends(points.iter().map(|p| p.0), 0.0).ok_or_else(none)?;
     let y = ends(points.iter().map(|p| p.1), 0.06).ok_or_else(none)?;
-    // numbers of time steps and iterations are whole
+    // if all positions are whole, such as numbers of time steps or iterations, their labels are too
     let whole = points.iter().all(|(x, _)| x.fract() == 0.0);
     let x_digits = if whole && points.len() > 1 { 0 } else { decimals(x) };
     let x_labels = if whole { ((x[1] - x[0]) as usize + 1).min(8) } else { 8 };
@@ -50,10 +50,10 @@ pub fn line(points: &[(f64, f64)], labels: [&str; 2]) -> Result<String, PlotErro
     })
 }
 
-/// Draws bars in percent, a band from x to x behind them, and vertical lines in front of them.
+/// Draws bars in percent, a band from x to x behind the bars, and vertical lines in front of them.
 ///
 /// # Errors
-/// If it cannot be drawn.
+/// If the plot cannot be drawn.
 pub fn bars(bars: Bars<'_>, labels: [&str; 2], band: Option<[f64; 2]>, lines: &[f64]) -> Result<String, PlotError> {
     let Bars { low, width, shares } = bars;
     let end = low + width * shares.len() as f64;
@@ -79,7 +79,7 @@ pub fn bars(bars: Bars<'_>, labels: [&str; 2], band: Option<[f64; 2]>, lines: &[
 /// includes `level`.
 ///
 /// # Errors
-/// If it cannot be drawn.
+/// If the plot cannot be drawn.
 pub fn against(points: &[(f64, f64)], level: f64, labels: [&str; 2]) -> Result<String, PlotError> {
     let most = points.iter().fold(1.2 * level, |most: f64, (_, value)| most.max(*value));
     let (low, high) = (points.first().map_or(0.0, |p| p.0), points.last().map_or(1.0, |p| p.0));
@@ -95,7 +95,7 @@ fn text(size: i32) -> TextStyle<'static> {
     ("sans-serif", size).into_font().color(&BLACK)
 }
 
-/// Decimals of tick labels, at most two, for lack of room.
+/// Number of decimals of tick labels: at most two, since there is little room.
 fn decimals(range: [f64; 2]) -> usize {
     digits(range).min(2)
 }

@@ -1,4 +1,4 @@
-//! Rasterizes SVGs. Text uses a font embedded in the program.
+//! Rasterizes SVGs. A font in the program draws the text.
 
 use std::sync::{Arc, OnceLock};
 
@@ -12,15 +12,16 @@ const FONT: &[u8] = include_bytes!("../fonts/DejaVuSans-subset.ttf");
 /// Rasterizes an SVG at `scale` pixels per unit.
 ///
 /// # Errors
-/// If it is no SVG, or too large.
+/// If the text is not an SVG, or is too large.
 pub fn png(svg: &str, scale: f32) -> Result<Vec<u8>, PlotError> {
     raster(svg, scale)?.encode_png().map_err(PlotError::new)
 }
 
-/// Codes `[row][col][rgb]` of an opaque SVG of [width, height] units, one pixel per unit.
+/// Codes `[row][col][rgb]` of an opaque SVG whose size is [width, height] units, at one pixel per
+/// unit.
 ///
 /// # Errors
-/// If it is no SVG, or of another size.
+/// If the text is not an SVG, or has another size.
 pub fn codes(svg: &str, size: [usize; 2]) -> Result<Vec<u8>, PlotError> {
     let picture = raster(svg, 1.0)?;
     if [picture.width() as usize, picture.height() as usize] != size {

@@ -1,4 +1,4 @@
-//! Standalone plots: black on white, with title and legend, in the font of their PNGs.
+//! Standalone plots: black on white, with title and legend, in the same font as their PNGs.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -15,9 +15,9 @@ pub struct Axes {
     pub x_label: String,
     /// Label of the vertical axis, with its unit.
     pub y_label: String,
-    /// Ends of the horizontal axis; `None` uses those of the points.
+    /// Ends of the horizontal axis; `None` uses the extremes of the points.
     pub x: Option<[f64; 2]>,
-    /// Ends of the vertical axis; `None` uses those of the points.
+    /// Ends of the vertical axis; `None` uses the extremes of the points.
     pub y: Option<[f64; 2]>,
 }
 
@@ -26,13 +26,13 @@ pub struct Axes {
 pub struct Curve {
     /// Name in the legend; empty for none.
     pub name: String,
-    /// Its points; points that are not finite interrupt it.
+    /// Points of the line. A point that is not finite interrupts it.
     pub points: Vec<[f64; 2]>,
-    /// Index in [`COLOURS`]; larger indices are black.
+    /// Index of the colour in [`COLOURS`]; larger indices are black.
     pub colour: usize,
-    /// Draw a dashed line.
+    /// If true, the line is dashed.
     pub dashed: bool,
-    /// Mark the points.
+    /// If true, the points are marked.
     pub dots: bool,
 }
 
@@ -41,9 +41,9 @@ pub struct Curve {
 pub struct Area {
     /// Name in the legend.
     pub name: String,
-    /// Its corners.
+    /// Corners of the polygon.
     pub corners: Vec<[f64; 2]>,
-    /// Index in [`COLOURS`].
+    /// Index of the colour in [`COLOURS`].
     pub colour: usize,
 }
 
@@ -64,7 +64,7 @@ pub struct Map {
     pub rows: Vec<String>,
     /// `[row][column]`; NaN for missing values.
     pub values: Vec<Vec<f64>>,
-    /// Values at and above this have a frame.
+    /// Values of at least this have a frame.
     pub mark_from: Option<f64>,
     /// Values at the ends of the colour scale.
     pub range: [f64; 2],
@@ -77,12 +77,12 @@ pub const COLOURS: [[u8; 3]; 7] =
 /// Width and height in SVG units.
 const SIZE: (u32, u32) = (760, 400);
 const LEGEND: u32 = 214;
-/// Coordinates are integers in plotters. Curves are drawn enlarged by this factor to avoid visible
-/// steps.
+/// The library plotters has integer coordinates. Curves are drawn enlarged by this factor, so that
+/// steps are not visible.
 const FINE: u32 = 4;
 
-/// Draws curves in front of bars `[from, to, height as a fraction of the axis]` and levels (name,
-/// y).
+/// Draws curves in front of bars `[from, to, height as a fraction of the axis]` and in front of
+/// levels (name, y).
 ///
 /// # Errors
 /// If there is nothing to draw.
@@ -133,7 +133,7 @@ pub fn curves(axes: &Axes, curves: &[Curve], bars: &[[f64; 3]], levels: &[(Strin
     })
 }
 
-/// Draws areas on top of one another, the largest first.
+/// Draws areas over one another, the largest first.
 ///
 /// # Errors
 /// If there is nothing to draw.
@@ -159,16 +159,16 @@ pub fn areas(axes: &Axes, areas: &[Area]) -> Result<String, PlotError> {
     })
 }
 
-/// Draws a map: one cell per value with its number, coloured from dark blue to yellow.
+/// Draws a map: a cell for each value, with its number, coloured from dark blue to yellow.
 ///
 /// # Errors
-/// If it has no cells.
+/// If the map has no cells.
 pub fn map(map: &Map) -> Result<String, PlotError> {
     let (rows, cols) = (map.rows.len(), map.columns.len());
     if rows == 0 || cols == 0 {
         return Err(PlotError::new("a map without cells"));
     }
-    // Size the cells so that the map stays within about 560 × 300 units.
+    // Size the cells so that the map takes at most about 560 × 300 units.
     let cell = [(560 / cols as i32).clamp(34, 84), (300 / rows as i32).clamp(24, 46)];
     let [left, top, below] = [74, 44, 58];
     let size = ((left + cell[0] * cols as i32 + 26).max(420) as u32, (top + cell[1] * rows as i32 + below) as u32);
@@ -223,7 +223,7 @@ pub fn map(map: &Map) -> Result<String, PlotError> {
     Ok(described(&svg, &map.title))
 }
 
-/// Larger values are printed as "more".
+/// Values above this are printed as "more", dB.
 pub const CAP_DB: f64 = 60.0;
 
 struct Entry<'a> {
@@ -257,7 +257,7 @@ fn framed(
             .build_cartesian_2d(x[0]..x[1], y[0]..y[1])?;
         let (x_digits, y_digits) = (digits(x), digits(y));
         let number = |value: f64, digits: usize| {
-            // avoid −0
+            // print −0 as 0
             let value = if value.abs() < 0.5 * 0.1f64.powi(digits as i32) { 0.0 } else { value };
             format!("{value:.digits$}").replace('-', "−")
         };
@@ -306,7 +306,7 @@ fn framed(
         Ok(())
     };
     draw(&mut svg).map_err(PlotError::new)?;
-    // Restore the nominal size; the view box keeps the enlarged coordinates.
+    // Set the nominal size; the view box keeps the enlarged coordinates.
     let [width, height] = [SIZE.0, SIZE.1].map(|side| (FINE * side, side));
     let svg = svg.replacen(
         &format!("width=\"{}\" height=\"{}\"", width.0, height.0),
@@ -330,7 +330,7 @@ fn heat(share: f64) -> RGBColor {
     RGBColor(r, g, b)
 }
 
-/// The parts of a polyline between two heights, clipped at both.
+/// The pieces of a polyline between two heights, clipped at both.
 fn inside(points: &[[f64; 2]], [low, high]: [f64; 2]) -> Vec<Vec<(f64, f64)>> {
     let mut parts: Vec<Vec<(f64, f64)>> = Vec::new();
     let mut part: Vec<(f64, f64)> = Vec::new();
@@ -341,7 +341,7 @@ fn inside(points: &[[f64; 2]], [low, high]: [f64; 2]) -> Vec<Vec<(f64, f64)>> {
     }
     for pair in points.windows(2) {
         let ([x0, y0], [x1, y1]) = (pair[0], pair[1]);
-        // parameter along the segment at height y
+        // parameter of the point of the segment at height y
         let at = |y: f64| if y1 == y0 { f64::NAN } else { (y - y0) / (y1 - y0) };
         let (a, b) = (at(low).min(at(high)), at(low).max(at(high)));
         let (from, to) = if y1 == y0 {

@@ -106,7 +106,7 @@ def test_broken_scenes(tmp_path: Path) -> None:
     with pytest.raises(lumistack.SceneError, match="bad.glb"):
         Scene(tmp_path / "bad.glb")
     (tmp_path / "x.docx").write_bytes(b"")
-    with pytest.raises(lumistack.SettingError, match="expected a file .gltf, .glb"):
+    with pytest.raises(lumistack.SettingError, match="expected a file with the extension .gltf, .glb"):
         Scene(tmp_path / "x.docx")
 
 
@@ -232,11 +232,11 @@ def test_values_that_no_display_shows_are_named_and_can_be_brought_into_range(li
     radiance = numpy.array(light_field.radiance)
     radiance[1, 1, 3, 5, 0] = 1e4
     bright = LightField(radiance, display=display)
-    share = r"1 of \d+ values lie above 1, the largest 10000.*light_field\.exposed"
+    share = r"1 of \d+ values are above 1; the largest is 10000.*light_field\.exposed"
     with pytest.warns(lumistack.LumistackWarning, match=share):
         stack = lumistack.factorize(bright, iterations=2)
     measured = lumistack.report(stack, bright, tmp_path / "bright")
-    assert any("lie above 1" in warning["message"] for warning in measured["warnings"])
+    assert any("are above 1" in warning["message"] for warning in measured["warnings"])
     assert measured["psnr_view"] < 0.0, "one ray decides the figure, and the report says so"
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -2,19 +2,19 @@
 
 use crate::Iteration;
 
-/// The last iteration completed after a number of seconds.
+/// The last iteration that was complete after a number of seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Reached {
-    /// 1, 2 or 5 times a power of ten; the last entry is the solver's end.
+    /// 1, 2 or 5 times a power of ten. In the last entry, the time of the solver's end.
     pub(crate) seconds: f64,
     pub(crate) iteration: u32,
     pub(crate) psnr_view: f64,
 }
 
-/// Largest number of lines; the latest are kept.
+/// Largest number of lines. If there are more, the latest are kept.
 const LINES: usize = 12;
 
-/// PSNR at round numbers of seconds, and at the end.
+/// PSNR at round numbers of seconds, and at the end of the solver.
 pub(crate) fn reached(history: &[Iteration]) -> Vec<Reached> {
     let Some(end) = history.last().filter(|last| last.seconds.is_finite()) else { return Vec::new() };
     let round = (-3..9).flat_map(|power| [1.0, 2.0, 5.0].map(|digit| digit * 10f64.powi(power)));
@@ -25,7 +25,7 @@ pub(crate) fn reached(history: &[Iteration]) -> Vec<Reached> {
             Some(Reached { seconds, iteration: it.iteration, psnr_view: it.psnr_view })
         })
         .collect();
-    // merge round times without a new iteration between them
+    // list the end of several round times only if a new iteration is between them
     lines.dedup_by(|later, earlier| later.iteration == earlier.iteration && later.seconds != end.seconds);
     lines.drain(..lines.len().saturating_sub(LINES));
     lines

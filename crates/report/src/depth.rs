@@ -1,5 +1,5 @@
-//! The depth budget: the fraction of hits in the display's depth of field, and the disparity
-//! between views.
+//! The depth budget: the fraction of hits that are in the display's depth of field, and the
+//! disparity between views.
 
 use lumistack_core::metrics::percentile;
 use lumistack_display::{Display, FieldGeometry};
@@ -11,38 +11,39 @@ use crate::format::{self, figure};
 const BARS: usize = 60;
 /// Number of points of the bound's curve.
 const CURVE_POINTS: usize = 241;
-/// Fraction of depths that histograms omit at either end.
+/// Fraction of the depths that histograms omit at each end.
 const STRAY: f64 = 0.005;
-/// Below this fraction in the depth of field, the display does not suit the scene or the window is
-/// misplaced.
+/// If a smaller fraction of hits is in the depth of field, the display does not suit the scene, or
+/// the window is misplaced.
 const FEW: f64 = 0.75;
 
-/// Depth statistics of a scene on a display. Fractions are of rays with a hit.
+/// Depth statistics of a scene on a display. Fractions are those of rays with a hit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DepthBudget {
-    /// [low, high] depths at which the display shows the finest detail of the light field's pixels,
-    /// millimetres; `None` if there are none.
+    /// [low, high] depths between which the display shows the finest detail of the light field's
+    /// pixels, millimetres. `None` if there is no such depth.
     pub depth_of_field_mm: Option<[f64; 2]>,
-    /// Fraction in the depth of field, over all views, 0..1; NaN without hits.
+    /// Fraction of hits in the depth of field, over all views, 0..1; NaN without hits.
     pub inside: f64,
-    /// Fraction in the depth of field, in the central view.
+    /// Fraction of hits in the depth of field, in the central view.
     pub inside_middle: f64,
     /// 2nd, 25th, 50th, 75th and 98th percentile of the depth, millimetres towards the viewer.
     pub depth_mm: [f64; 5],
     /// Median, 98th percentile and maximum disparity between neighbouring views, pixels.
     pub disparity_px: [f64; 3],
-    /// Fraction with a disparity above one pixel.
+    /// Fraction of hits with a disparity above one pixel.
     pub beyond_a_pixel: f64,
     /// Distance by which the window was moved back to fit the scene, millimetres.
     pub moved_back_mm: f64,
-    /// Factor on parallax; 1 for the scene as it is.
+    /// Factor on parallax; 1 if the scene is shown unchanged.
     pub depth_scale: f64,
-    /// The window or the parallax was changed to fit the scene.
+    /// True if the window or the parallax was changed to fit the scene.
     pub fitted: bool,
-    /// Fractions of rays by depth, and by disparity in pixels.
+    /// Fractions of hits by depth in millimetres, and by disparity in pixels.
     pub(crate) by_depth: Histogram,
     pub(crate) by_disparity: Histogram,
-    /// (z in millimetres, highest spatial frequency relative to the light field's own).
+    /// Points of the bound: (z in millimetres, highest spatial frequency divided by that of the
+    /// light field's pixels).
     pub(crate) bound: Vec<(f64, f64)>,
     /// Distances of the layers, millimetres.
     pub(crate) layers_mm: Vec<f64>,
@@ -57,8 +58,8 @@ pub(crate) struct Histogram {
 }
 
 impl DepthBudget {
-    /// Measures depths in display space: `z_mm` of all views' rays, millimetres, NaN without a hit,
-    /// and those of the central view.
+    /// Measures depths in display space. `z_mm` has the depths of all views' rays, millimetres, NaN
+    /// without a hit, and `middle` those of the central view.
     pub fn measure(display: &Display, geometry: &FieldGeometry, z_mm: &[f32], middle: &[f32]) -> Self {
         let depth_of_field_mm = display.depth_of_field(geometry.pitch_mm);
         let seen = |z_mm: &[f32]| -> Vec<f32> { z_mm.iter().copied().filter(|z| z.is_finite()).collect() };
@@ -66,7 +67,7 @@ impl DepthBudget {
             z_mm.iter().filter(|z| which(f64::from(**z))).count() as f64 / z_mm.len() as f64
         };
         let inside = |z: f64| depth_of_field_mm.is_some_and(|[low, high]| (low..=high).contains(&z));
-        // Collect hits, and disparities at the widest view spacing.
+        // Collect the hits, and their disparities at the widest spacing of views.
         let (mut all, middle) = (seen(z_mm), seen(middle));
         let step = geometry.grid.bin_width().into_iter().fold(0.0, f64::max);
         let moves = |z: f64| geometry.disparity_px(z, step).abs();
@@ -74,7 +75,7 @@ impl DepthBudget {
         let at = |values: &mut [f32], share: f64| {
             if values.is_empty() { f64::NAN } else { f64::from(percentile(values, share)) }
         };
-        // Histogram ranges: without outliers, and including layers and depth of field.
+        // Choose ranges of the histograms: without outliers, but with layers and depth of field.
         let (stray_low, stray_high) = (at(&mut all, STRAY), at(&mut all, 1.0 - STRAY));
         let layers_mm: Vec<f64> = display.layers.iter().map(|layer| layer.d_mm).collect();
         let shown = layers_mm.iter().copied().chain(depth_of_field_mm.into_iter().flatten());
@@ -85,7 +86,8 @@ impl DepthBudget {
         };
         let (low, high) = ends(stray_low.min(f64::MAX), stray_high.max(f64::MIN));
         let most = at(&mut moved, 1.0 - STRAY).max(1.2);
-        // Sample the bound over the histogram's range, relative to the pixels' own cutoff.
+        // Sample the bound over the range of the histogram, relative to the highest frequency of
+        // the pixels.
         let own = 0.5 / geometry.pitch_mm;
         let z_at = |i: usize| low + (high - low) * i as f64 / (CURVE_POINTS - 1) as f64;
         let bound = (0..CURVE_POINTS).map(z_at).map(|z| (z, display.spatial_cutoff(z) / own));
@@ -111,14 +113,14 @@ impl DepthBudget {
         !self.inside.is_nan()
     }
 
-    /// The budget as one sentence.
+    /// The budget as a sentence.
     pub fn sentence(&self) -> String {
         if !self.is_seen() {
             return "no surface is seen".into();
         }
         let [_, most, largest] = self.disparity_px.map(format::number_short);
         let lies = match self.depth_of_field_mm {
-            None => "the display shows its own pixels sharply at no depth".into(),
+            None => "the display shows the finest detail of its pixels at no depth".into(),
             Some([low, high]) => {
                 let [low, high] = [low, high].map(|z| format::number(z.round()));
                 format!(
@@ -128,10 +130,12 @@ impl DepthBudget {
             }
         };
         let fitted = if self.fitted { self.fitting() } else { String::new() };
-        format!("{lies}{fitted}; between neighbouring views it moves by up to {most} px (98 %), {largest} px at most")
+        format!(
+            "{lies}{fitted}; between neighbouring views 98 % of the content moves by at most {most} px, and all of it by at most {largest} px"
+        )
     }
 
-    /// Describes the changes that fit the scene.
+    /// Describes the changes by which the scene was made to fit.
     fn fitting(&self) -> String {
         let moved = self.moved_back_mm;
         let mut done = Vec::new();
@@ -142,18 +146,18 @@ impl DepthBudget {
         if self.depth_scale != 1.0 {
             done.push(format!("depth was compressed to {}", format::percent(self.depth_scale)));
         }
-        format!(", for which {} (`fit_depth = \"off\"` leaves it)", done.join(" and "))
+        format!("; to fit the scene, {} (`fit_depth = \"off\"` prevents this)", done.join(" and "))
     }
 
-    /// Advice for a scene that does not fit; `None` if it fits.
+    /// Advice if the scene does not fit; `None` if it fits.
     pub fn advice(&self) -> Option<String> {
         if !self.is_seen() || self.inside >= FEW {
             return None;
         }
         let share = format::percent(self.inside);
         Some(format!(
-            "only {share} of what is seen lies in the display's depth of field: the rest loses detail. --fit-depth moves the window to where most of the \
-             scene fits, --fit-depth=compress flattens its depth as well"
+            "only {share} of what is seen lies in the display's depth of field, and the rest loses detail. --fit-depth moves the window to where most of the \
+             scene fits, --fit-depth=compress also compresses its depth"
         ))
     }
 
@@ -196,7 +200,7 @@ impl Histogram {
 mod tests {
     use super::*;
 
-    /// Three layers 40 mm apart; 5 views over 20° have a slope step of 0.0705.
+    /// Three layers, 40 mm apart. The 5 views over 20° have slopes 0.0705 apart.
     fn display() -> Display {
         Display::uniform([84, 52], 1.0, [5, 5], [20.0, 20.0], &[-40.0, 0.0, 40.0], 2)
     }
@@ -205,7 +209,7 @@ mod tests {
     fn shares_and_displacements_are_counted() {
         let display = display();
         let geometry = display.geometry().unwrap();
-        // a quarter each at −100, −10, 10 and 79 mm, and rays without a hit
+        // a quarter of the hits at each of −100, −10, 10 and 79 mm, and rays without a hit
         let mut z_mm = vec![f32::NAN; 50];
         [-100.0, -10.0, 10.0, 79.0].into_iter().for_each(|z| z_mm.extend([z; 25]));
         let budget = DepthBudget::measure(&display, &geometry, &z_mm, &[10.0, f32::NAN]);

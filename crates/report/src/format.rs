@@ -1,9 +1,9 @@
-//! Formats numbers for readers. Units are in the surrounding text unless the function's name or doc
-//! states them.
+//! Formats numbers for readers. Units are in the surrounding text, unless the name or the comment
+//! of a function contains them.
 
 use serde_json::Value;
 
-/// A number, `"Infinity"`, `"-Infinity"` or null.
+/// A number, or for infinite values `"Infinity"` or `"-Infinity"`, or null for NaN.
 pub(crate) fn figure(value: f64) -> Value {
     match value {
         f64::INFINITY => "Infinity".into(),
@@ -13,7 +13,7 @@ pub(crate) fn figure(value: f64) -> Value {
     }
 }
 
-/// Decibels with one decimal; "∞" for equal pictures, "–" without compared rays.
+/// Decibels with one decimal; "∞" for equal pictures, "–" if no rays were compared.
 pub(crate) fn decibels(value: f64) -> String {
     match value {
         v if v.is_nan() => "–".into(),
@@ -40,7 +40,7 @@ pub(crate) fn number_short(value: f64) -> String {
     }
 }
 
-/// SSIM or FLIP with three decimals; "–" without compared rays.
+/// SSIM or FLIP with three decimals; "–" if no rays were compared.
 pub(crate) fn similarity(value: f64) -> String {
     if value.is_nan() { "–".into() } else { minus(format!("{value:.3}")) }
 }
@@ -61,7 +61,8 @@ pub(crate) fn duration(seconds: f64) -> String {
     }
 }
 
-/// Round seconds without needless digits: "20 ms", "0.5 s", "50 s"; longer ones as [`duration`].
+/// Round numbers of seconds without unnecessary digits: "20 ms", "0.5 s", "50 s"; longer times as
+/// [`duration`].
 pub(crate) fn duration_short(seconds: f64) -> String {
     match seconds {
         s if s < 0.0995 => format!("{} ms", number_short_round(1e3 * s)),
@@ -70,7 +71,7 @@ pub(crate) fn duration_short(seconds: f64) -> String {
     }
 }
 
-/// At most two decimals, without trailing zeros.
+/// A number with at most two decimals, without trailing zeros.
 fn number_short_round(value: f64) -> String {
     format!("{value:.2}").trim_end_matches('0').trim_end_matches('.').into()
 }
@@ -78,28 +79,28 @@ fn number_short_round(value: f64) -> String {
 /// A slope (tangent) as a signed angle with its unit: "+8.0°".
 pub(crate) fn angle(slope: f64) -> String {
     let degrees = slope.atan().to_degrees();
-    // avoids "−0.0°"
+    // avoid "−0.0°"
     if degrees.abs() < 0.05 { "0.0°".into() } else { minus(format!("{degrees:+.1}°")) }
 }
 
-/// A number without needless digits.
+/// A number without unnecessary digits.
 pub(crate) fn number(value: f64) -> String {
     let text = format!("{value:.4}");
     let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
     minus(if text == "-0" { "0".into() } else { text.into() })
 }
 
-/// A fraction of 1 as a percentage; 100 % is reserved for exactly 1.
+/// A fraction as a percentage. Only a fraction of exactly 1 gives 100 %.
 pub(crate) fn percent(share: f64) -> String {
     if share < 1.0 { format!("{:.1} %", (share * 100.0).min(99.9)) } else { "100 %".into() }
 }
 
-/// "1 frame", "3 frames".
+/// A number with a noun: "1 frame", "3 frames".
 pub(crate) fn counted(count: usize, noun: &str) -> String {
     if count == 1 { format!("1 {noun}") } else { format!("{count} {noun}s") }
 }
 
-/// A relative path as a link that cannot contain a scheme: bytes outside the unreserved set are
+/// A relative path as a link that cannot contain a scheme: bytes outside of the unreserved set are
 /// percent-encoded.
 pub(crate) fn relative_href(path: &str) -> String {
     let mut href = String::from("./");

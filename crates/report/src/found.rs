@@ -1,9 +1,9 @@
-//! Results beside the views' figures.
+//! Results of a run other than the scores of views.
 
 use crate::light::Light;
 use crate::limits::Limit;
 
-/// Brightness, limits and masks of a run.
+/// Brightness of a run, limits of its result, and pictures of its masks.
 pub(crate) struct Found {
     pub(crate) light: Light,
     pub(crate) limits: Vec<Limit>,

@@ -1,4 +1,4 @@
-//! The report of a job with several nodes for one light field: all displays on one page.
+//! The report of a job with several nodes for one light field: a page with all displays.
 //!
 //! # report.json
 //!
@@ -6,7 +6,7 @@
 //! |---|---|
 //! | `schema`, `version` | `"lumistack/graph-report"`, 1 |
 //! | `title`, `lumistack_version`, `command` | texts; `command` may be null |
-//! | `psnr_view` | dB, the first node's |
+//! | `psnr_view` | dB, of the first node |
 //! | `nodes` | list of `id`, `plugin`, `display`, `report` (path), `psnr_view`, `psnr_raw`, `held_out_psnr_view`, `psnr_zone`, `brightness`, `layers`, `frames`, `seconds`, `outputs` (paths of files written) |
 //! | `outputs` | paths of files written for the light field itself |
 //! | `settings`, `warnings` | the resolved job; list of `place`, `message` |
@@ -17,26 +17,26 @@ use serde_json::{Value, json};
 use crate::format::figure;
 use crate::{Output, ReportError, Thumbnail, page};
 
-/// One node.
+/// One node of the job.
 #[derive(Clone, Debug)]
 pub struct GraphNode {
-    /// Its id in the job.
+    /// Id of the node in the job.
     pub id: String,
-    /// The plugin that solved its layer stack.
+    /// The plugin that made the node's patterns.
     pub plugin: String,
-    /// Its display's name.
+    /// Name of the node's display.
     pub display: String,
-    /// Path of its own report.
+    /// Path of the report of the node.
     pub report: String,
     /// PSNR of L̃/β against L, dB.
     pub psnr_view: f64,
     /// PSNR of L̃ against βL, dB.
     pub psnr_raw: f64,
-    /// `psnr_view` of in-between views, dB.
+    /// PSNR of L̃/β against L at held-out views, dB.
     pub held_out_psnr_view: Option<f64>,
-    /// Zone PSNR: pixel-averaged views over the whole zone, dB.
+    /// Zone score: PSNR of seen pictures over the whole zone, dB.
     pub psnr_zone: Option<f64>,
-    /// β.
+    /// Brightness scale β.
     pub brightness: f64,
     /// Number of layers.
     pub layers: usize,
@@ -44,7 +44,7 @@ pub struct GraphNode {
     pub frames: usize,
     /// Time from the light field to the outputs, seconds.
     pub seconds: f64,
-    /// Files written for it; paths relative to this report.
+    /// Files written for the node; paths are relative to this report.
     pub outputs: Vec<Output>,
     /// Central view of the display, L̃/β.
     pub shown: Thumbnail,
@@ -67,11 +67,11 @@ pub struct GraphInput<'a> {
     pub warnings: &'a [Warning],
     /// The command line of the run.
     pub command: Option<&'a str>,
-    /// Lumistack's version.
+    /// Version of Lumistack.
     pub version: &'a str,
 }
 
-/// Builds the two files of the report, `report.html` and `report.json`, as texts; writes no files.
+/// Makes the two files of the report, `report.html` and `report.json`, as texts. Writes no files.
 ///
 /// # Errors
 /// If a picture cannot be encoded.

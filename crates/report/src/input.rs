@@ -11,9 +11,9 @@ use crate::depth::DepthBudget;
 /// One iteration of the solver, recorded by the pipeline.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Iteration {
-    /// Full updates completed.
+    /// Number of completed iterations.
     pub iteration: u32,
-    /// Σ w (βL − L̃)² (eq. 27).
+    /// Objective Σ w (βL − L̃)² (eq. 27).
     pub objective: f64,
     /// PSNR of L̃/β against L, dB.
     pub psnr_view: f64,
@@ -28,130 +28,129 @@ pub struct Solution {
     pub solver: String,
     /// Name of the start.
     pub start: String,
-    /// Number of coarser levels at the start, each at half the resolution.
+    /// Number of coarser levels before the full resolution, each of half the resolution.
     pub coarse_levels: u32,
-    /// KKT residual: root mean square change of the emission by one further exact coordinate step
-    /// of a value.
+    /// KKT residual: root mean square of the change of the emission by one more exact coordinate
+    /// step of a value.
     pub kkt_residual: f64,
     /// For layers of few bits, `psnr_view` (dB) of three stacks: continuous, rounded to the panels'
-    /// levels, and re-optimized on the levels, which is the result.
+    /// levels, and optimized again on these levels. The last is the result.
     pub levels: Option<[f64; 3]>,
 }
 
 /// One stage of the run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stage {
-    /// Name for readers: "render", "factorize".
+    /// Name for readers, such as "render" or "factorize".
     pub name: String,
     /// Wall time in this run, seconds.
     pub seconds: f64,
-    /// The result was cached by an earlier run.
+    /// True if an earlier run computed the result.
     pub cached: bool,
 }
 
-/// Effect of a denoiser on one view or on all, in exposed radiance, over all channels. Pairs are a
-/// value and its standard error.
+/// How a denoiser changed one view or all views, in exposed radiance, over all channels. Pairs are
+/// a value and its standard error.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DenoisedView {
-    /// Mean of the unbiased picture.
+    /// Mean of the picture before the filter.
     pub mean: f64,
-    /// Mean of the filtered picture minus `mean`.
+    /// Mean of the picture after the filter minus `mean`.
     pub mean_change: [f64; 2],
-    /// Mean squared error of the unbiased picture.
+    /// Mean squared error of the picture before the filter.
     pub mse_before: [f64; 2],
-    /// Mean squared error of the filtered picture.
+    /// Mean squared error of the picture after the filter.
     pub mse_after: [f64; 2],
 }
 
-/// Effect of a denoiser on the target.
+/// How a denoiser changed the target.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Denoising<'a> {
-    /// Its name, for readers.
+    /// Name of the denoiser, for readers.
     pub name: &'a str,
-    /// Over all views.
+    /// The change of all views together.
     pub overall: DenoisedView,
-    /// Per view, in the order of the target's grid.
+    /// The change of each view, in the order of the target's grid.
     pub views: Vec<DenoisedView>,
-    /// The central view as rendered, `[row][col][rgb]`, in the target's size and exposure.
+    /// The central view before the filter, `[row][col][rgb]`, in the target's size and exposure.
     pub unbiased: &'a [f32],
-    /// The filtered central view, in the same form.
+    /// The central view after the filter, in the same form.
     pub filtered: &'a [f32],
 }
 
 /// Quality of the display over its whole zone.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ZoneFigures {
-    /// Errors of pixel-averaged views, per direction.
+    /// Errors of seen pictures, for each direction.
     pub score: ZoneScore,
-    /// The references are views of a given light field that were withheld from the solver, rather
-    /// than renders.
+    /// True if the references are views of a given light field that the solver did not use, instead
+    /// of renders.
     pub left_out: bool,
-    /// Directions whose references have enough samples for SSIM, FLIP and display on the page.
+    /// Directions whose references have enough samples for SSIM, FLIP and pictures on the page.
     pub views: Vec<ZoneView>,
 }
 
-/// A direction on the page.
+/// A direction that the page shows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ZoneView {
-    /// The direction: a grid of one view.
+    /// The direction, as a grid with one view.
     pub direction: ViewGrid,
-    /// Its error.
+    /// Error of the seen picture in this direction.
     pub score: DirectionScore,
     /// The scene's picture in this direction, `[row][col][rgb]` in the target's size.
     pub target: Vec<f32>,
-    /// The display's pixel-averaged view in this direction.
+    /// The seen picture of the display in this direction.
     pub seen: EmittedView,
 }
 
 /// A file or folder that the run wrote.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Output {
-    /// Its description, for readers.
+    /// Description of the file or folder, for readers.
     pub label: String,
-    /// Path relative to the report, with `/` between parts.
+    /// Path relative to the report, with `/` between folders.
     pub path: String,
-    /// The reason if nothing was written; `None` on success.
+    /// The reason why nothing was written; `None` if it was written.
     pub failed: Option<String>,
 }
 
 /// Input of a report.
 #[derive(Clone, Copy, Debug)]
 pub struct ReportInput<'a> {
-    /// Title, usually the scene's or the job's name.
+    /// Title, usually the name of the scene or of the job.
     pub title: &'a str,
     /// The display.
     pub display: &'a Display,
-    /// Its layer stack.
+    /// Patterns of the display.
     pub stack: &'a LayerStack,
     /// The target light field.
     pub target: &'a LightField,
     /// Weights of the target's rays.
     pub weights: &'a Weights,
-    /// Views withheld from the solver, usually at [`lumistack_display::ViewGrid::in_between`].
-    /// Without them in-between views are shown as simulated only.
+    /// Held-out views, usually at [`lumistack_display::ViewGrid::in_between`]. Without them, views
+    /// between those of the target are only simulated.
     pub held_out: Option<&'a LightField>,
-    /// Extrapolated views, outside the target's, usually at
-    /// [`lumistack_display::ViewGrid::outside`]. Without them such views are shown as simulated
-    /// only.
+    /// Views outside of the target's outermost views, usually at
+    /// [`lumistack_display::ViewGrid::outside`]. Without them, such views are only simulated.
     pub outside: Option<&'a LightField>,
     /// Quality of the display over its whole zone. `None` without reference pictures.
     pub zone: Option<&'a ZoneFigures>,
     /// Pixels of a view per degree of visual angle, for FLIP; usually
     /// [`Flip::DEFAULT_PIXELS_PER_DEGREE`](lumistack_core::metrics::Flip).
     pub pixels_per_degree: f64,
-    /// The solver's history; may be empty.
+    /// History of the solver; may be empty.
     pub convergence: &'a [Iteration],
-    /// The solver's summary, if a solver ran.
+    /// Summary of the solver, if one made the patterns.
     pub solution: Option<&'a Solution>,
-    /// Timings; may be empty.
+    /// Times of the stages; may be empty.
     pub stages: &'a [Stage],
     /// The resolved job, with all defaults.
     pub settings: &'a serde_json::Value,
-    /// Effect of a denoiser on the target, if one was used.
+    /// How a denoiser changed the target, if one was used.
     pub denoising: Option<&'a Denoising<'a>>,
     /// Facts about the scene (name, triangles, ...), if there is one.
     pub scene: Option<&'a serde_json::Value>,
-    /// Depth statistics, if a scene was rendered.
+    /// Depth statistics, if the scene was rendered.
     pub depth: Option<&'a DepthBudget>,
     /// Warnings of all stages.
     pub warnings: &'a [Warning],
@@ -159,7 +158,7 @@ pub struct ReportInput<'a> {
     pub outputs: &'a [Output],
     /// The command line of the run.
     pub command: Option<&'a str>,
-    /// Lumistack's version.
+    /// Version of Lumistack.
     pub version: &'a str,
 }
 
@@ -170,17 +169,17 @@ pub struct Report {
     pub html: String,
     /// Content of `report.json`.
     pub json: serde_json::Value,
-    /// Main figure: PSNR of pixel-averaged views over the whole zone, dB.
+    /// The main score: PSNR of seen pictures over the whole zone, dB.
     pub psnr_zone: Option<f64>,
-    /// The same for the worst tenth of the directions, dB.
+    /// PSNR of seen pictures over the worst tenth of the directions, dB.
     pub psnr_zone_worst: Option<f64>,
     /// PSNR of all target rays, L̃/β against L, dB.
     pub psnr_view: f64,
     /// PSNR of all target rays, L̃ against βL, dB.
     pub psnr_raw: f64,
-    /// `psnr_view` of the held-out views, dB.
+    /// PSNR of L̃/β against L for the held-out views, dB.
     pub held_out_psnr_view: Option<f64>,
-    /// `psnr_view` of the views outside the zone, dB.
+    /// PSNR of L̃/β against L for the views outside the zone, dB.
     pub outside_psnr_view: Option<f64>,
 }
 

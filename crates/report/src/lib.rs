@@ -1,4 +1,5 @@
-//! The run's report: the display's views beside the target, as one HTML file and as numbers.
+//! The report of a run: views of the display next to those of the target, as one HTML file, and
+//! scores.
 //!
 //! [`build`] simulates every target view once with the display's forward model and returns two
 //! texts. It writes no files, reads no clock and makes no network request. `report.html` is one
@@ -11,17 +12,17 @@
 //!                                      patterns pictures of the masks
 //! ```
 //!
-//! A sequence of time steps has its own report, [`sequence()`], and so has a job with several
+//! A sequence of time steps has another report, [`sequence()`], and so has a job with several
 //! displays, [`graph()`].
 //!
-//! The main figure is `psnr_zone`: PSNR of pixel-averaged views in directions over the whole zone,
-//! independent of the target views.
+//! The main score is `psnr_zone`: PSNR of seen pictures in directions over the whole zone. It does
+//! not depend on the choice of target views.
 //!
-//! PSNR is the display crate's: peak 1, linear light, over all channels and all rays with w > 0
-//! that hit the display. `psnr_view` compares L̃/β with L. `psnr_raw` compares L̃ with βL and is
-//! higher by −20·log10 β. SSIM and FLIP compare L̃/β with L, clamped to 0..1, as
-//! [`lumistack_core::metrics`] defines them. Rays that do not count are set to the target in both
-//! pictures, and the means run over the pixels that count.
+//! PSNR is defined as in the display crate: peak 1, linear light, over all channels and all rays
+//! with w > 0 that hit the display. `psnr_view` compares L̃/β with L. `psnr_raw` compares L̃ with
+//! βL and is higher by −20·log10 β. SSIM and FLIP compare L̃/β with L, clamped to 0..1, as
+//! [`lumistack_core::metrics`] defines them. Other rays are excluded: both pictures have the
+//! target's value there, and the means do not include these pixels.
 //!
 //! # report.json
 //!
@@ -29,27 +30,27 @@
 //! |---|---|
 //! | `schema`, `version` | `"lumistack/report"`, 1 |
 //! | `title`, `lumistack_version`, `command` | texts; `command` may be null |
-//! | `psnr_zone`, `psnr_zone_worst_tenth` | The main figure: dB of pixel-averaged views over directions in the whole zone, which no solver used. The second covers the worst tenth of them. Both are null without reference pictures |
-//! | `zone` | null, or `directions` (list of `slope`, `psnr` in dB and `pixels`), `ssim` and `flip`. These two are means over the first eight directions, whose references have enough samples |
-//! | `psnr_view`, `psnr_raw` | dB, target views by their pixels' centre rays: the solver's quality. Here and below, at most 7 views along an axis are measured |
+//! | `psnr_zone`, `psnr_zone_worst_tenth` | The main score: PSNR of seen pictures in dB, over directions in the whole zone, which no solver used. The second is over the worst tenth of the directions. Both are null without reference pictures |
+//! | `zone` | null, or `directions` (list of `slope`, `psnr` in dB and `pixels`), `ssim` and `flip`. The last two are means over the first eight directions, whose references have enough samples |
+//! | `psnr_view`, `psnr_raw` | dB, along the centre rays of the target views' pixels: the quality of the solver. Here and below, at most 7 views along an axis are measured |
 //! | `ssim`, `flip` | means over all target views |
 //! | `pixels_per_degree` | pixels per degree of visual angle, for FLIP |
 //! | `brightness` | β |
-//! | `light` | luminances relative to the backlight's: `emitted` (mean of L̃), `wanted` (mean of L), `open` and `text`. `open` is that of a display with all pixels at their brightest, from straight ahead |
-//! | `views` | The target's `slope_x[view_x]`, `slope_y[view_y]` (tangents, y up), `projection`, `distance_mm`, `rows`, `cols`, `pitch_mm`. Arrays `[view_y][view_x]`: `psnr_view` (dB), `ssim`, `flip` and `counted_share` (fraction of rays that count, 0..1) |
-//! | `held_out`, `outside` | null, or the same keys as `views` for views that were not optimized, in between and outside the zone. Also `overall_psnr_view`, `overall_psnr_raw`, `overall_ssim` and `overall_flip` |
-//! | `limits` | list, the largest first, of `name`, `decibels` (gain of psnr_view without it; null if one run cannot determine it), `text` and the `figures` behind it |
+//! | `light` | luminances relative to the backlight's: `emitted` (mean of L̃), `wanted` (mean of L), `open` and `text`. `open` is the luminance, from straight ahead, of a display with all pixels at their brightest |
+//! | `views` | The target's `slope_x[view_x]`, `slope_y[view_y]` (tangents, y up), `projection`, `distance_mm`, `rows`, `cols`, `pitch_mm`. Arrays `[view_y][view_x]`: `psnr_view` (dB), `ssim`, `flip` and `counted_share` (fraction of rays that scores include, 0..1) |
+//! | `held_out`, `outside` | null, or the same keys as `views` for views that the solver did not use: held-out views, and views outside of the zone. Also `overall_psnr_view`, `overall_psnr_raw`, `overall_ssim` and `overall_flip` |
+//! | `limits` | list, the largest first, of `name`, `decibels`, `text` and `figures` (the numbers of the measurement). `decibels` is the gain of psnr_view if the effect were absent; null if one run cannot determine it |
 //! | `depth` | null, or over the rays of all views with a hit: `depth_of_field_mm` ([low, high] or null), fractions `inside` it, `inside_middle` (of the central view) and `beyond_a_pixel`. Percentiles `depth_mm` and `disparity_px` (between neighbouring views), `window_moved_back_mm`, `depth_scale`, and two histograms |
 //! | `convergence` | list of `iteration`, `objective` (Σ w (βL − L̃)²), `psnr_view` (dB), `seconds` since the solver's start |
-//! | `reached` | list of `seconds`, `iteration`, `psnr_view`: the last point of the convergence by then |
+//! | `reached` | list of `seconds`, `iteration`, `psnr_view`: the last point of the convergence by that time |
 //! | `denoising` | null, or `name`, and over all views and in the list `views`: `mean` (of the unbiased picture), `mean_change`, `mse_before`, `mse_after`. Each is a pair of value and standard error, in exposed radiance. Errors are those at pixels that the filter never used |
 //! | `stages`, `seconds_total` | list of `name`, `seconds`, `cached` |
 //! | `display`, `settings`, `scene` | the display file, the resolved job, facts about the scene or null |
 //! | `warnings`, `outputs` | lists of `place`, `message` and of `label`, `path` (relative to the report), `failed` (null, or the reason) |
 //!
-//! JSON has no infinity: a PSNR of equal pictures is the text `"Infinity"`, which Python's
-//! `float()`, JavaScript's `Number()` and Rust's `str::parse::<f64>` read. A figure without any ray
-//! that counts is `null`.
+//! JSON has no infinity: the PSNR of equal pictures is the text `"Infinity"`. Python's `float()`,
+//! JavaScript's `Number()` and Rust's `str::parse::<f64>` read it. A score that includes no ray is
+//! `null`.
 
 mod convergence;
 mod depth;
@@ -84,10 +85,10 @@ pub use sequence::{SequenceFigures, SequenceInput, SequenceReport, SequenceSerie
 /// that this code affects.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
-/// Simulates the display and makes its report.
+/// Simulates the display and makes the report.
 ///
 /// # Errors
-/// If stack or weights do not fit display and target, or the task is cancelled.
+/// If stack or weights do not match display and target, or the task is cancelled.
 pub fn build(input: &ReportInput, task: Task) -> Result<Report, ReportError> {
     input.stack.check(input.display)?;
     input.weights.check(input.target.geometry())?;

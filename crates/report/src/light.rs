@@ -1,8 +1,8 @@
 //! Absolute brightness: the fraction of the backlight's luminance that a display emits.
 //!
-//! `emitted` is the mean luminance of L̃ over all rays that count, relative to a backlight (or, for
-//! emissive layers, an emission) of 1. `open` is the mean over the central view for fully open
-//! layers.
+//! `emitted` is the mean luminance of L̃ over all rays that scores include, relative to a backlight
+//! of 1. For emissive layers it is relative to an emission of 1. `open` is the mean over the
+//! central view if all layers are fully open.
 
 use lumistack_core::colour::luminance;
 use lumistack_core::metrics::Mean;
@@ -11,14 +11,14 @@ use lumistack_display::{Display, FieldGeometry, Formation, LayerStack, Projectio
 use crate::measure::FieldScore;
 use crate::{ReportInput, format};
 
-/// Luminances relative to the backlight's.
+/// Luminances relative to that of the backlight.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Light {
     /// Mean of L̃.
     pub(crate) emitted: f64,
     /// Mean of L, before β.
     pub(crate) wanted: f64,
-    /// For a display with all pixels at their brightest; NaN if no ray hits it.
+    /// Mean luminance if all pixels are at their brightest; NaN if no ray hits the display.
     pub(crate) open: f64,
 }
 
@@ -30,10 +30,10 @@ pub(crate) fn light(input: &ReportInput, target: &FieldScore) -> Light {
     }
 }
 
-/// Mean luminance, from straight ahead, of a display at its brightest.
+/// Mean luminance, seen from straight ahead, of a display with all pixels at their brightest.
 fn open(display: &Display, geometry: &FieldGeometry) -> f64 {
     let mut display = Display { frames: 1, ..display.clone() };
-    // a total rotation of 90° is the brightest; more would darken again
+    // a total rotation of 90° is the brightest, since more would darken again
     let rotation: f64 = display.layers.iter().map(|layer| layer.peak).sum();
     let share = if display.formation == Formation::Polarization { (1.0 / rotation).min(1.0) } else { 1.0 };
     display.layers.iter_mut().for_each(|layer| layer.peak *= share);
@@ -49,11 +49,11 @@ fn open(display: &Display, geometry: &FieldGeometry) -> f64 {
 }
 
 impl Light {
-    /// One or two plain sentences.
+    /// The brightness in a few sentences.
     pub(crate) fn sentence(&self, input: &ReportInput) -> String {
         let display = input.display;
         if self.emitted.is_nan() {
-            return "No ray that counts hits the display.".into();
+            return "No ray of the target hits the display.".into();
         }
         let mut text = format!(
             "On average the display emits {} of {}: the target's mean luminance is {}, and β is {}.",
@@ -65,7 +65,7 @@ impl Light {
             format::number(self.wanted),
             format::number(input.stack.brightness),
         );
-        // Light that no pattern recovers, then a brightness that the display cannot reach.
+        // Name light that no pattern can emit, then a brightness that the display cannot reach.
         let peaks: Vec<f64> = display.layers.iter().map(|layer| layer.peak).collect();
         if display.formation == Formation::Attenuating && self.open.is_finite() {
             text += &if self.open > 1.0 - 1e-6 {

@@ -1,8 +1,9 @@
-//! Limits of the result, measured on the solved stack by variants of the forward model and by
-//! fractions of the squared error. Nothing is solved again.
+//! Limits of the result. They are measured on the solved stack by variants of the forward model,
+//! and by fractions of the squared error. Nothing is solved again.
 //!
-//! Each figure in dB is the gain of psnr_view without one effect, all else unchanged. Effects
-//! overlap, so figures do not add up. Variants are simulated for the central view and the corners.
+//! Each value in dB is the gain of psnr_view if one effect were absent and all else unchanged.
+//! Effects overlap, so the gains do not add up. Variants are simulated for the central view and the
+//! corners.
 
 mod depth;
 mod hardware;
@@ -40,7 +41,7 @@ pub(crate) fn find(input: &ReportInput, target: &FieldScore, task: Task) -> Resu
         return Ok(Vec::new());
     }
     if base.sum == 0.0 {
-        // a perfect result has no limits
+        // an exact result has no other limits
         return Ok(vec![solver::frames(input, target, None)]);
     }
     let error = |variant| errors.iter().find(|(other, _)| *other == variant).map(|(_, error)| *error);

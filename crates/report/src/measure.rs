@@ -1,4 +1,4 @@
-//! Simulates every view once: its figures, and the pictures of the page.
+//! Simulates every view once: the scores of the views, and the pictures of the page.
 
 mod names;
 mod score;
@@ -19,7 +19,7 @@ use rayon::prelude::*;
 use sheets::SheetPair;
 use shown::Shown;
 
-/// Figures and pictures of the views.
+/// Scores and pictures of the views.
 #[derive(Clone, Debug)]
 pub(crate) struct Measured {
     pub(crate) target: FieldScore,
@@ -28,27 +28,28 @@ pub(crate) struct Measured {
     pub(crate) outside: Option<FieldScore>,
     /// The central view, large.
     pub(crate) headline: Comparison,
-    /// Centre, corners, worst, in-between, outside.
+    /// The central view and the corners, the worst view, and views between and outside of the
+    /// target's.
     pub(crate) rows: Vec<Comparison>,
     /// Factor by which the pictures of `rows` are smaller than the views.
     pub(crate) rows_shrunk: usize,
-    /// The same factor for `headline`.
+    /// Factor by which the pictures of `headline` are smaller than the views.
     pub(crate) headline_shrunk: usize,
     pub(crate) sheets: Sheets,
-    /// Some rays of the shown views do not count.
+    /// True if some rays of the shown views are excluded from scores.
     pub(crate) has_dropped_rays: bool,
 }
 
-/// SSIM and FLIP over the zone's directions with reference pictures.
+/// SSIM and FLIP over those directions of the zone that have reference pictures.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct ZoneLooks {
     pub(crate) ssim: Mean,
     pub(crate) flip: Mean,
 }
 
-/// Pixel budget of the headline's four pictures.
+/// Maximum number of pixels in the four pictures of the headline.
 const HEADLINE_BUDGET: usize = 2_000_000;
-/// Pixel budget of all other comparisons.
+/// Maximum number of pixels in all other comparisons.
 const ROWS_BUDGET: usize = 4_000_000;
 
 pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, ReportError> {
@@ -57,7 +58,7 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     let mut sheets = SheetPair::new(input.target.geometry());
     let keep = outstanding_views(grid);
     let geometry = input.target.geometry();
-    // the view explorer shows pixel-averaged views
+    // the explorer of views shows seen pictures
     let mut place = |view, _: &EmittedView| sheets.place(view, input, &judge.simulator.seen(geometry, view));
     let (target, mut shown) = field(&judge, input.target, input.weights, &keep, task, &mut place)?;
     if let Some(worst) = target.worst_view().filter(|worst| !keep.contains(worst)) {
@@ -70,7 +71,7 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     }
     let targets = shown.len();
     let zone = input.zone.map(|zone| zone_looks(&judge, zone, &mut shown));
-    // the zone's references have more samples than the target's views
+    // the references of the zone have more samples than the views of the target
     let median_of_zone = (shown.len() > targets).then(|| shown.len() - 1);
     let mut others = |given: Option<&LightField>, grid: Option<ViewGrid>| -> Result<Option<FieldScore>, ReportError> {
         if let Some(given) = given {
@@ -86,7 +87,7 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     let held_out = others(input.held_out, between)?;
     let outside = others(input.outside, grid.outside(1))?;
     let errors = |views: &[Shown]| picture::amplification(views.iter().flat_map(|view| view.errors.iter().flatten()));
-    // held-out views are often far worse; a common scale would hide differences of the target views
+    // held-out views are often far worse, so a common scale would hide differences of target views
     let (amplification, other_amplification) = (errors(&shown[..targets]), errors(&shown[targets..]));
     let sizes: Vec<_> = shown.iter().flat_map(|view| [(view.simulated.rows, view.simulated.cols); 4]).collect();
     let (headline_shrunk, rows_shrunk) =
@@ -113,8 +114,8 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     })
 }
 
-/// Figures of the zone's directions with reference pictures. The worst and, last, the median one
-/// are shown.
+/// Scores of those directions of the zone that have reference pictures. Shows the worst one and,
+/// last, the median one.
 fn zone_looks(judge: &Judge, zone: &ZoneFigures, shown: &mut Vec<Shown>) -> ZoneLooks {
     let mut views: Vec<_> = zone.views.par_iter().map(|view| (view, judge.zone_view(view))).collect();
     let looks = views.iter().fold(ZoneLooks::default(), |sum, (_, figures)| ZoneLooks {
@@ -129,7 +130,7 @@ fn zone_looks(judge: &Judge, zone: &ZoneFigures, shown: &mut Vec<Shown>) -> Zone
     looks
 }
 
-/// Figures of all views of a field, and the views of `keep`, in that order.
+/// Scores of all views of a light field, and the views that `keep` lists, in its order.
 fn field(
     judge: &Judge,
     field: &LightField,
@@ -149,7 +150,7 @@ fn field(
     Ok((score, kept.into_iter().flatten().collect()))
 }
 
-/// Views without a target.
+/// Views that have no target.
 fn simulated_only(judge: &Judge, grid: ViewGrid, task: Task) -> Result<Vec<Shown>, ReportError> {
     let geometry = judge.input.target.geometry().with_grid(grid);
     let map = RayMap::new(judge.input.display, &geometry);

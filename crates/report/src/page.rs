@@ -1,4 +1,4 @@
-//! report.html: pictures first, then figures, then settings. maud escapes every text.
+//! report.html: pictures first, then scores, then settings. The library maud escapes every text.
 
 mod denoising;
 mod depth;
@@ -19,10 +19,10 @@ use crate::{Found, ReportError, ReportInput};
 
 const STYLE: &str = include_str!("page/style.css");
 const SCRIPT: &str = include_str!("page/script.js");
-/// No network requests: pictures are data URIs, style and script are inline.
+/// Forbids network requests: pictures are data URIs, style and script are inline.
 const POLICY: &str = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'; base-uri 'none'; form-action 'none'";
 
-/// Pictures with fewer columns than this are enlarged with sharp pixels.
+/// Pictures with fewer columns than this are enlarged without smoothing.
 const SHARP_COLS: usize = 600;
 
 pub(crate) fn render(
@@ -81,7 +81,7 @@ pub(crate) fn document(title: &str, version: &str, header: &Markup, main: &Marku
             body {
                 header { (header) }
                 main { (main) }
-                footer { "Lumistack " (version) "; numbers of this page are in report.json" }
+                footer { "Lumistack " (version) "; the numbers of this page are in report.json" }
                 dialog id="zoom" {
                     div class="bar" {
                         button type="button" data-step="-1" aria-label="previous picture" { "‹" }
@@ -122,7 +122,7 @@ fn legend(anchors: &[[u8; 3]], labels: &[String]) -> Markup {
     }
 }
 
-/// "shown at 1/2 size" or nothing.
+/// A note such as "Shown at 1/2 size", or nothing.
 fn shrunk_note(factor: usize) -> String {
     if factor > 1 { format!(" Shown at 1/{factor} size, averaged over areas.") } else { String::new() }
 }

@@ -1,5 +1,5 @@
-//! Pictures of the masks: each layer's mean over frames and its change, every frame, close-ups, and
-//! the backlight's emission.
+//! Pictures of the masks. For each layer: its mean over frames, its change, every frame, and
+//! close-ups. Also the emission of the backlight.
 
 mod place;
 
@@ -11,64 +11,65 @@ use crate::picture::{self, Embedded, Encoding, Linear};
 use crate::{ReportError, ReportInput};
 pub(crate) use place::Window;
 
-/// All masks, encoded.
+/// Pictures of all masks, encoded.
 #[derive(Clone, Debug)]
 pub(crate) struct Patterns {
-    /// For the backlight, if it is directional.
+    /// The backlight, if it is directional.
     pub(crate) emission: Option<Emission>,
-    /// Rearmost layer first.
+    /// The layers, with the rearmost first.
     pub(crate) layers: Vec<Sheet>,
     /// Factor by which pictures of single frames are smaller than the masks.
     pub(crate) shrunk: usize,
-    /// The same factor for the large pictures.
+    /// Factor by which the large pictures are smaller than the masks.
     pub(crate) large_shrunk: usize,
 }
 
-/// One layer.
+/// Pictures of one layer.
 #[derive(Clone, Debug)]
 pub(crate) struct Sheet {
-    /// Mean over frames; for one frame, that frame.
+    /// Mean over the frames. If there is only one frame, that frame.
     pub(crate) mean: Embedded,
-    /// Standard deviation over frames times [`CHANGE`], for several frames.
+    /// Standard deviation over the frames times [`CHANGE`], if there are several frames.
     pub(crate) change: Option<Embedded>,
     pub(crate) frames: Vec<Embedded>,
-    /// A part with fine changes between frames, at full resolution; `None` if the whole layer is
-    /// shown so.
+    /// A section with fine changes between frames, at full resolution. `None` if the whole layer is
+    /// shown at full resolution.
     pub(crate) closeup: Option<CloseUp>,
 }
 
-/// Part of a layer's green channel as grey, with stretched contrast. Channels are solved
-/// separately, and fine patterns of all three at once resemble noise.
+/// A section of a layer's green channel as grey, with stretched contrast. Channels are solved
+/// separately, so fine patterns of all three together resemble noise.
 #[derive(Clone, Debug)]
 pub(crate) struct CloseUp {
     pub(crate) window: Window,
     /// Values shown as black and as white.
     pub(crate) stretch: [f32; 2],
-    /// Mean over frames, for several frames.
+    /// Mean over the frames, if there are several.
     pub(crate) mean: Option<Embedded>,
     pub(crate) frames: Vec<Embedded>,
 }
 
-/// The backlight, one picture per frame each.
+/// Pictures of the backlight, one for each frame.
 #[derive(Clone, Debug)]
 pub(crate) struct Emission {
-    /// One tile per lenslet, which contains its angular bins.
+    /// A tile for each lenslet, which contains the lenslet's angular bins.
     pub(crate) panel: Sheet,
     /// Emission into the central bin: one pixel per lenslet.
     pub(crate) central_bin: Vec<Embedded>,
-    /// Row and column of that bin.
+    /// Row and column of the central bin.
     pub(crate) bin: [usize; 2],
 }
 
-/// Factor on the standard deviation over frames, which is at most ½ for values in 0..1.
+/// Factor on the standard deviation over frames. For values in 0..1, the deviation is at most ½.
 pub(crate) const CHANGE: f32 = 2.0;
 
-/// Pixel budget of all single frames; as JPEG of noise-like masks about 4 MB of text.
+/// Maximum number of pixels of all single frames. As JPEG, noise-like masks of this size take about
+/// 4 MB of text.
 const BUDGET: usize = 2_400_000;
-/// Pixel budget of the large pictures.
+/// Maximum number of pixels of the large pictures.
 const LARGE_BUDGET: usize = 1_400_000;
 
-/// Reduction factor and encoding of pictures.
+/// Reduction factor and encoding of a group of pictures.
 #[derive(Clone, Copy)]
 struct Size {
     shrunk: usize,
@@ -126,7 +127,7 @@ fn encode_sheet(
     task: Task,
 ) -> Result<Sheet, ReportError> {
     let [frames, rows, cols, _] = layer.shape();
-    // One pass over the frames gives their pictures, the mean and the standard deviation.
+    // One loop over the frames gives their pictures, the mean and the standard deviation.
     let (mut sum, mut squares) = (vec![0.0f32; rows * cols * 3], vec![0.0f32; rows * cols * 3]);
     let mut pictures = Vec::with_capacity(frames);
     for frame in 0..frames {
@@ -153,11 +154,11 @@ fn encode_sheet(
     })
 }
 
-/// The same part of every frame and of their mean, on one scale.
+/// The same section of every frame, and of the mean over frames, with one scale of grey.
 fn close_up(layer: &Tensor<4>, mean: &Linear, window: Window) -> Result<CloseUp, ReportError> {
-    /// Fraction of values that may be clipped at either end.
+    /// Fraction of the values that may be clipped at each end.
     const CLIPPED: f64 = 0.01;
-    /// A smaller stretch would be invisible.
+    /// A stretch by less than this would be invisible.
     const LITTLE: f32 = 0.02;
     let [frames, rows, cols, _] = layer.shape();
     let part = |whole: &Linear| whole.cropped(window.row, window.col, window.rows, window.cols).green();
@@ -165,7 +166,7 @@ fn close_up(layer: &Tensor<4>, mean: &Linear, window: Window) -> Result<CloseUp,
         (0..frames).map(|frame| part(&Linear::new(rows, cols, layer.block([frame]), 1.0))).collect();
     let mut values: Vec<f32> = parts.iter().flat_map(|part| part.data.iter().copied()).collect();
     let [low, high] = [CLIPPED, 1.0 - CLIPPED].map(|share| percentile(&mut values, share));
-    // a flat part, or one that fills the range, stays unchanged
+    // a section that is constant or fills the range stays unchanged
     let worth_it = high - low > 1e-3 && (low > LITTLE || high < 1.0 - LITTLE);
     let stretch = if worth_it { [low, high] } else { [0.0, 1.0] };
     let embed = |part: &Linear| part.stretched(stretch).encoded().embedded(Encoding::Png);
@@ -186,7 +187,7 @@ fn encode_emission(
 ) -> Result<Emission, ReportError> {
     let [frames, bins_y, bins_x, rows, cols, _] = emission.shape();
     let bin = [bins_y / 2, bins_x / 2];
-    // with a single bin the panel equals this picture
+    // with a single bin, the panel is the same picture
     let central = (0..frames).filter(|_| bins_y * bins_x > 1).map(|frame| {
         Ok(Linear::new(rows, cols, emission.block([frame, bin[0], bin[1]]), 1.0).encoded().embedded(Encoding::Png)?)
     });

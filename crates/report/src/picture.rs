@@ -1,4 +1,5 @@
-//! Pictures of the page: linear light to 8-bit sRGB, signed difference maps, reduction, data URIs.
+//! Pictures of the page: linear light to 8-bit sRGB, maps of signed differences, reduction, data
+//! URIs.
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -34,34 +35,34 @@ pub(crate) struct Embedded {
 /// File format of an embedded picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Encoding {
-    /// Lossless.
+    /// Lossless, for small groups of pictures.
     Png,
-    /// For large pictures; without chroma subsampling.
+    /// For large pictures, without chroma subsampling.
     Jpeg,
 }
 
-/// JPEG quality whose block artefacts are well below a display's own errors.
+/// JPEG quality at which block artefacts are far smaller than the errors of a display.
 const JPEG_QUALITY: u8 = 90;
 
-/// Pixel budget up to which a group of pictures is lossless: noise, the worst case, takes 4 MB of
-/// text.
+/// Number of pixels up to which a group of pictures is lossless. Noise, the worst case, takes 4 MB
+/// of text.
 const LOSSLESS_PIXELS: usize = 1_000_000;
 
 impl Encoding {
-    /// The encoding for a total number of pixels.
+    /// The encoding for a total number of pixels in a group of pictures.
     pub(crate) fn for_pixels(pixels: usize) -> Self {
         if pixels <= LOSSLESS_PIXELS { Self::Png } else { Self::Jpeg }
     }
 }
 
 impl Linear {
-    /// Values in the given shape, multiplied by `scale`.
+    /// A picture of the given shape, whose values are `data` times `scale`.
     pub(crate) fn new(rows: usize, cols: usize, data: &[f32], scale: f32) -> Self {
         Self { rows, cols, data: data.iter().map(|value| value * scale).collect() }
     }
 
-    /// Replaces every block of `factor` × `factor` pixels by its mean, in linear light; blocks at
-    /// the right and bottom may be smaller.
+    /// Replaces every block of `factor` × `factor` pixels by its mean, in linear light. Blocks at
+    /// the right and at the bottom may be smaller.
     pub(crate) fn shrunk(&self, factor: usize) -> Self {
         if factor <= 1 {
             return self.clone();
@@ -86,7 +87,7 @@ impl Linear {
         Self { rows, cols, data }
     }
 
-    /// The part that starts at (row, col), at most `rows` × `cols`.
+    /// The section that begins at (row, col), of at most `rows` × `cols` pixels.
     pub(crate) fn cropped(&self, row: usize, col: usize, rows: usize, cols: usize) -> Self {
         let (rows, cols) = (rows.min(self.rows - row), cols.min(self.cols - col));
         let lines = (row..row + rows).flat_map(|r| &self.data[(r * self.cols + col) * 3..][..cols * 3]);
@@ -98,19 +99,19 @@ impl Linear {
         Self { data: self.data.chunks_exact(3).flat_map(|rgb| [rgb[1]; 3]).collect(), ..*self }
     }
 
-    /// Maps `low` to 0 and `high` to 1; `low` < `high`.
+    /// Maps `low` to 0 and `high` to 1, where `low` < `high`.
     pub(crate) fn stretched(&self, [low, high]: [f32; 2]) -> Self {
         Self { data: self.data.iter().map(|value| (value - low) / (high - low)).collect(), ..*self }
     }
 
-    /// sRGB-encoded, clamped to 0..1.
+    /// The picture clamped to 0..1 and sRGB-encoded.
     pub(crate) fn encoded(&self) -> Picture {
         Picture { rows: self.rows, cols: self.cols, rgb: self.data.iter().map(|value| srgb_code(*value)).collect() }
     }
 }
 
 /// Signed error of every pixel, in linear light: simulated minus target, in the channel with the
-/// largest error. `None` for rays that do not count.
+/// largest error. `None` for rays that scores exclude.
 pub(crate) fn signed_error(simulated: &[f32], target: &[f32], counts: impl Fn(usize) -> bool) -> Vec<Option<f32>> {
     let pixels = simulated.chunks_exact(3).zip(target.chunks_exact(3)).enumerate();
     pixels
@@ -121,10 +122,9 @@ pub(crate) fn signed_error(simulated: &[f32], target: &[f32], counts: impl Fn(us
         .collect()
 }
 
-/// The largest amplification of 1, 2, 5, 10, ... with which 99 of 100 errors stay within the colour
-/// map.
+/// The largest amplification of 1, 2, 5, 10, ... at which 99 of 100 errors stay within the colours.
 pub(crate) fn amplification<'a>(errors: impl Iterator<Item = &'a Option<f32>>) -> u32 {
-    /// Smaller errors are not amplified.
+    /// Smaller errors are regarded as this large, so that they are not amplified more.
     const SMALLEST: f32 = 1e-4;
     let mut sizes: Vec<f32> = errors.flatten().map(|e| e.abs()).filter(|e| e.is_finite()).collect();
     if sizes.is_empty() {
@@ -137,12 +137,12 @@ pub(crate) fn amplification<'a>(errors: impl Iterator<Item = &'a Option<f32>>) -
     steps.into_iter().rev().find(|step| *step as f32 <= room).unwrap_or(1)
 }
 
-/// Colours of [`difference`], from −1 (too dark) through 0 to +1 (too bright). Distinguishable
-/// without red-green vision.
+/// Colours of [`difference`], from −1 (too dark) through 0 to +1 (too bright). They can be
+/// distinguished without red-green vision.
 pub(crate) const DIVERGING: [[u8; 3]; 5] =
     [[20, 64, 140], [103, 163, 214], [247, 247, 244], [240, 146, 88], [158, 22, 34]];
 
-/// Colours of a figure map, from low to high: dark violet to yellow, monotone in lightness.
+/// Colours of a map of scores, from low to high: dark violet to yellow, with monotone lightness.
 pub(crate) const SEQUENTIAL: [[u8; 3]; 5] =
     [[60, 16, 88], [62, 78, 140], [38, 140, 140], [96, 196, 100], [250, 228, 60]];
 
@@ -160,7 +160,7 @@ pub(crate) const MAGMA: [[u8; 3]; 9] = [
     [252, 253, 191],
 ];
 
-/// A colour of a map; `t` is clamped to 0..1, NaN maps to the middle.
+/// A colour of a map. `t` is clamped to 0..1, and NaN gives the middle.
 pub(crate) fn map_colour(anchors: &[[u8; 3]], t: f32) -> [u8; 3] {
     let steps = anchors.len() - 1;
     let position = if t.is_nan() { 0.5 } else { t.clamp(0.0, 1.0) } * steps as f32;
@@ -182,7 +182,7 @@ pub(crate) fn flip_map(rows: usize, cols: usize, errors: &[Option<f32>]) -> Pict
     mapped(rows, cols, errors, &MAGMA, |error| error)
 }
 
-/// Values in the colours of a map; rays that do not count become a grey checkerboard.
+/// Values in the colours of a map. Rays that scores exclude become a grey checkerboard.
 fn mapped(
     rows: usize,
     cols: usize,
@@ -198,7 +198,8 @@ fn mapped(
 }
 
 impl Picture {
-    /// Mean of every block of `factor` × `factor` code values, for pictures that are colour maps.
+    /// Mean of every block of `factor` × `factor` code values, for pictures that are maps of
+    /// colours.
     pub(crate) fn shrunk(&self, factor: usize) -> Self {
         if factor <= 1 {
             return self.clone();
@@ -212,7 +213,7 @@ impl Picture {
     /// If the encoder refuses the size.
     pub(crate) fn embedded(&self, encoding: Encoding) -> ImageResult<Embedded> {
         let (width, height, mut bytes) = (self.cols as u32, self.rows as u32, Vec::new());
-        // JPEG's sizes have 16 bits
+        // sizes in JPEG have 16 bits
         let encoding = if width.max(height) > 65_500 { Encoding::Png } else { encoding };
         let mime =
             match encoding {
@@ -236,7 +237,7 @@ impl Picture {
     }
 }
 
-/// The smallest factor that reduces pictures of these sizes to `budget` pixels in total.
+/// The smallest factor by which pictures of these sizes are reduced to `budget` pixels in total.
 pub(crate) fn shrink_factor(sizes: &[(usize, usize)], budget: usize) -> usize {
     let longest = sizes.iter().map(|(rows, cols)| *rows.max(cols)).max().unwrap_or(1);
     let total = |factor: usize| -> usize {

@@ -9,7 +9,7 @@ use crate::{Iteration, ReportError};
 pub(crate) struct Axis {
     /// Label with its unit.
     pub(crate) label: &'static str,
-    /// Abscissa of an iteration.
+    /// Position of an iteration on the axis.
     pub(crate) position: fn(&Iteration) -> f64,
 }
 
@@ -19,13 +19,13 @@ pub(crate) const AXES: [Axis; 2] = [
     Axis { label: "time since the solver's start, s", position: |it| it.seconds },
 ];
 
-/// Largest ordinate of the bound's plot.
+/// Largest value that the plot of the bound shows.
 const MOST_DETAIL: f64 = 6.0;
 
-/// Draws `psnr_view` over an axis; `None` when there is no finite point.
+/// Draws `psnr_view` over an axis; `None` if there is no finite point.
 ///
 /// # Errors
-/// If it cannot be drawn.
+/// If the plot cannot be drawn.
 pub(crate) fn convergence(history: &[Iteration], axis: &Axis) -> Result<Option<String>, ReportError> {
     let points = history.iter().map(|it| ((axis.position)(it), it.psnr_view));
     let points: Vec<_> = points.filter(|(x, y)| x.is_finite() && y.is_finite()).collect();
@@ -38,7 +38,7 @@ pub(crate) fn convergence(history: &[Iteration], axis: &Axis) -> Result<Option<S
 /// Draws a line of decibels through at least one finite point.
 ///
 /// # Errors
-/// If it cannot be drawn.
+/// If the plot cannot be drawn.
 pub(crate) fn line(points: &[(f64, f64)], label: &str, value_label: &str) -> Result<String, ReportError> {
     Ok(page::line(points, [label, value_label])?)
 }
@@ -46,7 +46,7 @@ pub(crate) fn line(points: &[(f64, f64)], label: &str, value_label: &str) -> Res
 /// Fractions of hits by depth, with the depth of field and the layers.
 ///
 /// # Errors
-/// If it cannot be drawn.
+/// If the plot cannot be drawn.
 pub(crate) fn depths(budget: &DepthBudget) -> Result<String, ReportError> {
     let label = "depth, mm towards the viewer (band: depth of field; lines: layers)";
     shares(&budget.by_depth, label, budget.depth_of_field_mm, &budget.layers_mm)
@@ -55,20 +55,21 @@ pub(crate) fn depths(budget: &DepthBudget) -> Result<String, ReportError> {
 /// Fractions of hits by disparity between neighbouring views.
 ///
 /// # Errors
-/// If it cannot be drawn.
+/// If the plot cannot be drawn.
 pub(crate) fn disparities(budget: &DepthBudget) -> Result<String, ReportError> {
     let label = "shift between neighbouring views, pixels (band: up to one)";
     shares(&budget.by_disparity, label, Some([0.0, 1.0]), &[])
 }
 
-/// The highest spatial frequency over depth, relative to the light field's own; the line is 1.
+/// The highest spatial frequency over depth, relative to that of the light field's pixels; the line
+/// is 1.
 ///
 /// # Errors
-/// If it cannot be drawn.
+/// If the plot cannot be drawn.
 pub(crate) fn bound(budget: &DepthBudget) -> Result<String, ReportError> {
     // near a single layer the bound is infinite
     let points: Vec<(f64, f64)> = budget.bound.iter().map(|(z, bound)| (*z, bound.min(MOST_DETAIL))).collect();
-    Ok(page::against(&points, 1.0, ["depth, mm towards the viewer", "finest detail / pixel's own"])?)
+    Ok(page::against(&points, 1.0, ["depth, mm towards the viewer", "finest detail / that of the pixels"])?)
 }
 
 fn shares(histogram: &Histogram, label: &str, band: Option<[f64; 2]>, lines: &[f64]) -> Result<String, ReportError> {

@@ -1,9 +1,9 @@
-//! The report of a sequence: error, flicker and cost of every time step, on one page.
+//! The report of a sequence: a page with error, flicker and cost of every time step.
 //!
 //! Flicker is the unwanted change between time steps. The error of a ray at time t is e_t = L̃_t/β
-//! − L_t. Flicker is the rms of e_t − e_(t−1) over rays and channels. `psnr_change` is
-//! −20·log10 of that rms, in dB: the PSNR of the displayed change against the target's change.
-//! `psnr_still` covers only rays with a constant target.
+//! − L_t. Flicker is the rms of e_t − e_(t−1) over rays and channels. `psnr_change` is −20·log10 of
+//! that rms, in dB: the PSNR of the displayed change against the change of the target. `psnr_still`
+//! includes only rays with a constant target.
 //!
 //! # report.json
 //!
@@ -28,15 +28,15 @@ use crate::{ReportError, page};
 /// Longer side of a thumbnail, pixels.
 const THUMBNAIL: usize = 200;
 
-/// A small picture in linear light, 0..1 after scaling.
+/// A small picture in linear light; the values it shows are in 0..1.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Thumbnail(Linear);
 
 impl Thumbnail {
-    /// Shrinks `[row][col][rgb]` values of `size` = [rows, cols], times `scale`.
+    /// Reduces `[row][col][rgb]` values of `size` = [rows, cols], and multiplies them by `scale`.
     ///
     /// # Panics
-    /// If the values do not fill the size.
+    /// If the number of values does not match the size.
     pub fn new([rows, cols]: [usize; 2], values: &[f32], scale: f32) -> Self {
         assert_eq!(values.len(), rows * cols * 3, "values that fill the size");
         Self(Linear::new(rows, cols, values, scale).shrunk(rows.max(cols).div_ceil(THUMBNAIL)))
@@ -50,27 +50,28 @@ impl Thumbnail {
 /// One time step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SequenceTime {
-    /// Its folder: "t0001".
+    /// Name of the time step's folder, such as "t0001".
     pub name: String,
-    /// Source of its light field.
+    /// Origin of the time step's light field.
     pub source: String,
-    /// Path of its own report relative to the sequence's, if it has one.
+    /// Path of the time step's report relative to the sequence's report, if it has one.
     pub report: Option<String>,
     /// Error of L̃/β against L.
     pub error: SquaredError,
     /// Error of the change of L̃/β since the previous time step against the change of L.
     pub change: Option<SquaredError>,
-    /// The same over rays with a constant target, if there are any.
+    /// Error of the change over rays with a constant target, if there are any.
     pub still: Option<SquaredError>,
-    /// Its start: "warm" from the previous time step's stack, otherwise the name of a fresh start.
+    /// Start of the solver: "warm" from the patterns of the previous time step, otherwise the name
+    /// of a fresh start.
     pub start: String,
-    /// PSNR before the first iteration, dB; NaN where unknown.
+    /// PSNR before the first iteration, dB; NaN if unknown.
     pub psnr_start: f64,
     /// Iterations of the solver.
     pub iterations: u32,
-    /// Time of the solver, seconds; NaN where unknown.
+    /// Time of the solver, seconds; NaN if unknown.
     pub seconds: f64,
-    /// Its stack was cached by an earlier run.
+    /// True if an earlier run made the patterns.
     pub cached: bool,
     /// Central view of the target.
     pub wanted: Thumbnail,
@@ -96,11 +97,11 @@ impl SequenceTime {
 /// A display over all time steps.
 #[derive(Clone, Copy, Debug)]
 pub struct SequenceSeries<'a> {
-    /// The node's id; `None` for a single display.
+    /// Id of the node; `None` if there is a single display.
     pub id: Option<&'a str>,
     /// All time steps, in order.
     pub times: &'a [SequenceTime],
-    /// β.
+    /// Brightness scale β.
     pub brightness: f64,
 }
 
@@ -109,7 +110,7 @@ pub struct SequenceSeries<'a> {
 pub struct SequenceInput<'a> {
     /// Title.
     pub title: &'a str,
-    /// Every display over all time steps: one, or one per node.
+    /// Every display over all time steps: one display, or one for each node.
     pub series: &'a [SequenceSeries<'a>],
     /// The resolved job.
     pub settings: &'a Value,
@@ -117,22 +118,22 @@ pub struct SequenceInput<'a> {
     pub warnings: &'a [Warning],
     /// The command line of the run.
     pub command: Option<&'a str>,
-    /// Lumistack's version.
+    /// Version of Lumistack.
     pub version: &'a str,
 }
 
-/// The two files of a sequence's report, and the figures of every display.
+/// The two files of a sequence's report, and the scores of every display.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SequenceReport {
     /// Text of `report.html`.
     pub html: String,
     /// Content of `report.json`.
     pub json: Value,
-    /// In the order of the input.
+    /// Scores of the displays, in the order of the input.
     pub series: Vec<SequenceFigures>,
 }
 
-/// Figures of a display over all time steps.
+/// Scores of a display over all time steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SequenceFigures {
     /// Number of time steps.
@@ -141,13 +142,13 @@ pub struct SequenceFigures {
     pub psnr_view: f64,
     /// PSNR of L̃ against βL, dB.
     pub psnr_raw: f64,
-    /// PSNR of changes, dB; `None` for a single time step.
+    /// PSNR of the change of L̃/β against the change of L, dB; `None` for a single time step.
     pub psnr_change: Option<f64>,
-    /// The same over rays with a constant target; `None` if there are none.
+    /// PSNR of the change over rays with a constant target, dB; `None` if there are none.
     pub psnr_still: Option<f64>,
 }
 
-/// Builds the report of a sequence; writes no files.
+/// Makes the report of a sequence. Writes no files.
 ///
 /// # Errors
 /// If a picture or a plot cannot be made.

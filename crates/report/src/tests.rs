@@ -12,10 +12,11 @@ mod figures;
 
 use crate::{DenoisedView, Denoising, Iteration, Output, Report, ReportError, ReportInput, Solution, Stage, build};
 
-/// PSNR in report.json against the display crate's, dB; both sum in f64 in the same order.
+/// Tolerance of PSNR in report.json against that of the display crate, dB. Both sum in f64, in the
+/// same order.
 const SAME_DB: f64 = 1e-9;
 
-/// A display of `layers` layers, `frames` frames and [across, up] views.
+/// A display of `layers` layers, `frames` frames and [horizontal, vertical] views.
 fn display(layers: usize, frames: usize, views: [usize; 2], resolution: [usize; 2], extra: &str) -> Display {
     let [cols, rows] = resolution;
     let mut text = format!(
@@ -79,7 +80,7 @@ fn built(input: &ReportInput) -> Result<Report, ReportError> {
     build(input, Task::quiet(&Collector::default(), &Cancel::default()))
 }
 
-/// Checks rules of every page; returns the number of its embedded pictures.
+/// Checks rules that hold for every page. Returns the number of embedded pictures.
 fn check_page(html: &str) -> usize {
     check_balanced(html);
     check_links(html);
@@ -126,7 +127,7 @@ fn check_balanced(html: &str) {
     assert!(open.is_empty(), "left open: {open:?}");
 }
 
-/// If a page links to its sections, the links lead to all of them, in order.
+/// If a page links to its sections, checks that the links lead to all of them, in order.
 fn check_links(html: &str) {
     let names = |before: &str| -> Vec<String> {
         html.split(before).skip(1).map(|rest| rest[..rest.find('"').unwrap()].to_string()).collect()
@@ -261,7 +262,7 @@ fn texts_are_escaped_and_everything_given_is_shown() {
     assert_eq!(report.json["convergence"][3]["psnr_view"], 23.5);
     assert_eq!(report.json["solution"]["levels"]["reoptimized"], 36.5);
     assert!(report.html.contains("Solver extrapolated, start content, at half the resolution first."));
-    assert!(report.html.contains("30.0 dB rounded to them, 36.5 dB re-optimized"), "{}", report.html);
+    assert!(report.html.contains("30.0 dB rounded to the levels, 36.5 dB optimized again"), "{}", report.html);
     assert!(report.json["convergence"][2]["psnr_view"].is_null());
     assert_eq!(report.json["seconds_total"], 62.5);
     assert_eq!(report.json["warnings"][0]["place"], evil);
@@ -303,7 +304,8 @@ fn unusable_input_is_an_error() {
 fn large_displays_stay_small_files() {
     /// A size that browsers and mail attachments support, bytes.
     const LARGEST: usize = 15_000_000;
-    // the paper's prototype at full mask size, with noise: the worst case for every encoder
+    // the paper's prototype with masks of full size, filled with noise, which is the worst case for
+    // every encoder
     let display = display(3, 12, [2, 2], [840, 525], "");
     let (stack, target) = (noisy_stack(&display), noisy_field(&display, None));
     let report = built(&plain(&display, &stack, &target)).unwrap();
@@ -313,7 +315,7 @@ fn large_displays_stay_small_files() {
 
 #[test]
 fn the_simulated_view_is_divided_by_the_brightness() {
-    // one clear pixel at β = 0.2 with a target of 1 is shown as white, not as 0.2
+    // a clear pixel at β = 0.2 with a target of 1 must be shown as white, not as 0.2
     let display = display(1, 1, [1, 1], [1, 1], "");
     let mut target = LightField::black(display.geometry().unwrap()).unwrap();
     target.radiance_mut().data_mut().fill(1.0);

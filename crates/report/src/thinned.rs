@@ -1,5 +1,5 @@
-//! Selects the views that are measured and shown one by one. A solution for hundreds of views has
-//! pictures of some; quality is measured over the whole zone.
+//! Selects the views that are measured and shown individually. A solution for hundreds of views has
+//! pictures of some; its quality is measured over the whole zone.
 
 use lumistack_core::Tensor;
 use lumistack_display::{FieldGeometry, LightField, ViewGrid, Weights, spread};
@@ -7,8 +7,8 @@ use lumistack_display::{FieldGeometry, LightField, ViewGrid, Weights, spread};
 /// Largest number of views per axis.
 const MOST: usize = 7;
 
-/// Evenly spread views of a light field, with the central and the outermost ones, and their
-/// weights; `None` if there are few enough.
+/// Evenly spread views of a light field, including the central and the outermost ones, and their
+/// weights. `None` if the light field has few enough views.
 pub(crate) fn thinned(field: &LightField, weights: &Weights) -> Option<(LightField, Weights)> {
     let geometry = field.geometry();
     let views = geometry.grid.views();

@@ -4,13 +4,13 @@
 use super::{Analysis, Scene};
 use lumistack_plot::{self as plot, Area, Axes, Curve, PlotError};
 
-/// Largest plotted bound, in units of the light field's own cutoff.
+/// Largest plotted bound, as a multiple of the highest frequency of the light field's pixels.
 const MOST_DETAIL: f64 = 4.0;
 
 impl Analysis {
-    /// The bound over depth along an axis (0: x, 1: y), as SVG. Each display has its bound, its
-    /// closed form (dashed) if that differs, and the bound of its lens array alone. The depth
-    /// histogram of the first scene is in the background.
+    /// The bound over depth along an axis (0: x, 1: y), as SVG. Each display has a curve of its
+    /// bound, a dashed curve of its closed form if that differs, and one of its lens array alone.
+    /// The depth histogram of the first scene is in the background.
     ///
     /// # Errors
     /// If there are no displays.
@@ -28,7 +28,7 @@ impl Analysis {
                     let of = if form.equation == 23 { "its lens array alone" } else { "closed form" };
                     let name = format!("eq. {}: {of}", form.equation);
                     let points = form.bound.clone();
-                    // displays with the same lens array share its curve
+                    // several displays with the same lens array have one curve for it
                     let same = |other: &Curve| other.name == name && other.points.first() == points.first();
                     if curves.iter().any(same) {
                         continue;

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use super::{Analysis, Closed};
 
 impl Analysis {
-    /// A title and one line per subject.
+    /// A title, and a line per property of the display.
     pub fn text(&self) -> String {
         let mut text = String::new();
         let plural = |count: usize, one: &str| if count == 1 { format!("1 {one}") } else { format!("{count} {one}s") };
@@ -24,14 +24,18 @@ impl Analysis {
         line("Depth of field", self.depth_of_field());
         line("Bound", self.bound());
         if !self.bound_holds {
-            line("", "layers add: on a plane between them nothing of this is achieved, only on each itself".into());
+            line(
+                "",
+                "the layers' light adds up: the bound is achieved on the planes of the layers, and not between them"
+                    .into(),
+            );
         }
         let [x, y] = &self.axes;
         for form in [&x.closed, &x.lens_array].into_iter().flatten() {
             line("Closed form", closed(form));
         }
         if x.closed.is_none() {
-            line("Closed form", "the paper prints none for this stack".into());
+            line("Closed form", "the paper has no closed form for this stack".into());
         }
         let footprint = [x.footprint, y.footprint].map(|width| format!("{width:.4}")).join(" × ");
         line(
@@ -48,7 +52,10 @@ impl Analysis {
             line("Scene", scene.sentence.clone());
             let depths = scene.percentiles.iter().zip(["2 %", "25 %", "50 %", "75 %", "98 %"]);
             let depths = depths.map(|([z, bound], share)| format!("{share} at {} mm: {bound:.2}", number(*z)));
-            line("", format!("detail it may have there, × its pixels' own: {}", depths.collect::<Vec<_>>().join(", ")));
+            line(
+                "",
+                format!("finest detail there, × the finest of the pixels: {}", depths.collect::<Vec<_>>().join(", ")),
+            );
         }
         text.trim_end().into()
     }
@@ -58,15 +65,15 @@ impl Analysis {
         match self.depth_of_field_mm {
             Some([low, high]) if high - low < 1e-6 => {
                 format!(
-                    "the plane at {} mm alone, for the finest detail of its pixels ({own:.3} cycles/mm)",
+                    "only the plane at {} mm, for the finest detail of the pixels ({own:.3} cycles/mm)",
                     number(low)
                 )
             }
             Some([low, high]) => {
                 let [low, high] = [low, high].map(number);
-                format!("{low} to {high} mm, for the finest detail of its pixels ({own:.3} cycles/mm)")
+                format!("{low} to {high} mm, for the finest detail of the pixels ({own:.3} cycles/mm)")
             }
-            None => format!("none: it shows the finest detail of its pixels ({own:.3} cycles/mm) at no depth"),
+            None => format!("none: the finest detail of the pixels ({own:.3} cycles/mm) is shown at no depth"),
         }
     }
 
@@ -79,7 +86,7 @@ impl Analysis {
         };
         let values = [0.0, 0.125, 0.25, 0.5, 1.0].map(|share| share * reach);
         let values = values.map(|z| format!("{:.2} at {} mm", at(z), number(z)));
-        format!("× the pixels' own: {}", values.join(", "))
+        format!("× the finest detail of the pixels: {}", values.join(", "))
     }
 
     fn zone_text(&self) -> String {
@@ -87,9 +94,13 @@ impl Analysis {
         let [h, v] = zone.fov_deg;
         let step = zone.step[0].atan().to_degrees();
         let [width, height] = zone.width_mm.map(|side| number(side.round()));
-        let beside = if zone.repeats { "it repeats beside itself" } else { "views outside it are not constrained" };
+        let beside = if zone.repeats {
+            "the zone repeats at its sides"
+        } else {
+            "views outside of the zone are not constrained"
+        };
         format!(
-            "{h}° × {v}°, {} × {} views {step:.2}° apart; all of the display from {} mm on, at {} mm over {width} × {height} mm, {:.1} views between \
+            "{h}° × {v}°, {} × {} views {step:.2}° apart; from {} mm on the whole display is seen; at {} mm, from an area of {width} × {height} mm; {:.1} views between \
              two eyes; {beside}",
             zone.views[0],
             zone.views[1],
@@ -105,8 +116,11 @@ impl Analysis {
             return format!("static: one frame, any refresh rate ({} Hz)", number(timing.refresh_hz));
         }
         let wanted = number(timing.wanted_hz);
-        let flicker =
-            if timing.flickers { format!("flickers; 60 a second need {wanted} Hz") } else { "does not flicker".into() };
+        let flicker = if timing.flickers {
+            format!("flickers; 60 periods a second need {wanted} Hz")
+        } else {
+            "does not flicker".into()
+        };
         let (refreshes, hz) = (timing.subframes, number(timing.refresh_hz));
         format!("{refreshes} refreshes at {hz} Hz: {:.1} periods a second, {flicker}", timing.period_hz)
     }
@@ -118,7 +132,7 @@ impl Analysis {
             let _ = write!(text, "; the layers let through {:.1} % at most", 100.0 * light.white);
         }
         if light.beta > light.white {
-            text.push_str(", so that this β cannot be reached");
+            text.push_str(", so this β cannot be reached");
         }
         if light.black > 0.0 {
             let _ = write!(text, "; contrast {:.0}:1", light.white / (light.black * light.white));
@@ -132,7 +146,7 @@ fn closed(form: &Closed) -> String {
     if *equation == 23 {
         let more = 100.0 * difference_far;
         return format!(
-            "eq. 23 ({assumes}), its lens array alone: far away the bound of the whole is {more:.1} % above that"
+            "eq. 23 ({assumes}), the lens array without the layers: far away the bound of the whole display is {more:.1} % higher"
         );
     }
     let differs = if *largest_difference < 1e-6 {
@@ -145,7 +159,7 @@ fn closed(form: &Closed) -> String {
     format!("eq. {equation} ({assumes}): {differs}{because}")
 }
 
-/// Only the significant decimals.
+/// Writes a number with its significant decimals only.
 fn number(value: f64) -> String {
     let digits = match value.abs() {
         size if size >= 100.0 || size.fract() == 0.0 => 0,

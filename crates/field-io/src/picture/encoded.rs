@@ -9,7 +9,8 @@ use image::{DynamicImage, ImageFormat, ImageReader};
 use super::samples::{PIXEL_LIMIT, Picture, Samples};
 use crate::FieldError;
 
-/// Bytes at a JPEG's end that must contain its end marker; cameras append small extras.
+/// Number of bytes at the end of a JPEG that must contain its end marker. Cameras append small
+/// extras after the marker.
 const JPEG_TAIL: u64 = 1 << 16;
 /// Memory limit of a decoder, bytes.
 const DECODER_BYTES: u64 = 3 << 30;
@@ -35,15 +36,15 @@ pub(super) fn read(path: &Path) -> Result<Picture, FieldError> {
 fn reader(path: &Path) -> Result<ImageReader<BufReader<File>>, FieldError> {
     let file = lumistack_files::open(path).map_err(FieldError::io(path, "read"))?;
     let mut reader = ImageReader::new(BufReader::new(file));
-    // for files without a signature
+    // a format by the extension, for files without a signature
     if let Ok(format) = ImageFormat::from_path(path) {
         reader.set_format(format);
     }
     reader.with_guessed_format().map_err(FieldError::io(path, "read"))
 }
 
-/// The decoder fills missing parts of a JPEG with grey, which a light field must not contain
-/// silently.
+/// Refuses a JPEG that is cut short. The decoder fills missing pixels with grey, which would become
+/// a part of the light field without notice.
 fn check_jpeg_end(path: &Path) -> Result<(), FieldError> {
     let tail = || {
         let mut file = lumistack_files::open(path)?;

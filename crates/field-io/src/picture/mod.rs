@@ -23,24 +23,24 @@ impl Picture {
     /// Reads a picture; the extension selects the format.
     ///
     /// # Errors
-    /// On unknown extensions, and files that are damaged, truncated or too large.
+    /// If the extension is unknown, or the file is damaged, truncated or too large.
     pub fn read(path: &Path) -> Result<Self, FieldError> {
         if is_exr(path) { openexr::read(path) } else { encoded::read(path) }
     }
 
-    /// Reads an OpenEXR picture and the text that [`write_exr_noted`] stored in its header; `None`
-    /// without one.
+    /// Reads an OpenEXR picture, and the text that [`write_exr_noted`] stored in its header. `None`
+    /// if the header has no text.
     ///
     /// # Errors
-    /// On files that are no OpenEXR pictures, damaged, truncated or too large.
+    /// If the file is not an OpenEXR picture, or is damaged, truncated or too large.
     pub fn read_noted(path: &Path) -> Result<(Self, Option<String>), FieldError> {
         openexr::read_noted(path)
     }
 
-    /// [columns, rows] from the file's header.
+    /// Reads [columns, rows] from the file's header.
     ///
     /// # Errors
-    /// On a file without a readable header.
+    /// If the file has no readable header.
     pub fn size_of(path: &Path) -> Result<[usize; 2], FieldError> {
         if is_exr(path) { openexr::size(path) } else { encoded::size(path) }
     }
@@ -50,7 +50,8 @@ impl Picture {
         [self.cols, self.rows]
     }
 
-    /// Returns true if the file has codes, which clip values above white; false if it has radiance.
+    /// Returns true if the file has code values, which are clipped at white; false if it has
+    /// radiance.
     pub fn is_encoded(&self) -> bool {
         !matches!(self.samples, Samples::Linear(_))
     }
@@ -63,11 +64,11 @@ impl Picture {
         }
     }
 
-    /// The pixels of the rectangle at `corner` = [column, row] of `size` = [columns, rows],
-    /// `[row][col][rgb]`, linear.
+    /// The pixels of a rectangle, `[row][col][rgb]`, linear. `corner` is its [column, row], and
+    /// `size` its [columns, rows].
     ///
     /// # Panics
-    /// If the rectangle exceeds the picture.
+    /// If the rectangle extends past the picture.
     pub fn linear_part(&self, corner: [usize; 2], size: [usize; 2]) -> Vec<f32> {
         assert!(corner[0] + size[0] <= self.cols && corner[1] + size[1] <= self.rows, "the part lies in the picture");
         let mut part = Vec::with_capacity(3 * size[0] * size[1]);
@@ -86,7 +87,7 @@ impl Picture {
     }
 }
 
-/// Returns true if the extension is that of a supported picture format.
+/// Returns true if the extension belongs to a supported picture format.
 pub(crate) fn has_picture_extension(path: &Path) -> bool {
     extension(path).is_some_and(|e| matches!(e.as_str(), "png" | "jpg" | "jpeg" | "webp" | "hdr" | "exr"))
 }

@@ -25,10 +25,10 @@ pub enum Precision {
 
 /// On noisy pictures PIZ takes half the time and half the space of ZIP.
 const COMPRESSION: Compression = Compression::PIZ;
-/// Size of a chunk's entry in the offset table, plus its own header, bytes.
+/// Bytes that a chunk takes at least: its entry in the offset table and its header.
 const LEAST_BYTES_PER_CHUNK: u64 = 16;
-/// Largest expansion from file to pixels: deflate packs 1032 bytes into one, and PXR24 keeps 24 of
-/// 32 bits.
+/// Largest factor by which pixels are larger than their file. Deflate packs 1032 bytes into one,
+/// and PXR24 keeps 24 of 32 bits.
 const MOST_EXPANSION: u64 = 1032 * 4 / 3;
 
 /// Writes one RGB picture, `[row][col][rgb]` linear, `size` = [columns, rows]. Equal values produce
@@ -38,20 +38,20 @@ const MOST_EXPANSION: u64 = 1032 * 4 / 3;
 /// If writing fails.
 ///
 /// # Panics
-/// If the length of `rgb` is not that of `size`.
+/// If the length of `rgb` does not match `size`.
 pub fn write_exr(path: &Path, size: [usize; 2], rgb: &[f32], precision: Precision) -> Result<(), FieldError> {
     atomic::write(path, |writer| encode(writer, size, rgb, precision, None))
 }
 
-/// As [`write_exr`], uncompressed and with a text in the header's attribute `comments`, which
-/// [`Picture::read_noted`] returns. For files that are soon read again: compression of noise took
-/// half of the render time of a view with few samples.
+/// Writes like [`write_exr`], but uncompressed and with a text in the header's attribute
+/// `comments`, which [`Picture::read_noted`] returns. Such files are soon read again: compressing
+/// the noise of a view with few samples takes as long as half of its render time.
 ///
 /// # Errors
 /// If writing fails.
 ///
 /// # Panics
-/// If the length of `rgb` is not that of `size`.
+/// If the length of `rgb` does not match `size`.
 pub fn write_exr_noted(
     path: &Path,
     size: [usize; 2],
@@ -62,21 +62,21 @@ pub fn write_exr_noted(
     atomic::write(path, |writer| encode(writer, size, rgb, precision, Some(note)))
 }
 
-/// The bytes that [`write_exr`] writes.
+/// Returns the bytes that [`write_exr`] writes.
 ///
 /// # Errors
 /// If the picture exceeds the limits of the format.
 ///
 /// # Panics
-/// If the length of `rgb` is not that of `size`.
+/// If the length of `rgb` does not match `size`.
 pub fn exr_bytes(size: [usize; 2], rgb: &[f32], precision: Precision) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     encode(io::Cursor::new(&mut bytes), size, rgb, precision, None)?;
     Ok(bytes)
 }
 
-/// Pixels are read from `rgb` when their block is compressed. A copy of all would need the most
-/// memory of a large picture.
+/// Encodes a picture. Pixels are read from `rgb` when their block is compressed. A copy of all
+/// pixels would be the largest allocation for a large picture.
 fn encode(
     writer: impl io::Write + io::Seek,
     size: [usize; 2],
@@ -101,7 +101,7 @@ fn encode(
     }
 }
 
-/// Channels B, G and R of a picture, with a prefix of their names.
+/// Channels B, G and R of a picture, each named with a prefix.
 fn channels(prefix: &str, size: [usize; 2], rgb: &[f32], precision: Precision) -> [AnyChannel<FlatSamples>; 3] {
     assert_eq!(rgb.len(), 3 * size[0] * size[1], "values fill the picture");
     [("B", 2), ("G", 1), ("R", 0)].map(|(name, index)| {
@@ -114,14 +114,14 @@ fn channels(prefix: &str, size: [usize; 2], rgb: &[f32], precision: Precision) -
     })
 }
 
-/// Writes one picture of named channels in single floats, `[row][col]` each, `size` = [columns,
+/// Writes one picture of named channels in single floats, each `[row][col]`. `size` is [columns,
 /// rows]. Equal values produce equal bytes.
 ///
 /// # Errors
 /// If writing fails.
 ///
 /// # Panics
-/// If the length of a channel is not that of `size`, or there are no channels.
+/// If the length of a channel does not match `size`, or there are no channels.
 pub fn write_exr_channels(path: &Path, size: [usize; 2], channels: &[(&str, &[f32])]) -> Result<(), FieldError> {
     assert!(!channels.is_empty(), "a picture has channels");
     let list: SmallVec<[AnyChannel<FlatSamples>; 4]> = channels
@@ -155,8 +155,9 @@ fn write_image<'a, C: WritableChannels<'a>>(
     })
 }
 
-/// One OpenEXR picture with several views. The header's `multiView` lists their names. The first is
-/// the default view, whose channels have no prefix; the others' are `name.R`, `name.G`, `name.B`.
+/// One OpenEXR picture with several views. The header's `multiView` lists their names. The first
+/// view is the default: its channels have no prefix. Those of another view are `name.R`, `name.G`,
+/// `name.B`.
 #[derive(Debug)]
 pub struct MultiView {
     size: [usize; 2],
@@ -166,7 +167,7 @@ pub struct MultiView {
 }
 
 impl MultiView {
-    /// A picture of `size` = [columns, rows] without views.
+    /// Begins a picture of `size` = [columns, rows], without views.
     pub fn new(size: [usize; 2], precision: Precision) -> Self {
         Self { size, precision, names: Vec::new(), channels: SmallVec::new() }
     }
@@ -174,7 +175,7 @@ impl MultiView {
     /// Adds a view, `[row][col][rgb]` linear.
     ///
     /// # Panics
-    /// If the length of `rgb` is not that of the size, or the name has a dot or is in use.
+    /// If the length of `rgb` does not match the size, or the name has a dot or is in use.
     pub fn push(&mut self, name: &str, rgb: &[f32]) {
         let text = Text::from(name);
         assert!(!name.contains('.') && !self.names.contains(&text), "view names are different and hold no dots");
@@ -196,8 +197,8 @@ impl MultiView {
     }
 }
 
-/// [columns, rows] of the first layer, after a check that the file can contain the pixels that its
-/// header declares.
+/// Reads [columns, rows] of the first layer. Checks that the file is large enough for the pixels
+/// that its header declares.
 pub(super) fn size(path: &Path) -> Result<[usize; 2], FieldError> {
     let file = lumistack_files::open(path).map_err(FieldError::io(path, "read"))?;
     let length = file.metadata().map_err(FieldError::io(path, "read"))?.len();
@@ -209,8 +210,8 @@ pub(super) fn size(path: &Path) -> Result<[usize; 2], FieldError> {
     if header.deep {
         return Err(FieldError::malformed(path, "header", "a flat picture", "deep data"));
     }
-    // the decoder of these two allocates by sizes in the compressed data, so damaged files end the
-    // program
+    // refuse DWAA and DWAB: the decoder takes sizes of allocations from the compressed data, so a
+    // damaged file could end the program
     if matches!(header.compression, Compression::DWAA(_) | Compression::DWAB(_)) {
         let expected = "none, RLE, ZIP, PIZ, PXR24 or B44";
         return Err(FieldError::malformed(path, "compression", expected, header.compression.to_string()));
@@ -223,7 +224,12 @@ pub(super) fn size(path: &Path) -> Result<[usize; 2], FieldError> {
     let chunks: u64 = meta.headers.iter().map(|header| header.chunk_count as u64).fold(0, u64::saturating_add);
     if chunks.saturating_mul(LEAST_BYTES_PER_CHUNK) > length {
         let found = format!("{length}: the file is cut short");
-        return Err(FieldError::malformed(path, "content", format!("{chunks} blocks of pixels in more bytes"), found));
+        return Err(FieldError::malformed(
+            path,
+            "content",
+            format!("enough bytes for {chunks} blocks of pixels"),
+            found,
+        ));
     }
     let bytes = (size[0] * size[1]) as u64 * header.channels.bytes_per_pixel as u64;
     if bytes > length.saturating_mul(MOST_EXPANSION) {
@@ -237,7 +243,7 @@ pub(super) fn read(path: &Path) -> Result<Picture, FieldError> {
     read_noted(path).map(|(picture, _)| picture)
 }
 
-/// The picture, and the header's attribute `comments`.
+/// Reads a picture, and the attribute `comments` of its header.
 pub(super) fn read_noted(path: &Path) -> Result<(Picture, Option<String>), FieldError> {
     let [cols, rows] = size(path)?;
     let file = lumistack_files::open(path).map_err(FieldError::io(path, "read"))?;
@@ -245,7 +251,7 @@ pub(super) fn read_noted(path: &Path) -> Result<(Picture, Option<String>), Field
         let layer = read_exr().no_deep_data().largest_resolution_level().all_channels().first_valid_layer();
         layer.all_attributes().non_parallel().from_buffered(BufReader::new(file))
     });
-    // on some damaged files the decoder panics
+    // the decoder panics on some damaged files
     let decoded = std::panic::catch_unwind(decode).map_err(|_| {
         FieldError::malformed(path, "content", "a complete OpenEXR picture", "damaged blocks of pixels")
     })?;
@@ -273,9 +279,9 @@ pub(super) fn read_noted(path: &Path) -> Result<(Picture, Option<String>), Field
     Ok((Picture { cols, rows, samples: Samples::Linear(data) }, note))
 }
 
-/// Indices of R, G, B: without a prefix, or with the first prefix ("layer.R") that has all three;
-/// or luminance three times. Colours in OpenEXR are premultiplied by alpha, hence already
-/// composited over black.
+/// Indices of the channels R, G and B. They have no prefix, or the first prefix ("layer.R") that
+/// has all three. Without them, the index of luminance three times. Colours in OpenEXR are
+/// premultiplied by alpha, so they are already composited over black.
 fn rgb_channels(names: &[String]) -> Option<[usize; 3]> {
     let find = |prefix: &str, name: &str| {
         names.iter().position(|n| n.strip_prefix(prefix).is_some_and(|rest| rest.eq_ignore_ascii_case(name)))

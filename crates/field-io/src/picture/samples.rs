@@ -1,6 +1,6 @@
 //! A decoded picture.
 
-/// Pixel limit of one picture; a header with more is refused before memory is allocated.
+/// Largest number of pixels of a picture. A header with more is refused before memory is allocated.
 pub(crate) const PIXEL_LIMIT: usize = 1 << 28;
 
 /// One decoded picture, in the file's precision.
@@ -11,12 +11,12 @@ pub struct Picture {
     pub(super) samples: Samples,
 }
 
-/// `[row][col][rgb]`.
+/// Values of a picture, `[row][col][rgb]`.
 #[derive(Clone, Debug)]
 pub(super) enum Samples {
-    /// sRGB code values.
+    /// sRGB code values 0..255.
     Srgb8(Vec<u8>),
-    /// sRGB code values.
+    /// sRGB code values 0..65535.
     Srgb16(Vec<u16>),
     /// Linear light.
     Linear(Vec<f32>),

@@ -7,7 +7,7 @@ use lumistack_core::{Cancel, Collector, Task, Tensor};
 use lumistack_display::{FieldGeometry, LightField, Projection, ViewGrid};
 use lumistack_field_io::{FieldError, GeometryDefaults, GeometryFlags};
 
-/// Random multiples of 1/1024 in 0..1, which half floats represent exactly.
+/// A light field of random multiples of 1/1024 in 0..1, which half floats represent exactly.
 pub fn random_field(views: [usize; 2], size: [usize; 2], projection: Projection, seed: u64) -> LightField {
     let geometry = FieldGeometry {
         rows: size[1],
@@ -21,7 +21,7 @@ pub fn random_field(views: [usize; 2], size: [usize; 2], projection: Projection,
     LightField::new(geometry, Tensor::from_vec(LightField::AXES, shape, data).unwrap()).unwrap()
 }
 
-/// Opens a light field; returns the texts of warnings as well.
+/// Opens a light field; also returns the texts of warnings.
 pub fn open(
     path: &Path,
     flags: &GeometryFlags,
@@ -32,8 +32,8 @@ pub fn open(
     (result, warnings.take().iter().map(ToString::to_string).collect())
 }
 
-/// Opens a light field for a display with a footprint of `width` [x, y]; returns the texts of
-/// warnings as well.
+/// Opens a light field for a display with a footprint of `width` [x, y]; also returns the texts of
+/// warnings.
 pub fn open_for(path: &Path, flags: &GeometryFlags, width: [f64; 2]) -> (Result<LightField, FieldError>, Vec<String>) {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
@@ -41,12 +41,12 @@ pub fn open_for(path: &Path, flags: &GeometryFlags, width: [f64; 2]) -> (Result<
     (result.map(|(field, _)| field), warnings.take().iter().map(ToString::to_string).collect())
 }
 
-/// Defaults of a display of 20° × 20° and 400 mm.
+/// Defaults of a display with a field of view of 20° × 20° and a width of 400 mm.
 pub fn defaults() -> GeometryDefaults {
     GeometryDefaults { width_mm: Some(400.0), fov_deg: Some([20.0, 20.0]) }
 }
 
-/// A folder of third-party files beside the workspace; `None` after a skip message.
+/// A folder of third-party files next to the workspace; `None` after a skip message.
 pub fn assets(variable: &str, default: &str, below: &str) -> Option<PathBuf> {
     let path = lumistack_testkit::skip::folder(variable, &format!("../shared/{default}"))?.join(below);
     if path.exists() {

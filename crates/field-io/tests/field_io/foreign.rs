@@ -45,7 +45,8 @@ fn stanford_views_are_ordered_by_camera_centres() {
         let topmost = if y_sign > 0.0 { 0 } else { 1 };
         assert_eq!(label(&field, [0, 0]), [leftmost, topmost]);
         assert_eq!(label(&field, [1, 2]), [2 - leftmost, 1 - topmost]);
-        // bins of equal mean width over 20°, at proportional positions
+        // bins of 20° together, of this mean width, at positions in proportion to the cameras'
+        // distances
         let step = 2.0 / 3.0 * 10f64.to_radians().tan();
         let expected = if x_sign > 0.0 { [-1.0, -0.5, 1.0] } else { [-1.0, 0.5, 1.0] };
         for (slope, expected) in field.geometry().grid.slope_x.iter().zip(expected) {
@@ -64,7 +65,7 @@ fn numbered_and_hci_views_go_from_the_top_left() {
     for (row, col) in [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1), (1, 2)] {
         labelled(&folder.path().join(format!("{row:02}_{col:02}.png")), [col, row]);
     }
-    // maps beside the views are ignored
+    // disparity maps next to the views are ignored
     save_png(&folder.path().join("disparity_00_00.png"), [3, 3], |_, _| [0; 3]);
     let (field, warnings) = open(folder.path(), &GeometryFlags::default(), &defaults());
     let field = field.unwrap();
@@ -85,8 +86,8 @@ fn numbered_and_hci_views_go_from_the_top_left() {
     let (field, warnings) = open(folder.path(), &GeometryFlags::default(), &defaults());
     assert_eq!(label(&field.unwrap(), [1, 2]), [2, 1]);
     assert!(warnings.iter().any(|w| w.contains("the cameras' own angles are 0.9° × 0.6°")), "{warnings:?}");
-    // without a default angle, the cameras' own: 50 mm on 10 m, and a viewing distance of width · f
-    // / sensor
+    // without a default angle, the slopes are those of the cameras: 50 mm at 10 m; the viewing
+    // distance is width · f / sensor
     let own = GeometryDefaults { width_mm: Some(350.0), fov_deg: None };
     let field = open(folder.path(), &GeometryFlags::default(), &own).0.unwrap();
     let grid = &field.geometry().grid;
@@ -99,8 +100,8 @@ fn numbered_and_hci_views_go_from_the_top_left() {
 #[test]
 fn quilts_start_at_the_bottom_left_and_may_be_anamorphic() {
     let folder = tempfile::tempdir().unwrap();
-    // 3 columns, 2 rows, 6 × 4 pixels a tile; one column and one row of pixels are unused at the
-    // right and the top
+    // 3 columns and 2 rows of tiles of 6 × 4 pixels; at the right one column, and at the top one
+    // row of pixels is unused
     let draw =
         |name: &str| {
             let path = folder.path().join(name);
@@ -115,7 +116,7 @@ fn quilts_start_at_the_bottom_left_and_may_be_anamorphic() {
     assert!(field.geometry().grid.slope_x.windows(2).all(|pair| pair[1] > pair[0]));
     assert_eq!(field.geometry().grid.slope_y, [0.0]);
     assert!((field.geometry().pitch_mm - 400.0 / 6.0).abs() < EXACT);
-    // the views' aspect is 3 : 4, so square pixels leave three columns
+    // the views' aspect is 3 : 4, so square pixels reduce a view to three columns
     let field = open(&draw("a_qs3x2a0.75.png"), &GeometryFlags::default(), &defaults()).0.unwrap();
     assert_eq!(field.radiance().shape(), [1, 6, 4, 3, 3]);
     // the flag overrides the name, and defines the layout of a picture without one
@@ -147,8 +148,8 @@ fn best_shift(field: &LightField, first: [usize; 2], second: [usize; 2], axis: u
     (-reach..=reach).min_by(|&a, &b| error(a).total_cmp(&error(b))).unwrap()
 }
 
-/// The shop's cameras are parallel: as the viewpoint moves right, all content moves left, by 2 to
-/// 14 pixels a view at full resolution.
+/// The shop's cameras are parallel. As the viewpoint moves right, all content moves left, by 2 to
+/// 14 pixels per view at full resolution.
 #[test]
 fn the_shop_has_its_parallax_the_right_way_round() {
     let Some(path) = assets("LUMISTACK_ASSETS", "scenes", "lightfields/shop-9x9") else { return };
@@ -160,7 +161,7 @@ fn the_shop_has_its_parallax_the_right_way_round() {
     };
     let field = open(&path, &flags, &defaults()).0.unwrap();
     assert_eq!(field.radiance().shape(), [3, 3, 160, 240, 3]);
-    // four views a step, a quarter of the resolution: 2 to 14 pixels
+    // kept views are four views apart, at a quarter of the resolution: 2 to 14 pixels
     let across = best_shift(&field, [1, 0], [1, 1], 0, 20);
     let down = best_shift(&field, [0, 1], [1, 1], 1, 20);
     assert!((-14..=-2).contains(&across), "viewpoint to the right: content moves by {across}");
@@ -174,13 +175,14 @@ fn the_shop_is_put_in_focus_and_can_keep_its_own_angles() {
     let (field, warnings) = open(&path, &flags, &GeometryDefaults { width_mm: Some(400.0), fov_deg: None });
     let field = field.unwrap();
     println!("{warnings:#?}");
-    assert!(warnings.iter().any(|w| w.contains("is put on z = 0")), "{warnings:?}");
-    // the plane of 9 ± 3 pixels a view: 800 pixels of focal length, four views apart
+    assert!(warnings.iter().any(|w| w.contains("is moved to z = 0")), "{warnings:?}");
+    // slopes to the plane with 9 ± 3 pixels per view: the focal length is 800 pixels, and kept
+    // views are four views apart
     let grid = &field.geometry().grid;
     assert!((6.0 / 800.0 * 4.0..12.0 / 800.0 * 4.0).contains(&grid.slope_x[2]), "{grid:?}");
     assert!((grid.slope_x[2] - grid.slope_y[0]).abs() < EXACT);
     assert!(matches!(grid.projection, Projection::Perspective { .. }));
-    // after focusing, content moves both ways and its centre stays
+    // after focusing, content moves both ways and content of middle depth stays in place
     let across = best_shift(&field, [1, 0], [1, 1], 0, 12);
     assert!(across.abs() <= 3, "{across}");
 }
@@ -192,7 +194,7 @@ fn the_real_quilt_has_thirty_two_views() {
     let (field, _) = open(path.parent().unwrap(), &flags, &defaults());
     let field = field.unwrap();
     assert_eq!(field.radiance().shape(), [1, 32, 256, 512, 3]);
-    // the box in front moves left over all views; the background stays
+    // over all views the box in front moves left, and the background stays
     let across = best_shift(&field, [0, 8], [0, 24], 0, 16);
     println!("from view 8 to view 24 the picture moves by {across}");
     assert!(across <= 0);

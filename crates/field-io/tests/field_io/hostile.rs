@@ -1,4 +1,4 @@
-//! Damaged, incomplete and contradictory input: one clear error each, never a panic.
+//! Damaged, incomplete and contradictory input causes one clear error, and never a panic.
 
 use std::fs;
 use std::path::Path;
@@ -27,8 +27,8 @@ fn cuts(length: usize) -> Vec<usize> {
     cuts
 }
 
-/// Truncates a file at many lengths; `read` must fail each time and succeed on the whole. The last
-/// `idle` bytes carry no data.
+/// Truncates a file at many lengths. `read` must fail for each, except for the whole file. The last
+/// `idle` bytes of the file carry no data.
 fn truncate(file: &Path, idle: usize, read: impl Fn() -> Result<(), String>) {
     let whole = fs::read(file).unwrap();
     for cut in cuts(whole.len() - idle) {
@@ -68,8 +68,8 @@ fn truncated_arrays_and_stacks_are_errors() {
     truncate(&layers.join("layer_0.npy"), 0, || read_stack(&layers).map(drop).map_err(|e| e.to_string()));
 }
 
-/// An index names files of its own folder. Links that lead outside, devices and pipes are refused
-/// before they are opened.
+/// An index may only name regular files of its folder. Links that lead outside, devices and pipes
+/// are refused before they are opened.
 #[cfg(unix)]
 #[test]
 fn files_that_an_index_names_are_regular_and_inside() {
@@ -135,8 +135,8 @@ fn peak_bytes() -> usize {
     line.trim().trim_end_matches(" kB").parse::<usize>().unwrap() << 10
 }
 
-/// Headers declare views of 2.4 GB in total without data; memory is allocated only as pixels
-/// arrive.
+/// Headers declare views of 2.4 GB in total, and no data follows. Memory must be allocated only
+/// when pixels are read.
 #[test]
 #[cfg(target_os = "linux")]
 fn headers_that_claim_much_cost_nothing() {
@@ -152,7 +152,8 @@ fn headers_that_claim_much_cost_nothing() {
     assert!(grown < 1 << 30, "{grown} bytes were touched");
 }
 
-/// A picture of one value compresses best, which limits the pixels that a file can contain.
+/// A picture of a single value compresses best, which determines the limit on pixels per byte of a
+/// file.
 #[test]
 fn pictures_do_not_claim_more_pixels_than_they_can_hold() {
     let folder = tempfile::tempdir().unwrap();
@@ -214,7 +215,7 @@ fn indices_that_contradict_themselves_name_the_key() {
         ("/distance_mm", "null", "distance_mm: expected a value, found none"),
         ("/projection", "\"fisheye\"", "unknown variant `fisheye`"),
         ("/slope_x", "[0.0]", "views: expected 1 × 1 views, one per slope, found 2"),
-        ("/slope_x", "[]", "1 to 16384 views an axis, found 0 × 1"),
+        ("/slope_x", "[]", "1 to 16384 views per axis, found 0 × 1"),
         ("/slope_x/0", "1e999", "number out of range"),
         ("/views/1/view", "[0, 2]", "views[1].view: expected [view_y, view_x] below [1, 2], found [0, 2]"),
         ("/views/1/view", "[0, 0]", "views[1].slope: expected slope"),
@@ -231,7 +232,7 @@ fn indices_that_contradict_themselves_name_the_key() {
         let error = plain_error(folder.path());
         assert!(error.contains(message), "{pointer}: {error}");
     }
-    // keys of newer or other writers are accepted, and so is the other name of the vertical slopes
+    // keys of newer or other writers are accepted, and so is `slope_y_up` instead of `slope_y`
     let text = serde_json::to_string(&good).unwrap().replace("\"slope_y\"", "\"slope_y_up\"").replacen(
         '{',
         "{\"new\":[1],",
@@ -300,7 +301,7 @@ fn missing_geometry_names_the_flag() {
     let flags = GeometryFlags { pitch_mm: Some(0.5), ..flags };
     assert!(
         error_of(&path, &flags, &none)
-            .ends_with("the angles of its views is not known: give --fov, for example --fov 20x20")
+            .ends_with("the full angle of its views is not known: give --fov, for example --fov 20x20")
     );
     let flags = GeometryFlags { fov_deg: Some([20.0; 2]), grid: Some(ProjectionKind::Perspective), ..flags };
     assert!(
@@ -314,12 +315,12 @@ fn missing_geometry_names_the_flag() {
     for (flags, message) in [
         (
             GeometryFlags { views: Some([3, 1]), ..flags.clone() },
-            "--views: expected 1 × 1 to 2 × 1 views, which it has, found 3 × 1",
+            "--views: expected 1 × 1 to 2 × 1 views, as many as the light field has, found 3 × 1",
         ),
         (GeometryFlags { views: Some([0, 1]), ..flags.clone() }, "--views: expected"),
         (GeometryFlags { resolution: Some([8, 3]), ..flags.clone() }, "--resolution: expected 1 × 1 to 4 × 3 pixels"),
         (GeometryFlags { resolution: Some([0, 3]), ..flags.clone() }, "--resolution: expected"),
-        (GeometryFlags { focus_px: Some(9.0), ..flags.clone() }, "--focus-px: expected a disparity that leaves pixels"),
+        (GeometryFlags { focus_px: Some(9.0), ..flags.clone() }, "--focus-px: expected a disparity at which all views"),
         (
             GeometryFlags { focus_px: Some(f64::NAN), ..flags.clone() },
             "--focus-px: expected a finite number, found NaN",
@@ -342,7 +343,7 @@ fn missing_geometry_names_the_flag() {
     let flags = GeometryFlags { quilt: Some([9, 1]), ..GeometryFlags::default() };
     assert!(
         error_of(&picture, &flags, &defaults())
-            .contains("--quilt: expected 1 × 1 tiles to one per pixel of 8 × 8, found 9 × 1")
+            .contains("--quilt: expected 1 × 1 to 8 × 8 tiles, at most one per pixel, found 9 × 1")
     );
 }
 
@@ -388,6 +389,6 @@ fn values_that_are_no_light_are_refused_and_odd_ones_reported() {
     let (field, warnings) = open(&path, &GeometryFlags::default(), &defaults());
     assert_eq!(field.unwrap().radiance().get([0, 1, 1, 1, 2]), 0.0);
     assert!(warnings.iter().any(|w| w.ends_with("1 negative values (down to -0.25) are taken as 0")), "{warnings:?}");
-    // a light field may be brighter than a display, which outputs report
+    // only outputs report values above 1, since a light field may be brighter than a display
     assert!(!warnings.iter().any(|w| w.contains("above 1")), "{warnings:?}");
 }

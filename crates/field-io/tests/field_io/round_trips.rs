@@ -1,4 +1,4 @@
-//! Round trips: light-field folders, arrays, stacks; odd shapes included.
+//! Round trips of light-field folders, arrays and stacks, also of odd shapes.
 
 use std::fs;
 use std::process::Command;
@@ -38,7 +38,8 @@ proptest! {
         let (back, back_info) = read_field_folder(&target).unwrap();
         prop_assert_eq!(&back, &field);
         prop_assert_eq!(back_info, info());
-        // a run's folder, the folder itself and its index are the same light field
+        // the folder of a run, the folder of a light field and its index all open the same light
+        // field
         for path in [target.clone(), folder.path().join("deep"), target.join("lightfield.json")] {
             let (opened, warnings) = open(&path, &GeometryFlags::default(), &defaults());
             prop_assert_eq!(opened.unwrap(), field.clone());
@@ -111,14 +112,14 @@ fn a_field_that_cannot_be_written_leaves_no_index() {
     assert!(error.contains("view_00_00.exr: output folder: expected a folder or nothing, found a file"), "{error}");
 }
 
-/// A plane at z with a grating of frequency ω in 45 views, of which 9 are kept. With a footprint of
-/// n views each keeps sin(πωznΔs)/(n sin(πωzΔs)) of the contrast, about sinc(ω z δs). Without a
-/// prefilter the contrast stays whole.
+/// A plane at z with a grating of frequency ω is in 45 views, of which 9 are kept. With a footprint
+/// of n views, each kept view has sin(πωznΔs)/(n sin(πωzΔs)) of the contrast, about sinc(ω z δs).
+/// Without a prefilter the contrast does not change.
 #[test]
 fn a_prefilter_removes_detail_above_the_bound() {
     let grid = lumistack_display::ViewGrid::uniform(Projection::Oblique, [45, 2], [20.0, 2.0]).unwrap();
     let step = grid.bin_width()[0];
-    // with a pixel at x = 0 and whole pixels per half period, samples hit the extremes
+    // with a pixel at x = 0 and a whole number of pixels per half period, samples hit the extremes
     for (z_mm, frequency, n) in [(40.0, 0.8, 5), (-60.0, 0.4, 5), (25.0, 0.5, 9), (0.0, 0.8, 9)] {
         let geometry = lumistack_display::FieldGeometry { rows: 1, cols: 101, pitch_mm: 0.125, grid: grid.clone() };
         let mut field = LightField::black(geometry.clone()).unwrap();
@@ -154,7 +155,8 @@ fn a_prefilter_is_a_mean_and_says_where_it_does_nothing() {
     write_field(folder.path(), &field, &Map::new()).unwrap();
     let [bin_x, bin_y] = field.geometry().grid.bin_width();
     let flags = GeometryFlags { views: Some([1, 3]), prefilter: true, ..GeometryFlags::default() };
-    // one view per row has no step; of three rows the central one takes a quarter of each neighbour
+    // with one view per row there is no step along x; of three rows, the central one takes a
+    // quarter of each neighbour
     let (filtered, _) = open_for(folder.path(), &flags, [3.0 * bin_x, 2.0 * bin_y]);
     let filtered = filtered.unwrap();
     for (i, found) in filtered.view([1, 0]).iter().enumerate() {
@@ -163,13 +165,13 @@ fn a_prefilter_is_a_mean_and_says_where_it_does_nothing() {
     }
     let (same, warnings) = open_for(folder.path(), &flags, [bin_x, bin_y]);
     assert!(same.unwrap().view([1, 0]) == field.view([1, 2]), "views as far apart as the footprint stay");
-    assert!(warnings.iter().any(|text| text.contains("which changes nothing")), "{warnings:?}");
+    assert!(warnings.iter().any(|text| text.contains("the prefilter changes nothing")), "{warnings:?}");
     let error = open(folder.path(), &flags, &defaults()).0.unwrap_err().to_string();
     assert!(error.contains("--prefilter: expected a display"), "{error}");
 }
 
-/// Left-out views have their slopes of the whole light field, without repetitions and without kept
-/// views.
+/// Views that are not kept have the slopes that they have in the whole light field. They occur
+/// once, and kept views are not among them.
 #[test]
 fn views_between_those_that_are_kept_are_given_when_wanted() {
     for projection in [Projection::Oblique, Projection::Perspective { distance_mm: 600.0 }] {
@@ -213,7 +215,7 @@ fn views_are_subsampled_around_the_middle_and_pixels_are_averaged() {
     let mean =
         [[0, 0], [0, 1], [1, 0], [1, 1]].map(|[r, c]| big.get([1, 4, 4 + r, 2 + c, 2])).iter().sum::<f32>() / 4.0;
     assert!((small.radiance().get([0, 2, 2, 1, 2]) - mean).abs() < CODE);
-    // another aspect is cropped, not stretched
+    // a picture of another aspect is cropped, not stretched
     let flags = GeometryFlags { resolution: Some([3, 3]), ..GeometryFlags::default() };
     let cropped = open(folder.path(), &flags, &defaults()).0.unwrap();
     assert_eq!(cropped.geometry().pitch_mm, 2.0 * 0.731);
@@ -250,7 +252,7 @@ fn a_stack_survives_its_folder() {
     let index = read_stack_index(&layers).unwrap();
     assert_eq!((index.frames, index.brightness, index.layers[1].d_mm), (2, 0.25, 12.0));
     assert_eq!(index.layers[1].file, "layer_1.npy");
-    // a stack with a uniform backlight in the same folder leaves no stale emission
+    // writing a stack with a uniform backlight into the same folder removes the old emission
     let uniform = Display { backlight: Backlight::Uniform, ..display.clone() };
     let plain = LayerStack::filled(&uniform, 0.5);
     write_stack(&layers, &uniform, &plain).unwrap();
@@ -312,7 +314,8 @@ np.save("theirs.npy", a[:, ::-1].astype(">f8"))
 "#;
     let output = Command::new(python).args(["-c", script]).current_dir(folder.path()).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    // NumPy keeps the memory order of a reversed copy; values must agree, or the order be refused
+    // NumPy may keep the memory order of a reversed copy; then reading is refused, otherwise values
+    // must agree
     let (shape, values) = npy::read(&folder.path().join("theirs.npy")).unwrap();
     assert_eq!(shape, [2, 5, 7, 3]);
     assert_eq!(values[..21], stack.layers[0].data()[4 * 21..5 * 21]);

@@ -31,9 +31,9 @@ fn main() -> ExitCode {
     let words: Vec<String> = std::env::args().skip(1).collect();
     let words: Vec<&str> = words.iter().map(String::as_str).collect();
     let result = match words.as_slice() {
-        // the process that is killed
+        // the process that the parent kills
         ["child", job, folder] => child(Path::new(job), Path::new(folder)),
-        // data for a fit of the prediction's constants
+        // prints data to which the prediction's constants can be fitted
         ["features", seed] => print_features(seed.parse().unwrap_or(1000)),
         _ => prediction().and_then(|()| killing()),
     };
@@ -62,7 +62,7 @@ fn quietly<T>(work: impl FnOnce(Task<'_>) -> Result<T, PipelineError>) -> Result
     work(Task::quiet(&warnings, &cancel))
 }
 
-/// The light field of the paper's Figure 7 jobs.
+/// The light field of the jobs for the paper's Figure 7.
 fn light_field() -> Result<LightField, PipelineError> {
     let mut job = Job::load(&root().join("scenes/sweeps/figure-7.toml"))?;
     job.display.resolution = Some([80, 50]);
@@ -202,13 +202,13 @@ fn killing() -> Outcome {
     }
     // The last process finishes the sweep.
     if !start(&killed)?.wait()?.success() {
-        return Err("the sweep does not go on".into());
+        return Err("the sweep does not continue".into());
     }
     for name in ["sweep.csv", "sweep.json"] {
         if std::fs::read(whole.join(name))? != std::fs::read(killed.join(name))? {
             return Err(format!("{name} differs after {kills} kills").into());
         }
     }
-    println!("100 designs, killed {kills} times: the same bytes as without");
+    println!("100 designs, killed {kills} times: the table has the same bytes as without kills");
     Ok(())
 }

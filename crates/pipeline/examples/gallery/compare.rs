@@ -1,8 +1,9 @@
-//! Compares two renders of one view by scores in linear light and by pictures. Pictures use the
-//! exposure and tone curve that a job chooses for our render by default.
+//! Compares two renders of one view, by scores in linear light and by pictures. The pictures have
+//! the exposure and tone curve that a job would choose for our render by default.
 //!
-//! Halves a and b of a render have independent noise, which cancels in the product. Therefore
-//! E[(o_a − p_a)(o_b − p_b)] is the squared difference of the expected pictures o and p.
+//! The halves a and b of a render have independent noise, so the noise cancels in the mean of their
+//! product. Therefore E[(o_a − p_a)(o_b − p_b)] is the squared difference of the expected pictures
+//! o and p.
 
 use std::path::Path;
 
@@ -14,28 +15,31 @@ use lumistack_field_io::picture::Picture;
 
 use crate::{Outcome, text};
 
-/// Gain of the difference picture.
+/// Factor on differences in the difference picture.
 pub const GAIN: f32 = 4.0;
 
 /// A view rendered twice with independent noise: `[row][col][rgb]`, scene-linear.
 pub struct Halves {
     size: [usize; 2],
     halves: [Vec<f32>; 2],
-    /// True for pixels of which a surface covers more than half.
+    /// True for pixels more than half of which a surface covers.
     covered: Vec<bool>,
 }
 
 /// Scores of a pair of renders.
 pub struct Figures {
-    /// Mean of ours over the mean of Blender's, per channel, over pixels with a surface in either.
+    /// Mean of our render divided by the mean of Blender's, per channel, over pixels with a surface
+    /// in either.
     pub ratio: [f64; 3],
-    /// Root mean square of the noise-free difference over the mean of Blender's, same pixels.
+    /// Root mean square of the difference without noise, divided by the mean of Blender's render,
+    /// over the same pixels.
     pub difference: f64,
-    /// The same with noise.
+    /// As `difference`, but with noise.
     pub with_noise: f64,
-    /// Pixels that both cover over pixels that either covers, 0..1.
+    /// Number of pixels that a surface covers in both renders, divided by the number that it covers
+    /// in either, 0..1.
     pub overlap: f64,
-    /// Shift of the centroid of the covered pixels, ours minus Blender's, pixels (right, down).
+    /// Centroid of the covered pixels of our render minus that of Blender's, pixels (right, down).
     pub shift: [f64; 2],
 }
 
@@ -77,7 +81,7 @@ pub struct ToneMapping {
 
 /// Computes the scores of a pair.
 pub fn figures(ours: &Halves, other: &Halves) -> Figures {
-    // Pixels without a surface in both renders show the environment, so scores leave them out.
+    // Pixels that show only the environment in both renders are excluded from scores.
     let (o, p) = (ours.mean(), other.mean());
     let either = |i: usize| ours.covered[i] || other.covered[i];
     let pixels: Vec<usize> = (0..ours.covered.len()).filter(|&i| either(i)).collect();
@@ -95,7 +99,7 @@ pub fn figures(ours: &Halves, other: &Halves) -> Figures {
     }
     let relative = |sum: f64| (sum.max(0.0) / (3 * pixels.len()).max(1) as f64).sqrt() / mean;
     let both = pixels.iter().filter(|&&i| ours.covered[i] && other.covered[i]).count();
-    // Centroids show a shift of the camera.
+    // Compute the centroids of the covered pixels, whose difference shows a shift of the camera.
     let centre = |covered: &[bool]| {
         let (mut at, mut count) = ([0.0; 2], 0.0);
         for i in (0..covered.len()).filter(|&i| covered[i]) {
@@ -115,7 +119,8 @@ pub fn figures(ours: &Halves, other: &Halves) -> Figures {
     }
 }
 
-/// Draws the difference of luminance times [`GAIN`]: orange if ours is brighter, blue if darker.
+/// Draws the difference of luminance times [`GAIN`]: orange where our render is brighter, blue
+/// where it is darker.
 pub fn difference(ours: &Halves, other: &Halves, tone_mapping: &ToneMapping) -> RgbImage {
     let [cols, rows] = ours.size;
     let (o, p) = (ours.display_referred(tone_mapping), other.display_referred(tone_mapping));

@@ -6,8 +6,8 @@
 //! gallery page OUT NOTES
 //! ```
 //!
-//! `cargo xtask gallery` calls both, and Blender in between. A file's folder in OUT contains
-//! `ours.json`, `covered-ours.npy` and, if it has one, `environment.exr`. `ours-a.exr` and
+//! `cargo xtask gallery` calls `render`, then Blender, then `page`. A file's folder in OUT contains
+//! `ours.json`, `covered-ours.npy` and, if the scene has one, `environment.exr`. `ours-a.exr` and
 //! `ours-b.exr` have half of the samples each, so their noise is independent.
 
 mod compare;

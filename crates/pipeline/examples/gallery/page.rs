@@ -1,4 +1,4 @@
-//! The page: per file a row of three pictures, its scores, and a sentence that explains
+//! The page: for each file a row of three pictures, the scores, and a sentence that explains
 //! differences.
 
 use std::collections::BTreeMap;
@@ -23,7 +23,7 @@ p{margin:.4rem 0;max-width:75em}.figures{font-size:.85rem;color:#555}.message{ba
 struct Notes {
     /// Notes that apply to all pairs.
     general: Vec<String>,
-    /// A note per file, by its name.
+    /// A note for each file, by the file's name.
     files: BTreeMap<String, String>,
 }
 
@@ -31,7 +31,7 @@ struct Notes {
 pub fn write(out: &Path, notes: &Path) -> Outcome {
     let source = std::fs::read_to_string(notes).map_err(|error| format!("{}: {error}", notes.display()))?;
     let notes: Notes = toml::from_str(&source).map_err(|error| format!("{}: {error}", notes.display()))?;
-    // Folders without `ours.json` are not of this gallery.
+    // Folders without `ours.json` do not belong to this gallery.
     let mut folders: Vec<PathBuf> = std::fs::read_dir(out).map_err(text)?.flatten().map(|entry| entry.path()).collect();
     folders.retain(|folder| folder.join("ours.json").is_file());
     folders.sort();
@@ -50,7 +50,7 @@ pub fn write(out: &Path, notes: &Path) -> Outcome {
                 style { (PreEscaped(STYLE)) }
             }
             body {
-                h1 { "Every glTF file, ours beside Blender's Cycles" }
+                h1 { "Every glTF file, our render next to that of Blender's Cycles" }
                 @for note in &notes.general { p { (note) } }
                 @for section in &sections { (section) }
             }
@@ -88,7 +88,7 @@ fn section(out: &Path, folder: &Path, notes: &Notes) -> Outcome<Markup> {
     })
 }
 
-/// Writes the three pictures of a file beside the page. Returns them with captions and scores.
+/// Writes the three pictures of a file next to the page. Returns them with captions and scores.
 fn pair(out: &Path, folder: &Path, ours: &Value, blender: Option<&Value>) -> Outcome<Markup> {
     let stem = folder.file_name().unwrap_or_default().to_string_lossy();
     let save = |picture: image::RgbImage, kind: &str| -> Outcome<String> {
@@ -98,7 +98,7 @@ fn pair(out: &Path, folder: &Path, ours: &Value, blender: Option<&Value>) -> Out
         Ok(relative)
     };
     let seconds = |about: &Value, key: &str| format!("{:.1} s", about[key].as_f64().unwrap_or(f64::NAN));
-    // Our picture sets exposure and tone curve of all three.
+    // Exposure and tone curve of our picture apply to all three.
     let halves = Halves::read(folder, "ours", "covered-ours.npy")?;
     let curve = ToneCurve::ALL.iter().find(|(name, _)| ours["curve"] == *name);
     let (_, curve) = *curve.ok_or_else(|| format!("{}: ours.json names no tone curve", folder.display()))?;
@@ -110,7 +110,7 @@ fn pair(out: &Path, folder: &Path, ours: &Value, blender: Option<&Value>) -> Out
         seconds(ours, "seconds_render"),
         seconds(ours, "seconds_load")
     );
-    // Without Blender's render the row has our picture alone.
+    // Without Blender's render, the row has only our picture.
     let missing = match blender {
         None => Some("Not rendered.".to_owned()),
         Some(about) => about["error"].as_str().map(|message| format!("Blender: {message}")),
@@ -120,7 +120,7 @@ fn pair(out: &Path, folder: &Path, ours: &Value, blender: Option<&Value>) -> Out
             .row { (figure(&own, &caption)) figure { p.message { (missing) } } figure {} }
         });
     }
-    // Both pictures, their difference, and a line of scores.
+    // Write both pictures, their difference, and a line of scores.
     let about = blender.unwrap_or(&Value::Null);
     let other = Halves::read(folder, "blender", "covered.npy")?;
     let theirs = save(other.shown(&tone_mapping), "blender")?;
@@ -133,7 +133,7 @@ fn pair(out: &Path, folder: &Path, ours: &Value, blender: Option<&Value>) -> Out
         seconds(about, "seconds_render")
     );
     let line = format!(
-        "Ours over Blender's, mean of red, green, blue where there is a surface: {:.3}, {:.3}, {:.3}. Difference without noise: {:.1} % of the mean \
+        "Our mean divided by Blender's, for red, green, blue, where there is a surface: {:.3}, {:.3}, {:.3}. Difference without noise: {:.1} % of the mean \
          (with noise {:.1} %). Silhouettes overlap to {:.2} %, shifted by {:.2}, {:.2} pixels. Exposure {:.3}, curve {}, {} triangles.",
         figures.ratio[0],
         figures.ratio[1],

@@ -1,4 +1,5 @@
-//! Our renders: automatic window and light, the central view, twice with half of the samples.
+//! Our renders: window and light are automatic, and the central view is rendered twice with half of
+//! the samples.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -53,7 +54,7 @@ impl Options {
     }
 }
 
-/// Renders every file below `scenes`.
+/// Renders every file in `scenes` and its subfolders.
 pub fn all(scenes: &Path, out: &Path, options: &Options) -> Outcome {
     // Sorted files give the same order on every machine.
     let mut files = Vec::new();
@@ -63,7 +64,7 @@ pub fn all(scenes: &Path, out: &Path, options: &Options) -> Outcome {
         return Err(format!("{} holds no glTF or USD file", scenes.display()));
     }
     let registry = plugins(&[]).map_err(text)?;
-    // A file that fails gets its message in `ours.json`, and the others follow.
+    // If a file fails, `ours.json` has its message, and the next file follows.
     for file in files {
         let name = file.strip_prefix(scenes).unwrap_or(&file).to_string_lossy().replace('\\', "/");
         let folder = out.join(name.replace('/', "__"));
@@ -105,7 +106,7 @@ fn find(folder: &Path, files: &mut Vec<PathBuf>) -> Outcome {
 /// Renders a file into its folder. Returns the settings that Blender needs for the same render.
 fn one(file: &Path, folder: &Path, options: &Options, registry: &Registry, task: Task<'_>) -> Outcome<Value> {
     let [cols, rows] = options.size;
-    // The window is chosen as for a job with defaults.
+    // The window is the one that a job with defaults would have.
     let start = Instant::now();
     let ingested =
         load_scene(file, &PoseJob::default(), &ImporterJob::default(), registry, &LightJob::default(), None, task)
@@ -136,7 +137,7 @@ fn one(file: &Path, folder: &Path, options: &Options, registry: &Registry, task:
     let mask = renderer.hit_mask(&window, &geometry, [0, 0], task).map_err(text)?;
     npy::write(&folder.join("covered-ours.npy"), &[rows, cols], mask.data()).map_err(text)?;
 
-    // Exposure and tone curve follow from the mean of both, as in a job.
+    // Exposure and tone curve follow from the mean of both renders, as in a job.
     let rays: Vec<(f32, bool)> = brightest.into_iter().zip(mask.data().iter().map(|&share| share > 0.5)).collect();
     let (exposure, curve) = automatic_tone_mapping(scene, &rays);
 
@@ -164,7 +165,7 @@ fn one(file: &Path, folder: &Path, options: &Options, registry: &Registry, task:
     }))
 }
 
-/// Rotates the window about its vertical axis by `degrees`, to the right.
+/// Rotates the window about its vertical axis by `degrees`; positive angles turn it to the right.
 fn turned(window: &Window, degrees: f64) -> Window {
     let map = window.scene_from_display;
     let rotation = map.rotation * DQuat::from_rotation_y(degrees.to_radians());
@@ -176,7 +177,7 @@ fn write_environment(scene: &Scene, folder: &Path) -> Outcome<Value> {
     let Some(environment) = scene.environment else { return Ok(Value::Null) };
     let image = &scene.images[environment.image];
     let Pixels::RgbF32(texels) = &image.pixels else {
-        return Err("an environment that is no picture of floats".into());
+        return Err("expected an environment of floats, found a picture of codes".into());
     };
     let rgb: Vec<f32> =
         texels.iter().flat_map(|&[r, g, b]| (environment.strength * glam::Vec3::new(r, g, b)).to_array()).collect();

@@ -1,4 +1,4 @@
-//! Compares the displays of one run, which a job with `[[nodes]]` made from one light field.
+//! Compares the displays of one run, if its job has `[[nodes]]` that share one light field.
 
 use std::path::{Path, PathBuf};
 
@@ -16,25 +16,26 @@ use crate::store::files::write;
 /// Quality of the sheet's JPEG. A PNG would be four times as large.
 const JPEG_QUALITY: u8 = 92;
 
-/// One of several displays against the target.
+/// A display of the run, compared with the target.
 #[derive(Clone, Debug, Serialize)]
 pub struct DisplayLikeness {
-    /// Id of its node.
+    /// Id of the display's node.
     pub id: String,
-    /// Layers, frames, backlight and β, in words.
+    /// Number of layers and frames, the backlight and β, in words.
     pub display: String,
-    /// Zone score, if its report has one.
+    /// Zone score, if the display's report has one.
     pub zone: Option<ZoneLikeness>,
-    /// The display against the target along its rays, over a selection of its views.
+    /// Scores of the display against the target, ray by ray, over a selection of the target's
+    /// views.
     pub likeness: Likeness,
-    /// PSNR of each of these views, dB, by row and column; `None` if the view is equal.
+    /// PSNR of each of these views, dB, by row and column; `None` if the view equals the target.
     pub views_db: Vec<Vec<Option<f64>>>,
 }
 
 /// The displays of one run.
 #[derive(Clone, Debug, Serialize)]
 pub struct DisplaysComparison {
-    /// In the job's order.
+    /// The displays, in the order of the job's nodes.
     pub displays: Vec<DisplayLikeness>,
     /// Written pictures.
     #[serde(serialize_with = "lumistack_core::path_text::told_each")]
@@ -43,23 +44,23 @@ pub struct DisplaysComparison {
 
 /// Compares all displays of a run whose job has `[[nodes]]` with the target.
 ///
-/// Writes `displays.jpg` into `out`: a column per display, with seen pictures from the left, the
-/// middle and the right.
+/// If `out` is given, writes `displays.jpg` into it: a column per display, with seen pictures from
+/// the left, the middle and the right.
 ///
 /// # Errors
 /// If the run has no nodes or no target, or files cannot be read or written.
 pub fn compare_displays(run: &Path, out: Option<&Path>, task: Task<'_>) -> Result<DisplaysComparison, PipelineError> {
     let job = Job::load(&run.join("job.toml"))?;
     if job.nodes.is_empty() {
-        let expected = "the run of a job with `[[nodes]]`, or another run or a photograph beside it";
+        let expected = "the run of a job with `[[nodes]]`, or a second run or photograph to compare with";
         return Err(PipelineError::value(run, "nodes", expected, "none"));
     }
     let target = target_of(run)?
-        .ok_or_else(|| PipelineError::value(run, "target", "a light field that the run kept", "none"))?;
+        .ok_or_else(|| PipelineError::value(run, "target", "a light field in the run folder", "none"))?;
     let geometry = target.geometry();
     let (shape, [views_y, views_x]) = ([geometry.rows, geometry.cols], geometry.grid.views());
     let (shown, views) = (middle_views(&geometry.grid), some_views(&geometry.grid));
-    // The first column of the sheet shows the target.
+    // Draw the target in the first column of the sheet.
     let codes = |linear: &mut dyn Iterator<Item = f32>| linear.map(colour::srgb_code).collect::<Vec<u8>>();
     let mut sheet = Sheet {
         size: [geometry.cols, geometry.rows],
@@ -81,7 +82,7 @@ pub fn compare_displays(run: &Path, out: Option<&Path>, task: Task<'_>) -> Resul
         let folder = run.join("nodes").join(&node.id);
         let made = RunFolder::open(&folder)?;
         let (simulator, map) = (Simulator::new(&made.display, &made.stack), RayMap::new(&made.display, geometry));
-        // Scores along the target's rays, per view and together.
+        // Scores along the target's rays, for each view and for all together.
         let mut sums = Sums::new();
         let mut views_db: Vec<Vec<Option<f64>>> = Vec::new();
         for row in views.chunk_by(|a, b| a[0] == b[0]) {
@@ -97,7 +98,7 @@ pub fn compare_displays(run: &Path, out: Option<&Path>, task: Task<'_>) -> Resul
             }
             views_db.push(of_row);
         }
-        // Seen pictures for the display's column of the sheet.
+        // Draw seen pictures for the display's column of the sheet.
         for (&view, (_, cells)) in shown.iter().zip(&mut sheet.rows) {
             let (rgb, counts) = seen(&simulator, made.stack.brightness, geometry, view);
             let mut own = Sums::new();
@@ -107,7 +108,7 @@ pub fn compare_displays(run: &Path, out: Option<&Path>, task: Task<'_>) -> Resul
             task.progress.advance(1, "");
         }
         let likeness = sums.likeness();
-        // The column's heading.
+        // Make the column's heading.
         let plural = |count: usize, one: &str| format!("{count} {one}{}", if count == 1 { "" } else { "s" });
         let lenses = if made.stack.emission.is_some() { ", directional" } else { "" };
         let layers = format!("{}{lenses}", plural(made.display.layers.len(), "layer"));

@@ -13,7 +13,7 @@ use crate::simulate::simulate_to_file;
 /// Similarity of two pictures or light fields.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Likeness {
-    /// Peak signal-to-noise ratio, dB; `None` if they are equal.
+    /// Peak signal-to-noise ratio, dB; `None` if both are equal.
     pub psnr_db: Option<f64>,
     /// Structural similarity, at most 1.
     pub ssim: f64,
@@ -26,7 +26,7 @@ pub struct Likeness {
 pub struct ZoneLikeness {
     /// PSNR of seen pictures over the viewing zone, dB.
     pub psnr_db: f64,
-    /// The same over the worst tenth of the directions, dB.
+    /// PSNR of seen pictures over the worst tenth of the directions, dB.
     pub worst_tenth_db: f64,
 }
 
@@ -41,7 +41,7 @@ pub(super) fn zone_of(run: &Path) -> Option<ZoneLikeness> {
 /// Maximum number of compared views of a target, per axis.
 const MOST_VIEWS: usize = 5;
 
-/// A selection of a grid's views: evenly spread, with the middle and the outermost ones.
+/// A selection of a grid's views: evenly spread, including the middle and the outermost views.
 pub(super) fn some_views(grid: &ViewGrid) -> Vec<[usize; 2]> {
     let [rows, cols] = grid.views().map(|count| spread(count, MOST_VIEWS));
     rows.iter().flat_map(|&row| cols.iter().map(move |&col| [row, col])).collect()
@@ -55,7 +55,7 @@ pub(super) fn middle_views(grid: &ViewGrid) -> Vec<[usize; 2]> {
     views
 }
 
-/// The seen picture of a view, and for each pixel whether it counts.
+/// The seen picture of a view, and for each pixel, true if the display shows it.
 pub(super) fn seen(
     simulator: &Simulator<'_>,
     brightness: f64,
@@ -65,7 +65,8 @@ pub(super) fn seen(
     adapted(simulator.seen(geometry, view).into(), brightness)
 }
 
-/// The emitted light along the rays of a view, L̃/β, and for each ray whether it counts.
+/// The emitted light along the rays of a view, L̃/β, and for each ray, true if it goes through the
+/// display.
 pub(super) fn along_rays(
     simulator: &Simulator<'_>,
     map: &RayMap,
@@ -76,13 +77,13 @@ pub(super) fn along_rays(
     adapted(simulator.view(map, geometry, view), brightness)
 }
 
-/// Divides by β.
+/// Divides emitted light by β.
 fn adapted(emitted: EmittedView, brightness: f64) -> (Vec<f32>, Vec<bool>) {
     let scale = (1.0 / brightness) as f32;
     (emitted.radiance.data().iter().map(|value| value * scale).collect(), emitted.valid)
 }
 
-/// Sums of the metrics over views.
+/// Sums of the scores over views.
 pub(super) struct Sums {
     error: SquaredError,
     ssim: Mean,
@@ -96,8 +97,8 @@ impl Sums {
         Self { error: SquaredError::default(), ssim: Mean::default(), flip: Mean::default(), filter }
     }
 
-    /// Adds a picture. Pixels that are not `valid` do not count; they take the reference's values,
-    /// so that they do not disturb the filters of their neighbours.
+    /// Adds a picture. Pixels that are not `valid` are excluded. They get the values of the
+    /// reference, so that they do not change the filtered values of their neighbours.
     pub(super) fn add(&mut self, reference: &[f32], test: &[f32], shape: [usize; 2], valid: &[bool]) {
         let counted = |i: usize| valid[i];
         let mut test = test.to_vec();
@@ -126,7 +127,7 @@ impl Sums {
     }
 }
 
-/// The target of a run. A node's folder has none, so the target of the run around it counts.
+/// Reads the target of a run. The folder of a node has no target, so that of the run is read.
 pub(super) fn target_of(run: &Path) -> Result<Option<LightField>, PipelineError> {
     for folder in [run.join("target"), run.join("../../target")] {
         if folder.join("lightfield.json").is_file() {
@@ -136,13 +137,13 @@ pub(super) fn target_of(run: &Path) -> Result<Option<LightField>, PipelineError>
     Ok(None)
 }
 
-/// The difference around middle grey.
+/// The difference of two pictures, added to middle grey.
 pub(super) fn difference(first: &[f32], second: &[f32]) -> Vec<f32> {
     // 0.214 is middle grey, ½, after sRGB encoding.
     first.iter().zip(second).map(|(a, b)| (0.214 + (b - a)).clamp(0.0, 1.0)).collect()
 }
 
-/// Writes pictures of one shape `[row][col][rgb]` side by side.
+/// Writes pictures of the same shape `[row][col][rgb]` next to each other.
 pub(super) fn save(path: &Path, panes: Vec<Vec<f32>>, [rows, cols]: [usize; 2]) -> Result<(), PipelineError> {
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder).map_err(PipelineError::write(folder))?;

@@ -1,23 +1,24 @@
 //! Compares a photograph of panels with the simulation of their run.
 //!
-//! The homography of the display's four corners rectifies the photograph. A factor g matches its
-//! exposure to the simulation's. It minimizes Σ (g p − s)² over photograph p and simulation s, in
-//! linear light; clipped pixels do not count:
+//! The homography of the display's four corners rectifies the photograph. A factor g adapts its
+//! exposure to that of the simulation. The factor minimizes Σ (g p − s)² over photograph p and
+//! simulation s, in linear light and without clipped pixels:
 //!
 //! ```text
 //! g = Σ s p / Σ p²
 //! ```
 //!
-//! If the camera's position is unknown, the corners and the focal length f in pixels determine it.
-//! The optical axis of a pinhole camera passes through the picture's middle. The homography from
-//! the display's millimetres to pixels around that middle is
+//! If the camera's position is unknown, it is computed from the corners and the focal length f in
+//! pixels. The optical axis of a pinhole camera goes through the middle of the picture. The
+//! homography from the display's millimetres to pixels, relative to that middle, is
 //!
 //! ```text
 //! H ∝ diag(f, f, 1) [r_1 r_2 t],      eye = −Rᵀ t
 //! ```
 //!
-//! with the display's x and y axes r_1 and r_2 in the camera's frame, which are orthonormalized.
-//! Source: Zhang, "A Flexible New Technique for Camera Calibration" (2000), section 3.1.
+//! where r_1 and r_2 are the x and y axes of the display in the camera's frame. They are
+//! orthonormalized. Source: Zhang, "A Flexible New Technique for Camera Calibration" (2000),
+//! section 3.1.
 
 use std::path::{Path, PathBuf};
 
@@ -30,26 +31,27 @@ use super::likeness::{Likeness, Sums, difference, save};
 use crate::error::{PipelineError, field_error};
 use crate::simulate::{RunFolder, Viewpoint};
 
-/// The camera's position for a photograph.
+/// The position of the camera that took a photograph.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Pose {
     /// A measured position.
     Known(Viewpoint),
-    /// Derived from the corners and this focal length in millimetres, for a picture of
-    /// 36 mm × 24 mm (EXIF: FocalLengthIn35mmFilm).
+    /// Computed from the corners and this focal length in millimetres, for a picture of 36 mm × 24
+    /// mm (EXIF: FocalLengthIn35mmFilm).
     FocalMm(f64),
 }
 
 /// Comparison of a photograph with the simulation.
 #[derive(Clone, Debug, Serialize)]
 pub struct PhotoComparison {
-    /// Photograph against simulation, at the simulation's exposure.
+    /// Photograph compared with the simulation, after its exposure is adapted.
     pub likeness: Likeness,
     /// Factor g on the photograph's linear values.
     pub gain: f64,
-    /// Share of the display's pixels where the photograph is clipped; they do not count.
+    /// Fraction of the display's pixels where the photograph is clipped; they are excluded.
     pub clipped: f64,
-    /// The camera's position that the corners give: `[x, y, z]` in display space, millimetres.
+    /// The camera's position that the corners give, if it was not known: `[x, y, z]` in display
+    /// space, millimetres.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub eye_mm: Option<[f64; 3]>,
     /// Written pictures.
@@ -57,14 +59,14 @@ pub struct PhotoComparison {
     pub pictures: Vec<PathBuf>,
 }
 
-/// Compares a photograph with the simulation of the run from the camera's position.
+/// Compares a photograph with the simulation of a run from the camera's position.
 ///
-/// `corners` are those of the light field's rectangle in the photograph, in pixels from its top
-/// left corner. Their order is top left, top right, bottom right, bottom left. Default: the
-/// photograph's corners.
+/// `corners` are the corners of the light field's rectangle in the photograph, in pixels from its
+/// top left corner. Their order is top left, top right, bottom right, bottom left. `None` stands
+/// for the corners of the photograph.
 ///
 /// # Errors
-/// If the run or the photograph cannot be read, the pose is wrong, or the corners span no area.
+/// If the run or the photograph cannot be read, the pose does not fit, or the corners span no area.
 pub fn compare_photo(
     run: &Path,
     photo: &Path,
@@ -100,7 +102,7 @@ pub fn compare_photo(
     };
     let simulated = run.picture(viewpoint, false)?;
     let [rows, cols, _] = simulated.shape();
-    // Files of codes clip bright light, so their brightest values do not count.
+    // Files with codes clip bright light, so their brightest values are excluded.
     let ends = picture.is_encoded();
     let mut linear = picture.into_linear();
     if ends {
@@ -109,7 +111,7 @@ pub fn compare_photo(
     let mut taken = rectified(&linear, size, &map, [rows, cols]);
     let counts: Vec<bool> = taken.chunks_exact(3).map(|rgb| rgb.iter().all(|value| value.is_finite())).collect();
     let clipped = counts.iter().filter(|counts| !**counts).count() as f64 / counts.len().max(1) as f64;
-    // The factor g of the module's documentation.
+    // Compute the factor g of the module's documentation.
     let (mut products, mut squares) = (0.0, 0.0);
     for ((p, s), _) in taken.chunks_exact(3).zip(simulated.data().chunks_exact(3)).zip(&counts).filter(|(_, c)| **c) {
         products += p.iter().zip(s).map(|(p, s)| f64::from(*p) * f64::from(*s)).sum::<f64>();
@@ -143,11 +145,11 @@ pub fn compare_photo(
 
 /// Diagonal of a picture of 36 mm × 24 mm, to which EXIF relates focal lengths.
 const DIAGONAL_35MM: f64 = 43.266_615;
-/// Linear value of the code 254 of 255: from here on, values count as clipped.
+/// Linear value of the code 254 of 255; from this value on, a pixel is regarded as clipped.
 const CLIPPED: f32 = 0.991;
 
 /// The camera's position in display space, millimetres. `map` is the homography from the unit
-/// square, which stands for the display of `size_mm`, to the picture.
+/// square to the picture. The unit square represents the display of `size_mm`.
 fn eye_of(map: &Homography, size_mm: [f64; 2], [width, height]: [f64; 2], focal_px: f64) -> Option<[f64; 3]> {
     let m = &map.0;
     let unit = DMat3::from_cols_array_2d(m).transpose();
@@ -174,8 +176,8 @@ fn eye_of(map: &Homography, size_mm: [f64; 2], [width, height]: [f64; 2], focal_
 /// Points per pixel and axis of the rectified picture.
 const POINTS: usize = 4;
 
-/// The rectangle of a picture `[row][col][rgb]` of size [width, height] that a homography maps the
-/// unit square to, resampled to [rows, cols].
+/// The part of a picture to which a homography maps the unit square, resampled to [rows, cols]. The
+/// picture is `[row][col][rgb]` of size [width, height].
 fn rectified(rgb: &[f32], [width, height]: [usize; 2], map: &Homography, [rows, cols]: [usize; 2]) -> Vec<f32> {
     let mut result = vec![0.0f32; 3 * rows * cols];
     let share = 1.0 / (POINTS * POINTS) as f32;
@@ -204,12 +206,12 @@ fn rectified(rgb: &[f32], [width, height]: [usize; 2], map: &Homography, [rows, 
 mod tests {
     use super::*;
 
-    /// Projects corners by a pinhole camera, and recovers its position from them.
+    /// Projects corners through a pinhole camera, and recovers the camera's position from them.
     #[test]
     fn corners_tell_where_the_camera_stood() {
         let (size_mm, picture, focal_px) = ([300.0, 200.0], [1600.0, 1200.0], 1900.0);
         for eye in [DVec3::new(120.0, -80.0, 700.0), DVec3::new(0.0, 0.0, 500.0), DVec3::new(-400.0, 90.0, 600.0)] {
-            // The camera looks at a point beside the centre, and is rolled.
+            // The camera looks at a point off the centre, and is rolled.
             let forward = (DVec3::new(20.0, 10.0, 0.0) - eye).normalize();
             let right = forward.cross(DVec3::new(0.1, 1.0, 0.0)).normalize();
             let up = right.cross(forward);

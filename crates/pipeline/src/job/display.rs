@@ -1,4 +1,4 @@
-//! `[display]`: a preset or a display file, and changes of its values.
+//! `[display]`: a preset or a display file, and values to change in it.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use crate::error::PipelineError;
 use crate::presets;
 use lumistack_core::path_text::PathText;
 
-/// A preset or a display file, and changes of its values.
+/// A preset or a display file, and values to change in it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct DisplayJob {
@@ -23,8 +23,8 @@ pub struct DisplayJob {
     #[serde(skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub file: Option<PathBuf>,
-    /// Resolution of the light field, `[columns, rows]`. Masks scale with it; the width in
-    /// millimetres stays.
+    /// Resolution of the light field, `[columns, rows]`. The resolution of layers changes in
+    /// proportion; the width in millimetres stays.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resolution: Option<[usize; 2]>,
     /// Views that sample the viewing zone: `"auto"` for as many as the display needs,
@@ -44,14 +44,14 @@ pub struct DisplayJob {
     /// Interpolation of a layer between its pixels' centres.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sampling: Option<Sampling>,
-    /// Transmittance for a ray that passes outside of a layer.
+    /// Transmittance for a ray that goes past the edge of a layer.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub missing: Option<Missing>,
 }
 
 impl DisplayJob {
-    /// Takes a user's text as the name of a preset. With the ending `.toml` or a slash it is the
-    /// path of a file.
+    /// Interprets a user's text as the name of a preset. If it ends with `.toml` or contains a
+    /// slash, it is the path of a file.
     pub fn by_name_or_path(text: impl AsRef<OsStr>) -> Self {
         let path = Path::new(text.as_ref());
         match path.to_str() {
@@ -63,10 +63,10 @@ impl DisplayJob {
         }
     }
 
-    /// Loads the display and applies the changes.
+    /// Loads the display and changes its values.
     ///
     /// # Errors
-    /// As [`Job::resolve_display`](super::Job::resolve_display).
+    /// The errors of [`Job::resolve_display`](super::Job::resolve_display).
     pub fn resolve(&self) -> Result<Display, PipelineError> {
         let (place, display) = match (&self.preset, &self.file) {
             (Some(name), None) => (PathBuf::from(name), presets::load(name)?),
@@ -79,7 +79,7 @@ impl DisplayJob {
         self.changed(&place, display)
     }
 
-    /// Applies the changes to a display; errors name `place`.
+    /// Changes the values of a display; errors name `place`.
     ///
     /// # Errors
     /// If a changed value is out of range.

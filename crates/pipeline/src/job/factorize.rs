@@ -19,40 +19,42 @@ pub struct FactorizeJob {
     pub solver: String,
     /// Device of the solver: `auto`, `cpu`, `gpu` or `gpu:NAME`.
     pub device: String,
-    /// Iterations. Default: 50 if a display or job fixes the views, otherwise 16. The zone score
-    /// changes little after 12 iterations of a display's own views (still life, 13 × 13 views: 0.03
-    /// dB to iteration 50).
+    /// Number of iterations. Default: 16 if the display chooses the views of a scene, otherwise 50.
+    /// The zone score changes little after 12 iterations with such views (still life, 13 × 13
+    /// views: 0.03 dB from there to iteration 50).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<u32>,
     /// Start: `auto`, `random`, `smooth` or `content`.
     #[schemars(extend("enum" = StartKind::names().collect::<Vec<_>>()))]
     pub start: String,
-    /// Number of coarser levels to start at, each of half the resolution. Default: the solver's.
+    /// Number of coarser levels before the full resolution, each of half the resolution. Default:
+    /// the solver decides.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub coarse_levels: Option<u32>,
     /// Iterations at each coarser level.
     pub coarse_iterations: u32,
-    /// If true, patterns of layers with few `bits` are optimized again on the panel's levels.
+    /// If true, patterns of layers with few `bits` are optimized again, on the levels that the
+    /// panel can show.
     pub levels: bool,
     /// Tiles, [columns, rows], each 1 to 1000: the display is solved tile by tile, on one machine
-    /// or many. Without `tiles` and `tile_mib` the display is solved as a whole.
+    /// or many. Without `tiles` and `tile_mib` it is solved as a whole.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tiles: Option<[usize; 2]>,
-    /// Memory of a solve, MiB, 1 to 16777216: sets the least number of tiles that fit. Not together
-    /// with `tiles`.
+    /// Memory of a solve, MiB, 1 to 16777216: the display is cut into the fewest tiles that need no
+    /// more. Not together with `tiles`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tile_mib: Option<u64>,
-    /// Folder `layers` of an earlier run to start from, instead of `start`.
+    /// Folder `layers` of an earlier run, whose patterns are the start instead of `start`.
     #[serde(skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub warm_start: Option<PathBuf>,
-    /// `.npy` of weights ≥ 0, `[view_y][view_x]` or `[view_y][view_x][row][col]`.
+    /// `.npy` file of weights ≥ 0, `[view_y][view_x]` or `[view_y][view_x][row][col]`.
     #[serde(skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub weights: Option<PathBuf>,
     /// Weight of rays far from all `eyes`.
     pub eye_floor: f64,
-    /// Expected eye positions. The weight of a ray falls with its distance from them.
+    /// Expected eye positions. The farther a ray passes from all of them, the lower is its weight.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub eyes: Vec<EyeJob>,
 }
@@ -95,13 +97,13 @@ impl Default for FactorizeJob {
 }
 
 impl FactorizeJob {
-    /// Returns the number of iterations: the job's or the default.
+    /// Returns the number of iterations: that of the job, or the default.
     pub fn iterations(&self) -> u32 {
         self.iterations.unwrap_or(lumistack_factorizer::Settings::default().iterations)
     }
 
-    /// Refuses an explicit graphics processor for a task of the processor alone. `task` is its name
-    /// in the error, as in "tiles are solved".
+    /// Refuses a graphics processor that the job names, for a task that only the processor can do.
+    /// `task` begins the error's text, as in "tiles are solved".
     ///
     /// # Errors
     /// If the job names a graphics processor.
@@ -116,7 +118,7 @@ impl FactorizeJob {
     /// Checks `tiles` and `tile_mib`.
     ///
     /// # Errors
-    /// If a number is out of range, both are given, or the device is a graphics processor.
+    /// If a number is out of range, both keys are given, or the device is a graphics processor.
     pub(crate) fn check_tiles(&self) -> Result<(), PipelineError> {
         let fail = |key: &str, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
         if self.tiles.is_some() || self.tile_mib.is_some() {

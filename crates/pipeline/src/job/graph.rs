@@ -11,16 +11,16 @@ use lumistack_core::path_text::is_default;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ImporterJob {
-    /// Allows glTF and OBJ files to refer to files outside of their own folder.
+    /// If true, glTF and OBJ files may refer to files outside of their folder.
     #[serde(default, skip_serializing_if = "is_default")]
     pub allow_outside: bool,
     /// Memory for the decoded pictures of a glTF or OBJ scene, MiB: 1 to 1048576.
     #[serde(default = "default_picture_mib")]
     pub picture_mib: u64,
-    /// Id of the plugin; default: the one that reads files of this extension.
+    /// Id of the plugin; default: the plugin that reads files of this extension.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plugin: Option<String>,
-    /// Its parameters.
+    /// Parameters of the plugin.
     #[serde(default)]
     pub params: serde_json::Map<String, serde_json::Value>,
 }
@@ -41,13 +41,13 @@ fn default_picture_mib() -> u64 {
 pub struct SourceJob {
     /// Id of a source plugin.
     pub plugin: String,
-    /// Number of the time step; a sequence counts on from it.
+    /// Number of the time step; in a sequence, of the first time step.
     #[serde(default, skip_serializing_if = "is_default")]
     pub time: u64,
     /// Time of the time step, seconds.
     #[serde(default, skip_serializing_if = "is_default")]
     pub time_s: f64,
-    /// Its parameters.
+    /// Parameters of the plugin.
     #[serde(default)]
     pub params: serde_json::Map<String, serde_json::Value>,
 }
@@ -58,13 +58,14 @@ pub struct SourceJob {
 pub struct NodeJob {
     /// Name of the node and of its folder, unique in the job.
     pub id: String,
-    /// The id of a node plugin; see `lumistack plugins`.
+    /// Id of a node plugin; see `lumistack plugins`.
     #[serde(default = "default_node")]
     pub plugin: String,
-    /// Display of the node, with the light field's resolution and views; default: the job's.
+    /// Display of the node, with the light field's resolution and views. Default: the display of
+    /// the job.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub display: Option<DisplayJob>,
-    /// Factorizer of `tensor-display`; default: the job's.
+    /// Factorizer settings of a `tensor-display`. Default: those of the job.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub factorize: Option<FactorizeJob>,
     /// Parameters of a node plugin.
@@ -73,7 +74,7 @@ pub struct NodeJob {
 }
 
 impl NodeJob {
-    /// The factorizer, whose parameters are the table `factorize`.
+    /// Id of the factorizer, whose parameters are the table `factorize`.
     pub const TENSOR_DISPLAY: &'static str = "tensor-display";
 }
 
@@ -81,25 +82,26 @@ fn default_node() -> String {
     NodeJob::TENSOR_DISPLAY.into()
 }
 
-/// One output plugin.
+/// An output plugin and its input.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct OutputJob {
     /// Id of the plugin; see `lumistack plugins`.
     pub plugin: String,
-    /// Name of its folder; default: the plugin's id.
+    /// Name of the output's folder; default: the plugin's id.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// Input: `light_field` or the id of a node. Default: the node, if there is only one.
+    /// Input of the output: `light_field` or the id of a node. Default: the node, if there is only
+    /// one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from: Option<String>,
-    /// Its parameters.
+    /// Parameters of the plugin.
     #[serde(default)]
     pub params: serde_json::Map<String, serde_json::Value>,
 }
 
 impl OutputJob {
-    /// `from` of an output that takes the light field itself.
+    /// Value of `from` if the input is the light field itself.
     pub const LIGHT_FIELD: &'static str = "light_field";
 
     /// An output with default parameters.
@@ -112,7 +114,7 @@ impl OutputJob {
         self.from.as_deref() == Some(Self::LIGHT_FIELD)
     }
 
-    /// Name of its folder.
+    /// Name of the output's folder.
     pub fn name(&self) -> &str {
         self.name.as_deref().unwrap_or(&self.plugin)
     }

@@ -1,4 +1,4 @@
-//! Tests: a job keeps paths of any bytes when it is written and read.
+//! Tests that a job keeps paths of any bytes when it is written and read.
 
 use std::path::PathBuf;
 

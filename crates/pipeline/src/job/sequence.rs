@@ -12,26 +12,26 @@ pub struct SequenceJob {
     /// Number of time steps. Default: one for every light field in the folder.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub times: Option<usize>,
-    /// Iterations at every time step after the first. The first has no warm start and takes
-    /// `factorize.iterations`.
+    /// Iterations at every time step after the first. The first time step has no warm start, so it
+    /// takes `factorize.iterations`.
     pub iterations: u32,
     /// Angle by which the window turns about its vertical axis from the first time step to the
-    /// last, degrees. Above 0 the viewer walks to the right.
+    /// last, degrees. Above 0, the viewer walks to the right.
     pub turn_deg: f64,
     /// Shift of the window from the first time step to the last, `[x, y, z]` in display space at
     /// the first time step, millimetres.
     pub shift_mm: [f64; 3],
-    /// Time of the scene's animations from the first time step to the last, seconds. The first is
-    /// `pose.time_s`, or 0.
+    /// Time of the scene's animations between the first time step and the last, seconds. The first
+    /// time step is at `pose.time_s`, or at 0.
     pub duration_s: f64,
-    /// Writes a full report of every time step too. The sequence's report is always written.
+    /// If true, every time step has a full report. The report of the sequence is always written.
     pub reports: bool,
     /// Time steps of a chunk. Chunks do not depend on each other's patterns, so several machines
-    /// solve them at once. Default: all time steps are one chain of warm starts.
+    /// solve them in parallel. Default: all time steps are one chain of warm starts.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub chunk_times: Option<usize>,
-    /// Time steps before a chunk that are solved again, without a warm start, so that the chunk
-    /// begins as in one chain; default 2.
+    /// Number of time steps before a chunk that are solved once more, the first of them without a
+    /// warm start. So the chunk begins almost as in one chain. Default 2.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub warm_up_times: Option<usize>,
 }
@@ -55,7 +55,7 @@ impl SequenceJob {
     /// Maximum number of time steps: names of their folders have four digits.
     pub const MOST: usize = 9999;
 
-    /// Checks ranges, and keys that need a scene or a source.
+    /// Checks ranges, and keys that only a scene or a source can have.
     pub(super) fn check(&self, has_scene: bool, has_light_field: bool) -> Result<(), PipelineError> {
         let fail = |key: &str, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
         // Only a folder of light fields determines the number of time steps.
@@ -64,12 +64,12 @@ impl SequenceJob {
                 return fail("sequence.times", "1 to 9999", times.to_string());
             }
             None if !has_light_field => {
-                let expected = "the number of time steps, since only a folder of light fields has it";
+                let expected = "the number of time steps, which only a folder of light fields determines";
                 return fail("sequence.times", expected, "nothing".into());
             }
             _ => {}
         }
-        // Keys that have no effect for this input are errors, since they are mistakes.
+        // Keys that have no effect for this input are mistakes, so they are errors.
         if (self.turn_deg != 0.0 || self.shift_mm != [0.0; 3]) && !has_scene {
             return fail("sequence", "`turn_deg` and `shift_mm` for a scene only", "them without a scene".into());
         }

@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 use crate::error::PipelineError;
 use lumistack_core::path_text::is_default;
 
-/// Values per parameter; every combination is one design. A parameter without values stays as the
-/// display has it.
+/// Values for each parameter; every combination is one design. A parameter without values keeps the
+/// display's value.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SweepJob {
@@ -31,14 +31,14 @@ pub struct SweepJob {
     /// field.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub fov_deg: Vec<[f64; 2]>,
-    /// Numbers of lenslets, `[columns, rows]`; displays without a directional backlight stay as
-    /// they are.
+    /// Numbers of lenslets, `[columns, rows]`. Displays without a directional backlight do not
+    /// change.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub lenslets: Vec<[usize; 2]>,
     /// Number of plots of the table.
     #[serde(skip_serializing_if = "is_default")]
     pub plots: Plots,
-    /// Constraints of a search, which solves only promising designs to the end.
+    /// Constraints of a search, which solves only promising designs to the last iteration.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub search: Option<SearchJob>,
 }
@@ -47,10 +47,10 @@ pub struct SweepJob {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SearchJob {
-    /// Maximum thickness from the rearmost part to the frontmost, millimetres.
+    /// Maximum depth from the rearmost to the frontmost of layers and backlight, millimetres.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_thickness_mm: Option<f64>,
-    /// Highest refresh rate of the panels, Hz. All frames together must be shown 60 times a second.
+    /// Maximum refresh rate of the panels, Hz. All frames together must be shown 60 times a second.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_refresh_hz: Option<f64>,
     /// Maximum number of panels: one per layer, and one behind the lenslets.
@@ -59,14 +59,14 @@ pub struct SearchJob {
     /// Minimum brightness scale β.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub min_brightness: Option<f64>,
-    /// Sufficient PSNR, dB. The search proposes the design of fewest panels and frames that reaches
-    /// it, instead of the best one.
+    /// Sufficient PSNR, dB. The search proposes the design with the fewest panels and frames that
+    /// reaches this PSNR, instead of the design with the highest PSNR.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub enough_db: Option<f64>,
 }
 
 impl SweepJob {
-    /// Number of designs, equal ones included.
+    /// Number of designs, including equal ones.
     pub fn count(&self) -> usize {
         let lengths = [
             self.displays.len(),
@@ -80,7 +80,8 @@ impl SweepJob {
         lengths.iter().fold(1, |count: usize, length| count.saturating_mul(*length.max(&1)))
     }
 
-    /// Checks the number of designs and the constraints; each display checks its own values.
+    /// Checks the number of designs and the constraints. The values of each display are checked
+    /// when the display is made.
     pub(crate) fn check(&self) -> Result<(), PipelineError> {
         if self.count() > Self::MOST {
             let expected = format!("at most {} designs", Self::MOST);

@@ -7,11 +7,11 @@ use crate::error::PipelineError;
 use crate::job::Job;
 
 impl Job {
-    /// The job with another value of a key such as `display.brightness`; `null` sets the default.
-    /// Relative paths are relative to the working folder.
+    /// Returns the job with another value of a key such as `display.brightness`; `null` sets the
+    /// default. Relative paths are relative to the working folder.
     ///
     /// # Errors
-    /// If the key does not exist, its type is another one, or the job is wrong with this value.
+    /// If the key does not exist, the value has another type, or the job is wrong with this value.
     pub fn with(&self, key: &str, value: Value) -> Result<Self, PipelineError> {
         let mut all = self.to_json();
         let found = value.to_string();
@@ -33,7 +33,7 @@ fn set(all: &mut Value, key: &str, value: Value) -> Result<(), PipelineError> {
         let Value::Object(table) = at else {
             return Err(PipelineError::job(
                 key,
-                "a key of a table of the job, such as `display.brightness`",
+                "a key in a table of the job, such as `display.brightness`",
                 "a value",
             ));
         };
@@ -88,7 +88,7 @@ mod tests {
             ("display.brightnes", json!(0.3), "did you mean `brightness`?"),
             ("display.brightness", json!("much"), "display.brightness: expected f64, found \"much\""),
             ("display.brightness", json!(3.0), "brightness"),
-            ("seed.x", json!(1), "seed.x: expected a key of a table of the job"),
+            ("seed.x", json!(1), "seed.x: expected a key in a table of the job"),
             ("scene", Value::Null, "scene: expected"),
         ] {
             assert!(message(key, value).contains(expected), "{}", message(key, json!(3.0)));

@@ -5,9 +5,10 @@
 //! read ───────────────────────────────────────────────▶ Target
 //! ```
 //!
-//! The window, exposure and tone curve of the first time step stay while the scene moves. A changed
-//! setting of theirs ends that, and for exposure and tone curve a changed file too. Displays get at
-//! most 49 automatic views, since all views must be traced before the first picture.
+//! While the scene moves, the window, exposure and tone curve of the first time step stay. They are
+//! chosen anew if one of their settings changes, exposure and tone curve also if a file changes.
+//! Displays get at most 49 automatic views, since all views must be traced before the first
+//! picture.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -32,19 +33,19 @@ use crate::stage::{EXPOSE, INGEST, PLACE, TRACE, field, read};
 /// Maximum number of automatic views of a display.
 const MOST_VIEWS: usize = 49;
 
-/// Makes light fields of a job.
+/// Makes the light fields of a job.
 pub struct LiveFields {
     job: Job,
     display: Arc<Display>,
     cache: PathBuf,
-    /// Results, each with the key of its inputs.
+    /// Results, each with the key of the inputs that it was made from.
     scene: Option<(Value, Arc<Ingested>)>,
     placement: Option<(Value, Placement)>,
     views: Option<(Value, Progressive)>,
     tone_mapping: Option<(Value, ToneMapping)>,
-    /// Key of the last returned light field.
+    /// Key of the light field that was returned last.
     shown: Option<Value>,
-    /// Counts reloads: part of every key of a result from files.
+    /// Number of reloads, which is part of every key of a result from files.
     edition: u64,
     content: u64,
 }
@@ -61,10 +62,10 @@ impl LiveFields {
         Ok(Self { job, display, cache, scene, placement, views, tone_mapping, shown, edition: 0, content: 0 })
     }
 
-    /// Changes the job from the next pass on. After an error the old job stays.
+    /// Changes the job from the next pass on. After an error the old job remains.
     ///
     /// # Errors
-    /// As [`new`](Self::new).
+    /// The errors of [`new`](Self::new).
     pub fn change(&mut self, job: Job) -> Result<(), PipelineError> {
         self.display = Arc::new(display_of(&job)?);
         self.job = job;
@@ -76,7 +77,7 @@ impl LiveFields {
         self.edition += 1;
     }
 
-    /// The job.
+    /// The current job.
     pub fn job(&self) -> &Job {
         &self.job
     }
@@ -116,9 +117,9 @@ impl LiveFields {
         if self.shown.as_ref() == Some(&key) {
             return Ok(None);
         }
-        // Remember the key before reading, so that a broken file is reported once.
+        // Keep the key before reading, so that a broken file is reported only once.
         self.shown = Some(key);
-        // Only reports need the views of the zone score.
+        // Omit the views of the zone score, which only reports need.
         let report = ReportJob { zone_directions: 0, ..self.job.report.clone() };
         let (field, _) = read::run(path, &Job { report, ..self.job.clone() }, &self.display, task)?;
         let adapted = self.display.adapted_to(field.geometry());
@@ -129,7 +130,7 @@ impl LiveFields {
     }
 
     fn render(&mut self, registry: &Registry, task: Task<'_>) -> Result<Option<Target>, PipelineError> {
-        // Ingest. After an error the earlier scene stays.
+        // Ingest. After an error the earlier scene remains.
         let (job, display) = (&self.job, self.display.clone());
         let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
         let path = job.scene.clone().unwrap_or_default();
@@ -137,8 +138,8 @@ impl LiveFields {
         let key_of_scene = json!([name, self.edition, (INGEST.reads)(job)]);
         let before = self.scene.take_if(|(key, _)| *key != key_of_scene);
         if self.scene.is_none() {
-            // Animation may switch lights off. A scene that began without the automatic studio
-            // light does not get it while it moves.
+            // An animation may switch lights off. A scene that began without automatic studio light
+            // does not get it while it moves.
             let is_motion = |key: &Value| key[0] == key_of_scene[0] && key[1] == key_of_scene[1];
             let stays_dark = before.as_ref().is_some_and(|(key, scene)| is_motion(key) && !scene.studio);
             match self.load(&path, stays_dark, registry, task) {
@@ -150,8 +151,8 @@ impl LiveFields {
             }
         }
         let Some((_, ingested)) = self.scene.clone() else { return Ok(None) };
-        // Place the window. Its key has the scene's cameras but not its surfaces, so the window
-        // stays while the scene moves.
+        // Place the window. The key of the placement contains the scene's cameras but not its
+        // surfaces, so the window stays while the scene moves.
         let cameras = format!("{:?}", ingested.scene.cameras);
         let key_of_place = json!([name, cameras, (PLACE.reads)(&self.job), format!("{geometry:?}")]);
         if self.placement.as_ref().is_none_or(|(key, _)| *key != key_of_place) {
@@ -159,7 +160,7 @@ impl LiveFields {
             self.placement = Some((key_of_place, placed));
         }
         let Some((_, placement)) = self.placement else { return Ok(None) };
-        // Trace one more pass, of new views if anything has changed that they depend on.
+        // Trace one more pass, of new views if any of their inputs has changed.
         let footprint = display.angular_footprint();
         let job = self.job.clone();
         let (geometry, samples) = (&geometry, None);
@@ -172,13 +173,13 @@ impl LiveFields {
             self.views = Some((key_of_views, Progressive::new(shot, task)?));
         }
         let Some((_, views)) = &mut self.views else { return Ok(None) };
-        // Traced paths also serve another exposure, and another display with the same rays.
+        // Traced paths also serve another exposure, or another display with the same rays.
         let traced = if is_new && views.passes > 0 { false } else { views.pass(shot, task)? };
         if !(traced || is_new) {
             return Ok(None);
         }
-        // Expose. Exposure and tone curve stay until files or settings of the light change; so they
-        // stay while the scene moves.
+        // Expose the views. Exposure and tone curve stay until files or settings of the light
+        // change. So they stay while the scene moves.
         let radiance = views.radiance(shot, task)?;
         let key_of_tone_mapping = json!([name, self.edition, of_light]);
         let tone_mapping = match &self.tone_mapping {
@@ -219,7 +220,7 @@ impl LiveFields {
     /// The light fields of a sequence, in the order of their time steps.
     ///
     /// # Errors
-    /// If the folder has none.
+    /// If the folder has no light fields.
     pub fn times_of(job: &Job) -> Result<Vec<PathBuf>, PipelineError> {
         Times::find(job, &SequenceJob::default()).map(Times::into_fields)
     }

@@ -23,11 +23,11 @@ pub struct LiveFolder {
 }
 
 impl LiveFolder {
-    /// Locks a folder and prepares it.
+    /// Locks a folder and prepares it for the run.
     ///
     /// # Errors
-    /// If another run uses it, a file of others is in the way, or an input lies where files are
-    /// written.
+    /// If another run uses the folder, a file of another program is in the way, or an input is
+    /// among the files that are written.
     pub fn lock(dir: &Path, job: &Job, registry: &Registry, task: Task<'_>) -> Result<Self, PipelineError> {
         let owned = folder::lock(dir, Work::Run, job, registry, task)?;
         Ok(Self { dir: dir.to_owned(), _owned: owned })
@@ -64,7 +64,7 @@ impl LiveFolder {
             target: &target.field,
             references: None,
             weights: &state.weights,
-            // The solver warm-started from patterns of other light fields, so it has no convergence
+            // The solver started from patterns of other light fields, so it has no convergence
             // curve.
             solution: None,
             settings: &job.to_json(),

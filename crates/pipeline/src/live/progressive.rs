@@ -1,12 +1,12 @@
-//! Renders views of a scene in passes, each of which lowers their noise.
+//! Renders views of a scene in passes. Each pass lowers the noise of all views.
 //!
 //! ```text
 //! pass 1, 2, 3, ...: 1, 1, 2, 4, ... more paths per pixel and view
-//! result: mean of all paths so far ─▶ light shared between views ─▶ splats in front of it
+//! result: mean of all paths so far ─▶ light shared between views ─▶ splats in front
 //! ```
 //!
-//! The first pass traces one path per pixel. Shared light lowers its noise to that of as many paths
-//! as there are views.
+//! The first pass traces one path per pixel and view. With shared light, its noise is about that of
+//! as many paths as there are views.
 
 use lumistack_core::{Task, Tensor};
 use lumistack_display::LightField;
@@ -19,10 +19,10 @@ use crate::error::{PipelineError, render_error};
 use crate::job::{Background, Denoise};
 use crate::stage::fields::{FieldJob, Shot};
 
-/// Paths per pixel that measure the visible share of the background.
+/// Paths per pixel that measure the fraction of a pixel where the background is visible.
 const MISSED_SAMPLES: u32 = 4;
-/// Values of a pixel of a [`SplitView`] that hold normal and depth of the hit surface. All are 0
-/// without a hit.
+/// Indices of those values of a pixel of a [`SplitView`] that are normal and depth of the hit
+/// surface. These values are 0 without a hit.
 const SURFACE: std::ops::Range<usize> = 9..13;
 
 /// Views in progress.
@@ -37,25 +37,25 @@ pub(super) struct Progressive {
 #[derive(Default)]
 struct View {
     place: [usize; 2],
-    /// Means so far; `None` before the first pass, or if the scene needs no paths.
+    /// Means of all passes so far; `None` before the first pass, or if the scene needs no paths.
     split: Option<SplitView>,
     samples: u32,
-    /// `[row][col][r, g, b, T]`; empty without splats.
+    /// Splats in front of the surfaces, `[row][col][r, g, b, T]`; empty without splats.
     splats: Vec<f32>,
-    /// Share of each pixel that shows the background; empty without a background colour.
+    /// Fraction of each pixel that shows the background; empty without a background colour.
     missed: Vec<f32>,
 }
 
-/// Scene-linear views, with brightness and hits of their rays.
+/// Scene-linear views, and for their rays the brightest channel and whether there is a hit.
 pub(super) struct Radiance {
     pub(super) field: LightField,
-    /// The brightest channel of each ray, and whether the ray hits a surface.
+    /// For each ray, its brightest channel, and true if it hits a surface.
     pub(super) brightest: Vec<(f32, bool)>,
 }
 
 impl Progressive {
-    /// Prepares the target's views, and renders the parts without noise: splats and the
-    /// background's share.
+    /// Prepares the target's views. Renders all that has no noise: the splats, and the fraction of
+    /// each pixel that shows the background.
     ///
     /// # Errors
     /// If the scene cannot be rendered, or when cancelled.
@@ -80,8 +80,8 @@ impl Progressive {
         Ok(Self { of, shares: shot.job.render.denoise != Denoise::Off, views, passes: 0 })
     }
 
-    /// Traces another pass. Returns false if all samples were traced before. Views keep the paths
-    /// of a cancelled pass.
+    /// Traces another pass. Returns false if all samples have been traced. If the pass is
+    /// cancelled, views keep the paths that it traced.
     ///
     /// # Errors
     /// If rendering fails or is cancelled.
@@ -102,7 +102,7 @@ impl Progressive {
         Ok(true)
     }
 
-    /// The views as they are now.
+    /// The views with all paths so far.
     ///
     /// # Errors
     /// When cancelled.
@@ -135,8 +135,8 @@ impl Progressive {
         Ok(Radiance { field, brightest })
     }
 
-    /// Share of each pixel of view `number` that shows the background; empty without a background
-    /// colour.
+    /// Fraction of each pixel of view `number` that shows the background; empty without a
+    /// background colour.
     pub(super) fn missed(&self, number: usize) -> &[f32] {
         &self.views[number].missed
     }
@@ -151,7 +151,7 @@ impl View {
         samples: u32,
         task: Task<'_>,
     ) -> Result<(), PipelineError> {
-        // Another seed gives other paths than those of earlier passes.
+        // With another seed, the paths differ from those of earlier passes.
         let settings = lumistack_pathtracer::Settings { samples, ..of.seeded(&[3, u64::from(self.samples)]) };
         let new =
             renderer.render_split(shot.window(), &of.traced, self.place, &settings, task).map_err(render_error)?;
@@ -164,8 +164,8 @@ impl View {
     }
 }
 
-/// Mean over the paths of both; the new ones have the share `share`. A surface that only one of
-/// them hits is kept as it is.
+/// Mean over the paths of both views, where the new paths have the weight `share`. If only one of
+/// the two hits a surface, its normal and depth are kept.
 fn mean(before: SplitView, new: &SplitView, share: f32) -> SplitView {
     let mut values: Tensor<3> = before.values().clone();
     let pixels =

@@ -13,7 +13,7 @@ use crate::stage::factorize::solver_settings;
 
 /// Solves light fields one after another, each from the patterns of the previous one.
 ///
-/// If the device of `auto` fails, the processor solves from then on.
+/// With `auto`, if the device fails, the processor solves from then on.
 pub struct LiveSolver {
     solver: Solver,
     device: String,
@@ -34,12 +34,12 @@ impl LiveSolver {
     /// Uses the settings and the device of a job from the next step on.
     ///
     /// # Errors
-    /// As [`new`](Self::new). Settings and device then stay as they are.
+    /// The errors of [`new`](Self::new). Settings and device do not change then.
     pub fn follow(&mut self, job: &Job) -> Result<(), PipelineError> {
         let settings = solver_settings(&job.factorize, job.seed)?;
         let device = &job.factorize.device;
-        // The search for adapters takes longer than a step, so `auto` makes it once. A device with
-        // a name is open already, except after a failure.
+        // The search for adapters takes longer than a step, so `auto` searches only once. A device
+        // that the job names is open already, unless it failed.
         if device != "auto" || self.device != "auto" {
             self.site = SolverDevice::of(device)?;
             self.device.clone_from(device);
@@ -48,11 +48,12 @@ impl LiveSolver {
         Ok(())
     }
 
-    /// Makes `updates` towards a target. The patterns become the start of the next step.
+    /// Makes `updates` updates towards a target. The resulting patterns are the start of the next
+    /// step.
     ///
     /// # Errors
-    /// If target, weights and settings do not fit each other, if a device that the job names fails,
-    /// or when cancelled. The next start then stays the same.
+    /// If target, weights and settings do not match, if a device that the job names fails, or when
+    /// cancelled. The start of the next step does not change then.
     pub fn step(
         &mut self,
         target: &Arc<Target>,

@@ -1,16 +1,16 @@
-//! Estimates of a plan: keys, cached results, time and memory, without executing it.
+//! Estimates of a plan without executing it: keys, cached results, time and memory.
 //!
 //! ```text
-//! key of a step = hash(stage, code, the job's values that it reads, keys of its inputs,
+//! key of a step = hash(stage, code, values of the job that it reads, keys of its inputs,
 //!                      content of its files)
 //! time          = work of the step / rate
-//! rate          = work / time of the last run in this folder, else of a short calibration
+//! rate          = work / time of the last run in this folder, or else of a short calibration
 //! ```
 //!
-//! Stamps of results need the content of their inputs, which exists only after the stages before.
-//! These keys need the job and the files alone. A run writes them to `cache/steps.json`, where the
-//! next plan finds which results are current. Each has the time of its step and the files of a
-//! scene.
+//! The stamp of a result needs the content of its inputs, which exists only after the earlier
+//! stages. The keys of this file need only the job and the files that it names. A run writes them
+//! to `cache/steps.json`, where the next plan finds which results are current. With each key it
+//! writes the time of the step, and the files of the scene.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -35,11 +35,11 @@ use crate::store::key::{KeyBuilder, content_hash};
 use crate::store::plugin_files::plugin_key;
 use crate::store::stamps::Stamps;
 
-/// File of the records, below the run folder.
+/// File of the records, relative to the run folder.
 const FILE: &str = "cache/steps.json";
-/// Length of a shown key, hexadecimal digits.
+/// Number of hexadecimal digits of a key that is shown.
 const DIGITS: usize = 16;
-/// Mean number of rays per pixel and direction of the zone score, both halves together.
+/// Mean number of rays per pixel and direction of the zone score, of both halves together.
 const SCORE_SAMPLES: f64 = 6.5;
 
 /// Record of an executed step.
@@ -57,7 +57,7 @@ pub(crate) struct Record {
 
 impl Record {
     pub(crate) fn new(seconds: f64, cached: bool, files: Vec<(PathBuf, String)>) -> Self {
-        // Importers, Blender and scenes in memory have names that are not files.
+        // Importers, Blender and scenes in memory are recorded by names that are not files.
         let place = |path: PathBuf| match path.is_file() {
             true => std::path::absolute(&path).unwrap_or(path),
             false => path,
@@ -69,8 +69,8 @@ impl Record {
 
 type Records = BTreeMap<String, Record>;
 
-/// Writes records of executed steps. All keys are computed again, since a run finds a scene's
-/// files.
+/// Writes records of executed steps. Computes all keys again, since a run finds the files of the
+/// scene, which the keys contain.
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -79,14 +79,14 @@ pub(crate) fn note(plan: &Plan, registry: &Registry, new: Records) -> Result<(),
     if new.is_empty() || !plan.folder.join("cache").is_dir() {
         return Ok(());
     }
-    // Steps of an older plan are dropped.
+    // Records of steps that the plan does not have are removed.
     let mut records: Records = read_json(&path).unwrap_or_default();
     let ids = plan.indices();
     records.retain(|id, _| ids.contains_key(id.as_str()));
     for (id, mut record) in new {
         let Some(&index) = ids.get(id.as_str()) else { continue };
         record.work = work(plan, index);
-        // A cached result keeps the time of the run that made it.
+        // A cached result keeps the time that the run took which made it.
         if let Some(old) = records.get(&id).filter(|_| record.seconds.is_none()) {
             (record.seconds, record.work) = (old.seconds, old.work);
         }
@@ -107,14 +107,15 @@ pub(crate) fn fill(plan: &mut Plan, registry: &Registry) {
     let machine = multiply_adds_per_second();
     for (index, key) in keys.into_iter().enumerate() {
         let record = records.get(&plan.steps[index].id);
-        // Without a record nothing is cached; without a key only a run can find out.
+        // Without a record a result is not cached. Without a key, only a run can find out.
         let cached = match (&key, record) {
             (_, None) => Some(false),
             (None, Some(_)) => None,
             (Some(key), Some(record)) => Some(record.key.as_ref() == Some(key) && is_there(plan, index)),
         };
         let (work, memory_bytes) = (work(plan, index), memory(plan, index));
-        // The rate comes from this step's last execution, else from another step of the stage.
+        // The rate comes from the last execution of this step, or else of another step of the same
+        // stage.
         let own = record.filter(|record| record.seconds.is_some());
         let stage = plan.steps[index].stage;
         let alike = || {
@@ -128,7 +129,7 @@ pub(crate) fn fill(plan: &mut Plan, registry: &Registry) {
     }
 }
 
-/// Computes the key of every step; `None` if the files of its scene are not known yet.
+/// Computes the key of every step. The key is `None` if the scene's files are not known yet.
 fn keys(plan: &Plan, records: &Records, registry: &Registry) -> Vec<Option<String>> {
     let ids = plan.indices();
     let mut keys: Vec<Option<String>> = Vec::new();
@@ -151,7 +152,7 @@ fn keys(plan: &Plan, records: &Records, registry: &Registry) -> Vec<Option<Strin
     keys
 }
 
-/// Returns the job of a part without the paths that depend on the run folder.
+/// Returns the job of a part, without paths that depend on the run folder.
 fn settings(plan: &Plan, part: usize) -> Job {
     let mut job = plan.parts[part].job.clone();
     if plan.time(part).is_some_and(|(time, _)| time > 0) {
@@ -171,13 +172,13 @@ fn add_content(
     record: Option<&Record>,
     registry: &Registry,
 ) -> Option<()> {
-    // A plugin counts with its version, code and parameters.
+    // For a plugin, the key contains version, code and parameters.
     let mut plugin = |id: &str, params: &Map<String, Value>| {
         key.add("plugin", plugin_key(registry, id, params).ok()?.as_bytes());
         Some(())
     };
     match kind {
-        // Importers and memory have no file: their recorded hash stands for them.
+        // Importers and scenes in memory have no file, so their recorded hash is used instead.
         StepKind::Ingest => {
             for (path, hash) in &record?.files {
                 let found = if path.is_absolute() { content_hash(path).ok()? } else { hash.clone() };
@@ -205,7 +206,7 @@ fn add_content(
     }
 }
 
-/// Adds the content of a file, or of all files below a folder, sorted by name.
+/// Adds the content of a file, or of all files in a folder and its subfolders, sorted by name.
 fn add_files(key: &mut KeyBuilder, path: &Path) -> Option<()> {
     if !path.is_dir() {
         key.add("content", content_hash(path).ok()?.as_bytes());
@@ -228,7 +229,7 @@ fn is_there(plan: &Plan, index: usize) -> bool {
     let job = &plan.parts[step.part].job;
     let exists = |names: &[&str]| names.iter().all(|name| dir.join(name).exists());
     match step.kind {
-        // every run reads these again
+        // every run reads or makes these again
         StepKind::Ingest | StepKind::Place | StepKind::Read => false,
         StepKind::Trace | StepKind::Denoise | StepKind::Score => exists(&["cache/views"]),
         StepKind::Expose | StepKind::Source => stamps.is_whole("target"),
@@ -245,21 +246,21 @@ fn is_there(plan: &Plan, index: usize) -> bool {
     }
 }
 
-/// Sizes of a part's display and light field, as numbers for products.
+/// Sizes of a part's display and light field, as floats for products.
 struct Sizes {
     /// Pixels of a view.
     pixels: f64,
     /// Views of the target.
     views: f64,
-    /// Views of the light fields for the report.
+    /// Views of the light fields that only the report needs.
     others: f64,
     layers: f64,
     /// Values of the patterns of all frames.
     values: f64,
     frames: f64,
-    /// Bytes of the light fields in memory: the target and those for the report.
+    /// Bytes of the light fields in memory: of the target, and of those for the report.
     held: f64,
-    /// Bytes of the solver besides.
+    /// Bytes that the solver needs in addition.
     solving: f64,
 }
 
@@ -270,7 +271,7 @@ impl Sizes {
         let count = |grid: Option<lumistack_display::ViewGrid>| grid.map_or(0, |grid| grid.iter().count()) as f64;
         let area = |[cols, rows]: [usize; 2]| (cols * rows) as f64;
         let frames = display.frames as f64;
-        // Larger light fields are in mapped files, which are not counted.
+        // Larger light fields are in mapped files, which take no memory.
         let others = [held_out_grid(&geometry.grid, job.render.held_out), geometry.grid.outside(job.render.outside)];
         let fields = others.into_iter().chain([Some(geometry.grid.clone())]).flatten();
         let held = fields.map(|grid| geometry.with_grid(grid)).filter(|geometry| job.render.is_held(geometry));
@@ -302,7 +303,7 @@ fn work(plan: &Plan, index: usize) -> f64 {
     let step = &plan.steps[index];
     let job = &plan.parts[step.part].job;
     let Some(sizes) = Sizes::of(job) else { return 0.0 };
-    // Splats are rendered without noise, by one ray.
+    // Splats are rendered without noise, by one ray per pixel.
     let is_capture = job.scene.as_deref().is_some_and(is_capture);
     let samples = if is_capture { 1.0 } else { f64::from(job.render.samples_of_view(sizes.views as usize)) };
     match step.kind {
@@ -328,7 +329,7 @@ fn work(plan: &Plan, index: usize) -> f64 {
     }
 }
 
-/// Returns the extra iterations of a time step that begins a chunk.
+/// Returns the additional iterations of a time step that begins a chunk.
 fn warm_up_iterations(plan: &Plan, part: usize) -> u32 {
     let Some((time, sequence)) = plan.time(part) else { return 0 };
     let PartKind::Sequence(times) = &plan.parts[sequence].kind else { return 0 };
@@ -338,8 +339,8 @@ fn warm_up_iterations(plan: &Plan, part: usize) -> u32 {
     }
 }
 
-/// Multiply-adds per unit of a stage's work, including memory accesses: measured once, right to an
-/// order of magnitude.
+/// Number of multiply-adds that take as long as one unit of a stage's work. It includes memory
+/// accesses, was measured once, and is right to an order of magnitude.
 fn cost(stage: &str) -> f64 {
     match stage {
         "ingest" | "place" => 1e8,
@@ -358,8 +359,8 @@ fn memory(plan: &Plan, index: usize) -> u64 {
     let Some(sizes) = Sizes::of(job) else { return 0 };
     const RGB: f64 = 12.0;
     let field = RGB * sizes.rays();
-    // Factors on the file's size: a tree over triangles and textures, or splats, which files pack
-    // more tightly.
+    // Memory divided by the file's size. A scene needs a tree over triangles, and textures.
+    // Captures need more, since files pack splats more tightly.
     let packed = if job.scene.as_deref().is_some_and(is_capture) { 16.0 } else { 4.0 };
     let scene =
         packed * job.scene.as_ref().and_then(|path| std::fs::metadata(path).ok()).map_or(0.0, |data| data.len() as f64);
@@ -384,7 +385,7 @@ fn multiply_adds_per_second() -> f64 {
         .into_par_iter()
         .map(|thread| (0..ROUNDS).fold([thread as f32; 8], |sum, _| sum.map(|x| x * 0.999 + 0.5)).iter().sum())
         .collect();
-    // The compiler removes the loop if its result is not used.
+    // The compiler would remove the loop if its result were not used.
     let scale = if sums.iter().all(|sum| sum.is_finite()) { 8.0 } else { 1.0 };
     scale * f64::from(ROUNDS) * threads as f64 / start.elapsed().as_secs_f64().max(1e-6)
 }

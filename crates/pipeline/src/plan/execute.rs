@@ -1,8 +1,8 @@
 //! Executes plans step by step. Each step finds the results of its inputs in memory.
 //!
-//! A result is dropped after the last step that reads it. If the results of inputs are not in
-//! memory, the inputs are executed first; they read their current results from the run folder.
-//! Therefore another process can execute any step alone.
+//! A result is dropped from memory after the last step that reads it. If the results of inputs are
+//! not in memory, the inputs are executed first, and read their current results from the run
+//! folder. So another process can execute any single step.
 
 mod check;
 pub(crate) mod context;
@@ -40,7 +40,7 @@ pub(crate) struct Executor<'a> {
     ends: Vec<LastSteps>,
     done: Vec<bool>,
     records: BTreeMap<String, Record>,
-    /// For a unit of work: its part, and how it holds the part's folder.
+    /// If this executes a unit of work: the part of the unit, and how it locks the part's folder.
     unit: Option<(usize, Hold)>,
 }
 
@@ -64,13 +64,13 @@ impl<'a> Executor<'a> {
     pub(crate) fn execute(&mut self) -> Result<(), PipelineError> {
         self.context.check()?;
         let is_design = |step: &Step| matches!(self.context.plan.parts[step.part].kind, PartKind::Sweep);
-        // The sweep solves its designs in parallel, in `plan/sweep.rs`.
+        // `plan/sweep.rs` solves the designs of a sweep, in parallel.
         let steps = (0..self.context.plan.steps.len()).filter(|index| !is_design(&self.context.plan.steps[*index]));
         let result = steps.collect::<Vec<_>>().into_iter().try_for_each(|index| {
             self.run(index)?;
             self.release(index)
         });
-        // A run that failed before its first kept result leaves no file.
+        // A run that failed before its first kept result leaves no file of records.
         let keeps = |step: &Step| !matches!(step.kind, StepKind::Ingest | StepKind::Place | StepKind::Read);
         if !self.context.plan.steps.iter().zip(&self.done).any(|(step, done)| *done && keeps(step)) {
             return result;
@@ -83,7 +83,7 @@ impl<'a> Executor<'a> {
     /// Executes one step. Results of earlier steps are read from the run folder, or made.
     ///
     /// # Errors
-    /// As [`execute`](Self::execute), and if there is no such step.
+    /// The errors of [`execute`](Self::execute), and if there is no such step.
     pub(crate) fn execute_alone(&mut self, id: &str) -> Result<(), PipelineError> {
         self.context.check()?;
         let index = self.index(id)?;
@@ -92,10 +92,10 @@ impl<'a> Executor<'a> {
     }
 
     /// Executes steps of one part as a unit of work, while other processes execute other units. The
-    /// caller shares the lock of the run folder with them. All input units are done.
+    /// caller shares the lock of the run folder with these processes. All input units are done.
     ///
     /// # Errors
-    /// As [`execute`](Self::execute), and if there is no such step.
+    /// The errors of [`execute`](Self::execute), and if there is no such step.
     pub(crate) fn execute_unit(
         &mut self,
         steps: &[String],
@@ -115,10 +115,10 @@ impl<'a> Executor<'a> {
         Ok(())
     }
 
-    /// Reads results of done units into memory, while other processes work.
+    /// Reads the results of units that are done into memory, while other processes work.
     ///
     /// # Errors
-    /// As [`execute_unit`](Self::execute_unit).
+    /// The errors of [`execute_unit`](Self::execute_unit).
     pub(crate) fn read_back(&mut self, steps: &[String]) -> Result<(), PipelineError> {
         self.unit = Some((0, Hold::Shared));
         steps.iter().try_for_each(|id| {
@@ -135,8 +135,8 @@ impl<'a> Executor<'a> {
         self.context.check()
     }
 
-    /// Solves a tile of the patterns in a round, or traces a block of pictures. Tracing needs only
-    /// the scene and its placement.
+    /// Executes one block of a step: solves a tile of the patterns in a round, or traces some
+    /// pictures. Tracing needs only the scene and its placement.
     fn run_block(&mut self, index: usize, block: Block, round: Option<usize>) -> Result<(), PipelineError> {
         let plan = self.context.plan;
         let step = &plan.steps[index];
@@ -167,8 +167,8 @@ impl<'a> Executor<'a> {
         let plan = self.context.plan;
         let step = &plan.steps[index];
         for input in &step.inputs {
-            // A whole plan has executed the inputs already. A unit of work reads the patterns of a
-            // warm start from their files.
+            // When a whole plan is executed, the inputs have been executed already. A unit of work
+            // reads the patterns of a warm start directly from their files.
             let input = self.index(input)?;
             let of_file = self.unit.is_some() && [step.kind, plan.steps[input].kind] == [StepKind::Patterns; 2];
             if !of_file {
@@ -177,7 +177,8 @@ impl<'a> Executor<'a> {
         }
         self.context.task.cancel.check()?;
         self.enter(step.part)?;
-        // Collect the step's warnings for its report, and show the time step in progress.
+        // Collect the step's warnings for the report of its part, and show the time step in
+        // progress.
         let warnings = Tee::new(self.context.task.warnings);
         let time = plan.time(step.part);
         let place = time.and_then(|(time, sequence)| match &plan.parts[sequence].kind {
@@ -205,7 +206,7 @@ impl<'a> Executor<'a> {
         Ok(())
     }
 
-    /// Locks the folder of a part, since another run may use that folder alone.
+    /// Locks the folder of a part, since another run may use that folder by itself.
     fn enter(&mut self, part: usize) -> Result<(), PipelineError> {
         let of_part = &self.context.plan.parts[part];
         let Some(parent) = of_part.parent else { return Ok(()) };
@@ -222,7 +223,7 @@ impl<'a> Executor<'a> {
             }
             return Ok(());
         }
-        // The folder of a time step is a run folder of its own, with the checks of one.
+        // The folder of a time step is also a run folder by itself, so it is checked like one.
         let in_sweep = matches!(self.context.plan.parts[0].kind, PartKind::Sweep);
         let owned = match of_part.kind {
             PartKind::Time(_) if !in_sweep => {
@@ -235,8 +236,8 @@ impl<'a> Executor<'a> {
         Ok(())
     }
 
-    /// Drops results that no later step reads. Removes unused views and unlocks folders without
-    /// later steps.
+    /// Drops results that no later step reads. For folders without later steps, removes unused
+    /// views and the lock.
     fn release(&mut self, index: usize) -> Result<(), PipelineError> {
         for part in 0..self.context.states.len() {
             let LastSteps { in_folder, in_memory } = self.ends[part];
@@ -278,13 +279,13 @@ impl<'a> Executor<'a> {
                 }
                 _ => context.report(part, task),
             },
-            // `plan/sweep.rs` solves the designs in parallel
+            // `plan/sweep.rs` solves these
             StepKind::Design(_) | StepKind::Search => Ok(false),
         }
     }
 }
 
-/// Returns the name of a step in reports; `None` for steps that reports leave out.
+/// Returns the name of a step in reports; `None` for steps that reports do not list.
 fn label(plan: &Plan, step: &Step) -> Option<String> {
     let info = plan.stage_of(step.part, step.kind);
     let (label, job) = (info.label?, &plan.parts[step.part].job);
@@ -298,12 +299,12 @@ fn label(plan: &Plan, step: &Step) -> Option<String> {
     })
 }
 
-/// Indices of the last steps that concern a part.
+/// Indices of the last steps that use a part.
 #[derive(Clone, Copy, Default)]
 struct LastSteps {
-    /// The last step in its folder or below.
+    /// The last step that works in its folder or in one of its subfolders.
     in_folder: usize,
-    /// The last step that reads its results in memory.
+    /// The last step that reads the results of the part in memory.
     in_memory: usize,
 }
 
@@ -314,7 +315,8 @@ impl LastSteps {
             for part in plan.around(step.part) {
                 ends[part] = Self { in_folder: index, in_memory: index };
             }
-            // Exposure, geometry and scores of time steps are kept elsewhere, so these steps do not
+            // The report of a sequence and the steps that make light fields read only exposure,
+            // geometry and scores of other parts. These are kept separately, so such steps do not
             // extend the life of light fields.
             let is_whole = matches!(plan.parts[step.part].kind, PartKind::Sequence(_)) && step.kind == StepKind::Report;
             if is_whole

@@ -1,5 +1,5 @@
-//! Steps of a graph: one light field, and nodes that make the patterns of a display each. Outputs
-//! take patterns of a node, or the light field itself.
+//! Steps of a graph: one light field, and nodes that each make the patterns of one display. An
+//! output reads the patterns of a node, or the light field itself.
 //!
 //! ```text
 //! scene or light field ─▶ target/ ─┬─▶ nodes/A/layers ─▶ outputs/A/<name>/ ...
@@ -7,8 +7,8 @@
 //!                                  └─────────────────▶ outputs/light_field/<name>/ ...
 //! ```
 //!
-//! `nodes/ID` has the layout of a run folder (display.toml, layers, report), without the shared
-//! light field. A job without nodes is a still.
+//! `nodes/ID` has the layout of a run folder (display.toml, layers, report), without the light
+//! field, which nodes share. A job without nodes is a still.
 
 use lumistack_display::{Display, FieldGeometry};
 
@@ -18,10 +18,11 @@ use crate::error::PipelineError;
 use crate::job::{Job, NodeJob, OutputJob};
 use crate::stage::node;
 
-/// Adds the steps after a part's light field: a still's display, or the nodes and their report.
+/// Adds the steps after a part's light field: the display of a still, or the nodes and their
+/// report.
 ///
-/// `before` returns patterns and light field of the same display at the previous time step. Returns
-/// the ids of the last steps.
+/// `before` returns the steps of patterns and light field of the same display at the previous time
+/// step. Returns the ids of the last steps.
 pub(crate) fn add_displays(
     plan: &mut Plan,
     part: usize,
@@ -48,7 +49,7 @@ pub(crate) fn add_displays(
     ends
 }
 
-/// The job of a node as a still: its display, factorizer and outputs.
+/// The job of a node as a still, with the display, factorizer and outputs of the node.
 pub(crate) fn job_of(job: &Job, node: &NodeJob) -> Job {
     Job {
         name: format!("{}: {}", job.name, node.id),
@@ -60,11 +61,11 @@ pub(crate) fn job_of(job: &Job, node: &NodeJob) -> Job {
     }
 }
 
-/// All outputs of a job and its nodes, each with its display for a light field of this geometry.
-/// `display` is the job's.
+/// All outputs of a job and of its nodes, each with its display for a light field of this geometry.
+/// `display` is the display of the job.
 ///
 /// # Errors
-/// If a node's own display is wrong or does not fit the light field.
+/// If the display of a node is wrong or does not match the light field.
 pub(crate) fn outputs_on(
     job: &Job,
     display: &Display,

@@ -5,13 +5,13 @@
 //!          └──────────────── error, flicker ──────────────▶ report.html, report.json
 //! ```
 //!
-//! A time step of a job with nodes is a graph, t0001/nodes/ID, with a warm start per node. A time
-//! step whose warm start does not help, as after a cut, starts without one.
+//! A time step of a job with nodes is a graph, t0001/nodes/ID, with a warm start for each node. If
+//! a warm start does not help, as after a cut, the time step starts without one.
 //! [`Times::job`](super::times::Times::job) makes the job of a time step.
 //!
-//! Chunks break the chain, so that machines solve them at once. The first time step of a chunk
-//! starts from patterns of the time steps before it, which are solved again. Two time steps are in
-//! memory at once, since flicker compares them.
+//! Chunks break the chain of warm starts, so that several machines can solve them in parallel.
+//! Before the first time step of a chunk, some earlier time steps are solved again, and it starts
+//! from their patterns. Two time steps are in memory together, since flicker compares them.
 
 use super::graph::add_displays;
 use super::steps::{PartKind, Plan, StepKind};
@@ -21,23 +21,23 @@ use crate::error::PipelineError;
 use crate::job::NodeJob;
 use crate::stage::node::is_factorized;
 
-/// Adds a sequence in a part's folder: all time steps and a report, or with `fields_only` the light
-/// fields alone. Returns the ids of the light fields.
+/// Adds a sequence in a part's folder: all time steps and a report or, with `fields_only`, only the
+/// light fields. Returns the ids of the steps that make the light fields.
 ///
 /// # Errors
-/// If there are no light fields, or fewer than the job's time steps.
+/// If there are no light fields, or fewer than the job has time steps.
 pub(crate) fn add_times(plan: &mut Plan, part: usize, fields_only: bool) -> Result<Vec<String>, PipelineError> {
     let (job, folder) = (plan.parts[part].job.clone(), plan.parts[part].folder.clone());
     let Some(sequence) = &job.sequence else { return Ok(Vec::new()) };
     let times = Times::find(&job, sequence)?;
     plan.parts[part].kind = PartKind::Sequence(times.clone());
-    // The window is placed once, for the first time step; later ones move with it.
+    // The window is placed once, for the first time step, and moves from there.
     let placed = job.scene.is_some().then(|| {
         let ingest = plan.add_step(part, StepKind::Ingest, Vec::new());
         let place = plan.add_step(part, StepKind::Place, vec![ingest.clone()]);
         [ingest, place]
     });
-    // Every time step is a part with its own job, and depends on the previous one.
+    // Every time step is a part with a job, and depends on the previous one.
     let reports = sequence.reports && !fields_only;
     let (mut fields, mut ends) = (Vec::<String>::new(), Vec::new());
     for time in 0..times.count() {

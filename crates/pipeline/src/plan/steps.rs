@@ -19,7 +19,7 @@ pub struct Plan {
     /// The run folder.
     #[serde(serialize_with = "lumistack_core::path_text::told")]
     pub folder: PathBuf,
-    /// Steps, each after its inputs.
+    /// The steps, in an order in which each comes after its inputs.
     pub steps: Vec<Step>,
     #[serde(skip)]
     pub(crate) parts: Vec<Part>,
@@ -28,19 +28,19 @@ pub struct Plan {
 /// One step of a plan: a stage in a folder.
 #[derive(Clone, Debug, Serialize)]
 pub struct Step {
-    /// Id, unique in the plan: the folder and the stage.
+    /// Id, unique in the plan: folder and stage of the step.
     pub id: String,
     /// Name of the stage.
     pub stage: &'static str,
     /// Folder of the step, relative to the run folder.
     #[serde(serialize_with = "lumistack_core::path_text::told")]
     pub folder: PathBuf,
-    /// Ids of the steps whose results it reads.
+    /// Ids of the steps whose results this step reads.
     pub inputs: Vec<String>,
-    /// Files and folders that it writes, relative to its folder.
+    /// Files and folders that this step writes, relative to its folder.
     pub writes: &'static [&'static str],
-    /// Hash of all that the result depends on: equal keys give equal results. `None` if a key needs
-    /// the list of the scene's files, which only a run finds.
+    /// Hash of all that the result depends on: equal keys give equal results. `None` if the key
+    /// contains the list of the scene's files, which only a run finds.
     pub key: Option<String>,
     /// True if the run folder has the result; `None` if only a run can find out.
     pub cached: Option<bool>,
@@ -54,7 +54,7 @@ pub struct Step {
     pub(crate) kind: StepKind,
 }
 
-/// The work of a step in its part.
+/// The work of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum StepKind {
     Ingest,
@@ -65,44 +65,44 @@ pub(crate) enum StepKind {
     Score,
     Read,
     Source,
-    /// An output of the light field itself, by number in the part's job.
+    /// An output of the light field itself, by its number in the job of the part.
     FieldOutput(usize),
     /// Patterns, by the factorizer or by a node plugin.
     Patterns,
-    /// An output of the patterns.
+    /// An output of the patterns, by its number in the job of the part.
     StackOutput(usize),
     /// Error and flicker of a time step.
     Measure,
-    /// Report of the part: a display, a graph, a sequence or a sweep.
+    /// Report of the part, which is a display, a graph, a sequence or a sweep.
     Report,
-    /// A design of a sweep, by number.
+    /// A design of a sweep, by its number.
     Design(usize),
-    /// All designs of a search, which solves some to the end.
+    /// All designs of a search, which solves some of them to the last iteration.
     Search,
 }
 
-/// A folder in which steps work.
+/// A folder in which steps work, and its job.
 #[derive(Clone, Debug)]
 pub(crate) struct Part {
     /// The folder, relative to the run folder.
     pub(crate) folder: PathBuf,
     pub(crate) kind: PartKind,
-    /// The folder's job, as far as it is known before execution.
+    /// The job of the folder, as far as it is known before execution.
     pub(crate) job: Job,
-    /// The part whose folder contains this one.
+    /// The part whose folder contains this part's folder.
     pub(crate) parent: Option<usize>,
 }
 
 /// Kinds of folders.
 #[derive(Clone, Debug)]
 pub(crate) enum PartKind {
-    /// A still, or a light field with several nodes.
+    /// A still, or several nodes with one light field.
     Run,
-    /// A node of the parent part, by number.
+    /// A node of the parent part, by its number.
     Node(usize),
     /// A sequence; its time steps are parts within it.
     Sequence(Times),
-    /// Time step of a sequence, counted from 0.
+    /// A time step of a sequence, counted from 0.
     Time(usize),
     /// A sweep; its light fields are parts within it.
     Sweep,
@@ -173,12 +173,12 @@ impl Plan {
         self.steps.iter().enumerate().map(|(index, step)| (step.id.as_str(), index)).collect()
     }
 
-    /// A part and its ancestors, from the inside out.
+    /// A part and its ancestors, from the part outwards.
     pub(crate) fn around(&self, part: usize) -> impl Iterator<Item = usize> + '_ {
         std::iter::successors(Some(part), |part| self.parts[*part].parent)
     }
 
-    /// The node of a part, if it is one.
+    /// The node of a part, if the part is a node.
     pub(crate) fn node(&self, part: usize) -> Option<&NodeJob> {
         match (&self.parts[part].kind, self.parts[part].parent) {
             (PartKind::Node(number), Some(parent)) => self.parts[parent].job.nodes.get(*number),
@@ -186,7 +186,7 @@ impl Plan {
         }
     }
 
-    /// The part with the light field of a part: itself, or the parent of a node.
+    /// The part whose light field a part uses: the parent of a node, otherwise the part itself.
     pub(crate) fn field_part(&self, part: usize) -> usize {
         match (&self.parts[part].kind, self.parts[part].parent) {
             (PartKind::Node(_), Some(parent)) => parent,
@@ -203,7 +203,8 @@ impl Plan {
         }
     }
 
-    /// The same part at another time step of its sequence: the time step's part, or its same node.
+    /// The same part at another time step of its sequence. If the part is a node, this is the same
+    /// node of that time step.
     pub(crate) fn at_time(&self, part: usize, time: usize) -> Option<usize> {
         let (_, sequence) = self.time(part)?;
         let is_time =
@@ -217,12 +218,12 @@ impl Plan {
         }
     }
 
-    /// The parts directly within a part.
+    /// The parts whose parent is this part.
     pub(crate) fn within(&self, part: usize) -> impl Iterator<Item = usize> + '_ {
         self.parts.iter().enumerate().filter(move |(_, inner)| inner.parent == Some(part)).map(|(number, _)| number)
     }
 
-    /// True if a part is `above` or lies below it.
+    /// True if a part is `above` or one of its descendants.
     pub(crate) fn is_below(&self, part: usize, above: usize) -> bool {
         self.around(part).any(|part| part == above)
     }

@@ -2,14 +2,15 @@
 
 use super::steps::{PartKind, Plan, StepKind};
 
-/// Steps of other parts that a part's light field depends on.
+/// Steps of other parts that the light field of a part depends on.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct Before<'a> {
-    /// The step that loaded the scene.
+    /// Id of the step that loaded the scene.
     pub(crate) ingested: Option<&'a str>,
-    /// The step that placed the window at the first time step.
+    /// Id of the step that placed the window at the first time step.
     pub(crate) placed: Option<&'a str>,
-    /// The light field of the first time step, whose exposure and geometry apply to all.
+    /// Id of the step that made the light field of the first time step. Exposure and geometry of
+    /// this light field apply to all time steps.
     pub(crate) first: Option<&'a str>,
 }
 
@@ -33,7 +34,7 @@ pub(crate) fn add_field(plan: &mut Plan, part: usize, before: Before<'_>) -> Str
     if denoised {
         last = plan.add_step(part, StepKind::Denoise, vec![last]);
     }
-    // The exposure of the first time step comes first: it is a setting of this step.
+    // The exposure of the first time step must be known, since it applies to this step too.
     let mut inputs = ids(before.first);
     inputs.push(last);
     plan.add_step(part, StepKind::Expose, inputs)
@@ -47,17 +48,18 @@ pub(crate) fn add_score(plan: &mut Plan, part: usize, field: &str) -> Vec<String
     vec![plan.add_step(part, StepKind::Score, vec![field.to_owned()])]
 }
 
-/// The same display at the previous time step.
+/// Ids of the steps of the same display at the previous time step.
 pub(crate) struct TimeBefore {
     pub(crate) patterns: String,
     pub(crate) field: String,
-    /// Light fields that are solved again for a warm start, in place of `patterns`.
+    /// Ids of light fields that are solved again for a warm start, instead of `patterns`.
     pub(crate) warm_up: Vec<String>,
 }
 
-/// Adds the steps of a display: patterns, outputs, measures and, if `reports`, a report.
+/// Adds the steps of a display: patterns, outputs, measures and, if `reports` is true, a report.
 ///
-/// Returns the ids of the patterns and of the last step. The solver warm-starts from `before`.
+/// Returns the ids of the patterns' step and of the last step. The solver starts from the patterns
+/// of `before`.
 pub(crate) fn add_display(
     plan: &mut Plan,
     part: usize,
@@ -66,7 +68,7 @@ pub(crate) fn add_display(
     before: Option<TimeBefore>,
     reports: bool,
 ) -> [String; 2] {
-    // Patterns, from the light field and a warm start.
+    // The patterns depend on the light field and a warm start.
     let field = field.to_owned();
     let mut inputs = vec![field.clone()];
     if let Some(before) = &before {
@@ -77,7 +79,7 @@ pub(crate) fn add_display(
     }
     let patterns = plan.add_step(part, StepKind::Patterns, inputs);
     let mut last = vec![patterns.clone(), field.clone()];
-    // Outputs. Those of the light field belong to the graph, not to its nodes.
+    // Outputs of the light field belong to the graph, not to its nodes.
     let is_node = matches!(plan.parts[part].kind, PartKind::Node(_));
     let outputs = plan.parts[part].job.outputs.clone();
     for (number, _) in outputs.iter().enumerate().filter(|(_, output)| !output.takes_light_field()) {

@@ -8,10 +8,10 @@
 //! ```
 //!
 //! A sweep of a sequence has a light field per time step, `fields/1/t0001/target`. The file of a
-//! design is written atomically, and its key includes all that it depends on. Therefore a killed
-//! sweep continues with its finished designs and ends with the same bytes.
+//! design is written atomically, and its key contains all that it depends on. Therefore a killed
+//! sweep continues with the designs that are finished, and ends with the same bytes.
 //!
-//! Designs are solved in parallel, since a small one does not use all threads.
+//! Designs are solved in parallel, since a small design does not use all threads.
 
 mod designs;
 mod search;
@@ -41,38 +41,38 @@ use crate::store::files::write;
 use crate::store::settings::write_job;
 use crate::store::used;
 
-/// Pixels per unit of the plots in PNG files.
+/// Pixels of a PNG file per unit of the plot.
 const PNG_SCALE: f32 = 1.5;
 
 /// Results of a sweep.
 #[derive(Clone, Debug, Serialize)]
 pub struct SweepSummary {
-    /// The table.
+    /// File of the table.
     #[serde(serialize_with = "lumistack_core::path_text::told")]
     pub csv: PathBuf,
     /// Number of designs in the table.
     pub designs: usize,
-    /// Number of designs that earlier runs had solved.
+    /// Number of designs that earlier runs solved.
     pub kept: usize,
-    /// Plots as SVG; each has a PNG of the same name.
+    /// Plots as SVG files; each has a PNG file of the same name.
     #[serde(serialize_with = "lumistack_core::path_text::told_each")]
     pub plots: Vec<PathBuf>,
     /// Number of plots that `plots = "all"` would add.
     pub more_plots: usize,
-    /// The design with the highest zone score, or PSNR at the target views if there is none. The
-    /// first of equal ones.
+    /// The design with the highest zone score or, without zone scores, the highest PSNR at the
+    /// target views. The first one if several are equal.
     pub best: Option<Row>,
     /// The designs that a search proposes, best first.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub proposed: Vec<Row>,
-    /// File of the display that a search proposes.
+    /// File of the display that a search proposes, if there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[serde(serialize_with = "lumistack_core::path_text::told_optional")]
     pub display: Option<PathBuf>,
 }
 
-/// Solves one design of a sweep, by number from 1, and writes its row. Its light fields must be
-/// done.
+/// Solves one design of a sweep, by its number from 1, and writes its row. Its light fields must be
+/// complete.
 ///
 /// # Errors
 /// If the sweep has no such design, the solver fails, or the task is cancelled.
@@ -116,7 +116,7 @@ pub(crate) struct Designs {
 /// Adds the steps of a sweep: light fields, then designs, then the table.
 ///
 /// # Errors
-/// If a design is invalid, or no design keeps the constraints of a search.
+/// If a design is invalid, or no design satisfies the constraints of a search.
 pub(crate) fn add(plan: &mut Plan, job: &Job, sweep: &SweepJob) -> Result<Designs, PipelineError> {
     sweep.check()?;
     job.factorize.check_needs_no_device("designs of a sweep are solved")?;
@@ -126,7 +126,7 @@ pub(crate) fn add(plan: &mut Plan, job: &Job, sweep: &SweepJob) -> Result<Design
         Some(search) => search::allowed(candidates, search)?,
         None => candidates,
     };
-    // Only light fields that some design needs get a part.
+    // Only light fields that a design needs get a part.
     let (mut fields, mut inputs) = (Vec::new(), Vec::new());
     for (number, of_field) in jobs.into_iter().enumerate() {
         let (mut parts, mut ids) = (Vec::new(), Vec::new());
@@ -145,7 +145,7 @@ pub(crate) fn add(plan: &mut Plan, job: &Job, sweep: &SweepJob) -> Result<Design
         fields.push(parts);
         inputs.push(ids);
     }
-    // A search decides later which designs it solves, so it is one step.
+    // A search decides during its work which designs it solves, so it is one step.
     let ends = match sweep.search {
         Some(_) => vec![plan.add_step(root, StepKind::Search, inputs.concat())],
         None => {
@@ -173,7 +173,7 @@ pub(crate) fn execute(
     registry: &Registry,
     task: Task<'_>,
 ) -> Result<SweepSummary, PipelineError> {
-    // Light fields first: designs read them from memory.
+    // Make the light fields first, since designs read them from memory.
     let dir = &plan.folder;
     let mut executor = Executor::new(plan, registry, None, task);
     executor.execute()?;
@@ -200,7 +200,7 @@ pub(crate) fn execute(
             Some(path)
         }
     };
-    // The table and its plots.
+    // Write the table and its plots.
     let csv = dir.join("sweep.csv");
     write(&csv, table::csv(&rows).as_bytes())?;
     let all = json!({ "schema": "lumistack/sweep", "version": 1, "name": job.name, "rows": rows });
@@ -244,7 +244,8 @@ struct Sweep<'a> {
 }
 
 impl Sweep<'_> {
-    /// Returns a row per candidate, in their order, and the number of rows of earlier runs.
+    /// Returns a row per candidate, in the order of the candidates, and the number of rows that
+    /// earlier runs made.
     ///
     /// # Errors
     /// If the solver fails on a design, or the task is cancelled.
@@ -253,7 +254,7 @@ impl Sweep<'_> {
         std::fs::create_dir_all(folder).map_err(PipelineError::write(folder))?;
         let progress = self.task.progress;
         progress.begin("sweep", candidates.len() as u64, "designs");
-        // Candidates take very different times, so threads take them one by one.
+        // Candidates take very different times, so threads take one at a time.
         let finished = AtomicUsize::new(0);
         let solved: Result<Vec<(Row, bool)>, PipelineError> = candidates
             .par_iter()
@@ -268,13 +269,14 @@ impl Sweep<'_> {
             })
             .collect();
         progress.end();
-        // A stopped sweep can continue, so say how far it came.
+        // Since a stopped sweep can continue, report how many designs are finished.
         let solved = solved.inspect_err(|error| {
             if matches!(error, PipelineError::Cancelled) {
                 let (done, all) = (finished.load(Ordering::Relaxed), candidates.len());
                 let folder = folder.display();
-                let message =
-                    format!("stopped with {done} of {all} designs in {folder}; the same command goes on from them");
+                let message = format!(
+                    "stopped with {done} of {all} designs in {folder}; run the same command again to continue from them"
+                );
                 self.task.warn("sweep", message);
             }
         })?;

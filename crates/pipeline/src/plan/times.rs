@@ -1,7 +1,7 @@
-//! Time steps of a sequence. Each is the job of a still.
+//! Time steps of a sequence. Each time step is the job of a still.
 //!
-//! Time steps differ in the light field's file, in the window if it moves, or in the pose of an
-//! animated scene.
+//! Time steps differ in the file of the light field, in the window if it moves, or in the pose of
+//! an animated scene.
 
 use std::path::{Path, PathBuf};
 
@@ -15,10 +15,10 @@ use crate::job::{FactorizeJob, FitDepth, Job, Near, NodeJob, PoseJob, SequenceJo
 use crate::stage::design::Later;
 use crate::stage::node::is_factorized;
 
-/// The solver that `auto` selects after the first time step.
+/// The solver of time steps after the first, if the job has the solver `auto`.
 ///
-/// Extrapolation overshoots in a few iterations from patterns of another target. Measured with
-/// content that moves 2 pixels per time step (3 layers, 6 frames, 160 × 100, 5 × 5 views, 5
+/// If few iterations start from patterns of another target, extrapolation overshoots. Measured with
+/// content that moves 2 pixels per time step (3 layers, 6 frames, 160 × 100 pixels, 5 × 5 views, 5
 /// iterations):
 ///
 /// | β | solver | PSNR (dB) | flicker (dB) |
@@ -28,46 +28,46 @@ use crate::stage::node::is_factorized;
 /// | 1 | block-exact | 45.3 | 45.8 |
 /// | 1 | extrapolated | 45.3 | 45.3 |
 ///
-/// Extrapolation is better from 8 to 12 iterations on, and only in error. A start with patterns
-/// moved like the content gains 4 dB at first, but 0.1 to 0.4 dB at the end. That is not worth a
-/// second target in memory.
+/// Extrapolation is better from 8 to 12 iterations on, and only in PSNR. Patterns that are moved
+/// like the content are a start that is 4 dB better, but the result is only 0.1 to 0.4 dB better.
+/// That is not worth a second target in memory.
 const WARM_SOLVER: &str = "block-exact";
 
-/// Folder below a sequence's: for each time step that begins a chunk, patterns of time steps before
-/// it.
+/// Folder in the folder of a sequence. For each time step that begins a chunk, it contains patterns
+/// of earlier time steps.
 pub(crate) const WARM_UP: &str = "cache/warm-up";
-/// Number of time steps before a chunk that are solved again.
+/// Default number of time steps before a chunk that are solved again.
 ///
 /// Measured with a window that turns by 0.4° per time step (84 × 52 pixels, 25 views, three layers
-/// and frames). One is as good as two: the error is within 0.01 dB of a sequence without chunks,
-/// the flicker 0.5 dB lower. Content that moves faster needs more.
+/// and frames). One time step is as good as two: the error is within 0.01 dB of a sequence without
+/// chunks, and the flicker score is 0.5 dB lower. Content that moves faster needs more time steps.
 const WARM_UP_TIMES: usize = 2;
 
 /// The time steps of a job.
 #[derive(Clone, Debug)]
 pub(crate) struct Times {
     pub(crate) sequence: SequenceJob,
-    /// Light fields of a sequence of files, one per time step.
+    /// Paths of the light fields, one per time step, if the sequence consists of files.
     fields: Vec<PathBuf>,
     count: usize,
 }
 
-/// Results of the first time step that all others use.
+/// Results of the first time step that all other time steps use.
 #[derive(Clone, Copy)]
 pub(crate) struct FirstTimeStep {
     /// Window and depth scale of the first time step.
     pub(crate) placement: Placement,
-    /// True if the scene got studio light.
+    /// True if automatic studio light was added to the scene.
     pub(crate) studio: bool,
-    /// Exposure and tone curve, once the first time step has them.
+    /// Exposure and tone curve, if the first time step has been exposed.
     pub(crate) tone_mapping: Option<ToneMapping>,
 }
 
 impl Times {
-    /// Lists the light fields, or counts the time steps.
+    /// Finds the light fields of a folder, or takes the number of time steps from the job.
     ///
     /// # Errors
-    /// If there are no light fields, or fewer than the job's number of time steps.
+    /// If there are no light fields, or fewer than the job has time steps.
     pub(crate) fn find(job: &Job, sequence: &SequenceJob) -> Result<Self, PipelineError> {
         let fields = match (&job.scene, &job.light_field) {
             (None, Some(folder)) => light_fields(folder, sequence.times)?,
@@ -81,7 +81,8 @@ impl Times {
         self.count
     }
 
-    /// Returns the light fields, one per time step; empty for other sequences.
+    /// Returns the paths of the light fields, one per time step; empty if the sequence does not
+    /// consist of files.
     pub(crate) fn into_fields(self) -> Vec<PathBuf> {
         self.fields
     }
@@ -91,16 +92,16 @@ impl Times {
         self.sequence.duration_s == 0.0
     }
 
-    /// Returns the time steps that are solved again before a time step that begins a chunk; else
-    /// none.
+    /// Returns the time steps that are solved again for a time step that begins a chunk; none for
+    /// other time steps.
     pub(crate) fn warm_up(&self, time: usize) -> std::ops::Range<usize> {
         let begins = time > 0 && self.sequence.chunk_times.is_some_and(|chunk| time.is_multiple_of(chunk));
         let count = if begins { self.sequence.warm_up_times.unwrap_or(WARM_UP_TIMES) } else { 0 };
         time.saturating_sub(count)..time
     }
 
-    /// Returns the folder of the patterns that a time step starts from, below the sequence's
-    /// folder; `None` for the first.
+    /// Returns the folder of the patterns that a time step starts from, relative to the folder of
+    /// the sequence. `None` for the first time step.
     pub(crate) fn start(&self, time: usize) -> Option<PathBuf> {
         let before = name(time.checked_sub(1)?);
         Some(if self.warm_up(time).is_empty() {
@@ -118,10 +119,10 @@ impl Times {
     /// Returns the job of a time step.
     ///
     /// Later time steps start from the patterns in `before`, the folder of [`start`](Self::start).
-    /// They have exposure and tone curve of the first one. `begun` is `None` before the first time
-    /// step has run.
+    /// They have the exposure and tone curve of the first time step. `first_step` is `None` until
+    /// the first time step has run.
     pub(crate) fn job(&self, job: &Job, time: usize, before: Option<&Path>, first_step: Option<FirstTimeStep>) -> Job {
-        // Another light field, or the window and pose of this time step.
+        // Replace the light field, or the window and the pose.
         let mut of = Job { sequence: None, sweep: None, name: format!("{} {}", job.name, name(time)), ..job.clone() };
         if let Some(path) = self.fields.get(time) {
             of.light_field = Some(path.clone());
@@ -134,7 +135,7 @@ impl Times {
             if let Some(FirstTimeStep { placement, studio, .. }) = first_step {
                 let window = moved(&placement.window, &self.sequence, self.share(time));
                 of.window = WindowJob { depth_scale: placement.depth_scale, ..given(&window) };
-                // Studio light stays on or off for the whole sequence.
+                // Studio light is on or off for the whole sequence.
                 of.light.automatic &= studio;
             }
             if !self.sequence.reports {
@@ -142,7 +143,8 @@ impl Times {
                 (of.render.held_out, of.render.outside, of.report.zone_directions) = (0, 0, 0);
             }
         }
-        // Later time steps start from the patterns of the one before, with the same exposure.
+        // Later time steps start from the patterns of the previous one, with the exposure of the
+        // first.
         let Some(before) = before else { return of };
         for node in of.nodes.iter_mut().filter(|node| is_factorized(Some(node))) {
             let layers = before.join("nodes").join(&node.id).join("layers");
@@ -160,20 +162,20 @@ impl Times {
         of
     }
 
-    /// Returns the settings of a time step that starts from patterns.
+    /// Returns the settings of a time step that starts from the patterns in `layers`.
     pub(crate) fn warm(&self, first: &FactorizeJob, layers: Option<PathBuf>) -> FactorizeJob {
         let solver = if first.solver == AUTO { WARM_SOLVER.into() } else { first.solver.clone() };
         let iterations = self.sequence.iterations;
         FactorizeJob { warm_start: layers, iterations: Some(iterations), coarse_levels: None, solver, ..first.clone() }
     }
 
-    /// Returns the settings of a time step whose content differs too much from the one before.
+    /// Returns the settings of a time step whose content differs too much from the previous one.
     pub(crate) fn fresh(&self, job: &Job, node: Option<&NodeJob>) -> FactorizeJob {
         let first = node.and_then(|node| node.factorize.as_ref()).unwrap_or(&job.factorize);
         FactorizeJob { warm_start: None, iterations: Some(self.sequence.iterations), ..first.clone() }
     }
 
-    /// Describes the origin of a time step's light field for the report.
+    /// Describes the origin of a time step's light field, for the report.
     pub(crate) fn source(&self, job: &Job, time: usize) -> String {
         if let Some(path) = self.fields.get(time) {
             return path.display().to_string();
@@ -194,14 +196,15 @@ impl Times {
         SourceJob { time: first.time + time as u64, time_s, ..first.clone() }
     }
 
-    /// Returns the share of the movement that is done, 0 at the first time step and 1 at the last.
+    /// Returns the fraction of the movement that is done: 0 at the first time step and 1 at the
+    /// last.
     fn share(&self, time: usize) -> f64 {
         time as f64 / (self.count - 1).max(1) as f64
     }
 }
 
-/// Returns settings of later time steps for sequences that are solved in memory: with a warm start,
-/// and without.
+/// Returns the settings of later time steps, for sequences that are solved in memory: with a warm
+/// start, and without.
 pub(crate) fn later(job: &Job) -> Later {
     let sequence = job.sequence.clone().unwrap_or_default();
     let times = Times { sequence, fields: Vec::new(), count: 1 };
@@ -216,8 +219,8 @@ pub(crate) fn name(time: usize) -> String {
     format!("t{:04}", time + 1)
 }
 
-/// Moves the window by a share of its movement. The rotation is about its vertical axis, the
-/// translation along the axes of the first time step.
+/// Moves the window by a fraction of its movement. The rotation is about the vertical axis of the
+/// window, the translation along its axes at the first time step.
 fn moved(window: &Window, sequence: &SequenceJob, share: f64) -> Window {
     let map = window.scene_from_display;
     let turn = DQuat::from_rotation_y((share * sequence.turn_deg).to_radians());
@@ -229,7 +232,7 @@ fn moved(window: &Window, sequence: &SequenceJob, share: f64) -> Window {
     Window { scene_from_display, ..*window }
 }
 
-/// Returns the pose after a share of the sequence's duration.
+/// Returns the pose after a fraction of the sequence's duration.
 fn pose_at(job: &Job, sequence: &SequenceJob, share: f64) -> PoseJob {
     let mut pose = job.pose.clone();
     if sequence.duration_s != 0.0 {
@@ -238,7 +241,7 @@ fn pose_at(job: &Job, sequence: &SequenceJob, share: f64) -> PoseJob {
     pose
 }
 
-/// Converts a window to job values.
+/// Converts a window to values of a job.
 fn given(window: &Window) -> WindowJob {
     let map = window.scene_from_display;
     WindowJob {
@@ -248,14 +251,14 @@ fn given(window: &Window) -> WindowJob {
         up: Some((map.rotation * DVec3::Y).to_array()),
         width: Some(map.scale * window.size_mm[0]),
         near: window.near_mm.map_or(Near::Off, |near| Near::At(near * map.scale)),
-        // Placement of the first time step has compressed depth already.
+        // The first time step has compressed the depth already.
         fit_depth: FitDepth::Off,
         ..WindowJob::default()
     }
 }
 
-/// Returns one light field per time step: the folders in `folder`; without folders its `.npy`
-/// files; without those its pictures. Sorted by name.
+/// Returns one light field per time step, sorted by name. These are the folders in `folder`, or
+/// without folders its `.npy` files, or without both its pictures.
 fn light_fields(folder: &Path, times: Option<usize>) -> Result<Vec<PathBuf>, PipelineError> {
     let error = |source| PipelineError::Read { path: folder.to_owned(), source };
     let mut entries = Vec::new();
@@ -267,7 +270,7 @@ fn light_fields(folder: &Path, times: Option<usize>) -> Result<Vec<PathBuf>, Pip
     let has_extension = |path: &Path, wanted: &[&str]| {
         path.extension().is_some_and(|found| wanted.iter().any(|wanted| found.eq_ignore_ascii_case(wanted)))
     };
-    // Pictures beside folders or arrays are previews, so the first kind that exists wins.
+    // Pictures next to folders or arrays are previews, so only the first kind that exists is used.
     let kinds: [&dyn Fn(&Path) -> bool; 3] = [&|path| path.is_dir(), &|path| has_extension(path, &["npy"]), &|path| {
         has_extension(path, &["png", "jpg", "jpeg", "exr", "hdr"])
     }];
@@ -287,7 +290,7 @@ fn light_fields(folder: &Path, times: Option<usize>) -> Result<Vec<PathBuf>, Pip
     Ok(paths)
 }
 
-/// Returns a sort key that orders numbers in names by value: "t2" before "t10".
+/// Returns a sort key that orders names by the value of their numbers: "t2" before "t10".
 fn natural(name: &str) -> Vec<(String, u128, String)> {
     let mut parts = Vec::new();
     let mut rest = name;
@@ -359,7 +362,7 @@ mod tests {
         let sequence = SequenceJob { turn_deg: 60.0, shift_mm: [100.0, 0.0, -50.0], ..SequenceJob::default() };
         assert_eq!(moved(&first, &sequence, 0.0), first);
         let half = moved(&first, &sequence, 0.5);
-        // 1 mm is 0.01 scene units: half of (100, 0, −50) mm from (1, 2, 3)
+        // 1 mm is 0.01 scene units: half of (100, 0, −50) mm, from (1, 2, 3)
         assert!((half.scene_from_display.translation - DVec3::new(1.5, 2.0, 2.75)).length() < 1e-12);
         let to_viewer = half.scene_from_display.rotation * DVec3::Z;
         assert!((to_viewer - DVec3::new(0.5, 0.0, 0.75f64.sqrt())).length() < 1e-12, "{to_viewer}");

@@ -9,11 +9,12 @@
 //! finish: all other steps, after all other units
 //! ```
 //!
-//! Tracing is most of the work and writes pictures one by one, so blocks of pictures are smaller
-//! than a step. Other units have several steps, since each unit reads its inputs again.
+//! Tracing is most of the work and writes pictures one by one. So a unit that traces executes only
+//! a block of the pictures of a step. Other units execute several steps, since each unit reads its
+//! inputs again.
 //!
 //! The last unit is the plain run. It reuses all results, and makes damaged or missing ones again.
-//! So the bytes of results do not depend on the cut.
+//! So the bytes of results do not depend on how the plan is cut.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -26,10 +27,10 @@ use crate::stage::tiles::Tiles;
 /// The id of the last unit.
 pub(crate) const FINISH: &str = "finish";
 
-/// How a plan is cut into units of work.
+/// Rule by which a plan is cut into units of work.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlockSize {
-    /// Expected time of a block of pictures, seconds, > 0.
+    /// Expected time of a block of pictures, seconds, above 0.
     pub block_seconds: f64,
     /// Number of blocks of each light field; overrides `block_seconds`.
     pub blocks: Option<usize>,
@@ -41,7 +42,7 @@ impl Default for BlockSize {
     }
 }
 
-/// Cuts a plan, whose estimates must be filled in.
+/// Cuts a plan into units. The plan must have its estimates.
 pub(crate) fn units(plan: &Plan, block_size: BlockSize) -> Vec<Unit> {
     let mut cutter = Cutter { plan, block_size, units: Vec::new(), made_by: HashMap::new() };
     for step in &plan.steps {
@@ -50,11 +51,11 @@ pub(crate) fn units(plan: &Plan, block_size: BlockSize) -> Vec<Unit> {
     cutter.finish()
 }
 
-/// Time to join the tiles of a solve, as a share of the solve.
+/// Time to join the tiles of a solve, as a fraction of the time of the solve.
 const JOIN: f64 = 0.02;
 
-/// Returns the tiles of a still's solve, and the memory of one in bytes. `None` if it is not cut,
-/// or if only the light field's file has the display's size.
+/// Returns the tiles of a still's solve, and the memory of one tile in bytes. `None` if the solve
+/// is not cut, or if the display's size is only known from the file of a light field.
 fn tiles_of(plan: &Plan, part: usize) -> Option<(Tiles, u64)> {
     let field_part = plan.field_part(part);
     let (job, of_field) = (&plan.parts[part].job, &plan.parts[field_part].job);
@@ -71,7 +72,7 @@ fn tiles_of(plan: &Plan, part: usize) -> Option<(Tiles, u64)> {
         Some(node) => display_of_node(node, &job.resolve_display().ok()?, &display, &geometry).ok()?.0,
     };
     let tiles = Tiles::of(&job.factorize, &display, &geometry)?;
-    // one view is read at a time
+    // the views of the tile are read one at a time
     let bytes = tiles.bytes(&display, &geometry) + 12 * (geometry.rows * geometry.cols) as u64;
     Some((tiles, bytes))
 }
@@ -80,7 +81,7 @@ struct Cutter<'a> {
     plan: &'a Plan,
     block_size: BlockSize,
     units: Vec<Unit>,
-    /// Indices of the units that make the result of a step.
+    /// For each step, the indices of the units that make its result.
     made_by: HashMap<&'a str, BTreeSet<usize>>,
 }
 
@@ -90,7 +91,7 @@ impl<'a> Cutter<'a> {
             StepKind::Place if !matches!(self.plan.parts[step.part].kind, PartKind::Time(_)) => UnitKind::Place,
             StepKind::Trace => return self.add_blocks(step, UnitKind::Views, step.inputs.clone()),
             StepKind::Score => {
-                // Directions depend on the display alone, so the light field need not be done.
+                // Directions depend only on the display, so the light field need not be done.
                 let place =
                     self.plan.steps.iter().filter(|other| other.part == step.part && other.kind == StepKind::Place);
                 return self.add_blocks(step, UnitKind::Score, place.map(|step| step.id.clone()).collect());
@@ -103,13 +104,13 @@ impl<'a> Cutter<'a> {
             StepKind::FieldOutput(_) | StepKind::StackOutput(_) | StepKind::Measure => return self.add_result(step),
             StepKind::Report if self.is_report_of_time(step) => return self.add_result(step),
             StepKind::Design(number) => return self.add_design(step, number),
-            // units that read these results make them
+            // units that read these results make them too
             StepKind::Ingest | StepKind::Place | StepKind::Denoise => return self.pass(step),
             // the last unit makes these
             StepKind::Report | StepKind::Search => return,
         };
         let mut inputs = self.inputs(&step.inputs);
-        // A solve in tiles waits for the tiles of the last round, and only joins them.
+        // A solve in tiles waits for the tiles of the last round, and then only joins them.
         let last = self.made_by.remove(step.id.as_str());
         inputs.extend(last.iter().flatten());
         let mut unit = self.unit(step, step.id.clone(), kind, inputs);
@@ -123,7 +124,7 @@ impl<'a> Cutter<'a> {
         self.push(step, unit);
     }
 
-    /// Adds no unit: units that read this step wait for its inputs.
+    /// Adds no unit: units that read the result of this step wait for the inputs of this step.
     fn pass(&mut self, step: &'a Step) {
         let inputs = self.inputs(&step.inputs);
         self.made_by.insert(&step.id, inputs);
@@ -165,13 +166,13 @@ impl<'a> Cutter<'a> {
         }
     }
 
-    /// Adds the tiles of a still's patterns, round by round. A time step solves all its tiles in
-    /// its own unit.
+    /// Adds the tiles of a still's patterns, round by round. The unit of a time step solves all
+    /// tiles of the time step.
     fn add_tiles(&mut self, step: &'a Step) {
         let Some((tiles, memory_bytes)) = tiles_of(self.plan, step.part) else { return };
         let (rounds, count) = (tiles.rounds(), tiles.count());
         let seconds = step.seconds / (rounds * count) as f64;
-        // A tile of a later round needs the borders of its neighbours from the round before.
+        // In a later round, a tile needs the borders of its neighbours from the previous round.
         let mut before: Vec<usize> = Vec::new();
         for round in 1..=rounds {
             let first = self.units.len();
@@ -191,7 +192,7 @@ impl<'a> Cutter<'a> {
         self.made_by.insert(&step.id, before.into_iter().collect());
     }
 
-    /// Returns a path in a step's folder, with `/` on every system.
+    /// Returns the path of a file in a step's folder, with `/` on every system.
     fn place(&self, step: &Step, name: &str) -> String {
         let folder = step.folder.to_string_lossy().replace('\\', "/");
         if folder.is_empty() { name.to_owned() } else { format!("{folder}/{name}") }
@@ -204,7 +205,7 @@ impl<'a> Cutter<'a> {
         self.push(step, Unit { block: Some([number + 1, count]), ..unit });
     }
 
-    /// Adds a step to the unit `results` of its part. The last unit makes the results of a still.
+    /// Adds a step to the unit `results` of its part. For a still, the last unit makes the results.
     fn add_result(&mut self, step: &'a Step) {
         if step.part == 0 {
             return;
@@ -215,7 +216,7 @@ impl<'a> Cutter<'a> {
         let mut inputs = self.inputs(&step.inputs);
         inputs.retain(|input| Some(*input) != known);
         let unit = self.unit(step, id, UnitKind::Results, inputs);
-        // The part has such a unit already: merge the step into it.
+        // If the part has such a unit already, merge the step into it.
         let Some(known) = known else { return self.push(step, unit) };
         self.made_by.entry(&step.id).or_default().insert(known);
         let all = &mut self.units[known];
@@ -234,13 +235,13 @@ impl<'a> Cutter<'a> {
         }
     }
 
-    /// True if a step is the report of a time step with one display. Only such reports are cached.
+    /// True if a step is the report of a time step with one display; no other reports are cached.
     fn is_report_of_time(&self, step: &Step) -> bool {
         let part = &self.plan.parts[step.part];
         matches!(part.kind, PartKind::Time(_)) && part.job.nodes.is_empty()
     }
 
-    /// Returns steps without a unit that the unit of a step also executes.
+    /// Returns the steps that have no unit and that the unit of a step executes too.
     fn merged_steps(&self, step: &Step) -> Vec<&'a Step> {
         let alike =
             |other: &&Step| other.part == step.part && step.kind == StepKind::Expose && other.kind == StepKind::Denoise;

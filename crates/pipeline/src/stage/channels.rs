@@ -1,4 +1,4 @@
-//! Extra channels of the views, in pictures beside them.
+//! Additional channels of the views, in pictures next to the views' pictures.
 //!
 //! ```text
 //! layers_YY_XX.exr   depth.Z  normal.X normal.Y normal.Z  albedo.R albedo.G albedo.B
@@ -16,7 +16,7 @@ use crate::stage::fields::Shot;
 use crate::stage::trace::Traced;
 use crate::view_options::{ExtraChannel, ViewOptions};
 
-/// Writes the extra channels of every rendered view. Returns their description for the index.
+/// Writes the additional channels of every rendered view. Returns their description for the index.
 ///
 /// # Errors
 /// If the scene cannot be rendered, a file cannot be written, or the task is cancelled.
@@ -51,7 +51,7 @@ pub(crate) fn write_channels(
                 Some(guides) if ingested.scene.placed_clouds.is_empty() => {
                     pixels().map(|(row, col)| guides.at(row, col).central_z_mm.map_or(f32::NAN, shown)).collect()
                 }
-                // Splats have a depth of their own.
+                // Splats have a depth that is computed separately.
                 _ => renderer.depth(window, traced, view, task)?.data().iter().map(|z| shown(*z)).collect(),
             };
             channels.push((ExtraChannel::Depth.channels()[0], depth));
@@ -67,7 +67,7 @@ pub(crate) fn write_channels(
                 channels.push((ExtraChannel::Albedo.channels()[axis], values));
             }
         }
-        // Variance and coverage come from the cache of the views.
+        // Read variance and coverage from the cache of the views.
         if has(ExtraChannel::Variance) {
             let variance = target.variance(view, kind)?;
             for (axis, name) in ExtraChannel::Variance.channels().iter().enumerate() {
@@ -78,7 +78,7 @@ pub(crate) fn write_channels(
             let missed = target.missed(view, shot, task)?;
             channels.push((ExtraChannel::Coverage.channels()[0], missed.iter().map(|missed| 1.0 - missed).collect()));
         }
-        // The file has the name of the view's picture, with another prefix.
+        // The file has the name of the view's picture, but another prefix.
         let views = target.geometry.grid.views();
         let name = lumistack_field_io::view_file_name(views, view).replacen("view_", "layers_", 1);
         let channels: Vec<(&str, &[f32])> = channels.iter().map(|(name, values)| (*name, values.as_slice())).collect();
@@ -91,7 +91,7 @@ pub(crate) fn write_channels(
     result?;
     // Describe channels, units and meaning, so that a reader needs no other document.
     let mut about = Map::new();
-    about.insert("files".into(), "layers_YY_XX.exr, beside view_YY_XX.exr".into());
+    about.insert("files".into(), "layers_YY_XX.exr, next to view_YY_XX.exr".into());
     about.insert("scene_units_per_mm".into(), placement.window.scene_from_display.scale.into());
     for (name, layer) in ExtraChannel::ALL.iter().filter(|(_, layer)| has(*layer)) {
         let [unit, meaning] = layer.about();

@@ -1,4 +1,4 @@
-//! Denoising of a light field: traced views in, filtered views and error estimates out.
+//! Denoises a light field: reads traced views, writes filtered views and estimates of their error.
 //!
 //! ```text
 //! cache/views/target-KEY/view_YY_XX-a.exr -b.exr     traced halves of the samples
@@ -6,8 +6,8 @@
 //! ```
 //!
 //! A stopped run continues from its finished halves, and another filter needs no new rendering. For
-//! the filter `shared`, the path tracer separates light that views share from other light. Then
-//! `split_YY_XX.exr` replace the halves.
+//! the filter `shared`, the path tracer separates light that views share from other light. The
+//! files of a view are then not two halves but one `split_YY_XX.exr`.
 
 mod oidn;
 
@@ -30,36 +30,37 @@ use crate::store::views::{read_split, read_view, split_path, view_path, write_vi
 /// Returns the version of Open Image Denoise that the denoiser `oidn` uses.
 ///
 /// # Errors
-/// If it is not installed. The message lists the places where it was searched.
+/// If it is not installed. The message lists where it was searched.
 pub fn oidn_version() -> Result<String, PipelineError> {
     Oidn::find().map(|oidn| oidn.version)
 }
 
-/// Paths of each render of a checked pixel, over those of a pixel of the views.
+/// Number of paths in each render of a checked pixel, as a multiple of the number in a view's
+/// pixel.
 const CHECK_FACTOR: u32 = 2;
-/// Maximum number of views whose pixels are checked. They spread over the viewing zone and suffice
-/// to judge a filter.
+/// Maximum number of views whose pixels are checked. They are spread over the viewing zone, and
+/// suffice to judge a filter.
 const CHECKED_VIEWS: usize = 25;
 /// Maximum number of samples of the path tracer.
 const MOST_SAMPLES: u32 = 65536;
 
-/// Effect of a denoiser on the target.
+/// How a denoiser changed the target.
 pub(crate) struct Denoised {
     kind: Denoise,
-    /// Per view, in the order of the grid; of exposed radiance.
+    /// Scores of each view, in the order of the grid, for exposed radiance.
     figures: Vec<ViewFigures>,
     /// The central view before the filter, `[row][col][rgb]`, as displayed.
     unbiased: Vec<f32>,
-    /// The central view after the filter, likewise.
+    /// The central view after the filter, `[row][col][rgb]`, as displayed.
     filtered: Vec<f32>,
 }
 
-/// Checks before any rendering that the filter is available.
+/// Checks before any rendering that the denoiser is available.
 pub(crate) fn check(kind: Denoise) -> Result<(), PipelineError> {
     if kind == Denoise::Oidn { Oidn::find().map(drop) } else { Ok(()) }
 }
 
-/// Filters all views that are not filtered yet. Returns true if all were.
+/// Filters all views that are not filtered yet. Returns true if all views were filtered already.
 ///
 /// # Errors
 /// If cancelled, if a file cannot be written, or if Open Image Denoise fails.
@@ -75,7 +76,7 @@ pub(crate) fn run(shot: Shot<'_>, fields: &[FieldJob], task: Task<'_>) -> Result
     Ok(cached)
 }
 
-/// True if all filtered views of a field are in the cache.
+/// True if all filtered views of a light field are in the cache.
 pub(crate) fn is_finished(field: &FieldJob, kind: Denoise) -> bool {
     let folder = field.finished(kind);
     let is_there = |view| read_view(&view_path(&folder, view, None), &field.traced).is_some();
@@ -96,7 +97,7 @@ fn filter(field: &FieldJob, shot: Shot<'_>, task: Task<'_>) -> Result<(), Pipeli
         Denoise::Shared => shared(field, task)?,
         _ => by_guides(field, shot, &folder, task)?,
     };
-    // Pixels of some views are rendered again, to measure noise and bias of the filter.
+    // Render some pixels of the views again, to measure noise and bias of the filter.
     let settings = field.seeded(&[]);
     let of_checks = Settings { samples: (CHECK_FACTOR * settings.samples).min(MOST_SAMPLES), ..settings };
     let mut written = Vec::new();
@@ -120,10 +121,10 @@ fn filter(field: &FieldJob, shot: Shot<'_>, task: Task<'_>) -> Result<(), Pipeli
     let checked: Result<(), PipelineError> = checked.collect();
     task.progress.end();
     checked?;
-    // Figures are written last, since they mark the field as finished.
+    // The scores are written last, since they mark the light field as finished.
     write_json(&figures_path(&folder), &written)?;
     if kind == Denoise::Shared {
-        // Split views take gigabytes, and the report shows the central one alone.
+        // Split views take gigabytes, and the report shows only the central one.
         let middle = middle(geometry);
         for view in geometry.grid.iter().filter(|view| *view != middle) {
             let path = split_path(&field.folder, view);
@@ -138,8 +139,8 @@ fn middle(geometry: &FieldGeometry) -> [usize; 2] {
     geometry.grid.views().map(|count| count / 2)
 }
 
-/// Returns a view before and after the filter, by number and grid position. One view at a time,
-/// since all together are large.
+/// Returns a view before and after the filter, by the view's number and its grid position. Only one
+/// view is in memory at a time, since all together are large.
 type Filtered<'a> = Box<dyn Fn(usize, [usize; 2]) -> Result<[Tensor<3>; 2], PipelineError> + 'a>;
 
 /// Averages the light that views share.
@@ -161,13 +162,14 @@ fn shared<'a>(field: &'a FieldJob, task: Task<'_>) -> Result<Filtered<'a>, Pipel
     }))
 }
 
-/// Reads a traced view with separated light.
+/// Reads a traced view whose diffuse and other light are separate.
 fn split(field: &FieldJob, view: [usize; 2]) -> Result<SplitView, PipelineError> {
     let path = split_path(&field.folder, view);
     read_split(&path, &field.traced).ok_or_else(PipelineError::replaced(&path, "cached view"))
 }
 
-/// Filters two halves of every view, guided by features of the first hits.
+/// Filters all views from two halves of each, guided by normals, albedo and depth of the first
+/// hits.
 fn by_guides<'a>(
     field: &FieldJob,
     shot: Shot<'_>,
@@ -190,7 +192,7 @@ fn by_guides<'a>(
     Ok(Box::new(move |number, _| Ok([views[number].mean(), filtered[number].clone()])))
 }
 
-/// Reads a traced half of a view.
+/// Reads one of the two traced halves of a view.
 fn half(field: &FieldJob, view: [usize; 2], half: usize) -> Result<Tensor<3>, PipelineError> {
     let path = view_path(&field.folder, view, Some(half));
     read_view(&path, &field.traced)
@@ -200,7 +202,7 @@ fn half(field: &FieldJob, view: [usize; 2], half: usize) -> Result<Tensor<3>, Pi
         .ok_or_else(PipelineError::replaced(&path, "cached view"))
 }
 
-/// Reads the effect of the filter, for the report.
+/// Reads how the filter changed the views, for the report.
 ///
 /// # Errors
 /// If a file of the filter is missing.
@@ -212,14 +214,14 @@ pub(crate) fn denoised(
     if !kind.filters() {
         return Ok(None);
     }
-    // Figures are of scene-linear radiance; the report shows exposed radiance.
+    // The cached scores are for scene-linear radiance; the report shows those of exposed radiance.
     let folder = field.finished(kind);
     let path = figures_path(&folder);
     let missing = || {
         PipelineError::value(
             &path,
             "content",
-            "the figures that were just written",
+            "the scores that were just written",
             "others or none; another program changes this folder",
         )
     };
@@ -230,7 +232,8 @@ pub(crate) fn denoised(
         f.mse_before = f.mse_before.scaled(tone_mapping.exposure.powi(2));
         f.mse_after = f.mse_after.scaled(tone_mapping.exposure.powi(2));
     }
-    // The picture before the filter is the mean of the halves, or the sum of the separated light.
+    // The picture before the filter is the mean of the two halves, or the sum of the separate
+    // light.
     let middle = middle(&field.traced);
     let mut unbiased: Vec<f32> = if kind == Denoise::Shared {
         split(field, middle)?.radiance().data().to_vec()
@@ -245,7 +248,7 @@ pub(crate) fn denoised(
 }
 
 impl Denoised {
-    /// Returns the figures for the report.
+    /// Returns the scores for the report.
     pub(crate) fn about(&self) -> Denoising<'_> {
         let pair = |estimate: Estimate| [estimate.value(), estimate.error()];
         let view = |figures: &ViewFigures| DenoisedView {
@@ -292,7 +295,8 @@ fn run_filter(
             task.progress.end();
             Ok(filtered?)
         }
-        // The external program works on one view at a time, by files in a temporary folder.
+        // The external program works on one view at a time, and exchanges files in a temporary
+        // folder.
         Denoise::Oidn => {
             let oidn = Oidn::find()?;
             let exchange = folder.join("exchange");
@@ -319,7 +323,7 @@ fn figures_path(folder: &Path) -> PathBuf {
     folder.join("figures.json")
 }
 
-/// Reads the figures of a folder; `None` if the filter has not finished.
+/// Reads the scores in a folder; `None` if the filter has not finished.
 fn read_figures(folder: &Path) -> Option<Vec<ViewFigures>> {
     let list: Vec<(f64, [[f64; 3]; 3])> = read_json(&figures_path(folder))?;
     let figures = list.into_iter().map(|(mean, parts)| {

@@ -1,4 +1,4 @@
-//! Depths of the views, cached beside them, and the depth that they need of a display.
+//! Depths of the views, which are cached next to them, and the depth of field that they need.
 
 use std::path::Path;
 
@@ -12,12 +12,12 @@ use crate::error::{PipelineError, field_error};
 use crate::store::files::{read_json, write_json};
 use crate::store::key::content_hash;
 
-/// File of the depths, beside the views.
+/// File of the depths, in the folder of the views.
 const FILE: &str = "depth.npy";
-/// File with a hash of its content.
+/// File with a hash of the content of the depths' file.
 const HASH: &str = "depth.json";
 
-/// Reads cached depths for the views of a geometry; `None` if they are missing or damaged.
+/// Reads cached depths of the views of a geometry; `None` if they are missing or damaged.
 pub(crate) fn kept(folder: &Path, geometry: &FieldGeometry) -> Option<Depths> {
     let geometry = Depths::coarse(geometry);
     let [view_rows, view_cols] = geometry.grid.views();
@@ -51,7 +51,7 @@ pub(crate) fn trace(
 }
 
 /// Compares the depths with the depth of field of a display. `shown` has the slopes at which the
-/// display shows the views; the placement has the depth scale.
+/// display shows the views, and `placement` the depth scale.
 pub(crate) fn budget(depths: &Depths, display: &Display, shown: &FieldGeometry, placement: &Placement) -> DepthBudget {
     let projection = shown.grid.projection;
     let z_mm: Vec<f32> =

@@ -1,8 +1,10 @@
-//! Solves a design of a sweep on the light fields of all time steps, for every node, and scores it.
+//! Solves a design of a sweep, on the light fields of all time steps and for every node, and scores
+//! it.
 //!
-//! A score over several time steps is of all their rays together, as in a sequence's report. The
-//! worst time step's score is in a column beside it. A node without a display of its own has the
-//! design's display. Other nodes keep theirs; they are equal for all designs, as baselines.
+//! A score over several time steps is that of all their rays together, as in the report of a
+//! sequence. The score of the worst time step is in another column. A node without a display has
+//! the display of the design. The displays of other nodes are the same for all designs, so they are
+//! baselines.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -30,16 +32,16 @@ use crate::store::key::KeyBuilder;
 pub(crate) struct Candidate {
     pub(crate) design: Design,
     pub(crate) display: Display,
-    /// Index of its light fields.
+    /// Index of the light fields that the design needs.
     pub(crate) field: usize,
 }
 
 /// Light fields that several designs share, one per time step.
 pub(crate) struct Shared {
     times: Vec<Arc<Field>>,
-    /// The scene's pictures over the viewing zone, of a still.
+    /// The scene's pictures over the viewing zone, if the job is a still.
     references: Option<Arc<References>>,
-    /// Hash of all light fields, weights and references.
+    /// Hash of all light fields, weights and pictures of the viewing zone.
     key: String,
 }
 
@@ -47,7 +49,7 @@ impl Shared {
     /// Computes the hash of the light fields.
     ///
     /// # Errors
-    /// If expected eyes are invalid.
+    /// If expected eye positions are invalid.
     pub(crate) fn new(
         times: Vec<Arc<Field>>,
         references: Option<Arc<References>>,
@@ -68,20 +70,20 @@ impl Shared {
     }
 }
 
-/// Returns settings of later time steps: with a warm start, and without.
+/// Returns the settings of later time steps: with a warm start, and without.
 pub(crate) type Later = Box<dyn Fn(&FactorizeJob) -> [FactorizeJob; 2] + Send + Sync>;
 
 /// Solves designs and writes their rows.
 pub(crate) struct Solver<'a> {
     pub(crate) job: &'a Job,
     pub(crate) fields: Vec<Option<Shared>>,
-    /// Folder of the rows.
+    /// Folder of the rows' files.
     pub(crate) folder: PathBuf,
     pub(crate) later: Later,
     pub(crate) registry: &'a Registry,
 }
 
-/// Drops warnings, since those of single designs in a large sweep have no use.
+/// Drops warnings, since a warning for each design of a large sweep has no use.
 struct Silent;
 
 impl Warnings for Silent {
@@ -97,7 +99,7 @@ struct Errors {
 }
 
 impl Solver<'_> {
-    /// Returns the row of a design, the name of its file, and true if it was cached.
+    /// Returns the row of a design, the name of the row's file, and true if the row was cached.
     ///
     /// # Errors
     /// If the design is invalid, the solver fails, the row cannot be written, or the task is
@@ -114,7 +116,7 @@ impl Solver<'_> {
         };
         let display = self.display_on(candidate, shared)?;
         display.check().map_err(|source| display_error(source, &candidate.design.display))?;
-        // The key has everything that the row depends on.
+        // The key contains everything that the row depends on.
         let job = &self.job.factorize;
         let mut key = KeyBuilder::new("design", code::DESIGNS);
         key.add("field", shared.key.as_bytes())
@@ -130,7 +132,7 @@ impl Solver<'_> {
         }
         let name = format!("{}.json", &key.finish()[..24]);
         let path = self.folder.join(&name);
-        // A row counts only if it describes this design.
+        // A cached row is used only if it describes this design.
         if let Some(row) = read_json::<Row>(&path).filter(|row| row.design == candidate.design) {
             return Ok((row, name, true));
         }
@@ -139,8 +141,8 @@ impl Solver<'_> {
         Ok((row, name, false))
     }
 
-    /// Returns the display of a design. For a light field from a file it is adapted to the file's
-    /// geometry.
+    /// Returns the display of a design. If the light field is read from a file, the display is
+    /// adapted to its geometry.
     fn display_on(&self, candidate: &Candidate, shared: &Shared) -> Result<Display, PipelineError> {
         match (&self.job.scene, shared.times.first()) {
             (None, Some(first)) => {
@@ -181,7 +183,8 @@ impl Solver<'_> {
         })
     }
 
-    /// Solves a display for all time steps. Each starts from the patterns of the one before.
+    /// Solves a display for all time steps. Each time step starts from the patterns of the previous
+    /// one.
     fn times(
         &self,
         of_node: Option<&NodeJob>,
@@ -190,14 +193,14 @@ impl Solver<'_> {
         iterations: u32,
         cancel: &Cancel,
     ) -> Result<Vec<Errors>, PipelineError> {
-        // Designs are solved in parallel, so their progress would mix.
+        // Designs are solved in parallel, so messages about their progress would mix.
         let task = Task { progress: &NoProgress, warnings: &Silent, cancel };
         let own = of_node.and_then(|node| node.display.as_ref()).map(|display| display.resolve()).transpose()?;
         let factorize = of_node.and_then(|node| node.factorize.as_ref()).unwrap_or(&self.job.factorize);
         let first = FactorizeJob { iterations: Some(iterations), ..factorize.clone() };
         let mut before: Option<LayerStack> = None;
         let mut all = Vec::new();
-        // A node may have a display of its own, which the light field's geometry adapts.
+        // A node may have another display, which is adapted to the geometry of the light field.
         for field in &shared.times {
             let target = &field.target;
             let display = match (of_node, &own) {
@@ -205,7 +208,7 @@ impl Solver<'_> {
                 _ => design.clone(),
             };
             let weights = eye_weights(factorize, target.geometry())?;
-            // Make the patterns: by a node plugin, or by a solver, with or without warm start.
+            // Make the patterns: by a node plugin, or by a solver with or without a warm start.
             let stack = match of_node.filter(|of_node| !node::is_factorized(Some(of_node))) {
                 Some(node) => {
                     let given = NodeInput { node, seed: self.job.seed, display: &display, target, weights: &weights };

@@ -1,5 +1,5 @@
-//! The device of the solver: the processor, or a graphics processor in a build with the feature
-//! `gpu`.
+//! The device of the solver: the processor or, if the program is built with the feature `gpu`, a
+//! graphics processor.
 
 use lumistack_core::Task;
 use lumistack_factorizer::device::Executor;
@@ -8,13 +8,14 @@ use lumistack_factorizer::{FactorizeError, Processor};
 use crate::error::PipelineError;
 use crate::store::key::KeyBuilder;
 
-/// An open device to solve on.
+/// A device of the solver, open for use.
 pub(crate) enum SolverDevice {
     Processor,
     #[cfg(feature = "gpu")]
     Device {
         device: lumistack_factorizer_gpu::Device,
-        /// True if the job requests no graphics processor, so that the processor may replace it.
+        /// True if the job does not name a graphics processor, so that the processor may replace
+        /// it.
         optional: bool,
     },
 }
@@ -23,7 +24,7 @@ impl SolverDevice {
     /// Opens the device that a job names: `auto`, `cpu`, `gpu` or `gpu:NAME`.
     ///
     /// # Errors
-    /// If the name is another one, or the device is missing.
+    /// If the name is another one, or the device is not available.
     pub(crate) fn of(device: &str) -> Result<Self, PipelineError> {
         check(device)?;
         #[cfg(feature = "gpu")]
@@ -31,7 +32,7 @@ impl SolverDevice {
             let optional = device == "auto";
             return match opened(device.strip_prefix("gpu:")) {
                 Ok(device) => Ok(Self::Device { device, optional }),
-                // Without a usable graphics processor, `auto` is the processor.
+                // Without a usable graphics processor, `auto` selects the processor.
                 Err(_) if optional => Ok(Self::Processor),
                 Err(error) => Err(PipelineError::Factorize(error)),
             };
@@ -56,11 +57,11 @@ impl SolverDevice {
         }
     }
 
-    /// Executes work on the device. If an optional device fails, this becomes the processor, which
-    /// repeats the work, with a warning.
+    /// Executes work on the device. If an optional device fails, this value becomes the processor,
+    /// which repeats the work, with a warning.
     ///
     /// # Errors
-    /// Those of the work.
+    /// The errors of the work.
     pub(crate) fn run<T>(
         &mut self,
         task: Task<'_>,
@@ -76,10 +77,11 @@ impl SolverDevice {
         }
     }
 
-    /// Adds the device to a key: its rounding differs from the processor's.
+    /// Adds the device to a key, since its rounding differs from that of the processor.
     pub(crate) fn add_to(&self, key: &mut KeyBuilder) {
         match self {
-            // Results of the processor have equal keys in builds with and without the feature.
+            // Results of the processor have equal keys in builds with and without the feature
+            // `gpu`.
             Self::Processor => _ = key,
             #[cfg(feature = "gpu")]
             Self::Device { device, .. } => {
@@ -91,8 +93,8 @@ impl SolverDevice {
     }
 }
 
-/// Opens a device, or returns the one that is open and without failure: a device that opens again
-/// compiles all programs again.
+/// Opens a device, or returns the open one if it has not failed. A device that is opened again
+/// compiles all its programs again.
 #[cfg(feature = "gpu")]
 fn opened(name: Option<&str>) -> Result<lumistack_factorizer_gpu::Device, FactorizeError> {
     use std::collections::BTreeMap;
@@ -109,11 +111,11 @@ fn opened(name: Option<&str>) -> Result<lumistack_factorizer_gpu::Device, Factor
     Ok(device)
 }
 
-/// Executes work on a job's device. If `auto` selected a graphics processor that fails, the
+/// Executes work on the device of a job. If `auto` selected a graphics processor and it fails, the
 /// processor repeats the work, with a warning.
 ///
 /// # Errors
-/// Those of the work and of [`SolverDevice::of`].
+/// The errors of the work and of [`SolverDevice::of`].
 pub(crate) fn on_device<T>(
     device: &str,
     task: Task<'_>,
@@ -122,7 +124,7 @@ pub(crate) fn on_device<T>(
     SolverDevice::of(device)?.run(task, work)
 }
 
-/// Checks the device name of a job, without opening the device.
+/// Checks the device name of a job, but does not open the device.
 ///
 /// # Errors
 /// If the name is unknown, or this build has no code for the device.
@@ -154,7 +156,8 @@ mod tests {
         assert_eq!(check("gpu:llvmpipe").is_ok(), cfg!(feature = "gpu"));
     }
 
-    /// A device that is lost during the work is an error if the job names it, else a note.
+    /// If a device is lost during the work, this is an error if the job names the device, and
+    /// otherwise a warning.
     #[cfg(feature = "gpu")]
     #[test]
     fn the_processor_replaces_a_lost_device_that_the_job_does_not_name() {

@@ -1,14 +1,14 @@
-//! Exposes traced views to display-referred light fields, with one exposure and tone curve, and a
-//! background if the job has one.
+//! Exposes traced views, which makes display-referred light fields. All views have one exposure and
+//! tone curve, and a background if the job has one.
 //!
 //! ```text
 //! L = (1 − m) · curve(exposure · radiance / (1 − m)) + m · background
 //!
-//! m: share of a pixel's samples that hit no surface
+//! m: fraction of a pixel's samples that hit no surface
 //! ```
 //!
-//! Views are traced without a visible environment. Neither exposure nor cached views depend on the
-//! background.
+//! Views are traced without a visible environment. So neither the exposure nor cached views depend
+//! on the background.
 
 use std::borrow::Cow;
 
@@ -27,20 +27,20 @@ use crate::store::paged::Paged;
 
 /// Display-referred light fields of a shot.
 pub(crate) struct Exposed {
-    /// Target of the display. Views that were not chosen are black.
+    /// Target of the display. Views that the options do not select are black.
     pub(crate) target: LightField,
-    /// Held-out views between the target's.
+    /// Held-out views, between the views of the target.
     pub(crate) held_out: Option<LightField>,
     /// Views outside the viewing zone.
     pub(crate) outside: Option<LightField>,
     /// Exposure and tone curve of all views.
     pub(crate) tone_mapping: ToneMapping,
-    /// Effect of the denoiser on the target, if there was one.
+    /// How the denoiser changed the target, if there was a denoiser.
     pub(crate) denoised: Option<Denoised>,
 }
 
-/// Reads the finished views of all fields and applies one exposure and tone curve. With `linear`,
-/// values stay scene-linear.
+/// Reads the finished views of all light fields and applies one exposure and tone curve. With
+/// `linear`, values remain scene-linear.
 ///
 /// # Errors
 /// If a view is missing, or the scene's background cannot be traced.
@@ -57,7 +57,8 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
     let Traced { fields, depths, views, .. } = traced;
     let kind = shot.denoise();
     let read = |one: &FieldJob, view| one.radiance(view, shot);
-    // Light fields too large for memory are read twice: for the exposure, and for the result.
+    // Read the views of each light field into memory. A light field that is too large for memory is
+    // read later, view by view: once for the exposure, and once for the result.
     let mut radiance = Vec::new();
     for one in fields {
         let mut field = None;
@@ -69,7 +70,7 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
         }
         radiance.push(field);
     }
-    // The exposure comes from the target alone, and serves all fields.
+    // Choose exposure and tone curve by the views of the target. They apply to all light fields.
     let tone_mapping = if linear {
         ToneMapping { exposure: 1.0, curve: ToneCurve::Linear }
     } else {
@@ -79,11 +80,12 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
         };
         ToneMapping::choose(&job.light, &ingested.scene, &brightest(&fields[0].geometry, views, depths, picture)?)
     };
+    // Read how the denoiser changed the target's views, for the report.
     let denoised = denoise::denoised(&fields[0], kind, tone_mapping)?;
-    // Exposes one view: with a background, surfaces cover only a share of a pixel.
+    // Exposes one view. With a background, surfaces may cover only a fraction of a pixel.
     let expose_view = |field: &FieldJob, view: [usize; 2], rgb: &mut [f32]| -> Result<(), PipelineError> {
         if linear {
-            // linear values are neither exposed, nor clipped, nor rounded
+            // scene-linear values are neither exposed, nor clipped, nor rounded
             return Ok(());
         }
         if let Background::Colour(background) = job.light.background {
@@ -95,7 +97,7 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
         lumistack_field_io::round_to_half(rgb);
         Ok(())
     };
-    // Expose in memory, or view by view into a mapped file.
+    // Expose every light field: in memory, or view by view into a mapped file.
     let (mut target, mut held_out, mut outside) = (None, None, None);
     for (field, radiance) in fields.iter().zip(radiance) {
         let (wanted, grid) = (field.wanted(views), &field.geometry.grid);
@@ -128,6 +130,7 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
             _ => outside = Some(exposed),
         }
     }
+    // Only the target must exist; held-out views and views outside the zone may be absent.
     let target = target.ok_or_else(|| PipelineError::job("views", "at least one", "none"))?;
     Ok(Exposed { target, held_out, outside, tone_mapping, denoised })
 }

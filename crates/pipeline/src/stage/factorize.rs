@@ -19,11 +19,11 @@ use crate::store::files::{read_json, write_json};
 use crate::store::key::KeyBuilder;
 use crate::store::stamps::Stamps;
 
-/// Patterns, and the convergence of the solver.
+/// Patterns of a display, and the convergence of the solver that made them.
 pub(crate) struct Solved {
     pub(crate) stack: LayerStack,
     pub(crate) steps: Vec<Iteration>,
-    /// `None` for methods that report none.
+    /// `None` if the node reports no solution.
     pub(crate) solution: Option<Solution>,
 }
 
@@ -55,8 +55,8 @@ impl Solve<'_> {
         key
     }
 
-    /// Factorizes, with a warm start if there is one. `on_iteration` receives every evaluation of
-    /// the objective.
+    /// Factorizes, with a warm start if patterns are given. `on_iteration` is called for every
+    /// evaluation of the objective.
     ///
     /// # Errors
     /// If the settings are invalid, the solver fails, or the task is cancelled.
@@ -73,11 +73,11 @@ impl Solve<'_> {
             .map_err(factorize_error)
     }
 
-    /// True if a warm start from these patterns is better than a fresh start, for `solver`. The
-    /// processor decides on every device, so that all machines choose alike.
+    /// Returns true if `solver` reaches a smaller error from these patterns than from a fresh
+    /// start. The processor computes this for every device, so all machines make the same choice.
     ///
     /// # Errors
-    /// As [`factorize`](Self::factorize).
+    /// The errors of [`factorize`](Self::factorize).
     pub(crate) fn warm_start_pays(
         &self,
         warm: &LayerStack,
@@ -90,7 +90,7 @@ impl Solve<'_> {
     }
 }
 
-/// Settings and convergence of a solve, as its file has them.
+/// Settings and convergence of a solve, in the form of the file that keeps them.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Convergence {
     pub(crate) solver: String,
@@ -101,12 +101,12 @@ pub(crate) struct Convergence {
     pub(crate) steps: Vec<Step>,
 }
 
-/// A point of the convergence curve, as its file has it.
+/// A point of the convergence curve, in the form of the file that keeps it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Step {
     pub(crate) iteration: u32,
     pub(crate) objective: f64,
-    /// `None` if the patterns are exact.
+    /// PSNR of L̃/β against L, dB. `None` if the patterns are exact.
     pub(crate) psnr_view: Option<f64>,
     pub(crate) seconds: f64,
 }
@@ -145,7 +145,7 @@ impl Convergence {
         }
     }
 
-    /// Joins the convergence with the patterns, for the report.
+    /// Adds the patterns, which gives the input of the report.
     pub(crate) fn into_solved(self, stack: LayerStack) -> Solved {
         let Self { solver, start, coarse_levels, kkt_residual, levels, steps } = self;
         let steps = steps.into_iter().map(|step| Iteration {
@@ -159,8 +159,8 @@ impl Convergence {
     }
 }
 
-/// Returns the patterns in `layers/`, factorized if they are not current, and true if they were
-/// cached.
+/// Returns the patterns in `layers/`, and true if they were cached. If they are not current,
+/// factorizes first.
 ///
 /// # Errors
 /// If the settings are invalid, the solver fails, a file cannot be written, or the task is
@@ -183,7 +183,7 @@ pub(crate) fn run_whole(solve: Solve<'_>, stamps: &Stamps, task: Task<'_>) -> Re
 /// cached. If not, `make` makes them.
 ///
 /// # Errors
-/// Those of `make`, and if a file cannot be written.
+/// The errors of `make`, and if a file cannot be written.
 pub(crate) fn reuse_or_make(
     stage: &str,
     key: &str,
@@ -198,10 +198,10 @@ pub(crate) fn reuse_or_make(
     })
 }
 
-/// Is [`reuse_or_make`] for a `make` that writes `layers/` itself.
+/// Does the same as [`reuse_or_make`], for a `make` that writes `layers/` itself.
 ///
 /// # Errors
-/// As [`reuse_or_make`].
+/// The errors of [`reuse_or_make`].
 pub(crate) fn reuse_or_write(
     stage: &str,
     key: &str,
@@ -215,7 +215,7 @@ pub(crate) fn reuse_or_write(
         Some(kept) => kept.into_solved(stack),
         None => Solved { stack, steps: Vec::new(), solution: None },
     };
-    // Cached patterns must be those of this display.
+    // Cached patterns are used only if they match this display.
     let kept = || {
         let stack = lumistack_field_io::read_stack(&layers).ok()?;
         check_stack(&stack, display, &layers).ok()?;
@@ -231,15 +231,15 @@ pub(crate) fn reuse_or_write(
     stamps.reuse_or_make(stage, key, kept, make)
 }
 
-/// The choice of a start for a time step, as its file has it.
+/// The choice of a start for a time step, in the form of the file that keeps it.
 #[derive(Serialize, Deserialize)]
 struct Choice {
     key: String,
     warm: bool,
 }
 
-/// True if a fresh start by the settings `fresh` is better than `warm` patterns with the solver of
-/// `solve`'s job. The choice is cached.
+/// Returns true if a fresh start with the settings `fresh` is better than the patterns `warm` with
+/// the solver of `solve`. The choice is cached.
 ///
 /// # Errors
 /// If the patterns cannot be read, the solver fails, or the task is cancelled.
@@ -272,7 +272,7 @@ pub(crate) fn prefers_fresh(
 /// Returns the files of patterns, relative to the run folder.
 ///
 /// # Errors
-/// If they are missing.
+/// If the index of the patterns is missing or wrong.
 fn files_of(layers: &Path) -> Result<Vec<PathBuf>, PipelineError> {
     let index = lumistack_field_io::read_stack_index(layers).map_err(field_error)?;
     let mut files: Vec<PathBuf> = vec!["layers/stack.json".into()];
@@ -281,7 +281,7 @@ fn files_of(layers: &Path) -> Result<Vec<PathBuf>, PipelineError> {
     Ok(files)
 }
 
-/// Reads the patterns that a job starts from.
+/// Reads the patterns that a job starts from, if it names any.
 pub(crate) fn warm_stack(job: &FactorizeJob, display: &Display) -> Result<Option<LayerStack>, PipelineError> {
     let Some(path) = &job.warm_start else { return Ok(None) };
     let stack = lumistack_field_io::read_stack(path).map_err(field_error)?;
@@ -289,7 +289,7 @@ pub(crate) fn warm_stack(job: &FactorizeJob, display: &Display) -> Result<Option
     Ok(Some(stack))
 }
 
-/// Checks names and numbers of a job's table, without any work.
+/// Checks names and numbers of a job's table `[factorize]`, without any work.
 ///
 /// # Errors
 /// If a solver, start or device does not exist, or numbers of tiles are invalid.
@@ -313,7 +313,7 @@ pub(crate) fn solver_settings(job: &FactorizeJob, seed: u64) -> Result<lumistack
     })
 }
 
-/// Returns the start of a name; `None` for the solver's default.
+/// Returns the start with a name; `None` stands for the default of the solver.
 fn start_kind(name: &str) -> Result<Option<StartKind>, PipelineError> {
     if name == AUTO {
         return Ok(None);
@@ -337,7 +337,7 @@ pub(crate) fn add_stack(key: &mut KeyBuilder, stack: &LayerStack) {
     }
 }
 
-/// Checks that patterns are of this display.
+/// Checks that patterns match a display.
 ///
 /// # Errors
 /// If their shapes differ.

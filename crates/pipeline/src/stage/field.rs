@@ -1,4 +1,4 @@
-//! The light field that a run's nodes and outputs start from, and its folder `target/`.
+//! The light field that is the input of a run's nodes and outputs, and its folder `target/`.
 
 use std::path::{Path, PathBuf};
 
@@ -21,27 +21,28 @@ use crate::store::code;
 use crate::store::key::KeyBuilder;
 use crate::store::stamps::Stamps;
 
-/// A light field with its display and its origin.
+/// A light field, the display that shows it, and facts about its origin.
 pub(crate) struct Field {
     pub(crate) target: LightField,
     pub(crate) held_out: Option<LightField>,
     pub(crate) outside: Option<LightField>,
-    /// The display, adapted to the light field if that comes from a file.
+    /// The display. It is adapted to the light field if that comes from a file.
     pub(crate) display: Display,
-    /// Exposure and tone curve of a rendered light field.
+    /// Exposure and tone curve, if the light field was rendered.
     pub(crate) tone_mapping: Option<ToneMapping>,
-    /// The scene's depth against the display's depth of field, of a rendered light field.
+    /// The scene's depth compared with the display's depth of field, if the light field was
+    /// rendered.
     pub(crate) depth: Option<DepthBudget>,
-    /// Effect of a denoiser on the target.
+    /// How a denoiser changed the target, if there was one.
     pub(crate) denoised: Option<Denoised>,
-    /// Facts about the scene or file, for the report.
+    /// Facts about the scene or the file, for the report.
     pub(crate) about: Value,
     /// Folders of the cached views.
     pub(crate) views: Vec<PathBuf>,
 }
 
 impl Field {
-    /// Writes the folders of a shot's light fields, if they changed.
+    /// Writes the folders of a shot's light fields, if their content changed.
     ///
     /// # Errors
     /// If a file cannot be written.
@@ -87,11 +88,11 @@ impl Field {
         })
     }
 
-    /// Makes a given light field the target, and adapts the display to it. `place` is its file or
-    /// plugin.
+    /// Makes a given light field the target, and adapts the display to it. `place` is the path of
+    /// the light field's file, or the id of its plugin.
     ///
     /// # Errors
-    /// If the display cannot show it, or it cannot be written.
+    /// If the display cannot show the light field, or a file cannot be written.
     pub(crate) fn of_given(
         target: LightField,
         place: &Path,
@@ -121,7 +122,8 @@ impl Field {
     }
 }
 
-/// Checks that a light field has the rays of an earlier time step's, which comes from `place`.
+/// Checks that a light field has the same rays as that of an earlier time step, which comes from
+/// `place`.
 ///
 /// # Errors
 /// If the geometry differs.
@@ -149,15 +151,15 @@ pub(crate) fn check_geometry(
     Err(PipelineError::value(path, "geometry", expected, text(found)))
 }
 
-/// Returns the display's values for a light field without size or angles.
+/// Returns the size and angles of a display, for a light field that has none.
 pub(crate) fn field_defaults(display: &Display) -> GeometryDefaults {
     GeometryDefaults { width_mm: Some(display.field_pixels().size_mm()[0]), fov_deg: Some(display.field.fov_deg) }
 }
 
 pub(crate) fn warn_of_depth(budget: &DepthBudget, task: Task<'_>) {
     if !budget.is_seen() {
-        let message = "no surface is seen: the picture is empty. --look-from AZ,EL frames the scene from another side, --camera takes another \
-                       camera, --near=off shows surfaces before the near limit";
+        let message = "no surface is seen, so the picture is empty. --look-from AZ,EL frames the scene from another side, --camera uses another \
+                       camera, --near=off also shows surfaces in front of the near limit";
         task.warn("window", message);
     }
     if let Some(advice) = budget.advice() {
@@ -172,7 +174,7 @@ fn about_scene(path: &Path, shot: Shot<'_>, traced: &Traced, exposed: &Exposed) 
     let [low, high] = percentiles_of_halves(exposed.target.radiance().data(), [0.01, 0.99]).map(f64::from);
     let span = high - low;
     let map = placement.window.scene_from_display;
-    // Names and values of a table in the report.
+    // Make the names and values of a table in the report.
     json!({
         "file": path.display().to_string(),
         "pose": pose,
@@ -192,16 +194,17 @@ fn about_scene(path: &Path, shot: Shot<'_>, traced: &Traced, exposed: &Exposed) 
         "tone curve": exposed.tone_mapping.curve.name(),
         "paths per pixel and view": shot.samples_per_view(),
         "paths chosen because": shot.samples.map(|samples| samples.reason()),
-        // Shares of the window and of the range 0..1 show how well framing, light and exposure fit
-        // the scene.
+        // Coverage is the fraction of the window with a hit. With the range of the target's values,
+        // it shows how well framing, light and exposure suit the scene.
         "coverage": traced.depths.coverage(geometry.grid.views().map(|count| count / 2)),
         "target span": span,
     })
 }
 
-/// Returns percentiles of values that are half floats. Counts per bit pattern avoid a sorted copy.
+/// Returns percentiles of values that are half floats. Counting them by their 65536 bit patterns
+/// avoids a sorted copy.
 fn percentiles_of_halves(values: &[f32], shares: [f64; 2]) -> [f32; 2] {
-    // Map bits to the order of the values: negative halves have falling bits.
+    // Map bits to the order of the values: for negative halves, the bits fall as the values rise.
     let turn = |bits: u16| if bits & 0x8000 == 0 { bits | 0x8000 } else { !bits };
     let mut counts = vec![0usize; 1 << 16];
     values.iter().for_each(|&value| counts[usize::from(turn(nearest_half(value)))] += 1);
@@ -229,7 +232,7 @@ pub(crate) fn field_info(tone_mapping: ToneMapping, placement: &Placement) -> Ma
     info
 }
 
-/// Writes a light-field folder, unless it has these values already.
+/// Writes the folder of a light field, unless it has these values already.
 fn write_if_changed(
     stamps: &Stamps,
     name: &str,
@@ -247,17 +250,18 @@ fn write_if_changed(
     stamps.reuse_or_make(name, &field_key(name, field, info), || Some(()), write).map(|_| ())
 }
 
-/// Returns a hash of the content of a light-field folder.
+/// Returns a hash of the content that a light field's folder has.
 pub(crate) fn field_key(name: &str, field: &LightField, info: &Map<String, Value>) -> String {
     let mut key = KeyBuilder::new(name, code::FIELDS);
     key.add("geometry", format!("{:?}", field.geometry()).as_bytes()).add_f32("radiance", field.radiance().data());
     key.add_json("info", info).finish()
 }
 
-/// Returns the weights of a job's file, or else of its expected eyes; uniform without both.
+/// Returns the weights in the file that a job names, or else those of its expected eyes. Without
+/// both, weights are uniform.
 ///
 /// # Errors
-/// If the file cannot be read, the weights do not fit the light field, or both are given.
+/// If the file cannot be read, the weights do not match the light field, or both are given.
 pub(crate) fn weights(job: &FactorizeJob, geometry: &FieldGeometry) -> Result<Weights, PipelineError> {
     let Some(path) = &job.weights else { return eye_weights(job, geometry) };
     if !job.eyes.is_empty() {
@@ -267,10 +271,10 @@ pub(crate) fn weights(job: &FactorizeJob, geometry: &FieldGeometry) -> Result<We
     array_weights(path, &shape, data, geometry)
 }
 
-/// Returns the weights of expected eyes; uniform without eyes.
+/// Returns the weights of a job's expected eyes. Without eyes, weights are uniform.
 ///
 /// # Errors
-/// If an eye is invalid.
+/// If an eye position is invalid.
 pub(crate) fn eye_weights(job: &FactorizeJob, geometry: &FieldGeometry) -> Result<Weights, PipelineError> {
     if job.eyes.is_empty() {
         return Ok(Weights::Uniform);
@@ -279,10 +283,10 @@ pub(crate) fn eye_weights(job: &FactorizeJob, geometry: &FieldGeometry) -> Resul
         .map_err(|error| PipelineError::job("factorize.eyes", error.expected, error.found))
 }
 
-/// Returns weights of an array, whose origin `path` names in errors.
+/// Returns the weights in an array. In errors, `path` is the origin of the array.
 ///
 /// # Errors
-/// If they do not fit the light field.
+/// If the weights do not match the light field.
 pub(crate) fn array_weights(
     path: &Path,
     shape: &[usize],

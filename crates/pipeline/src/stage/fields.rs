@@ -1,5 +1,5 @@
-//! Light fields of a shot: the target, held-out views, and views outside the viewing zone. Tracing,
-//! denoising and exposing exchange them in `cache/views/NAME-KEY`.
+//! Light fields of a shot: the target, held-out views, and views outside the viewing zone. The
+//! stages for tracing, denoising and exposing exchange them in `cache/views/NAME-KEY`.
 
 use std::path::{Path, PathBuf};
 
@@ -17,7 +17,7 @@ use crate::store::code;
 use crate::store::key::KeyBuilder;
 use crate::store::views::{guides_path, read_guides, read_splats, read_view, splats_path, variance_path, view_path};
 
-/// A scene in front of a display, with the job's settings.
+/// A shot: a scene that is placed in front of a display, and the settings of the job.
 #[derive(Clone, Copy)]
 pub(crate) struct Shot<'a> {
     pub(crate) job: &'a Job,
@@ -25,9 +25,9 @@ pub(crate) struct Shot<'a> {
     pub(crate) placement: &'a Placement,
     /// Geometry of the display's light field.
     pub(crate) geometry: &'a FieldGeometry,
-    /// Width of the display's angular prefilter, in slopes.
+    /// Width of the display's angular prefilter along x and y, as a range of slopes.
     pub(crate) footprint: [f64; 2],
-    /// Measured number of paths, if the job sets none.
+    /// Measured number of paths, if the job sets no number.
     pub(crate) samples: Option<Samples>,
 }
 
@@ -36,18 +36,18 @@ impl Shot<'_> {
         &self.placement.window
     }
 
-    /// Returns the geometry with the slopes at which views are traced: the display's slopes times
-    /// the depth scale.
+    /// Returns a geometry with the slopes at which its views are traced: the slopes of the display
+    /// times the depth scale.
     fn traced(&self, geometry: &FieldGeometry) -> FieldGeometry {
         geometry.with_grid(geometry.grid.scaled(self.placement.depth_scale))
     }
 
-    /// Returns a key of a view before exposure, without its geometry and samples.
+    /// Returns a key of views before exposure, without their geometry and samples.
     pub(crate) fn key(&self) -> KeyBuilder {
         let light = &self.job.light;
         let mut key = KeyBuilder::new("render", code::VIEWS);
         self.ingested.add_to(&mut key);
-        // Only settings of light that change traced radiance: exposure comes later.
+        // Only those settings of light that change traced radiance, since exposure comes later.
         key.add_json(
             "light",
             &(light.environment_strength, light.automatic, light.environment_rotation_deg, light.from_splats),
@@ -56,7 +56,7 @@ impl Shot<'_> {
         key
     }
 
-    /// Returns the filter of the views: none if no paths are traced.
+    /// Returns the denoiser of the views; `Off` if no paths are traced.
     pub(crate) fn denoise(&self) -> Denoise {
         if self.ingested.is_traced() { self.job.render.denoise } else { Denoise::Off }
     }
@@ -73,11 +73,12 @@ impl Shot<'_> {
         job.render.settings(job.seed, samples, hidden, self.placement.depth_scale, self.footprint)
     }
 
-    /// Returns all light fields of the shot, the target first. Each has a folder of traced views
-    /// below `cache_dir`. `blender` is true if Blender renders them.
+    /// Returns all light fields of the shot, the target first. The traced views of each are in a
+    /// folder inside `cache_dir`. `blender` is true if Blender renders them.
     pub(crate) fn fields(&self, cache_dir: &Path, blender: bool) -> Vec<FieldJob> {
         let (job, geometry, settings) = (self.job, self.geometry, self.settings());
-        // Views for the report have the target's width of averaging, not their own distance.
+        // Views for the report are averaged over the width of the target's bins, not over their own
+        // bins.
         let settings_of_others = Settings {
             angular_filter: match settings.angular_filter {
                 lumistack_pathtracer::AngularFilter::Bin => {
@@ -87,7 +88,7 @@ impl Shot<'_> {
             },
             ..settings
         };
-        // Folder names have a key of all that traced views depend on.
+        // The names of folders contain a key of all that traced views depend on.
         let mut key = self.key();
         key.add_json("render", &(&job.render.max_bounces, settings.samples, job.seed));
         key.add("settings", format!("{settings:?}").as_bytes());
@@ -122,7 +123,7 @@ impl Shot<'_> {
     }
 }
 
-/// One of `count` parts of a list of pictures to trace.
+/// One of `count` blocks into which a list of pictures to trace is cut.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Block {
     number: usize,
@@ -130,7 +131,7 @@ pub(crate) struct Block {
 }
 
 impl Block {
-    /// The whole list.
+    /// The block that contains the whole list.
     pub(crate) const ALL: Self = Self { number: 0, count: 1 };
 
     /// Returns a block by its number from 1; `None` if the number is out of range.
@@ -151,14 +152,16 @@ impl Block {
         self.number == 0
     }
 
-    /// Returns the block's part of a list. Each element belongs to exactly one block.
+    /// Returns the elements of a list that belong to the block. Each element belongs to exactly one
+    /// block.
     pub(crate) fn of<T>(self, list: Vec<T>) -> Vec<T> {
         let [from, to] = [self.number, self.number + 1].map(|number| list.len() * number / self.count);
         list.into_iter().skip(from).take(to - from).collect()
     }
 }
 
-/// Returns evenly spread held-out views: at most `per_axis` of the midpoints on each axis.
+/// Returns held-out views, evenly spread: midpoints between views, at most `per_axis` of them per
+/// axis.
 pub(crate) fn held_out_grid(grid: &ViewGrid, per_axis: usize) -> Option<ViewGrid> {
     if per_axis == 0 || grid.views() == [1, 1] {
         return None;
@@ -171,24 +174,24 @@ pub(crate) fn held_out_grid(grid: &ViewGrid, per_axis: usize) -> Option<ViewGrid
     Some(ViewGrid { projection: grid.projection, slope_x: pick(&midpoints.slope_x), slope_y: pick(&midpoints.slope_y) })
 }
 
-/// Joins the first hits of all parts of a view.
+/// Joins the first hits of all halves of a view.
 fn joined(parts: Vec<Features>) -> Option<Features> {
     parts.into_iter().reduce(|all, part| all.joined(&part))
 }
 
-/// Returns the parts in which views are traced: filters need two halves.
+/// Returns the halves in which views are traced, for filters that need two; otherwise one whole.
 pub(crate) fn parts(kind: Denoise) -> &'static [Option<usize>] {
     if kind.takes_halves() { &[Some(0), Some(1)] } else { &[None] }
 }
 
-/// A light field to render.
+/// A light field to render, and the folder of its views.
 pub(crate) struct FieldJob {
     pub(crate) name: &'static str,
-    /// Stream of random numbers.
+    /// Number of the light field's stream of random numbers.
     stream: u64,
-    /// Geometry of the display.
+    /// Geometry of the light field, with the slopes of the display.
     pub(crate) geometry: FieldGeometry,
-    /// The same with the slopes at which it is traced.
+    /// Geometry of the light field, with the slopes at which it is traced.
     pub(crate) traced: FieldGeometry,
     pub(crate) settings: Settings,
     /// Folder of the traced views.
@@ -200,12 +203,12 @@ impl FieldJob {
         self.stream == 0
     }
 
-    /// Returns the folder of the finished views.
+    /// Returns the folder of the views after denoising.
     pub(crate) fn finished(&self, kind: Denoise) -> PathBuf {
         if kind.filters() { self.folder.join(kind.name()) } else { self.folder.clone() }
     }
 
-    /// Returns the views to render: the chosen ones of the target, all of other fields.
+    /// Returns the views to render: of the target those that are chosen, of other light fields all.
     pub(crate) fn wanted(&self, chosen: &[[usize; 2]]) -> Vec<[usize; 2]> {
         if self.is_target() { chosen.to_vec() } else { self.geometry.grid.iter().collect() }
     }
@@ -218,8 +221,8 @@ impl FieldJob {
         }
     }
 
-    /// Returns the share of every pixel that shows the background behind the scene, `[row][col]`,
-    /// 0..1.
+    /// Returns the fraction of every pixel that shows the background behind the scene,
+    /// `[row][col]`, 0..1.
     ///
     /// # Errors
     /// If the scene cannot be rendered, a file is missing or cannot be written, or the task is
@@ -236,7 +239,7 @@ impl FieldJob {
         Ok(missed)
     }
 
-    /// Reads the splats of a view, `[row][col][r, g, b, T]`; `None` if the scene has none.
+    /// Reads the splats of a view, `[row][col][r, g, b, T]`; `None` if the scene has no splats.
     fn splats(&self, view: [usize; 2], ingested: &Ingested) -> Result<Option<Vec<f32>>, PipelineError> {
         if ingested.scene.placed_clouds.is_empty() {
             return Ok(None);
@@ -245,8 +248,8 @@ impl FieldJob {
         read_splats(&path, &self.traced).ok_or_else(PipelineError::replaced(&path, "cached view of splats")).map(Some)
     }
 
-    /// Returns a finished view, `[row][col][rgb]`, scene-linear over black: the denoised view
-    /// behind its splats.
+    /// Returns a finished view, `[row][col][rgb]`, scene-linear over black: the view after
+    /// denoising, with its splats in front.
     ///
     /// # Errors
     /// If a file is missing.
@@ -263,8 +266,8 @@ impl FieldJob {
         Ok(picture)
     }
 
-    /// Returns the share of every pixel's samples that hit no surface, `[row][col]`, 0..1; cached
-    /// beside the view.
+    /// Returns the fraction of every pixel's samples that hit no surface, `[row][col]`, 0..1. It is
+    /// cached next to the view.
     fn missed_by_surfaces(&self, view: [usize; 2], shot: Shot<'_>, task: Task<'_>) -> Result<Vec<f32>, PipelineError> {
         let (kind, window) = (shot.denoise(), shot.window());
         let path = self.folder.join(format!("missed_{:02}_{:02}.npy", view[0], view[1]));
@@ -289,8 +292,8 @@ impl FieldJob {
         Ok(missed)
     }
 
-    /// Returns the guides of all samples of a view: those that were kept with its radiance, or else
-    /// the same again, from the same rays.
+    /// Returns the guides of a denoiser for all samples of a view: those that were kept with the
+    /// radiance, or else the same guides traced again along the same rays.
     ///
     /// # Errors
     /// If the scene cannot be rendered, or the task is cancelled.
@@ -307,17 +310,17 @@ impl FieldJob {
         joined.ok_or_else(|| PipelineError::job("samples", "at least one part", "none"))
     }
 
-    /// Returns the guides that were kept with the radiance of all samples of a view.
+    /// Returns the guides of all samples of a view, if they were kept with the radiance.
     fn kept_guides(&self, view: [usize; 2], kind: Denoise) -> Option<Features> {
         let of_part = |&half: &Option<usize>| read_guides(&guides_path(&self.folder, view, half), &self.traced);
         joined(parts(kind).iter().map(of_part).collect::<Option<Vec<Features>>>()?)
     }
 
-    /// Returns the variance of every value of a view before denoising, `[row][col][rgb]`. If there
-    /// are halves, it is that of their mean.
+    /// Returns the variance of every value of a view before denoising, `[row][col][rgb]`. If the
+    /// view is traced in halves, the result is the variance of their mean.
     ///
     /// # Errors
-    /// If it was not rendered with the view.
+    /// If the variance was not written when the view was rendered.
     pub(crate) fn variance(&self, view: [usize; 2], kind: Denoise) -> Result<Vec<f32>, PipelineError> {
         let parts = parts(kind);
         let mut variance = vec![0.0; 3 * self.traced.rows * self.traced.cols];
@@ -331,7 +334,8 @@ impl FieldJob {
         Ok(variance)
     }
 
-    /// Returns settings with the seed of this field, and of a part of it.
+    /// Returns the settings with a seed for this light field and for `part`, such as a half of the
+    /// samples.
     pub(crate) fn seeded(&self, part: &[u64]) -> Settings {
         seeded(self.settings, self.stream, part)
     }

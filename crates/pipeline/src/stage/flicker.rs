@@ -6,13 +6,14 @@
 //!           = rms of (L̃_t − L̃_(t−1))/β − (L_t − L_(t−1))
 //! ```
 //!
-//! Flicker is the change that a viewer sees and should not see. A constant error has none. It is
-//! computed in linear light, over the rays with w > 0 that hit the display. The figure is
-//! −20·log10(flicker) in dB: the PSNR (peak 1) of the emitted change against the target's.
-//! Independent errors give 3 dB less than `psnr_view`.
+//! Flicker is the change that a viewer sees and should not see. A constant error does not flicker.
+//! Flicker is computed in linear light, over the rays with w > 0 that hit the display. The score is
+//! −20·log10(flicker) in dB: the PSNR (peak 1) of the change of the emission against the change of
+//! the target. If errors of neighbouring time steps are independent, the score is 3 dB less than
+//! `psnr_view`.
 //!
-//! Eyes are most sensitive where nothing else moves. Therefore a second figure has only still rays:
-//! those whose target keeps its 8-bit sRGB codes within [`STILL_CODES`].
+//! Eyes are most sensitive where nothing else moves. Therefore a second score includes only still
+//! rays: rays along which the target's 8-bit sRGB codes change by at most [`STILL_CODES`].
 
 use lumistack_core::colour::srgb_code;
 use lumistack_core::metrics::SquaredError;
@@ -20,7 +21,7 @@ use lumistack_core::{Cancelled, Task};
 use lumistack_display::{Display, LayerStack, LightField, RayMap, Simulator, Weights};
 use rayon::prelude::*;
 
-/// Largest change of a still ray's target, 8-bit sRGB codes.
+/// Largest change of the target along a still ray, 8-bit sRGB codes.
 const STILL_CODES: u8 = 1;
 
 /// Patterns and target of a time step.
@@ -35,13 +36,13 @@ pub(crate) struct Shown<'a> {
 pub(crate) struct TimeError {
     /// Error of L̃/β against L.
     pub(crate) error: SquaredError,
-    /// Error of the emitted change against the target's, over all rays.
+    /// Error of the change of L̃/β against the change of L, over all rays.
     pub(crate) change: SquaredError,
-    /// The same over still rays.
+    /// Error of the change of L̃/β against the change of L, over still rays.
     pub(crate) still: SquaredError,
 }
 
-/// Simulates all views of a time step and of the one before. Without one before, the last two
+/// Simulates all views of a time step and of the previous one. Without a previous one, the last two
 /// errors are empty.
 ///
 /// # Errors
@@ -85,8 +86,7 @@ pub(crate) fn measure(
         }
         Ok(sums)
     };
-    // Sums are joined in the order of the views, so that they do not depend on the number of
-    // threads.
+    // Join the sums in the order of the views, so that they do not depend on the number of threads.
     let of_views: Vec<TimeError> = views.into_par_iter().map(of_view).collect::<Result<_, _>>()?;
     Ok(of_views.into_iter().fold(TimeError::default(), |sum, view| TimeError {
         error: sum.error.merged(view.error),
@@ -103,7 +103,7 @@ mod tests {
     use super::*;
     use crate::presets;
 
-    /// Tolerance against the naive computation, dB: both sum the simulator's values in f64.
+    /// Tolerance against the naive computation, dB. Both sum the values of the simulator in f64.
     const AGREEMENT_DB: f64 = 1e-6;
 
     fn display() -> Display {
@@ -118,7 +118,7 @@ mod tests {
         stack
     }
 
-    /// Returns targets whose right half is equal for all seeds.
+    /// Returns targets whose right half is the same for all seeds.
     fn random_target(display: &Display, seed: u64) -> LightField {
         let mut target = LightField::black(display.geometry().unwrap()).unwrap();
         let (cols, mut still, mut moving) = (target.geometry().cols, Stream::new(77), Stream::new(seed));
@@ -141,7 +141,7 @@ mod tests {
         let targets = [3, 4].map(|seed| random_target(&display, seed));
         let [before, now] = [0, 1].map(|t| Shown { stack: &stacks[t], target: &targets[t] });
         let found = measured(&display, now, before, &Weights::Uniform);
-        // e_t of every ray first, as lists; then their difference
+        // compute e_t of every ray in lists, then the difference of the lists
         let geometry = now.target.geometry();
         let map = RayMap::new(&display, geometry);
         let errors = |shown: Shown<'_>| -> Vec<f64> {
@@ -164,7 +164,7 @@ mod tests {
         };
         assert!((found.change.psnr() - decibels(&|_| true)).abs() < AGREEMENT_DB);
         let right_half = |i: usize| (i / 3) % geometry.cols >= geometry.cols / 2;
-        // a moving ray may keep its code by chance
+        // a ray that changes may keep its code by chance
         let same = |i: usize| {
             let code = |target: &LightField| srgb_code(target.radiance().data()[i]);
             code(now.target).abs_diff(code(before.target)) <= STILL_CODES

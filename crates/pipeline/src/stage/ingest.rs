@@ -22,23 +22,23 @@ use crate::store::handover;
 use crate::store::key::{KeyBuilder, hash};
 use crate::store::plugin_files::plugin_key;
 
-/// A loaded scene with its origin.
+/// A loaded scene, and the files that it was read from.
 pub struct Ingested {
-    /// The scene, with its lights.
+    /// The scene and its lights.
     pub scene: Arc<Scene>,
     /// All files that were read, each with a hash of its content.
     pub files: Vec<(PathBuf, String)>,
     /// Pose and variants that were selected.
     pub pose: PoseJob,
-    /// True if it got the built-in studio light.
+    /// True if the built-in studio light was added to the scene.
     pub(crate) studio: bool,
-    /// Contents to choose from, if the reader returned them.
+    /// Animations, variants and similar choices in the file, if the reader listed them.
     known: Option<SceneContents>,
     renderer: OnceLock<SceneRenderer>,
 }
 
 impl Ingested {
-    /// Returns the scene prepared for rendering. The first call prepares it.
+    /// Returns the scene in the form that the renderer needs. The first call prepares it.
     ///
     /// # Errors
     /// If the scene cannot be rendered, or the task is cancelled.
@@ -53,12 +53,14 @@ impl Ingested {
         Ok(self.renderer.get_or_init(|| renderer))
     }
 
-    /// True if paths are traced for its views: it has surfaces, or a background behind its splats.
+    /// True if paths are traced for the scene's views: it has surfaces, or a background behind its
+    /// splats.
     pub(crate) fn is_traced(&self) -> bool {
         !self.scene.instances.is_empty() || self.scene.environment.is_some() || self.scene.backdrop.is_some()
     }
 
-    /// Returns contents and lost features of its `.blend` file, if it comes from one.
+    /// If the scene comes from a `.blend` file, returns the file's contents and its features that
+    /// the conversion lost.
     pub(crate) fn blend(&self) -> Option<&BlendContents> {
         match &self.known {
             Some(SceneContents::Blend(contents)) => Some(contents),
@@ -66,11 +68,11 @@ impl Ingested {
         }
     }
 
-    /// Returns the contents to choose from. The file is read only if the loader has not returned
-    /// them.
+    /// Returns the animations, variants and similar choices in the file. Reads the file only if its
+    /// reader has not listed them.
     ///
     /// # Errors
-    /// As [`scene_contents`].
+    /// The errors of [`scene_contents`].
     pub fn contents(
         &self,
         path: &Path,
@@ -81,19 +83,19 @@ impl Ingested {
         self.known.clone().map_or_else(|| scene_contents(path, importer, registry, task), Ok)
     }
 
-    /// Adds the scene's origin to a key.
+    /// Adds all that the scene was made from to a key.
     pub(crate) fn add_to(&self, key: &mut KeyBuilder) {
         for (path, content) in &self.files {
             key.add("file", path.file_name().unwrap_or_default().as_encoded_bytes()).add("content", content.as_bytes());
         }
         key.add_json("pose", &self.pose);
-        // jobs may hide light sources, which changes their materials
+        // the job may hide light sources, which changes `lamp` of their materials
         let lamps: Vec<u8> = self.scene.materials.iter().map(|material| material.lamp as u8).collect();
         key.add("lamps", &lamps);
     }
 }
 
-/// Contents of a scene to choose from.
+/// Choices that a scene file offers.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SceneContents {
     /// Animations and material variants.
@@ -104,7 +106,7 @@ pub enum SceneContents {
     Blend(lumistack_usd::BlendContents),
 }
 
-/// Lists the contents of a scene to choose from.
+/// Lists the choices that a scene file offers.
 ///
 /// # Errors
 /// If a file cannot be read or is damaged.
@@ -126,7 +128,7 @@ pub fn scene_contents(
     Ok(SceneContents::Gltf(lumistack_gltf::contents(&path.display().to_string(), &bytes, &resolver, task)?))
 }
 
-/// Returns the scene as glTF: the file itself, or the document of an importer.
+/// Returns the scene as glTF: the file itself, or the document that an importer made of it.
 fn gltf_bytes(
     path: &Path,
     reader: &Reader,
@@ -138,10 +140,10 @@ fn gltf_bytes(
     let Reader::Plugin(id) = reader else {
         return Ok(resolver.keep(path.to_owned(), read(path)?));
     };
-    // Open the file first, so that a missing one has the same message as for other readers.
+    // Open the file first, so that a missing file has the same message as with other readers.
     lumistack_files::open(path).map_err(|source| PipelineError::Read { path: path.to_owned(), source })?;
     let file = path.file_name().unwrap_or_default().to_string_lossy();
-    // A name that is not Unicode reaches the importer with replacement characters.
+    // In a name that is not Unicode, the importer gets replacement characters.
     let own = |name: &str| name == file && file.contains(char::REPLACEMENT_CHARACTER);
     let read = |name: &str| {
         let bytes = match own(name) {
@@ -156,9 +158,9 @@ fn gltf_bytes(
     lumistack_plugin_host::import_scene(registry, id, &params, &file, &read, task).map_err(host_error)
 }
 
-/// Loads a scene in its pose, with the job's environment, or studio light if it has no light. Files
-/// that are neither glTF, USD nor `.blend` need an importer. `cache_dir` keeps conversions by other
-/// programs.
+/// Loads a scene in its pose, with the environment of the job. A scene without any light gets
+/// studio light. Files that are neither glTF, USD nor `.blend` need an importer. Conversions by
+/// other programs are kept in `cache_dir`.
 ///
 /// # Errors
 /// If a file cannot be read, no importer accepts it, or the scene cannot be rendered.
@@ -184,8 +186,8 @@ pub fn load_scene(
     Ok(Ingested { known, ..lit(scene, files, pose, light_job, task)? })
 }
 
-/// Lights a scene that the caller made, as [`load_scene`] does. Its key has the content of `files`
-/// and of `content`, parts in memory.
+/// Lights a scene that the caller made, as [`load_scene`] does. The scene's key contains the
+/// content of `files`, and `content`, which is data in memory.
 ///
 /// # Errors
 /// If a file cannot be read, or the scene cannot be rendered.
@@ -215,9 +217,9 @@ fn lit(
     light_job: &LightJob,
     task: Task<'_>,
 ) -> Result<Ingested, PipelineError> {
-    // Crop first: removed splats emit no light.
+    // Crop first, since removed splats emit no light.
     scene = crop::cropped(scene, pose, task)?;
-    // The job's environment replaces the file's.
+    // The environment of the job replaces that of the file.
     if let Some(environment) = &light_job.environment {
         files.push((environment.clone(), hash(&read(environment)?)));
         scene = lumistack_shot::edited(scene, task, |parts| {
@@ -244,10 +246,10 @@ fn load_gltf(
 ) -> Result<Read, PipelineError> {
     let PoseJob { time_s, animation, variant, variants, .. } = pose.clone();
     if let Some(variants) = variants.first() {
-        let expected = "none, since only USD has variant sets; glTF's material variants are `pose.variant`";
+        let expected = "none, since only USD has variant sets; `pose.variant` selects a material variant of glTF";
         return Err(PipelineError::value(path, "pose.variants", expected, variants));
     }
-    // The importer and its parameters belong to the scene's origin.
+    // The resolver records all files that the loader reads.
     let resolver = Files::beside(path, importer.allow_outside)?;
     let max_picture_bytes = importer.picture_mib.saturating_mul(1 << 20);
     let options = LoadOptions { time_s, animation, variant, max_picture_bytes, ..LoadOptions::default() };
@@ -255,12 +257,13 @@ fn load_gltf(
         let bytes = gltf_bytes(path, reader, importer, registry, &resolver, task)?;
         Ok(lumistack_gltf::load_with(&path.display().to_string(), &bytes, &resolver, &options, task)?)
     };
-    // Files are recorded while the loader reads them.
+    // Report progress while the loader reads the file and its references.
     task.progress.begin("read scene", 1, "scene");
     let scene = read();
     task.progress.end();
     let scene = scene?;
     let mut files = resolver.read.into_inner().unwrap_or_else(PoisonError::into_inner);
+    // The scene also depends on the importer and its parameters, so they are part of its key.
     if let Reader::Plugin(id) = reader {
         files.push((id.into(), plugin_key(registry, id, &importer.params)?));
     }
@@ -295,7 +298,7 @@ fn load_blend(
     let PoseJob { time_s, animation, variant, variants, .. } = pose.clone();
     let given = [("animation", animation), ("variant", variant), ("variants", variants.into_iter().next())];
     if let Some((key, found)) = given.into_iter().find_map(|(key, given)| Some((key, given?))) {
-        let expected = "none: a .blend file is converted as Blender shows it, at `pose.time_s`";
+        let expected = "none: a .blend file is converted in the state that it has in Blender at `pose.time_s`";
         return Err(PipelineError::value(path, format!("pose.{key}"), expected, found));
     }
     let HandedOver { glb, account } = handover::hand_over(path, time_s, cache_dir, task)?;
@@ -314,14 +317,15 @@ fn hashed(files: &[PathBuf]) -> Result<Vec<(PathBuf, String)>, PipelineError> {
     files.iter().map(|file| Ok((file.clone(), hash(&read(file)?)))).collect()
 }
 
-/// Resolves references of a scene file, and records the files.
+/// Resolves the references of a scene file, and records the files that were read.
 struct Files {
     folder: Folder,
     read: Mutex<Vec<(PathBuf, String)>>,
 }
 
 impl Files {
-    /// Resolves references of the scene at `path`: regular files of its folder, or any.
+    /// Resolves references of the scene at `path`: to regular files of its folder or, with
+    /// `allow_outside`, to any regular files.
     fn beside(path: &Path, allow_outside: bool) -> Result<Self, PipelineError> {
         let io = |source| PipelineError::Read { path: path.to_owned(), source };
         let folder = if allow_outside { Folder::anywhere(path) } else { Folder::around(path).map_err(io)? };
@@ -351,6 +355,6 @@ impl AssetResolver for Files {
     }
 }
 
-/// Advice for references outside the scene's folder.
+/// Advice for references that lead out of the scene's folder.
 const OUTSIDE_ADVICE: &str =
     "--allow-outside (in a job `importer.allow_outside = true`) lets a scene read files of other folders";

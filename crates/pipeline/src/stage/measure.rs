@@ -16,7 +16,7 @@ use crate::store::files::{read_json, write_json};
 use crate::store::key::KeyBuilder;
 use crate::store::stamps::Stamps;
 
-/// Sums of squares and counts, as the file has them.
+/// Sums of squares and numbers of values, in the form of the file that keeps them.
 #[derive(Serialize, Deserialize)]
 struct CachedSums {
     error: (f64, u64),
@@ -36,7 +36,7 @@ pub(crate) fn run(
     stamps: &Stamps,
     task: Task<'_>,
 ) -> Result<(TimeError, String, bool), PipelineError> {
-    // Errors depend on display, weights, and patterns and targets of both time steps.
+    // Errors depend on the display, the weights, and the patterns and targets of both time steps.
     let mut key = KeyBuilder::new("measure", code::FIELDS);
     key.add("display", display.without_panels().to_toml().as_bytes());
     add_weights(&mut key, weights);
@@ -46,7 +46,7 @@ pub(crate) fn run(
     }
     let (key, file) = (key.finish(), Path::new("cache/measure-figures.json"));
     let path = stamps.dir().join(file);
-    // Sums are stored, not figures in dB, since the sequence adds them up.
+    // Sums are stored instead of scores in dB, since a sequence adds them up.
     let kept = || {
         let CachedSums { error, change, still } = read_json(&path)?;
         let [error, change, still] = [error, change, still].map(|(sum, count)| SquaredError { sum, count });

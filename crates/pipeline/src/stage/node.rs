@@ -1,5 +1,5 @@
 //! Nodes: plugins that make the patterns of a display from a light field. The node `tensor-display`
-//! is the solver inside this process; other nodes get the light field through the plugin boundary.
+//! is the solver in this process. Other nodes receive the light field through the plugin boundary.
 
 use lumistack_core::Task;
 use lumistack_display::{Display, FieldGeometry, LayerStack, LightField, Weights};
@@ -14,7 +14,7 @@ use crate::store::key::KeyBuilder;
 use crate::store::plugin_files::plugin_key;
 use crate::store::stamps::Stamps;
 
-/// True if the solver makes a node's patterns, as it does without nodes.
+/// True if the solver makes the patterns of a node. It also does for a job without nodes.
 pub(crate) fn is_factorized(node: Option<&NodeJob>) -> bool {
     node.is_none_or(|node| node.plugin == NodeJob::TENSOR_DISPLAY)
 }
@@ -22,7 +22,7 @@ pub(crate) fn is_factorized(node: Option<&NodeJob>) -> bool {
 /// Checks a node's plugin and parameters, without any work.
 ///
 /// # Errors
-/// If there is no such node, or it rejects the parameters.
+/// If there is no such node, or it refuses the parameters.
 pub(crate) fn check(node: &NodeJob, registry: &Registry) -> Result<(), PipelineError> {
     if is_factorized(Some(node)) {
         return Ok(());
@@ -32,8 +32,8 @@ pub(crate) fn check(node: &NodeJob, registry: &Registry) -> Result<(), PipelineE
     Ok(())
 }
 
-/// Returns the display of a node for a light field of this geometry: its own, `of_job`, or else the
-/// shared one. The text describes how its backlight was adapted.
+/// Returns the display of a node for a light field of this geometry: `of_job` if the node has a
+/// display, or else `shared`. The text describes how the display's backlight was adapted.
 ///
 /// # Errors
 /// If the display cannot show the light field.
@@ -77,7 +77,7 @@ pub(crate) fn run(
     task: Task<'_>,
 ) -> Result<(Solved, bool), PipelineError> {
     let NodeInput { node, seed, display, target, weights } = given;
-    // Baselines use the factorizer, so its code belongs to the key.
+    // Baselines use the factorizer, so its code is part of the key.
     let mut key = KeyBuilder::new("node", code::PATTERNS);
     key.add("plugin", plugin_key(registry, &node.plugin, &node.params)?.as_bytes())
         .add("display", display.to_toml().as_bytes())
@@ -88,7 +88,8 @@ pub(crate) fn run(
     reuse_or_make("node", &key.finish(), display, stamps, || make(given, registry, task))
 }
 
-/// Makes the patterns by a node plugin, without the cache. Returns them with their convergence.
+/// Makes the patterns with a node plugin, without the cache. Returns the patterns and their
+/// convergence.
 ///
 /// # Errors
 /// If the plugin fails or is cancelled.

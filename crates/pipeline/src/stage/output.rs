@@ -1,4 +1,4 @@
-//! Output plugins: checked with the display before the work, and executed after it.
+//! Output plugins. They are checked with the display before the work, and executed after it.
 
 use std::path::{Path, PathBuf};
 
@@ -19,18 +19,18 @@ use crate::store::stamps::Stamps;
 /// Checks plugins and parameters of a job's outputs, without any work.
 ///
 /// # Errors
-/// If there is no such output, or it rejects the parameters or the kind of data.
+/// If there is no such output, or it refuses the parameters or the kind of data.
 pub(crate) fn check(job: &Job, registry: &Registry) -> Result<(), PipelineError> {
     for output in &job.outputs {
         let info = registry.get_kind(&output.plugin, PluginKind::Output).map_err(PipelineError::Output)?.info();
         registry.check_params(&output.plugin, &output.params.clone().into()).map_err(PipelineError::Output)?;
         let port = port_of(output);
         if !info.ports.contains(&port) {
-            let expected = format!("a plugin that takes a {port}");
+            let expected = format!("a plugin for a {port}");
             return Err(PipelineError::job("outputs", expected, format!("`{}`", output.plugin)));
         }
         if info.presents {
-            let found = format!("`{}`, which drives panels; run `lumistack show` for it", output.plugin);
+            let found = format!("`{}`, which drives panels (use `lumistack show`)", output.plugin);
             return Err(PipelineError::job("outputs", "a plugin that writes files", found));
         }
     }
@@ -41,10 +41,10 @@ fn port_of(output: &OutputJob) -> Port {
     if output.takes_light_field() { Port::LightField } else { Port::LayerStack }
 }
 
-/// Opens an output for a display before the work, so that a refusal costs no time.
+/// Opens an output for a display before the work, so that a refusal is known early.
 ///
 /// # Errors
-/// If the output refuses, or the task is cancelled.
+/// If the output refuses the display, or the task is cancelled.
 pub(crate) fn open(
     output: &OutputJob,
     display: &Display,
@@ -57,7 +57,7 @@ pub(crate) fn open(
     checked.map_err(host_error)
 }
 
-/// Returns the outputs that failed, with `prefix` before their paths.
+/// Returns the outputs that failed. Their paths begin with `prefix`.
 pub(crate) fn failed(outputs: &[Output], prefix: &Path) -> Vec<FailedOutput> {
     let failed =
         outputs.iter().filter_map(|output| Some((output.path.trim_start_matches("../"), output.failed.clone()?)));
@@ -65,7 +65,7 @@ pub(crate) fn failed(outputs: &[Output], prefix: &Path) -> Vec<FailedOutput> {
     failed.map(|(path, reason)| FailedOutput { path: place(path), reason }).collect()
 }
 
-/// Adds a light field to a key, with the depth of its central view, which outputs receive.
+/// Adds a light field and the depth of its central view to a key, since outputs receive both.
 fn add_field(key: &mut KeyBuilder, label: &str, field: &LightField) {
     key.add("geometry", format!("{:?}", field.geometry()).as_bytes()).add_f32(label, field.radiance().data());
     if let Some(depth) = field.depth() {
@@ -74,7 +74,7 @@ fn add_field(key: &mut KeyBuilder, label: &str, field: &LightField) {
     }
 }
 
-/// Returns the name of an output's stage, which is also that of its stamp.
+/// Returns the name of an output's stage, which is also the name of its stamp.
 pub(crate) fn stage_name(output: &OutputJob) -> String {
     match output.takes_light_field() {
         true => format!("output-{}-{}", OutputJob::LIGHT_FIELD, output.name()),
@@ -82,8 +82,9 @@ pub(crate) fn stage_name(output: &OutputJob) -> String {
     }
 }
 
-/// Writes an output into `relative`, a folder relative to the run's, unless its files are current.
-/// Returns true if they were. A failure is reported in the result, and the run continues.
+/// Writes an output into the folder `relative`, a path relative to the run folder, unless its files
+/// are current. Returns true if they were current. If the output fails, the result has the message,
+/// and the run continues.
 ///
 /// # Errors
 /// If cancelled, or the stamp cannot be written.
@@ -96,7 +97,7 @@ pub(crate) fn run(
     registry: &Registry,
     task: Task<'_>,
 ) -> Result<(Output, bool), PipelineError> {
-    // The key has everything that the plugin reads.
+    // The key contains everything that the plugin reads.
     let mut key = KeyBuilder::new(&format!("output {}", output.plugin), code::PLUGINS);
     key.add("display", display.to_toml().as_bytes());
     match data {
@@ -109,7 +110,7 @@ pub(crate) fn run(
         }
         OutputData::LightField(field) => add_field(&mut key, "radiance", field),
     }
-    // The list of files is cached with them, since only the plugin knows it.
+    // The list of files is cached too, since only the plugin knows it.
     let stage = stage_name(output);
     let list = stamps.dir().join("cache").join(format!("{stage}-files.json"));
     let make = || {
@@ -126,7 +127,7 @@ pub(crate) fn run(
         key.add("plugin", plugin.as_bytes());
         stamps.reuse_or_make(&stage, &key.finish(), || read_json(&list), make)
     });
-    // A failed output costs neither the report nor the outputs after it.
+    // After an output failed, later outputs and the report are still written.
     match written {
         Ok((written, cached)) => {
             let label = format!("{}, {} files", output.name(), written.len());

@@ -1,4 +1,4 @@
-//! Places the window in a scene by `shot`, and caches the results.
+//! Places the window in a scene with the crate `shot`, and caches the results.
 
 use std::path::Path;
 
@@ -16,7 +16,7 @@ use crate::store::code;
 use crate::store::key::KeyBuilder;
 use crate::store::stamps::remembered;
 
-/// A loaded scene, with a folder for cached results.
+/// A loaded scene, and the folder in which results are cached.
 struct CachedScene<'a> {
     ingested: &'a Ingested,
     cache_dir: Option<&'a Path>,
@@ -46,10 +46,10 @@ impl Subject for CachedScene<'_> {
     }
 }
 
-/// Is [`lumistack_shot::place()`] for a loaded scene.
+/// Calls [`lumistack_shot::place()`] for a loaded scene.
 ///
 /// # Errors
-/// As there, and if a result cannot be written.
+/// The errors of that function, and if a result cannot be written.
 pub(crate) fn place(
     ingested: &Ingested,
     job: &WindowJob,
@@ -61,10 +61,11 @@ pub(crate) fn place(
     lumistack_shot::place(&CachedScene { ingested, cache_dir }, job, display, geometry, task)
 }
 
-/// Is [`find_window`] for a loaded scene: the window before it is moved for depth.
+/// Calls [`find_window`] for a loaded scene. Returns the window before it is moved to fit the
+/// depth.
 ///
 /// # Errors
-/// As there, and if a result cannot be written.
+/// The errors of that function, and if a result cannot be written.
 pub fn place_window(
     ingested: &Ingested,
     job: &WindowJob,

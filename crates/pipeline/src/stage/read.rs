@@ -1,5 +1,5 @@
-//! Reads a light field of another renderer, warns about values out of range, and applies exposure
-//! and tone curve of the job.
+//! Reads a light field of another renderer, warns about values out of range, and applies the
+//! exposure and tone curve of the job.
 
 use std::path::Path;
 
@@ -13,11 +13,11 @@ use super::field::field_defaults;
 use crate::error::{PipelineError, field_error};
 use crate::job::Job;
 
-/// Reads the light field at `path` for a display. Also returns views that the display does not use,
-/// as many as the report scores.
+/// Reads the light field at `path` for a display. Also returns as many views that the display does
+/// not use as the report scores.
 ///
 /// # Errors
-/// If it cannot be read, or its geometry is incomplete.
+/// If the light field cannot be read, or its geometry is incomplete.
 pub(crate) fn run(
     path: &Path,
     job: &Job,
@@ -28,7 +28,8 @@ pub(crate) fn run(
     let defaults = field_defaults(display);
     let most = job.report.zone_directions;
     let read = lumistack_field_io::open_for(path, &job.geometry, &defaults, Some(&footprint), most, task);
-    // Values are not rounded as in `target/`: the report compares with the values of the file.
+    // Values are not rounded to half floats, as in `target/`, since the report compares with those
+    // of the file.
     let (mut field, mut left_out) = read.map_err(field_error)?;
     if let Some(tone_mapping) = ToneMapping::of_given(&job.light) {
         tone_mapping.apply(&mut field);
@@ -40,20 +41,20 @@ pub(crate) fn run(
     Ok((field, left_out))
 }
 
-/// Remedies of the command for values outside 0..1.
+/// Remedies for values outside 0..1, as options of the command.
 pub(crate) const REMEDY_IN_COMMAND: &str =
     "--exposure-ev STOPS scales them, --tone linear clips them, --tone khronos-neutral or agx compresses them";
-/// Remedies of the Python package.
+/// Remedies for values outside 0..1, as functions of the Python package.
 pub(crate) const REMEDY_IN_PYTHON: &str =
     "light_field.exposed(stops) scales and clips them, tone=\"khronos-neutral\" or \"agx\" compresses them";
 
-/// Returns the slopes that a display cannot separate, once adapted to a light field. If it cannot
-/// adapt, its own.
+/// Returns the width of slopes that a display cannot separate, after it is adapted to a light
+/// field. If it cannot be adapted, returns the width of the display itself.
 pub(crate) fn adapted_footprint(display: &Display, geometry: &FieldGeometry) -> [f64; 2] {
     display.adapted_to(geometry).as_ref().unwrap_or(display).angular_footprint()
 }
 
-/// Statistics of values outside 0..1, which no display shows.
+/// Statistics of values outside 0..1, which a display cannot show.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct OutOfRange {
     values: u64,
@@ -65,7 +66,7 @@ pub(crate) struct OutOfRange {
 }
 
 impl OutOfRange {
-    /// Counts the values; `None` if all are in 0..1.
+    /// Counts the values outside 0..1; `None` if there are none.
     pub(crate) fn of(field: &LightField) -> Option<Self> {
         let parts = field.radiance().data().par_chunks(1 << 16).map(|values| {
             let mut part = Self { values: values.len() as u64, ..Self::default() };
@@ -91,7 +92,7 @@ impl OutOfRange {
         (all.above + all.below + all.not_finite > 0).then_some(all)
     }
 
-    /// Describes the values: share, extremes, and the remedy.
+    /// Describes the values outside 0..1: their fraction, their extremes, and the remedy.
     pub(crate) fn message(&self, offer: &str) -> String {
         let share = |count: u64| {
             let percent = 100.0 * count as f64 / self.values as f64;
@@ -105,18 +106,18 @@ impl OutOfRange {
         if self.above > 0 {
             let stops = -f64::from(self.largest).log2();
             parts.push(format!(
-                "{} lie above 1, the largest {} ({stops:.2} stops would fit it)",
+                "{} are above 1; the largest is {} (an exposure of {stops:.2} stops brings it to 1)",
                 share(self.above),
                 self.largest
             ));
         }
         if self.below > 0 {
-            parts.push(format!("{} lie below 0, the smallest {}", share(self.below), self.smallest));
+            parts.push(format!("{} are below 0; the smallest is {}", share(self.below), self.smallest));
         }
         if self.not_finite > 0 {
-            parts.push(format!("{} are no finite numbers", share(self.not_finite)));
+            parts.push(format!("{} are not finite", share(self.not_finite)));
         }
-        format!("{}; a display shows 0 to 1, and PSNR counts the difference: {offer}", parts.join("; "))
+        format!("{}. A display shows 0 to 1, and the PSNR includes the difference: {offer}", parts.join("; "))
     }
 }
 
@@ -134,7 +135,8 @@ mod tests {
         let data = field.radiance_mut().data_mut();
         data[17] = 1e4;
         let message = OutOfRange::of(&field).unwrap().message("nothing");
-        let expected = "1 of 180000 values lie above 1, the largest 10000 (-13.29 stops would fit it)";
+        let expected =
+            "1 of 180000 values are above 1; the largest is 10000 (an exposure of -13.29 stops brings it to 1)";
         assert!(message.starts_with(expected), "{message}");
         let data = field.radiance_mut().data_mut();
         data[..18_000].fill(2.0);
@@ -142,9 +144,9 @@ mod tests {
         data[20_000] = f32::NAN;
         let message = OutOfRange::of(&field).unwrap().message("nothing");
         for part in [
-            "10.00 % of all values lie above 1, the largest 2 ",
-            "0.50 % of all values lie below 0, the smallest -0.5",
-            "1 of 180000 values are no finite",
+            "10.00 % of all values are above 1; the largest is 2 ",
+            "0.50 % of all values are below 0; the smallest is -0.5",
+            "1 of 180000 values are not finite",
         ] {
             assert!(message.contains(part), "{message}");
         }

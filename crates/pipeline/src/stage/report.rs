@@ -29,15 +29,15 @@ pub(crate) struct ReportContent<'a> {
 /// Makes the report of a display and writes it.
 ///
 /// # Errors
-/// If it cannot be made or written, or the task is cancelled.
+/// If the report cannot be made or written, or the task is cancelled.
 pub(crate) fn run(about: &ReportContent<'_>, stamps: &Stamps, task: Task<'_>) -> Result<Report, PipelineError> {
     let ReportContent { job, display, field, solved, .. } = about;
     let settings = job.to_json();
     let denoising = field.denoised.as_ref().map(|denoised| denoised.about());
     let measure = |references: &References| references.measure(display, &solved.stack, task);
-    // Measure the seen pictures first, which the report draws and scores.
+    // Measure the seen pictures first, since the report draws and scores them.
     let zone = about.references.map(measure).transpose()?;
-    // Reports are made of values in memory; only the result is written.
+    // The report is made from values in memory; only the result is written.
     let report = lumistack_report::build(
         &ReportInput {
             title: &job.name,
@@ -71,7 +71,7 @@ pub(crate) fn run(about: &ReportContent<'_>, stamps: &Stamps, task: Task<'_>) ->
 /// Writes the report of a graph.
 ///
 /// # Errors
-/// If it cannot be made or written.
+/// If the report cannot be made or written.
 pub(crate) fn graph(input: &GraphInput<'_>, stamps: &Stamps) -> Result<(), PipelineError> {
     let (html, json) = lumistack_report::graph(input).map_err(PipelineError::Report)?;
     write_report(stamps.dir(), &html, &json)
@@ -80,14 +80,14 @@ pub(crate) fn graph(input: &GraphInput<'_>, stamps: &Stamps) -> Result<(), Pipel
 /// Writes the report of a sequence.
 ///
 /// # Errors
-/// If it cannot be made or written.
+/// If the report cannot be made or written.
 pub(crate) fn sequence(input: &SequenceInput<'_>, stamps: &Stamps) -> Result<SequenceReport, PipelineError> {
     let report = lumistack_report::sequence(input).map_err(PipelineError::Report)?;
     write_report(stamps.dir(), &report.html, &report.json)?;
     Ok(report)
 }
 
-/// Returns the central view of the target and of the display, divided by β.
+/// Returns the central view of the target, and what the display shows of it, divided by β.
 pub(crate) fn thumbnails(display: &Display, field: &Field, solved: &Solved) -> [Thumbnail; 2] {
     let geometry = field.target.geometry();
     let middle = geometry.grid.views().map(|count| count / 2);

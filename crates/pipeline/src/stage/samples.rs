@@ -1,22 +1,22 @@
-//! The number of paths per pixel and view that a display needs, measured on small parts of the
-//! picture before rendering all of it.
+//! Measures the number of paths per pixel and view that a display needs, on small sections of the
+//! picture, before all of it is rendered.
 //!
 //! ```text
 //! MSE(n) = D + V / n        D: squared error of the seen pictures of a solve without noise
 //!                           V: error that the noise of one path per pixel and view adds
-//! n = V / (η D)             η: share of the error that noise may add
+//! n = V / (η D)             η: fraction of the error that noise may add
 //! ```
 //!
-//! Every part is rendered twice with one path per pixel and view, from independent seeds a and b,
-//! and solved for both. S_a and S_b are seen pictures in directions that no solver used. R_a and
-//! R_b are renders of the scene from there, with seeds of their own:
+//! Every section is rendered twice with one path per pixel and view, from independent seeds a and
+//! b, and solved for both renders. S_a and S_b are the seen pictures in directions that no solver
+//! used. R_a and R_b are renders of the scene in these directions, with two more seeds:
 //!
 //! ```text
 //! V = E[(S_a − S_b)²] / 2        D = E[(S_a − R_a)(S_b − R_b)]
 //! ```
 //!
-//! D contains no noise, since all seeds are independent. V contains only noise that reaches the
-//! eye: a layer's pixel averages over all rays through it, so the noise of the views says little.
+//! D contains no noise, since all seeds are independent. V contains only noise that is seen: a
+//! pixel of a layer averages over all rays through it, so the noise in the views is no measure.
 
 use std::path::Path;
 
@@ -42,25 +42,25 @@ use crate::stage::ingest::Ingested;
 use crate::store::code;
 use crate::store::stamps::remembered;
 
-/// Maximum number of parts of the picture.
+/// Maximum number of sections of the picture. In the code, a section is a part.
 const PARTS: usize = 6;
-/// Maximum share of the picture's area that the parts cover.
+/// Maximum fraction of the picture's area that all sections cover.
 const MOST_AREA: f64 = 0.25;
-/// Edge of the measured middle of a part, pixels. In the margin around it, rays leave the part's
-/// layers.
+/// Edge of the middle of a section, which is measured, pixels. In the margin around the middle,
+/// some rays miss the section's layers.
 const MIDDLE: usize = 40;
-/// Iterations of the solver. The ratio of noise and error is final after a few.
+/// Iterations of the solver. The ratio of noise and error changes little after these.
 const ITERATIONS: u32 = 8;
-/// Number of directions in which a part is seen.
+/// Number of directions in which a section is seen.
 const DIRECTIONS: usize = 4;
-/// Paths per pixel of each of the two renders of a direction.
+/// Number of paths per pixel in each of the two renders of a direction.
 const REFERENCE_PATHS: u32 = 4;
-/// A pixel counts if at least this share of its area is seen.
+/// A pixel is included if at least this fraction of its area is seen.
 const WHOLE: f32 = 0.999;
-/// Stream of random numbers that no view uses.
+/// Number of a stream of random numbers that no view uses.
 const STREAM: u64 = 0x5a3b_0001;
 
-/// Returns the number of paths per pixel and view, if the job sets none. It is measured once and
+/// Returns the number of paths per pixel and view, if the job sets none. It is measured once, and
 /// cached in a folder.
 ///
 /// # Errors
@@ -76,13 +76,13 @@ pub(crate) fn measured(
     let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
     let views = geometry.grid.iter().count();
     let is_ours = job.render.engine != Engine::Blender && ingested.blend().is_none();
-    // A display with fixed views is right at these views alone, where noise counts more than
+    // A display with fixed views is correct only at these views, where noise has more effect than
     // between them.
     let is_chosen = !matches!(display.field.views, Views::Fixed(_));
     if !(job.render.samples_are_measured() && is_chosen && views > 1 && ingested.is_traced() && is_ours) {
         return Ok(None);
     }
-    // The key has all that noise and error depend on.
+    // The key contains all that noise and error depend on.
     let footprint = display.angular_footprint();
     let shot = Shot { job, ingested, placement, geometry: &geometry, footprint, samples: None };
     let mut key = shot.key();
@@ -94,17 +94,17 @@ pub(crate) fn measured(
     remembered(Some(cache_dir), &file, || measure(shot, display, task)).map(Some)
 }
 
-/// A part of the picture: a small display, and its window in the scene.
+/// A section of the picture: a small display, and its window in the scene.
 struct Part {
     display: Display,
     geometry: FieldGeometry,
     window: Window,
-    /// Centre of the part relative to the display's, mm.
+    /// Centre of the section relative to the centre of the display, millimetres.
     centre_mm: [f64; 2],
     margin: usize,
 }
 
-/// One of the two renders of a part.
+/// One of the two renders of a section.
 struct Half {
     field: LightField,
     /// True for pixels that show a surface, in the order of the radiance.
@@ -117,7 +117,7 @@ fn measure(shot: Shot<'_>, display: &Display, task: Task<'_>) -> Result<Samples,
     let quiet = Task { progress: &NoProgress, ..task };
     task.progress.begin("choose samples", 2 * parts.len() as u64, "parts");
 
-    // Both renders of every part, linear.
+    // Make both renders of every section, linear.
     let mut halves: Vec<[Half; 2]> = Vec::with_capacity(parts.len());
     for (number, part) in parts.iter().enumerate() {
         let [a, b] = [0, 1].map(|half| render(shot, part, [number as u64, half], quiet));
@@ -125,7 +125,7 @@ fn measure(shot: Shot<'_>, display: &Display, task: Task<'_>) -> Result<Samples,
         task.progress.advance(1, "");
     }
 
-    // One exposure and one tone curve, chosen as for the whole picture.
+    // Choose one exposure and one tone curve, as for the whole picture.
     let brightest = halves.iter().flat_map(|[half, _]| {
         let pixels = half.field.radiance().data().chunks_exact(3).zip(&half.is_surface);
         pixels.map(|(rgb, &is_surface)| (rgb[0].max(rgb[1]).max(rgb[2]), is_surface))
@@ -133,7 +133,7 @@ fn measure(shot: Shot<'_>, display: &Display, task: Task<'_>) -> Result<Samples,
     let tone_mapping = ToneMapping::choose(&job.light, &ingested.scene, &brightest.collect::<Vec<_>>());
     halves.iter_mut().flatten().for_each(|half| tone_mapping.apply(&mut half.field));
 
-    // Directions of the zone score, distributed over the parts.
+    // Distribute the directions of the zone score over the sections.
     let zone = score::zone_of(job, display, geometry);
     let directions = zone.directions(parts.len() * DIRECTIONS);
     let measured = parts.par_iter().zip(&halves).enumerate().map(|(number, (part, halves))| {
@@ -149,7 +149,7 @@ fn measure(shot: Shot<'_>, display: &Display, task: Task<'_>) -> Result<Samples,
     Ok(Samples::new(all.noise / count, all.error / count, geometry.grid.iter().count()))
 }
 
-/// Sums over the values of seen pictures.
+/// Sums over the values of the seen pictures.
 #[derive(Clone, Copy, Default)]
 struct Sums {
     noise: f64,
@@ -163,8 +163,8 @@ impl Sums {
     }
 }
 
-/// Solves for both renders of a part, and compares the seen pictures with the scene and with each
-/// other.
+/// Solves for both renders of a section, and compares the seen pictures with the scene and with
+/// each other.
 fn compare(
     shot: Shot<'_>,
     part: &Part,
@@ -175,7 +175,7 @@ fn compare(
     task: Task<'_>,
 ) -> Result<Sums, PipelineError> {
     let Shot { job, ingested, placement, .. } = shot;
-    // The defaults of the solver serve every job: only the ratio of noise and error counts.
+    // Default settings of the solver suffice, since only the ratio of noise and error is used.
     let of_solver = FactorizeJob { iterations: Some(ITERATIONS), ..FactorizeJob::default() };
     let solve = |half: &Half| {
         let target = &half.field;
@@ -187,7 +187,7 @@ fn compare(
     let simulators = stacks.each_ref().map(|stack| Simulator::new(&part.display, stack));
     let tracer = &ingested.renderer(task)?.tracer;
 
-    // Sum noise and error over the middle of the part, in directions of the viewing zone.
+    // Sum noise and error over the middle of the section, in directions of the viewing zone.
     let mut sums = Sums::default();
     for (index, direction) in directions.iter().enumerate() {
         let geometry = part.geometry.with_grid(part.moved(direction));
@@ -225,8 +225,8 @@ fn compare(
     Ok(sums)
 }
 
-/// Renders a part with one path per pixel and view. Light that views share is averaged if the job
-/// does so.
+/// Renders a section with one path per pixel and view. If the job averages light that views share,
+/// it is averaged here too.
 fn render(shot: Shot<'_>, part: &Part, stream: [u64; 2], task: Task<'_>) -> Result<Half, PipelineError> {
     let Shot { job, ingested, placement, .. } = shot;
     let traced = part.geometry.with_grid(part.traced_grid(&shot.geometry.grid, placement.depth_scale));
@@ -236,7 +236,7 @@ fn render(shot: Shot<'_>, part: &Part, stream: [u64; 2], task: Task<'_>) -> Resu
     let splits: Result<Vec<SplitView>, _> =
         traced.grid.iter().map(|view| tracer.render_split(&part.window, &traced, view, &settings, task)).collect();
     let splits = splits.map_err(render_error)?;
-    // Averaged light has less noise, so the measurement must average as the job does.
+    // Averaged light has less noise, so the measurement must average if the job does.
     let light = if shot.denoise() == Denoise::Shared {
         let mut light = SharedLight::new(&traced);
         splits.iter().for_each(|split| light.add(split));
@@ -254,7 +254,7 @@ fn render(shot: Shot<'_>, part: &Part, stream: [u64; 2], task: Task<'_>) -> Resu
     Ok(Half { field, is_surface })
 }
 
-/// Returns the settings of the views, without their number of paths.
+/// Returns the settings of the views, except the number of paths.
 fn settings(shot: Shot<'_>) -> Settings {
     let hide_environment = shot.job.light.background != Background::Environment;
     Settings {
@@ -265,7 +265,7 @@ fn settings(shot: Shot<'_>) -> Settings {
     }
 }
 
-/// Places parts over the picture by the additive recurrence of
+/// Places sections over the picture by the additive recurrence of
 /// [directions](lumistack_display::Zone::directions).
 fn parts(display: &Display, geometry: &FieldGeometry, window: &Window) -> Vec<Part> {
     let margin = margin(display, geometry);
@@ -273,7 +273,7 @@ fn parts(display: &Display, geometry: &FieldGeometry, window: &Window) -> Vec<Pa
     let [rows, cols] = [edge.min(geometry.rows), edge.min(geometry.cols)];
     let area = (geometry.rows * geometry.cols) as f64 / (rows * cols) as f64;
     let count = ((MOST_AREA * area) as usize).clamp(1, PARTS);
-    // a single part is in the middle
+    // a single section is in the middle
     let places = spread(count);
     let [free_rows, free_cols] = [geometry.rows - rows, geometry.cols - cols].map(|free| free as f64);
     places
@@ -289,18 +289,20 @@ fn parts(display: &Display, geometry: &FieldGeometry, window: &Window) -> Vec<Pa
 
 /// Returns `count` points of the unit square; the first is the centre.
 fn spread(count: usize) -> Vec<[f64; 2]> {
-    // the real root of x³ = x + 1: Roberts' R₂
+    // the real root of x³ = x + 1, for Roberts' sequence R₂
     const RATIO: f64 = 1.324_717_957_244_746;
     (0..count).map(|i| [1.0, 2.0].map(|power| (0.5 + i as f64 * RATIO.powf(-power)).fract())).collect()
 }
 
-/// Returns the pixels that rays of the zone cross between the display plane and its farthest layer.
+/// Returns the number of pixels that a ray of the zone can move sideways between the display plane
+/// and the layer farthest from it.
 fn margin(display: &Display, geometry: &FieldGeometry) -> usize {
     let most = |slopes: &[f64]| slopes.iter().fold(0.0f64, |most, slope| most.max(slope.abs()));
     let slope = most(&geometry.grid.slope_x).max(most(&geometry.grid.slope_y));
     let of_layers = display.layers.iter().map(|layer| layer.d_mm.abs());
     let reach_mm = of_layers.fold(0.0f64, f64::max) * slope;
-    // A larger margin would leave no part of a display whose rays cross it from side to side.
+    // With a larger margin, nothing would be left of a display whose rays cross it from side to
+    // side.
     ((reach_mm / geometry.pitch_mm).ceil() as usize + 1).min(MIDDLE)
 }
 
@@ -312,7 +314,7 @@ fn part(
     centre_mm: [f64; 2],
     margin: usize,
 ) -> Part {
-    // The part is a small display of the same layers.
+    // The section is a small display with the same layers.
     let shares = [cols as f64 / geometry.cols as f64, rows as f64 / geometry.rows as f64];
     let cut =
         |resolution: [usize; 2]| [0, 1].map(|axis| ((resolution[axis] as f64 * shares[axis]).ceil() as usize).max(1));
@@ -324,7 +326,7 @@ fn part(
     if let Backlight::Lenslets(lenslets) = &mut small.backlight {
         lenslets.lenslets = cut(lenslets.lenslets);
     }
-    // Its window is the part of the display's window.
+    // The window of the section is a piece of the window of the display.
     let map = window.scene_from_display;
     let translation = map.point(DVec3::new(centre_mm[0], centre_mm[1], 0.0));
     let size_mm = [cols, rows].map(|count| count as f64 * geometry.pitch_mm);
@@ -340,8 +342,8 @@ fn part(
 }
 
 impl Part {
-    /// Returns the views with slopes relative to the part's centre: the same eyes, or parallel
-    /// views.
+    /// Returns the views with slopes relative to the centre of the section: for perspective views
+    /// from the same eyes, and unchanged for parallel ones.
     fn moved(&self, grid: &ViewGrid) -> ViewGrid {
         let Projection::Perspective { distance_mm } = grid.projection else { return grid.clone() };
         let moved = |slopes: &[f64], axis: usize| {
@@ -350,12 +352,13 @@ impl Part {
         ViewGrid { projection: grid.projection, slope_x: moved(&grid.slope_x, 0), slope_y: moved(&grid.slope_y, 1) }
     }
 
-    /// Returns the views of the display with the slopes at which they are traced.
+    /// Returns the views of the section with the slopes at which they are traced.
     fn traced_grid(&self, grid: &ViewGrid, depth_scale: f64) -> ViewGrid {
         self.moved(&grid.scaled(depth_scale))
     }
 
-    /// Returns the pixels whose rays stay in the part; all pixels if the part is the picture.
+    /// Returns the pixels whose rays stay within the section. If the section is the whole picture,
+    /// these are all pixels.
     fn middle(&self) -> impl Iterator<Item = (usize, usize)> + use<> {
         let FieldGeometry { rows, cols, .. } = self.geometry;
         let inside = |count: usize, margin: usize| {
@@ -391,7 +394,7 @@ mod tests {
                 for (row, col) in [(0, 0), (rows - 1, cols - 1), (3, 7)] {
                     let own = [part.geometry.x_mm(col), part.geometry.y_mm(row)];
                     let whole = [0, 1].map(|axis| own[axis] + part.centre_mm[axis]);
-                    // it is the centre of a pixel of the picture
+                    // the position must be the centre of a pixel of the picture
                     let place = (whole[0] / 1.5 + 149.5, 109.5 - whole[1] / 1.5);
                     assert!((place.0 - place.0.round()).abs() < 1e-9 && (-0.1..299.1).contains(&place.0), "{place:?}");
                     assert!((place.1 - place.1.round()).abs() < 1e-9 && (-0.1..219.1).contains(&place.1), "{place:?}");

@@ -1,10 +1,10 @@
-//! Scores a display over its viewing zone: seen pictures against the scene's pictures, in
+//! Scores a display over its viewing zone: compares seen pictures with pictures of the scene, in
 //! directions that no solver used.
 //!
-//! Every direction is rendered twice with independent seeds, so that the score contains no noise
+//! Every direction is rendered twice with independent seeds, so the score contains no noise
 //! ([`DirectionScore`]). Few samples suffice, since the score averages over all pixels of all
-//! directions. SSIM and FLIP are sensitive to noise, so the first directions, which spread over the
-//! zone, have more samples.
+//! directions. SSIM and FLIP are sensitive to noise. Therefore the first directions, which are
+//! spread over the zone, have more samples.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -27,11 +27,11 @@ use crate::store::code;
 use crate::store::key::KeyBuilder;
 use crate::store::views::{missing, read_view, write_view};
 
-/// Directions with enough samples for SSIM, FLIP and the report's pictures.
+/// Number of directions that have enough samples for SSIM, FLIP and the report's pictures.
 const CLEAN: usize = 8;
-/// Samples per pixel of such a direction, and of the others.
+/// Samples per pixel of the first [`CLEAN`] directions, and of the others.
 const SAMPLES: [u32; 2] = [24, 4];
-/// Stream of random numbers that no view uses.
+/// Number of a stream of random numbers that no view uses.
 const STREAM: u64 = 3;
 
 /// The scene's pictures in directions that no solver used.
@@ -45,15 +45,15 @@ pub struct References {
     pub(crate) cached: bool,
 }
 
-/// Place of the pictures.
+/// Location of the pictures.
 enum Pictures {
-    /// In a folder of the cache, two per direction.
+    /// In a folder of the cache, with two pictures per direction.
     Rendered { folder: PathBuf, tone_mapping: ToneMapping, background: Background, space: Option<Space> },
-    /// In memory, display-referred. Both of a pair are the same picture if there is no noise.
+    /// In memory, display-referred. Without noise, both pictures of a pair are the same.
     Held { pictures: Vec<[Arc<Vec<f32>>; 2]>, left_out: bool },
 }
 
-/// Returns the viewing zone of a job's display with this geometry, or that of the expected eyes.
+/// Returns the viewing zone of the job's display for this geometry, or that of the expected eyes.
 pub(crate) fn zone_of(job: &Job, display: &Display, geometry: &FieldGeometry) -> Zone {
     if job.factorize.eyes.is_empty() {
         return Zone::of_grid(&geometry.grid, Some(display.field.fov_deg));
@@ -62,10 +62,9 @@ pub(crate) fn zone_of(job: &Job, display: &Display, geometry: &FieldGeometry) ->
 }
 
 impl References {
-    /// Traces the pictures of a block that are not cached; pictures do not depend on
-    /// `tone_mapping`.
-    /// Returns `None` if the job wants no score, or if Blender renders, since its seeds cannot be
-    /// chosen.
+    /// Traces the pictures of a block that are not cached. Pictures do not depend on
+    /// `tone_mapping`. Returns `None` if the job requests no score, or if Blender renders, since
+    /// its seeds cannot be chosen.
     ///
     /// # Errors
     /// If rendering fails or is cancelled, or a picture cannot be written.
@@ -84,8 +83,8 @@ impl References {
             return Ok(None);
         }
         let pixels = |direction: &ViewGrid| geometry.with_grid(direction.clone());
-        // The folder's name has a key of traced radiance; the score's key adds exposure and
-        // background.
+        // The name of the folder contains a key of traced radiance. The key of the score also
+        // contains exposure and background.
         let mut key = shot.key();
         key.add_json("zone", &(SAMPLES, job.render.max_bounces, job.seed))
             .add_json("hidden", &(job.light.background != Background::Environment))
@@ -100,7 +99,7 @@ impl References {
         let key = key.finish();
         let pictures = Pictures::Rendered { folder: folder.clone(), tone_mapping, background, space };
         let references = Self { geometry: geometry.clone(), directions, pictures, key, cached: false };
-        // Only missing pictures are traced.
+        // Trace only pictures that the cache lacks.
         let all: Vec<(usize, usize)> = (0..references.directions.len()).flat_map(|i| [(i, 0), (i, 1)]).collect();
         let is_kept = |&(i, half): &(usize, usize)| references.one(i, half).is_some();
         let todo = missing(block.of(all), |&(i, half)| path(&folder, i, half), is_kept, task);
@@ -109,7 +108,7 @@ impl References {
         }
         let renderer = ingested.renderer(task)?;
         let tracer = &renderer.tracer;
-        // One pass over the splats serves all directions.
+        // The splats of all directions are rendered together.
         let mut splats = Vec::new();
         let grids: Vec<ViewGrid> = references.directions.iter().map(|grid| grid.scaled(depth_scale)).collect();
         let slopes: Vec<[f64; 2]> = grids.iter().map(|grid| [grid.slope_x[0], grid.slope_y[0]]).collect();
@@ -123,7 +122,7 @@ impl References {
             let settings = Settings {
                 samples: SAMPLES[usize::from(i >= CLEAN)] / 2,
                 max_bounces: job.render.max_bounces,
-                // References lose no light by clamping.
+                // Clamping would remove light from the references.
                 clamp: None,
                 seed: seed::derive(job.seed, &[STREAM, i as u64, half as u64]),
                 angular_filter: AngularFilter::Point,
@@ -139,7 +138,7 @@ impl References {
             if let (Some(splats), Some(space)) = (splats.get(i), space) {
                 put_before(space, splats.data(), picture.data_mut());
             }
-            // A background needs the share of each pixel that shows it.
+            // To add a background, the fraction of each pixel that shows it must be known.
             if background != Background::Environment {
                 let shape = [geometry.rows, geometry.cols];
                 let mut missed = if ingested.scene.instances.is_empty() {
@@ -160,7 +159,8 @@ impl References {
         result.map(|()| Some(references))
     }
 
-    /// Returns views of a file that the solver does not use; `None` if there are none.
+    /// Returns references from views of a file that the solver does not use; `None` if there are
+    /// none.
     pub(crate) fn left_out(geometry: &FieldGeometry, views: Vec<LeftOut>) -> Option<Self> {
         let known = !views.is_empty();
         let views = views.into_iter().map(|view| (view.grid, Arc::new(view.radiance)));
@@ -168,7 +168,7 @@ impl References {
             .then(|| Self::of_pictures(geometry, views.map(|(grid, picture)| (grid, [picture.clone(), picture])), true))
     }
 
-    /// Returns references of a light field's views, which the caller has kept from every solver.
+    /// Returns references from the views of a light field that no solver has used.
     pub fn views_of(field: &LightField) -> Self {
         let geometry = field.geometry();
         let views = geometry.grid.iter().map(|view| {
@@ -194,7 +194,7 @@ impl References {
         Self { geometry: geometry.clone(), directions, pictures, key: key.finish(), cached: true }
     }
 
-    /// Reads all pictures into memory, for a folder that will be removed.
+    /// Reads all pictures into memory, since their folder will be removed.
     ///
     /// # Errors
     /// If a picture is missing.
@@ -204,7 +204,7 @@ impl References {
         Ok(Self { pictures, ..self })
     }
 
-    /// Returns the cache folder of the pictures, if they are in one.
+    /// Returns the cache folder of the pictures, if they are not in memory.
     pub(crate) fn folder(&self) -> Option<&Path> {
         match &self.pictures {
             Pictures::Rendered { folder, .. } => Some(folder),
@@ -212,7 +212,8 @@ impl References {
         }
     }
 
-    /// Compares the seen pictures of a display with the references. Keeps pictures for the report.
+    /// Compares the seen pictures of a display with the references. Keeps some pictures for the
+    /// report.
     ///
     /// # Errors
     /// If a picture is missing, or the task is cancelled.
@@ -241,7 +242,8 @@ impl References {
         Ok(ZoneScore { directions: each.into_iter().map(|(score, ())| score).collect() })
     }
 
-    /// Scores every direction. `keep` receives its number, score, references and seen picture.
+    /// Scores every direction. `keep` receives the number of the direction, the score, the
+    /// references and the seen picture.
     fn each<T: Send>(
         &self,
         display: &Display,
@@ -273,7 +275,8 @@ impl References {
         Ok([one(0)?, one(1)?])
     }
 
-    /// Reads one picture; `None` if the file, or that of its background, is missing or damaged.
+    /// Reads one picture. `None` if its file, or the file for its background, is missing or
+    /// damaged.
     fn one(&self, i: usize, half: usize) -> Option<Vec<f32>> {
         let (folder, tone_mapping, background, space) = match &self.pictures {
             Pictures::Rendered { folder, tone_mapping, background, space } => {
@@ -302,7 +305,7 @@ fn path(folder: &Path, i: usize, half: usize) -> PathBuf {
     folder.join(format!("direction_{i:02}-{}.exr", ["a", "b"][half]))
 }
 
-/// Returns the file of the share of every pixel that shows no surface.
+/// Returns the path of the file with the fraction of every pixel that shows no surface.
 fn missed_path(folder: &Path, i: usize, half: usize) -> PathBuf {
     path(folder, i, half).with_extension("missed.npy")
 }

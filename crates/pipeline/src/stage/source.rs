@@ -17,7 +17,7 @@ use crate::store::key::KeyBuilder;
 use crate::store::plugin_files::plugin_key;
 use crate::store::stamps::Stamps;
 
-/// Key of the source and of its light field, as the file has them.
+/// Keys of a source and of its light field, in the form of the file that keeps them.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct SourceRecord {
     key: String,
@@ -29,7 +29,7 @@ fn path(stamps: &Stamps) -> PathBuf {
 }
 
 impl SourceRecord {
-    /// Writes the file, once the light field is in its folder.
+    /// Writes the file, after the light field is in its folder.
     ///
     /// # Errors
     /// If the file cannot be written.
@@ -38,7 +38,7 @@ impl SourceRecord {
     }
 }
 
-/// Returns the light field, the keys to write, and true if it was cached.
+/// Returns the light field, the keys to write, and true if the light field was cached.
 ///
 /// # Errors
 /// If there is no such plugin, or it fails or is cancelled.

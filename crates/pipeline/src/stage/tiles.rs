@@ -1,17 +1,17 @@
-//! Solves in tiles that fit into memory, or on many machines.
+//! Solves a display tile by tile, to save memory or to use many machines.
 //!
 //! ```text
-//! round 1    each tile, all its pixels:   tile of the light field ─▶ patterns;
-//!                                         a warm start is the tile's part of the given patterns
-//! round 2 …  each tile, its free pixels:  patterns of neighbouring tiles, of the round before,
-//!                                         are the start and the fixed border
+//! round 1    each tile, all its pixels:   piece of the light field ─▶ patterns;
+//!                                         a warm start is the tile's piece of the given patterns
+//! round 2 …  each tile, its free pixels:  patterns that neighbouring tiles have from the previous
+//!                                         round are the start and the fixed border
 //! ```
 //!
-//! One tile owns each pixel. Neighbouring tiles also solve a pixel that shares rays with theirs,
-//! and discard their result (restricted additive Schwarz).
+//! Each pixel belongs to one tile. A neighbouring tile also solves a pixel if its rays go through
+//! it, and discards the result (restricted additive Schwarz).
 //!
-//! A tile of a round is cached by the hash of its rays and borders. Therefore a stopped run
-//! continues, and any machine can solve any tile.
+//! The result of a tile in a round is cached by the hash of its rays and borders. Therefore a
+//! stopped run continues, and any machine can solve any tile.
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -34,11 +34,12 @@ use crate::store::key::KeyBuilder;
 use crate::store::stamps::Stamps;
 use crate::store::used::TILES;
 
-/// Rounds in which tiles exchange borders, with the first; fewer if there are fewer iterations.
+/// Number of rounds, between which tiles exchange borders; fewer if there are fewer iterations.
 const ROUNDS: usize = 4;
-/// Threads that estimates of memory assume: the cut must not depend on the machine.
+/// Number of threads for estimates of memory. It is fixed, since the cut must not depend on the
+/// machine.
 const THREADS: usize = 16;
-/// Minimum edge of a tile in field pixels, even if it needs more memory than allowed.
+/// Minimum edge of a tile in pixels of the light field, even if it needs more memory than allowed.
 const SMALLEST: usize = 64;
 
 /// The tiles and rounds of a solve.
@@ -48,7 +49,7 @@ pub(crate) struct Tiles {
 }
 
 impl Tiles {
-    /// Returns the tiles of a job; `None` if the display is solved as a whole.
+    /// Returns the tiles of a job's solve; `None` if the display is solved as a whole.
     pub(crate) fn of(job: &FactorizeJob, display: &Display, geometry: &FieldGeometry) -> Option<Self> {
         let tiling = match (job.tiles, job.tile_mib) {
             (Some(tiles), _) => Tiling::new(display, geometry, tiles),
@@ -79,15 +80,15 @@ impl Tiles {
         bytes(&self.tiling, display, geometry)
     }
 
-    /// Returns a tile in the middle, which has the most neighbours.
+    /// Returns a tile in the middle of the display, which has the most neighbours.
     fn middle(tiling: &Tiling) -> Tile {
         let [across, down] = tiling.tiles();
         tiling.tile(down / 2 * across + across / 2)
     }
 
-    /// Returns the iterations of a round: half of the rest, and at least one for each later round.
-    /// Patterns form in the first round. A short last round leaves small differences at the
-    /// borders.
+    /// Returns the iterations of a round: half of those that are left, with at least one left for
+    /// each later round. Patterns form in the first round. A short last round leaves only small
+    /// differences at the borders.
     fn iterations(&self, job: &FactorizeJob, round: usize) -> std::ops::Range<u32> {
         let all = job.iterations() as usize;
         let left = |round: usize| if round < self.rounds { (all >> round).max(self.rounds - round) } else { 0 };
@@ -110,7 +111,7 @@ fn fitting(display: &Display, geometry: &FieldGeometry, most: u64) -> Tiling {
     }
 }
 
-/// Returns the memory of the largest tile with its part of the light field, bytes.
+/// Returns the memory of the largest tile and its piece of the light field, bytes.
 fn bytes(tiling: &Tiling, display: &Display, geometry: &FieldGeometry) -> u64 {
     let tile = Tiles::middle(tiling);
     let own = tile.geometry(geometry);
@@ -119,8 +120,8 @@ fn bytes(tiling: &Tiling, display: &Display, geometry: &FieldGeometry) -> u64 {
     held_bytes(&tile.display(display, geometry), &own, THREADS) + 12 * rays
 }
 
-/// Returns the patterns in `layers/`, and true if they were cached. Otherwise they are solved in
-/// tiles, or as a whole.
+/// Returns the patterns in `layers/`, and true if they were cached. Otherwise solves them in tiles,
+/// or as a whole.
 ///
 /// # Errors
 /// If the settings are invalid, the solver fails, a file cannot be written, or the task is
@@ -134,7 +135,7 @@ pub(crate) fn run(solve: Solve<'_>, stamps: &Stamps, task: Task<'_>) -> Result<(
     let Solve { job, seed, display, target, weights } = solve;
     let crop = |tile: &Tile| Ok(tile.light_field(target));
     let solve = CutSolve { job, seed, display, geometry: target.geometry(), weights, crop: &crop };
-    // The key of the whole leaves the keys of its tiles out, since they follow from it.
+    // The key of the whole solve need not contain the keys of tiles, since they follow from it.
     key.add_json("tiles", &(tiles.tiling.tiles(), tiles.rounds));
     let work = Work { solve, tiles: &tiles, stamps };
     reuse_or_write("factorize", &key.finish(), solve.display, stamps, || {
@@ -151,10 +152,10 @@ pub(crate) fn run(solve: Solve<'_>, stamps: &Stamps, task: Task<'_>) -> Result<(
     })
 }
 
-/// Solves one tile of a round, both from 0. The tiles of the round before must be done.
+/// Solves a tile in a round; both numbers begin at 0. The tiles of the previous round must be done.
 ///
 /// # Errors
-/// As [`run`], and if the solve is not cut into `count` tiles.
+/// The errors of [`run`], and if the solve is not cut into `count` tiles.
 pub(crate) fn run_tile(
     solve: CutSolve<'_>,
     [round, number, count]: [usize; 3],
@@ -170,8 +171,8 @@ pub(crate) fn run_tile(
     Work { solve, tiles: &tiles, stamps }.tile([round, number], warm.as_ref(), task)
 }
 
-/// True if a fresh start, by the settings `fresh`, is better than the warm start of `solve`'s job.
-/// For a solve in tiles, the tile in the middle decides.
+/// Returns true if a fresh start with the settings `fresh` is better than the warm start of
+/// `solve`. For a solve in tiles, the tile in the middle decides.
 ///
 /// # Errors
 /// If the patterns cannot be read, the solver fails, or the task is cancelled.
@@ -209,11 +210,11 @@ pub(crate) struct CutSolve<'a> {
     pub(crate) display: &'a Display,
     pub(crate) geometry: &'a FieldGeometry,
     pub(crate) weights: &'a Weights,
-    /// Reads a tile's part of the light field.
+    /// Reads a tile's piece of the light field.
     pub(crate) crop: &'a dyn Fn(&Tile) -> Result<LightField, PipelineError>,
 }
 
-/// A solve in tiles, with the folder of its results.
+/// A solve in tiles, and the folder of its results.
 struct Work<'a> {
     solve: CutSolve<'a>,
     tiles: &'a Tiles,
@@ -221,7 +222,7 @@ struct Work<'a> {
 }
 
 impl Work<'_> {
-    /// Returns the folder of a tile's own pixels after a round.
+    /// Returns the folder with the result of a tile in a round: the pixels that belong to the tile.
     fn place(&self, [round, number]: [usize; 2]) -> PathBuf {
         let tile = format!("round-{}/tile-{}", round + 1, number + 1);
         self.stamps.dir().join("cache").join(TILES).join(tile)
@@ -231,7 +232,7 @@ impl Work<'_> {
     fn tile(&self, at: [usize; 2], warm: Option<&LayerStack>, task: Task<'_>) -> Result<(), PipelineError> {
         let ([round, number], CutSolve { job, seed, display: whole, geometry, .. }) = (at, self.solve);
         task.cancel.check()?;
-        // The tile's part of display, target, weights and start.
+        // Cut display, target, weights and start to the tile.
         let tile = self.tiles.tiling.tile(number);
         let (display, target) = (tile.display(whole, geometry), (self.solve.crop)(&tile)?);
         let weights = tile.weights(self.solve.weights);
@@ -239,7 +240,7 @@ impl Work<'_> {
             0 => warm.map(|warm| warm.cut(&held(&tile))),
             _ => Some(self.borders(at, &tile, &display)?),
         };
-        // Only the last round rounds masks to the levels of the panel.
+        // Only the last round rounds values to the levels of the panel.
         let is_last = round + 1 == self.tiles.rounds;
         let settings = Settings {
             iterations: self.tiles.iterations(job, round).len() as u32,
@@ -247,7 +248,7 @@ impl Work<'_> {
             report_every: Settings::curve_interval(job.iterations()),
             ..solver_settings(job, seed)?
         };
-        // The key has all that the tile depends on, borders included.
+        // The key contains all that the tile depends on, including borders.
         let mut key = KeyBuilder::new("tile", code::PATTERNS);
         key.add("display", whole.without_panels().to_toml().as_bytes())
             .add("geometry", format!("{geometry:?}").as_bytes())
@@ -259,7 +260,7 @@ impl Work<'_> {
         if let Some(start) = &start {
             add_stack(&mut key, start);
         }
-        // Only the pixels that the tile owns are kept.
+        // Keep only the pixels that belong to the tile.
         let mut of_own = display.clone();
         for (layer, part) in of_own.layers.iter_mut().zip(&tile.parts) {
             layer.resolution = [part.own.cols.len(), part.own.rows.len()];
@@ -283,7 +284,7 @@ impl Work<'_> {
             };
             match solved {
                 Ok(solved) => Ok((solved.stack.cut(&within), Some(Convergence::of(&solved, steps, warm.is_some())))),
-                // Pixels without rays keep the values of the start.
+                // Without rays, pixels keep the values of the start.
                 Err(FactorizeError::NoRays) => {
                     let unlit = start.clone().unwrap_or_else(|| clear(&display));
                     let problem = Problem { display: &display, target: &target, weights: &Weights::Uniform };
@@ -298,7 +299,7 @@ impl Work<'_> {
         reuse_or_make("tile", &key.finish(), &of_own, &Stamps::new(&place), make).map(drop)
     }
 
-    /// Returns the patterns of the round before over all pixels that a tile holds.
+    /// Returns the patterns of the previous round, over all pixels that a tile solves or reads.
     fn borders(
         &self,
         [round, number]: [usize; 2],
@@ -317,7 +318,7 @@ impl Work<'_> {
         lumistack_field_io::read_stack(&self.place(at).join("layers")).map_err(field_error)
     }
 
-    /// Writes the patterns of all tiles into one folder. Returns them.
+    /// Writes the patterns of all tiles into one folder, and returns them.
     fn join(&self) -> Result<(LayerStack, Option<Convergence>), PipelineError> {
         let (layers, last) = (self.stamps.dir().join("layers"), self.tiles.rounds - 1);
         let mut writer = lumistack_field_io::StackWriter::begin(&layers, self.solve.display).map_err(field_error)?;
@@ -330,8 +331,8 @@ impl Work<'_> {
         Ok((lumistack_field_io::read_stack(&layers).map_err(field_error)?, Some(kept)))
     }
 
-    /// Joins the convergence of all tiles. Errors are over the rays of all tiles, so rays of two
-    /// tiles count twice. Seconds are of one tile after another.
+    /// Joins the convergence of all tiles. Errors are sums over the rays of all tiles, so the rays
+    /// of two tiles are included twice. Seconds are as if tiles were solved one after the other.
     fn kept(&self) -> Option<Convergence> {
         let mut all: Option<Convergence> = None;
         let mut before = 0.0;
@@ -344,7 +345,7 @@ impl Work<'_> {
             let notes: Vec<_> = notes.collect();
             let (first, _) = notes.first()?;
             let pixels: f64 = notes.iter().map(|(_, pixels)| pixels).sum();
-            // Means over tiles, weighted by their pixels.
+            // Means over tiles, weighted by their numbers of pixels.
             let mean = |of: &dyn Fn(&Convergence) -> f64| {
                 notes.iter().map(|(kept, pixels)| pixels * of(kept)).sum::<f64>() / pixels
             };
@@ -353,7 +354,7 @@ impl Work<'_> {
                 (error > 0.0).then(|| -10.0 * error.log10())
             };
             let begun = self.tiles.iterations(self.solve.job, round).start;
-            // The first point of a later round is the last point of the round before.
+            // Skip the first point of a later round, which is the last point of the previous round.
             let steps = (usize::from(round > 0)..first.steps.len()).map(|i| Step {
                 iteration: begun + first.steps[i].iteration,
                 objective: notes.iter().filter_map(|(kept, _)| Some(kept.steps.get(i)?.objective)).sum(),
@@ -376,7 +377,7 @@ impl Work<'_> {
     }
 }
 
-/// Returns patterns that transmit all light.
+/// Returns patterns with maximum transmittance.
 fn clear(display: &Display) -> LayerStack {
     let mut stack = LayerStack::filled(display, 1.0);
     for (layer, values) in display.layers.iter().zip(&mut stack.layers) {

@@ -1,4 +1,4 @@
-//! Traces all views of a shot into the cache, one picture at a time. A stopped run continues from
+//! Traces all views of a shot into the cache, one picture at a time. A stopped run continues after
 //! the finished pictures.
 
 mod blender;
@@ -23,17 +23,17 @@ use crate::view_options::ViewOptions;
 
 /// The traced views of a shot in the cache.
 pub(crate) struct Traced {
-    /// Light fields, the target first.
+    /// The light fields, with the target first.
     pub(crate) fields: Vec<FieldJob>,
     /// Depths of the target's views.
     pub(crate) depths: Depths,
-    /// The chosen views of the target, [view_y, view_x].
+    /// The views of the target that are rendered, [view_y, view_x].
     pub(crate) views: Vec<[usize; 2]>,
-    /// The renderer.
+    /// The renderer that made the views.
     pub(crate) engine: Engine,
 }
 
-/// Chooses the renderer of a shot's views.
+/// Chooses the renderer of the shot's views.
 pub(crate) fn engine(shot: Shot<'_>, options: &ViewOptions, task: Task<'_>) -> Engine {
     blender::engine(shot.job, shot.ingested, options.variance(), task)
 }
@@ -42,19 +42,20 @@ pub(crate) fn engine(shot: Shot<'_>, options: &ViewOptions, task: Task<'_>) -> E
 struct Todo {
     field: usize,
     view: [usize; 2],
-    /// Half of the samples, 0 or 1; `None` for all of them.
+    /// Number of a half of the samples, 0 or 1; `None` for all samples.
     half: Option<usize>,
     path: PathBuf,
-    /// File of the variance, if it is requested.
+    /// File for the variance, if it is requested.
     variance: Option<PathBuf>,
-    /// File of the guides, if they are requested.
+    /// File for the guides of a denoiser, if they are requested.
     guides: Option<PathBuf>,
 }
 
-/// Traces all views that are not cached. Returns true if all were.
+/// Traces all views that are not cached. Returns true if all were cached.
 ///
 /// # Errors
-/// If the options do not fit the job, rendering fails or is cancelled, or a view cannot be written.
+/// If the options do not match the job, rendering fails or is cancelled, or a view cannot be
+/// written.
 pub(crate) fn run(
     shot: Shot<'_>,
     options: &ViewOptions,
@@ -66,23 +67,23 @@ pub(crate) fn run(
     Ok((Traced { fields, depths, views, engine }, cached && known))
 }
 
-/// Traces the views of a block that are not cached, and the depths with the first block. Returns
-/// true if all were cached. Other processes may trace other blocks.
+/// Traces the views of a block that are not cached, and depths with the first block. Returns true
+/// if all were cached. Other processes may trace other blocks.
 ///
 /// # Errors
-/// As [`run`].
+/// The errors of [`run`].
 pub(crate) fn run_block(shot: Shot<'_>, cache_dir: &Path, block: Block, task: Task<'_>) -> Result<bool, PipelineError> {
     let Views { fields, cached, .. } = trace_views(shot, &ViewOptions::default(), cache_dir, block, task)?;
     let known = !block.is_first() || depths(shot, &fields[0], task)?.1;
     Ok(cached && known)
 }
 
-/// Views of a shot in the cache, or a block of them.
+/// Views of a shot in the cache, all or those of a block.
 struct Views {
     fields: Vec<FieldJob>,
     views: Vec<[usize; 2]>,
     engine: Engine,
-    /// True if all were cached.
+    /// True if all of these views were cached.
     cached: bool,
 }
 
@@ -99,7 +100,7 @@ fn trace_views(
     let (window, kind) = (shot.window(), shot.denoise());
     let engine = engine(shot, options, task);
     let fields = shot.fields(cache_dir, engine == Engine::Blender);
-    // List all pictures of all fields: views or halves of their samples.
+    // List all pictures of all light fields: views, or halves of their samples.
     let mut all = Vec::new();
     for (number, field) in fields.iter().enumerate() {
         std::fs::create_dir_all(&field.folder).map_err(PipelineError::write(&field.folder))?;
@@ -116,7 +117,7 @@ fn trace_views(
             }
         }
     }
-    // The denoiser removes split views when it has finished, so they need not be traced again.
+    // The denoiser removes split views after it has finished, so they need not be traced again.
     let is_shared: Vec<bool> =
         fields.iter().map(|field| kind == Denoise::Shared && denoise::is_finished(field, kind)).collect();
     let is_kept = |Todo { field, path, variance, .. }: &Todo| {
@@ -129,12 +130,12 @@ fn trace_views(
         };
         traced && variance.as_ref().is_none_or(is_there)
     };
-    // Only pictures that the cache lacks are traced.
+    // Trace only pictures that the cache lacks.
     let todo = missing(block.of(all), |todo| todo.path.clone(), is_kept, task);
     let splats = missing_splats(ingested, &fields, &views, block, task);
     let cached = todo.is_empty() && splats.iter().all(Vec::is_empty);
     if !(cached && fields.iter().all(|field| denoise::is_finished(field, kind))) {
-        // Check the denoiser before the first hour of rendering.
+        // Check the denoiser before the rendering, which may take hours.
         denoise::check(kind)?;
     }
     if engine == Engine::Blender {
@@ -165,7 +166,7 @@ fn depths(shot: Shot<'_>, target: &FieldJob, task: Task<'_>) -> Result<(Depths, 
     Ok((depth::trace(renderer, shot.window(), &target.traced, &target.folder, task)?, false))
 }
 
-/// Returns, for every field, the views of a block whose splats are not cached.
+/// Returns, for each light field, the views of a block whose splats are not cached.
 fn missing_splats(
     ingested: &Ingested,
     fields: &[FieldJob],
@@ -183,7 +184,7 @@ fn missing_splats(
     fields.iter().map(of_field).collect()
 }
 
-/// Renders the splats of a field's views.
+/// Renders the splats of a light field's views.
 fn render_splats(
     renderer: &SceneRenderer,
     field: &FieldJob,
@@ -218,7 +219,7 @@ fn trace(
         // Each half of a view has its own seed.
         let (traced, settings) = (&field.traced, field.settings_of(*half));
         let (alone, shared) = (variance.is_none() && guides.is_none(), kind == Denoise::Shared);
-        // All results come from the same paths: radiance alone, or first hits too.
+        // All results come from the same paths: the radiance only, or the first hits too.
         let more = if shared && alone {
             let split = renderer.render_split(window, traced, *view, &settings, task).map_err(render_error)?;
             write_split(path, &split)?;

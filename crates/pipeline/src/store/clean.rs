@@ -1,8 +1,8 @@
-//! Cleans run folders: left-overs of killed runs, and cached files of other settings.
+//! Cleans run folders. Removes left-overs of killed runs, and cached files of other settings.
 //!
-//! Every run does so under its lock: left-overs at its begin, views of other settings at its end.
-//! `lumistack clean` does it for folders without a next run. It can also remove all files that only
-//! save time.
+//! Every run does so while it holds the lock: it removes left-overs when it begins, and views of
+//! other settings when it ends. `lumistack clean` does so for folders without a next run. It can
+//! also remove all files that only save time.
 
 use std::path::{Path, PathBuf};
 
@@ -17,7 +17,8 @@ use super::names::is_ours;
 use super::used::{USED, Used, all_views, unused_in, unused_views};
 use crate::error::PipelineError;
 
-/// Small files of the placement, beside the stamps. No other result depends on them.
+/// Kinds of small files of the placement, next to the stamps. No other result depends on these
+/// files.
 const PLACED: [&str; 2] = ["window", "fit"];
 
 /// Files that `lumistack clean` removed, or would remove.
@@ -25,14 +26,14 @@ const PLACED: [&str; 2] = ["window", "fit"];
 pub struct Cleaned {
     /// The run folder.
     pub folder: PathBuf,
-    /// Removed files by kind, without empty kinds.
+    /// Removed files of each kind that has any.
     pub freed: Vec<Freed>,
     /// Size of the remaining cached files, bytes.
     pub kept_bytes: u64,
 }
 
 impl Cleaned {
-    /// Returns the bytes of all kinds.
+    /// Returns the size of the removed files of all kinds, bytes.
     pub fn bytes(&self) -> u64 {
         self.freed.iter().map(|freed| freed.bytes).sum()
     }
@@ -52,12 +53,12 @@ pub struct Freed {
     pub paths: Vec<PathBuf>,
 }
 
-/// Cleans a run folder with its nodes, time steps and light fields. Left-overs of killed runs and
-/// cached files of other settings are removed. With `all`, so is everything that only saves time.
-/// Results stay. With `dry_run`, nothing is removed.
+/// Cleans a run folder, and the nodes, time steps and light fields in it. Left-overs of killed runs
+/// and cached files of other settings are removed. With `all`, everything is removed that only
+/// saves time. Results stay. With `dry_run`, nothing is removed.
 ///
 /// # Errors
-/// If it is not a run folder, a run uses it, or a file cannot be removed.
+/// If the folder is not a run folder, a run uses it, or a file cannot be removed.
 pub fn clean(dir: &Path, all: bool, dry_run: bool, task: Task<'_>) -> Result<Cleaned, PipelineError> {
     if !is_ours(dir) {
         let found = match std::fs::metadata(dir) {
@@ -65,24 +66,29 @@ pub fn clean(dir: &Path, all: bool, dry_run: bool, task: Task<'_>) -> Result<Cle
             Ok(data) if !data.is_dir() => "a file".into(),
             Ok(_) => "a folder without files of a run".into(),
         };
-        return Err(PipelineError::value(dir, "folder", "a folder of a run, a sequence, a sweep or of views", found));
+        return Err(PipelineError::value(
+            dir,
+            "folder",
+            "the folder of a run, a sequence, a sweep or of rendered views",
+            found,
+        ));
     }
     let _owned = lock_known(dir, task)?;
     let mut kinds: Vec<(&'static str, Vec<PathBuf>)> = vec![("left-overs of stopped runs", left_overs(dir))];
     collect(dir, all, &mut kinds);
-    // A preview under construction has its lock; one of a killed process has not.
+    // A preview that is being written is locked. One that a killed process left is not.
     let preview = dir.join(".preview.partial");
     if is_folder(&preview) && lock_preview(dir, task).is_ok() {
         kinds[0].1.push(preview);
     }
-    // The lock's owner file belongs to this process.
+    // The file with the owner of the lock belongs to this process, so it is not included.
     let kept = |part: &PathBuf| {
         let all = ["cache", "designs"].iter().map(|name| size(&part.join(name))[1]).sum::<u64>();
         all - size(&part.join("cache").join(OWNER))[1]
     };
     let mut kept_bytes: u64 = nested(dir).iter().map(kept).sum();
     let mut freed: Vec<Freed> = Vec::new();
-    // Remove, or only count, file by file.
+    // Remove files one by one, or only count them.
     for (kind, paths) in kinds {
         for path in paths {
             let [files, bytes] = size(&path);
@@ -110,7 +116,7 @@ pub fn clean(dir: &Path, all: bool, dry_run: bool, task: Task<'_>) -> Result<Cle
     Ok(Cleaned { folder: dir.to_owned(), freed, kept_bytes })
 }
 
-/// Returns a run folder and all run folders within it.
+/// Returns a run folder and all run folders inside of it.
 fn nested(dir: &Path) -> Vec<PathBuf> {
     std::iter::once(dir.to_owned()).chain(parts(dir).iter().flat_map(|part| nested(part))).collect()
 }
@@ -118,8 +124,8 @@ fn nested(dir: &Path) -> Vec<PathBuf> {
 fn collect(dir: &Path, all: bool, kinds: &mut Vec<(&'static str, Vec<PathBuf>)>) {
     let cache = dir.join("cache");
     let used = read_json::<Used>(&cache.join(USED));
-    // A stopped run may reuse all files. A finished one without a list of used files is of an older
-    // version, which this one cannot reuse.
+    // A stopped run may reuse all files. If a run is finished but has no list of used files, it is
+    // of an older version, whose files this version cannot reuse.
     let finished = ["report.json", "lightfield.json", "sweep.json"].iter().any(|name| dir.join(name).is_file());
     let known = used.or_else(|| finished.then(Used::default));
     if all {
@@ -127,21 +133,21 @@ fn collect(dir: &Path, all: bool, kinds: &mut Vec<(&'static str, Vec<PathBuf>)>)
     } else if let Some(used) = &known {
         kinds.push(("views of other settings", unused_views(&cache, used)));
     }
-    // Conversions by Blender stay while they are valid; placements stay without `all`.
+    // Conversions by Blender stay while they are valid. Placements stay unless `all` is true.
     let of_kind = |name: &str, wanted: &[&str]| name.rsplit_once('-').is_some_and(|(kind, _)| wanted.contains(&kind));
     let kept = entries(&cache).into_iter();
     let (scenes, placed): (Vec<_>, Vec<_>) = kept
         .filter(|(name, path)| !path.is_dir() && of_kind(name, &["blend", "window", "fit"]))
         .partition(|(name, _)| of_kind(name, &["blend"]));
     let stale = scenes.into_iter().filter(|(_, path)| all || !handover::holds(path));
-    kinds.push(("scenes that Blender handed over", stale.map(|(_, path)| path).collect()));
+    kinds.push(("scenes that Blender converted", stale.map(|(_, path)| path).collect()));
     if all {
         let placed = placed.into_iter().filter(|(name, _)| of_kind(name, &PLACED));
         kinds.push(("places of the window", placed.map(|(_, path)| path).collect()));
         let warm_up = cache.join("warm-up");
         kinds.push(("warm-ups of chunks", if is_folder(&warm_up) { vec![warm_up] } else { Vec::new() }));
     }
-    // Light fields and rows of a sweep.
+    // List light fields and rows of a sweep.
     if dir.join("sweep.json").is_file()
         && let Some(used) = &known
         && !used.fields.is_empty()
@@ -161,7 +167,7 @@ fn collect(dir: &Path, all: bool, kinds: &mut Vec<(&'static str, Vec<PathBuf>)>)
     }
 }
 
-/// Returns [files, bytes] of a file, or of all files below a folder.
+/// Returns [number of files, bytes] of a file, or of all files in a folder and its subfolders.
 fn size(path: &Path) -> [u64; 2] {
     let Ok(data) = std::fs::symlink_metadata(path) else { return [0, 0] };
     if !data.is_dir() {

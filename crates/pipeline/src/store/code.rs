@@ -1,17 +1,17 @@
-//! Code of cached results: fingerprints of the crates' sources that a result passes through. A
-//! change to any of them makes it stale.
+//! Code of cached results: the fingerprints of all crates whose code affects a result. A change of
+//! one of them makes the result stale.
 
 /// Fingerprints of crates.
 pub(crate) type Code = &'static [&'static str];
 
-/// This crate, which computes the keys.
+/// Fingerprint of this crate, which computes the keys.
 const PIPELINE: &str = env!("LUMISTACK_FINGERPRINT");
 const CORE: &str = lumistack_core::FINGERPRINT;
 const DISPLAY: &str = lumistack_display::FINGERPRINT;
 const FIELD_IO: &str = lumistack_field_io::FINGERPRINT;
 const SIMD: &str = lumistack_simd::FINGERPRINT;
 
-/// From scene files to a lit scene.
+/// Code that makes a lit scene from scene files.
 pub(crate) const SCENE: Code = &[
     PIPELINE,
     CORE,
@@ -23,7 +23,7 @@ pub(crate) const SCENE: Code = &[
     lumistack_shot::FINGERPRINT,
 ];
 
-/// From scene files to traced radiance, depths and the window's placement.
+/// Code that makes traced radiance, depths and the window's placement from scene files.
 pub(crate) const VIEWS: Code = &[
     PIPELINE,
     CORE,
@@ -38,10 +38,10 @@ pub(crate) const VIEWS: Code = &[
     lumistack_pathtracer::FINGERPRINT,
 ];
 
-/// From a light field to files of it.
+/// Code that writes files of a light field.
 pub(crate) const FIELDS: Code = &[PIPELINE, CORE, FIELD_IO, DISPLAY, lumistack_shot::FINGERPRINT];
 
-/// From a light field to patterns.
+/// Code that makes patterns from a light field.
 pub(crate) const PATTERNS: Code = &[
     PIPELINE,
     CORE,
@@ -53,7 +53,7 @@ pub(crate) const PATTERNS: Code = &[
     lumistack_plugin_host::FINGERPRINT,
 ];
 
-/// From a light field to a row of a sweep's table.
+/// Code that makes a row of a sweep's table from a light field.
 pub(crate) const DESIGNS: Code = &[
     PIPELINE,
     CORE,
@@ -65,11 +65,11 @@ pub(crate) const DESIGNS: Code = &[
     lumistack_plot::FINGERPRINT,
 ];
 
-/// From data to a plugin's files: code that passes data and writes, besides the plugin's own.
+/// Code that passes data to a plugin and writes its files. The code of the plugin is not included.
 pub(crate) const PLUGINS: Code =
     &[PIPELINE, CORE, FIELD_IO, DISPLAY, lumistack_plugin_host::PLUGIN_FINGERPRINT, lumistack_plugin_host::FINGERPRINT];
 
-/// From patterns to a report.
+/// Code that makes a report from patterns.
 pub(crate) const REPORTS: Code = &[PIPELINE, CORE, DISPLAY, lumistack_plot::FINGERPRINT, lumistack_report::FINGERPRINT];
 
 #[cfg(test)]
@@ -78,7 +78,7 @@ mod tests {
 
     use super::*;
 
-    /// The fingerprint of a crate's present sources.
+    /// The fingerprint of a crate's sources as they are now.
     fn of(name: &str, more: &[&str]) -> String {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(name);
         lumistack_fingerprint::of(&folder, more).unwrap()
@@ -91,7 +91,8 @@ mod tests {
         }
     }
 
-    /// A version number that must be raised by hand missed changes of a crate's sources.
+    /// Before keys contained fingerprints, a version number that was raised by hand missed some
+    /// changes.
     #[test]
     fn keys_hold_the_sources_of_all_that_makes_a_result() {
         let scene = ["pipeline", "core", "scene", "gltf", "usd", "splats", "shot", "field-io"];

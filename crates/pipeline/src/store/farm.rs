@@ -4,20 +4,21 @@ use std::path::{Path, PathBuf};
 
 use super::left_overs::remove_all;
 
-/// Folder of the files, below the run folder.
+/// Folder of the files, relative to the run folder.
 const FOLDER: &str = "cache/farm";
 
-/// Returns the file of the plan.
+/// Returns the path of the plan's file.
 pub(crate) fn plan_file(dir: &Path) -> PathBuf {
     dir.join(FOLDER).join("plan.json")
 }
 
-/// Returns the file that marks a unit as done. Ids consist of names of folders and steps.
+/// Returns the path of the file that marks a unit as done. Ids consist of names of folders and
+/// steps.
 pub(crate) fn done_file(dir: &Path, id: &str) -> PathBuf {
     dir.join(FOLDER).join("done").join(format!("{id}.json"))
 }
 
-/// Removes the marks of done units, since other work may replace their results.
+/// Removes the marks of all units, since other work may replace their results.
 pub(crate) fn forget(dir: &Path) {
     let done = dir.join(FOLDER).join("done");
     if done.is_dir() {

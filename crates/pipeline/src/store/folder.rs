@@ -1,5 +1,5 @@
-//! Locks and checks the folder of a run: one owner at a time, no files of others replaced, no input
-//! overwritten.
+//! Locks and checks the folder of a run. It has one owner at a time, files of other programs are
+//! not replaced, and inputs are not overwritten.
 
 use std::path::{Component, Path, PathBuf};
 
@@ -15,11 +15,11 @@ use super::settings::{is_sealed, is_written_by_us};
 use crate::error::PipelineError;
 use crate::job::Job;
 
-/// Checks and locks the folder for a job, and removes left-overs of killed runs.
+/// Checks and locks the folder of a job, and removes left-overs of killed runs.
 ///
 /// # Errors
-/// If another process uses the folder, a file of others has a name that the work writes, or the
-/// work would overwrite an input.
+/// If another process uses the folder, a file of another program has a name that the work writes,
+/// or the work would overwrite an input.
 pub(crate) fn lock(
     dir: &Path,
     work: Work,
@@ -35,7 +35,7 @@ pub(crate) fn lock(
     Ok(owned)
 }
 
-/// Checks that no file of others has a name that the work writes.
+/// Checks that no file of another program has a name that the work writes.
 fn check_foreign(dir: &Path, work: Work) -> Result<(), PipelineError> {
     let Ok(entries) = std::fs::read_dir(dir) else { return Ok(()) };
     let ours = is_ours(dir);
@@ -60,7 +60,7 @@ fn is_empty_folder(path: &Path) -> bool {
     std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_none())
 }
 
-/// Checks that the work overwrites none of its inputs.
+/// Checks that the work overwrites none of the job's inputs.
 fn check_inputs(dir: &Path, work: Work, job: &Job, registry: &Registry) -> Result<(), PipelineError> {
     // a folder that does not exist contains no input
     let Ok(root) = dir.canonicalize() else { return Ok(()) };
@@ -69,12 +69,12 @@ fn check_inputs(dir: &Path, work: Work, job: &Job, registry: &Registry) -> Resul
         let Ok(inside) = found.strip_prefix(&root) else { continue };
         let written = match inside.components().next() {
             Some(Component::Normal(first)) => work.writes(first),
-            // The folder itself: a sequence may not read its light fields where it writes time
-            // steps.
+            // If the input is the folder itself: a sequence may not read its light fields from the
+            // folder into which it writes time steps.
             _ => work == Work::Sequence,
         };
-        // A run folder's own job file may be run again: the job that replaces it has all of its
-        // values.
+        // The job file in a run folder may be run again, since the job that replaces it has all of
+        // its values.
         let own_job = role == "job file" && inside == Path::new("job.toml") && is_written_by_us(&found, true);
         if written && !own_job {
             return Err(PipelineError::Overwrites { input: path, role, folder: dir.to_owned() });
@@ -97,7 +97,7 @@ fn inputs(job: &Job, registry: &Registry) -> Vec<(&'static str, PathBuf)> {
         ("weights", &job.factorize.weights),
     ];
     list.extend(named.into_iter().filter_map(|(role, path)| Some((role, path.clone()?))));
-    // Files of nodes; a file that is listed twice changes nothing.
+    // Files that nodes name. If a file is listed twice, this has no effect.
     list.extend(job.paths_mut().map(|path| ("input", path.clone())));
     let displays = job.sweep.iter().flat_map(|sweep| &sweep.displays).filter(|name| name.ends_with(".toml"));
     list.extend(displays.map(|name| ("display file", job.folder.join(name))));
@@ -142,7 +142,7 @@ mod tests {
         assert!(error.contains(&run.display().to_string()) && error.contains(&process), "{error}");
         drop(first);
         assert!(!folder.path().join("runs").exists(), "nothing was kept, so nothing is left");
-        // the owner file of a dead process locks nothing
+        // the owner's file of a dead process locks nothing
         std::fs::create_dir_all(run.join("cache")).unwrap();
         std::fs::write(run.join("cache").join(LOCK), "").unwrap();
         std::fs::write(run.join("cache").join(OWNER), "{\"process\":1,\"host\":\"gone\"}").unwrap();
@@ -188,7 +188,7 @@ mod tests {
         let job = job(folder.path());
         let path = folder.path().join("job.toml");
         let accepted = || try_take(folder.path(), Work::Run, &job).map(drop);
-        // from before seals: with every default; then sealed
+        // first a file of a version without hashes, with all defaults; then a file with a hash
         std::fs::write(&path, job.to_toml()).unwrap();
         assert_eq!(accepted(), Ok(()));
         std::fs::write(&path, format!("{}# mine\n", job.to_toml())).unwrap();
@@ -196,7 +196,7 @@ mod tests {
         write_sealed(&path, &job.to_toml()).unwrap();
         assert_eq!(accepted(), Ok(()));
         assert_eq!(config::parse::<Job>(&std::fs::read_to_string(&path).unwrap()).unwrap(), job);
-        // a run's job file may be run where it is
+        // the job file of a run may be run from its run folder
         let again = Job { file: Some(path.clone()), ..job.clone() };
         assert!(try_take(folder.path(), Work::Run, &again).is_ok());
         let text = std::fs::read_to_string(&path).unwrap().replace("seed = 1", "seed = 2");
@@ -221,7 +221,7 @@ mod tests {
         assert!(is_written_by_us(&path, false), "Lumistack calibrated it");
         write_display(&path, &display).unwrap();
         assert_eq!(std::fs::read_to_string(&path).unwrap(), after);
-        // another display is another file
+        // a file of another display is replaced
         write_display(&path, &Display { frames: display.frames + 1, ..display }).unwrap();
         assert!(std::fs::read_to_string(&path).unwrap() != after);
         assert_eq!(with_new_seal("a = 1", "a = 2"), "a = 2");
@@ -237,7 +237,7 @@ mod tests {
         assert!(try_take(dir, Work::Run, &job(dir)).is_err());
         let stamp = format!("{{\"key\": \"{}\", \"files\": [[\"layers/stack.json\", 2]]}}", "a".repeat(64));
         std::fs::write(dir.join("cache/factorize.json"), stamp).unwrap();
-        // from a version with fewer keys
+        // a file of a version with fewer keys
         let old = job(dir).to_toml().replace("seed = 1\n", "");
         std::fs::write(dir.join("job.toml"), old).unwrap();
         drop(try_take(dir, Work::Run, &job(dir)).unwrap());

@@ -11,14 +11,14 @@ use super::files::{read_json, write, write_json};
 use super::key::{KeyBuilder, hash};
 use crate::error::PipelineError;
 
-/// A cached conversion with its origin: every file with a hash of its content.
+/// Record of a cached conversion: the files that it was made from, each with a hash of its content.
 #[derive(Serialize, Deserialize)]
 struct CachedConversion {
     account: BlendAccount,
     files: Vec<(PathBuf, String)>,
     program: Option<[u64; 2]>,
     glb: String,
-    /// Fingerprint of the code that requests and reads it: no other version reuses it.
+    /// Fingerprint of the code that requests and reads the conversion; no other version reuses it.
     code: String,
 }
 
@@ -26,8 +26,8 @@ fn code_of_scenes() -> String {
     KeyBuilder::new("scenes", code::SCENE).finish()
 }
 
-/// True if a cached file (`blend-KEY.json` or `.glb`) belongs to a conversion that a run would
-/// reuse.
+/// True if a run would reuse the conversion that a cached file (`blend-KEY.json` or `.glb`) belongs
+/// to.
 pub(crate) fn holds(path: &Path) -> bool {
     read_json::<CachedConversion>(&path.with_extension("json")).is_some_and(|kept| kept.holds())
 }
@@ -48,7 +48,8 @@ fn content_of(path: &Path) -> Option<String> {
 }
 
 /// Converts the scene of a `.blend` file at a time in seconds. With a cache folder, Blender runs
-/// again only if the file, its references, Blender or our script in it changed.
+/// again only if there was a change: of the file, its references, Blender, or our script in
+/// Blender.
 ///
 /// # Errors
 /// If Blender returns no scene, or the cache cannot be written.
@@ -74,7 +75,7 @@ fn kept_or(
     surroundings: &str,
     folder: &Path,
 ) -> Result<HandedOver, PipelineError> {
-    // One cached conversion per file, time and surroundings.
+    // Cache one conversion for each file, time and state of the files around it.
     let mut key = KeyBuilder::new("blend", code::SCENE);
     let place = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     key.add("path", place.as_os_str().as_encoded_bytes()).add_json("time", &time_s);
@@ -86,13 +87,13 @@ fn kept_or(
     {
         return Ok(HandedOver { glb, account: kept.account });
     }
-    // Without a valid one, run Blender.
+    // If no valid conversion is cached, run Blender.
     let before = content_of(&place);
     let handed = convert()?;
     let HandedOver { glb, account } = &handed;
     let all = [std::slice::from_ref(&place), &account.files[..]].concat();
     let files: Option<Vec<_>> = all.into_iter().map(|path| Some((path.clone(), content_of(&path)?))).collect();
-    // A file that changed meanwhile, or is missing, must not enter the cache.
+    // If a file is missing or changed during the conversion, do not cache the result.
     if let Some(files) = files.filter(|files| account.untracked.is_none() && Some(&files[0].1) == before.as_ref()) {
         let program = lumistack_usd::file_stamp(&account.program);
         let kept =
@@ -108,7 +109,7 @@ fn kept_or(
 mod tests {
     use super::*;
 
-    /// Returns the number of Blender's runs for two conversions, with a change between them.
+    /// Returns how often Blender runs for two conversions with a change between them.
     fn conversions(untracked: Option<String>, between: impl FnOnce(&Path)) -> usize {
         let folder = tempfile::tempdir().unwrap();
         let place = |name: &str| folder.path().join(name);
@@ -134,7 +135,7 @@ mod tests {
         between(folder.path());
         let second = hand_over(Some(0.5), "one");
         assert_eq!((first.glb, first.account), (second.glb, second.account));
-        // another time and another Blender are other conversions
+        // another time, or another version of Blender, gives another conversion
         let (late, other) = (hand_over(Some(1.0), "one"), hand_over(Some(0.5), "two"));
         assert_eq!((late.glb, other.glb), (b"Some(1.0)".to_vec(), b"Some(0.5)".to_vec()));
         count - 2

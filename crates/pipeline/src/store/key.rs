@@ -1,5 +1,5 @@
-//! Keys of results: a hash of the code that a result passes through, its settings, and the content
-//! of all files that it depends on. The number of threads is not part of it.
+//! Keys of results. A key is a hash of the code that affects a result, its settings, and the
+//! content of all files that it depends on. It does not contain the number of threads.
 
 use std::path::Path;
 
@@ -24,7 +24,7 @@ pub(crate) fn content_hash(path: &Path) -> std::io::Result<String> {
 pub(crate) struct KeyBuilder(blake3::Hasher);
 
 impl KeyBuilder {
-    /// Starts the key of a stage whose results pass through `code`.
+    /// Begins the key of a stage whose results depend on `code`.
     pub(crate) fn new(stage: &str, code: Code) -> Self {
         let mut builder = Self(blake3::Hasher::new());
         builder.add("stage", stage.as_bytes());
@@ -34,7 +34,8 @@ impl KeyBuilder {
         builder
     }
 
-    /// Adds a labelled value. Lengths are hashed too, so that different splits differ.
+    /// Adds a value with a label. Lengths are hashed too, so that the end of one cannot pass for
+    /// the beginning of the other.
     pub(crate) fn add(&mut self, label: &str, bytes: &[u8]) -> &mut Self {
         for part in [label.as_bytes(), bytes] {
             self.0.update(&(part.len() as u64).to_le_bytes());

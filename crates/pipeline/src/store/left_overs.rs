@@ -5,22 +5,23 @@ use std::path::{Path, PathBuf};
 
 use super::names::{is_ours, is_time};
 
-/// Folders of a run folder with files of ours only, where every temporary file may be removed.
+/// Folders of a run folder that contain only files of Lumistack, so any temporary file may be
+/// removed.
 const OWN: [&str; 8] = ["cache", "target", "held-out", "outside", "layers", "designs", "plots", "outputs"];
-/// Removes left-overs of killed runs from a run folder. The caller has its lock.
+/// Removes left-overs of killed runs from a run folder. The caller holds the folder's lock.
 pub(crate) fn remove(dir: &Path) {
     remove_all(&left_overs(dir));
 }
 
-/// Removes files and folders. They save time at most, so a failure is no error; `clean` counts the
-/// rest.
+/// Removes files and folders. These at most save time, so a failure is not an error. `clean`
+/// reports files that remain.
 pub(crate) fn remove_all(paths: &[PathBuf]) {
     for path in paths {
         let _ = if path.is_dir() { std::fs::remove_dir_all(path) } else { std::fs::remove_file(path) };
     }
 }
 
-/// Returns the entries of a folder with their names, sorted; empty if it does not exist.
+/// Returns the entries of a folder with their names, sorted; empty if the folder does not exist.
 pub(crate) fn entries(folder: &Path) -> Vec<(String, PathBuf)> {
     let list = std::fs::read_dir(folder).into_iter().flatten().flatten();
     let mut list: Vec<_> =
@@ -30,11 +31,12 @@ pub(crate) fn entries(folder: &Path) -> Vec<(String, PathBuf)> {
 }
 
 pub(crate) fn is_folder(path: &Path) -> bool {
-    // links to folders are not followed
+    // links to folders are not folders here
     std::fs::symlink_metadata(path).is_ok_and(|data| data.is_dir())
 }
 
-/// Returns temporary files and folders of a run folder, its nodes, time steps and light fields.
+/// Returns temporary files and folders in a run folder, and in its nodes, time steps and light
+/// fields.
 pub(crate) fn left_overs(dir: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for (name, path) in entries(dir) {
@@ -48,11 +50,11 @@ pub(crate) fn left_overs(dir: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// Is [`left_overs`] for folders with files of ours only.
+/// Does the same as [`left_overs`], for folders that contain only files of Lumistack.
 fn below(folder: &Path, found: &mut Vec<PathBuf>) {
     for (name, path) in entries(folder) {
         let temporary = name.starts_with(".lumistack-") && name.ends_with(".tmp");
-        // an output collects its files here before they appear
+        // an output collects its files in this folder before they get their names
         let partial = name.starts_with('.') && name.ends_with(".partial") && is_folder(&path);
         if temporary || partial {
             found.push(path);
@@ -62,8 +64,8 @@ fn below(folder: &Path, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// Returns the run folders within a run folder: nodes, time steps of a sequence, light fields of a
-/// sweep.
+/// Returns the run folders inside of a run folder: nodes, time steps of a sequence, and light
+/// fields of a sweep.
 pub(crate) fn parts(dir: &Path) -> Vec<PathBuf> {
     let times = entries(dir).into_iter().filter(|(name, path)| is_time(name) && is_folder(path));
     let inner = ["nodes", "fields"].into_iter().flat_map(|name| entries(&dir.join(name)));

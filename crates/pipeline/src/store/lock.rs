@@ -1,13 +1,14 @@
 //! The lock of a run folder: one owner at a time.
 //!
 //! ```text
-//! cache/lumistack.lock     locked by the operating system during a run, which frees it if the
-//!                          owner dies; its existence marks a folder as ours
+//! cache/lumistack.lock     locked by the operating system during a run, which unlocks it if the
+//!                          owner dies; if it exists, the folder is from Lumistack
 //! cache/owner.json         process and host of the owner, for messages
 //! ```
 //!
-//! Units of work on several machines share a folder's lock, since each writes files that no other
-//! writes. A run of the whole waits until they have ended.
+//! Units of work on several machines share the lock of a folder, since no two of them write the
+//! same file. The last unit waits until all others have ended. `lumistack run` does not wait: it
+//! reports that the folder is in use.
 
 use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
@@ -20,29 +21,29 @@ use super::files::write;
 use super::names::LOCK;
 use crate::error::{PipelineError, field_error};
 
-/// File of the owner's process and host, below `cache`.
+/// File with the owner's process and host, in the folder `cache`.
 pub(crate) const OWNER: &str = "owner.json";
-/// Lock of a preview, which may be written while a run uses the folder.
+/// Lock of a preview. A preview may be written while a run uses the folder.
 const PREVIEW_LOCK: &str = "preview.lock";
 /// Number of attempts to read the owner's file, which is written shortly after the lock is taken.
 const OWNER_ATTEMPTS: u32 = 25;
 
-/// Interval of a unit's attempts to lock a folder.
+/// Interval between a unit's attempts to lock a folder.
 const LOCK_INTERVAL: Duration = Duration::from_millis(100);
 
-/// Longest time that a unit waits for a folder.
+/// Maximum time that a unit waits for a folder.
 pub(crate) const UNIT_LIMIT: Duration = Duration::from_secs(600);
 
 /// How a unit of work locks a folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Hold {
-    /// Together with other units.
+    /// The lock is shared with other units.
     Shared,
-    /// Without other units.
+    /// The lock is not shared.
     Alone,
 }
 
-/// The lock of a run folder, held until it is dropped.
+/// The lock of a run folder. It is held until this value is dropped.
 #[derive(Debug)]
 pub(crate) struct FolderLock {
     lock: Option<File>,
@@ -59,7 +60,7 @@ struct Owner {
     host: String,
 }
 
-/// Locks a folder that is known to be a run's.
+/// Locks a folder that is known to be a run folder.
 pub(crate) fn lock_known(dir: &Path, task: Task<'_>) -> Result<FolderLock, PipelineError> {
     FolderLock::lock(dir, LOCK, task)
 }
@@ -68,7 +69,7 @@ pub(crate) fn lock_known(dir: &Path, task: Task<'_>) -> Result<FolderLock, Pipel
 /// still work.
 ///
 /// # Errors
-/// If other processes hold the lock for longer, or the task is cancelled.
+/// If other processes hold the lock for longer than the limit, or the task is cancelled.
 pub(crate) fn lock_for_unit(
     dir: &Path,
     hold: Hold,
@@ -87,7 +88,7 @@ pub(crate) fn lock_for_unit(
     }
 }
 
-/// Locks the preview of a run, which does not disturb the run.
+/// Locks the preview of a run, which does not affect the lock of the run.
 pub(crate) fn lock_preview(dir: &Path, task: Task<'_>) -> Result<FolderLock, PipelineError> {
     FolderLock::lock(dir, PREVIEW_LOCK, task)
 }
@@ -111,13 +112,13 @@ impl FolderLock {
             let taken = if hold == Hold::Shared { lock.try_lock_shared() } else { lock.try_lock() };
             match taken {
                 Ok(()) if is_at(&lock, &path) => owned.lock = Some(lock),
-                // the last owner removed the file with its folder
+                // the last owner removed the file and its folder
                 Ok(()) => continue,
                 Err(TryLockError::WouldBlock) => {
                     return Err(PipelineError::InUse { folder: dir.to_owned(), owner: owned.other() });
                 }
                 Err(TryLockError::Error(error)) => {
-                    let text = format!("this file system has no locks ({error}): run only one process in this folder");
+                    let text = format!("this file system has no locks ({error}); run only one process in this folder");
                     task.warn(dir.display().to_string(), text);
                 }
             }
@@ -132,7 +133,7 @@ impl FolderLock {
         Ok(owned)
     }
 
-    /// Describes the owner of the lock for messages.
+    /// Describes the owner of the lock, for messages.
     fn other(&self) -> String {
         if self.file != LOCK {
             return "another preview".into();
@@ -150,20 +151,20 @@ impl FolderLock {
 
 impl Drop for FolderLock {
     fn drop(&mut self) {
-        // the lock is another's, or shared, or the file system has none
+        // another process holds the lock, or it is shared, or the file system has no locks
         if self.lock.is_none() || self.hold == Hold::Shared {
             return;
         }
         if self.file == LOCK {
             let _ = std::fs::remove_file(self.cache.join(OWNER));
         }
-        // A run that failed before its first kept file leaves no folder. Only Unix removes open
+        // A run that failed before its first kept file leaves no folder. Only Unix can remove open
         // files.
         if cfg!(unix) && !self.made.is_empty() {
             let others = std::fs::read_dir(&self.cache)
                 .map_or(1, |list| list.flatten().filter(|e| e.file_name() != self.file).count());
-            // Finished time steps and nodes stay, and so does the lock file that marks them as
-            // ours.
+            // Finished time steps and nodes stay, and so does the lock file, which marks them as
+            // from Lumistack.
             let beside = self.cache.parent().and_then(|dir| std::fs::read_dir(dir).ok());
             let is_alone = beside.is_some_and(|list| list.flatten().all(|e| e.path() == self.cache));
             if others == 0 && is_alone {
@@ -176,7 +177,7 @@ impl Drop for FolderLock {
     }
 }
 
-/// True if an open file is still the one of this path.
+/// True if an open file is still the file at this path.
 fn is_at(file: &File, path: &Path) -> bool {
     #[cfg(unix)]
     {

@@ -1,4 +1,4 @@
-//! Names that work writes in a run folder, and the test for folders of ours.
+//! Names that work writes in a run folder, and a test whether Lumistack made a folder.
 
 use std::ffi::OsStr;
 use std::path::Path;
@@ -7,15 +7,15 @@ use serde::Deserialize;
 
 use super::settings::is_written_by_us;
 
-/// The lock file, below `cache`.
+/// Name of the lock file, in the folder `cache`.
 pub(crate) const LOCK: &str = "lumistack.lock";
 
-/// Kinds of work in a folder. Each writes its own names.
+/// Kinds of work in a folder. Each kind writes files of other names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Work {
     /// A run, with nodes or without.
     Run,
-    /// A sequence; its time steps have folders of their own.
+    /// A sequence. Each of its time steps has a folder.
     Sequence,
     /// Views only.
     Views,
@@ -68,14 +68,14 @@ pub(crate) fn is_time(name: &str) -> bool {
     name.strip_prefix('t').is_some_and(|digits| digits.len() >= 4 && digits.bytes().all(|b| b.is_ascii_digit()))
 }
 
-/// True if Lumistack certainly made a folder: by its lock, its job file, or cached files of
-/// versions before locks.
+/// True if Lumistack certainly made a folder. This is known by its lock, its job file, or cached
+/// files of versions that had no locks.
 pub(crate) fn is_ours(dir: &Path) -> bool {
     let cache = dir.join("cache");
     if cache.join(LOCK).is_file() || is_written_by_us(&dir.join("job.toml"), false) {
         return true;
     }
-    // Versions before locks left stamps and keyed names in the cache.
+    // Versions without locks left stamps, and names with keys, in the cache.
     let kept = |name: &str| {
         let stem = name.split('.').next().unwrap_or_default();
         let is_keyed = |kinds: &[&str]| {
@@ -94,7 +94,7 @@ pub(crate) fn is_ours(dir: &Path) -> bool {
         let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
         entries.filter_map(|entry| entry.file_name().into_string().ok()).any(|name| kept(&name))
     };
-    // rows of sweeps from versions before locks
+    // rows of sweeps from versions without locks
     let is_row = |name: &str| {
         name.strip_suffix(".json").is_some_and(|key| key.len() == 24 && key.bytes().all(|b| b.is_ascii_hexdigit()))
     };

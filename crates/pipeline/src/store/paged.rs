@@ -1,4 +1,5 @@
-//! Light fields too large for memory, in an unnamed file that the system pages in.
+//! Light fields that are larger than memory, in an unnamed file whose pages the system reads on
+//! demand.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -51,7 +52,7 @@ impl Paged {
         Ok(())
     }
 
-    /// Returns the light field, once all views are written.
+    /// Returns the light field, after all views are written.
     ///
     /// # Errors
     /// If the disk is full, or the file cannot be mapped.

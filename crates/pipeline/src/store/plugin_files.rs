@@ -1,5 +1,5 @@
-//! Files in parameters of plugins. Paths are relative to the job's file, are checked before the
-//! work, and their content is part of keys.
+//! Files in parameters of plugins. Their paths are relative to the job file. They are checked
+//! before the work, and their content is part of keys.
 
 use std::path::Path;
 
@@ -12,8 +12,8 @@ use crate::error::{PipelineError, read};
 use crate::job::Job;
 use crate::reader::own_reader;
 
-/// Returns the files in the parameters of plugin `id`: name and path. A text that begins with `{`
-/// is the content itself.
+/// Returns the files in the parameters of plugin `id`: name of the parameter, and path. A text that
+/// begins with `{` is the content itself, so it is not included.
 pub(crate) fn of<'a>(
     registry: &'a Registry,
     id: &str,
@@ -25,7 +25,7 @@ pub(crate) fn of<'a>(
     given.filter(|(_, path)| !path.is_empty() && !path.trim_start().starts_with('{'))
 }
 
-/// Returns the job with all such paths absolute, and with its defaults filled in by
+/// Returns the job with absolute paths in parameters of plugins, and with the defaults of
 /// [`with_automatic_settings`](Job::with_automatic_settings).
 ///
 /// # Errors
@@ -33,7 +33,8 @@ pub(crate) fn of<'a>(
 pub(crate) fn resolved(job: &Job, registry: &Registry) -> Result<Job, PipelineError> {
     let mut job = job.with_automatic_settings();
     let folder = job.folder.clone();
-    // Scenes with a reader of ours need no importer, so plugin libraries need not be loaded.
+    // Scenes with a built-in reader need no importer, so plugin libraries need not be loaded for
+    // them.
     let foreign = job.scene.as_ref().filter(|scene| own_reader(scene).is_none());
     let extension = foreign.and_then(|scene| scene.extension());
     let extension = extension.map(|extension| extension.to_string_lossy().to_ascii_lowercase());
@@ -43,7 +44,7 @@ pub(crate) fn resolved(job: &Job, registry: &Registry) -> Result<Job, PipelineEr
             Some(importer) if id.is_empty() => &importer.id,
             _ => id,
         };
-        // Check every file now, before an hour of rendering.
+        // Check every file now, before rendering, which may take hours.
         let found: Vec<(String, String)> = of(registry, id, params).map(|(n, p)| (n.into(), p.into())).collect();
         for (name, given) in found {
             let path = folder.join(&given);
@@ -55,8 +56,8 @@ pub(crate) fn resolved(job: &Job, registry: &Registry) -> Result<Job, PipelineEr
             let absolute = std::path::absolute(&path).unwrap_or(path);
             let value = match absolute.to_str() {
                 Some(text) => text.to_owned(),
-                // Parameters are JSON, which has no paths that are not UTF-8. A file of JSON is
-                // passed as its content.
+                // Parameters are JSON, which cannot contain paths that are not UTF-8. For such a
+                // path, a file of JSON is replaced by its content.
                 None => lumistack_files::read_text(&absolute)
                     .ok()
                     .filter(|text| text.trim_start().starts_with('{'))
@@ -71,8 +72,8 @@ pub(crate) fn resolved(job: &Job, registry: &Registry) -> Result<Job, PipelineEr
     Ok(job)
 }
 
-/// Returns a key of a plugin: version, parameters with the content of their files, and code. The
-/// code is the content of a library, or the fingerprint of compiled-in sources.
+/// Returns a key of a plugin: its version, its parameters with the content of their files, and its
+/// code. The code is the content of a library, or the fingerprint of compiled-in sources.
 pub(crate) fn plugin_key(
     registry: &Registry,
     id: &str,

@@ -1,5 +1,5 @@
 //! `job.toml` and `display.toml` of a run folder. Their first line has a hash of the rest, which
-//! shows if a user wrote or changed the file.
+//! shows whether a user wrote or changed the file.
 
 use std::ffi::OsStr;
 use std::path::Path;
@@ -27,16 +27,16 @@ pub(crate) fn write_job(job: &Job, dir: &Path) -> Result<(), PipelineError> {
 /// Writes `job.toml` or `display.toml` with the hash in the first line.
 ///
 /// # Errors
-/// If it cannot be written.
+/// If the file cannot be written.
 pub(super) fn write_sealed(path: &Path, text: &str) -> Result<(), PipelineError> {
     write(path, sealed(text).as_bytes())
 }
 
-/// Writes a run's `display.toml`. A calibrated file of the same display stays: patterns do not
-/// depend on calibration, and it took work.
+/// Writes `display.toml` of a run. If the file has the same display with a calibration, it stays:
+/// patterns do not depend on calibration, which took work.
 ///
 /// # Errors
-/// If it cannot be written.
+/// If the file cannot be written.
 pub(crate) fn write_display(path: &Path, display: &Display) -> Result<(), PipelineError> {
     let there = std::fs::read_to_string(path).ok().and_then(|text| Display::from_toml(&text).ok());
     let nominal = display.without_panels();
@@ -47,8 +47,8 @@ pub(crate) fn write_display(path: &Path, display: &Display) -> Result<(), Pipeli
 }
 
 /// Returns the text of a settings file that Lumistack changed from `before` to `after`, as
-/// calibration does. If `before` had a valid hash, the result has one too. Any other text is
-/// unchanged.
+/// calibration does. If `before` has a valid hash, the result has one too. Otherwise returns
+/// `after` unchanged.
 pub fn with_new_seal(before: &str, after: &str) -> String {
     match (is_whole(before), after.strip_prefix(SEAL).and_then(|rest| rest.split_once('\n'))) {
         (Some(true), Some((_, rest))) => sealed(rest),
@@ -60,20 +60,20 @@ fn sealed(text: &str) -> String {
     format!("{SEAL}{}\n{text}", blake3::hash(text.as_bytes()).to_hex())
 }
 
-/// True if a text has a valid hash; `None` if it has no hash.
+/// True if the hash in a text is valid; `None` if the text has no hash.
 fn is_whole(text: &str) -> Option<bool> {
     let (hash, rest) = text.strip_prefix(SEAL)?.split_once('\n')?;
     Some(blake3::hash(rest.as_bytes()).to_hex().as_str() == hash.trim_end())
 }
 
-/// Is [`is_whole`] for a file.
+/// Calls [`is_whole`] for the text of a file.
 pub(crate) fn is_sealed(path: &Path) -> Option<bool> {
     is_whole(&std::fs::read_to_string(path).ok()?)
 }
 
-/// True if a settings file is as Lumistack wrote it. Files from before hashes have every default
-/// and no comment. If the folder is known to be `ours`, files of older versions with fewer keys
-/// count too.
+/// True if a settings file is as Lumistack wrote it. Files of versions without hashes have every
+/// default and no comment. If the folder is known to be `ours`, files of older versions with fewer
+/// keys are accepted too.
 pub(crate) fn is_written_by_us(path: &Path, ours: bool) -> bool {
     if let Some(whole) = is_sealed(path) {
         return whole;

@@ -1,8 +1,8 @@
-//! Stamps of results, by which a rerun finds what is current.
+//! Stamps of results, by which the next run finds results that are current.
 //!
 //! A stamp has the [key](super::key) of a stage and a hash of every file that the stage wrote. It
-//! is written last, so a killed stage has none. Damaged or replaced files make it invalid, even
-//! with equal size and time.
+//! is written last, so a stage that was killed has no stamp. A damaged or replaced file makes the
+//! stamp invalid, even if its size and time are unchanged.
 
 use std::path::{Path, PathBuf};
 
@@ -18,7 +18,7 @@ use crate::error::PipelineError;
 /// cached.
 ///
 /// # Errors
-/// Those of `make`, and if the file cannot be written.
+/// The errors of `make`, and if the file cannot be written.
 pub(crate) fn remembered<T: Serialize + DeserializeOwned>(
     folder: Option<&Path>,
     file: &str,
@@ -44,12 +44,12 @@ pub(crate) struct Stamps {
 #[derive(Serialize, Deserialize)]
 struct Stamp {
     key: String,
-    /// Files, each with a hash of its content.
+    /// The files of the result, each with a hash of its content.
     files: Vec<(PathBuf, String)>,
 }
 
 impl Stamps {
-    /// Returns the stamps of a run folder, which are in its `cache/`.
+    /// Returns the stamps of a run folder. They are in its folder `cache`.
     pub(crate) fn new(run_dir: &Path) -> Self {
         Self { run_dir: run_dir.to_owned() }
     }
@@ -60,10 +60,10 @@ impl Stamps {
     }
 
     /// Returns the result of a stage, and true if it was cached. If the stamp has the key, `kept`
-    /// reads the result. Otherwise `make` makes it and returns its files.
+    /// reads the result. Otherwise `make` makes the result and returns the paths of its files.
     ///
     /// # Errors
-    /// Those of `make`, and if the stamp cannot be written.
+    /// The errors of `make`, and if the stamp cannot be written.
     pub(crate) fn reuse_or_make<T>(
         &self,
         stage: &str,
@@ -82,12 +82,12 @@ impl Stamps {
         Ok((made, false))
     }
 
-    /// True if the stage finished, with any key, and its files are unchanged.
+    /// True if the stage has finished, with any key, and its files are unchanged.
     pub(crate) fn is_whole(&self, stage: &str) -> bool {
         self.stamp(stage).is_some_and(|stamp| self.holds(&stamp))
     }
 
-    /// True if the stage finished with this key, and its files are unchanged.
+    /// True if the stage has finished with this key, and its files are unchanged.
     pub(crate) fn is_current(&self, stage: &str, key: &str) -> bool {
         self.stamp(stage).is_some_and(|stamp| stamp.key == key && self.holds(&stamp))
     }
@@ -101,7 +101,7 @@ impl Stamps {
         stamp.files.par_iter().all(holds)
     }
 
-    /// Records that a stage has finished; `files` are relative to the run folder.
+    /// Records that a stage has finished. `files` are relative to the run folder.
     ///
     /// # Errors
     /// If a file is missing, or the stamp cannot be written.
@@ -163,7 +163,7 @@ mod tests {
         assert!(!stamps.is_current("s", "k"));
         stamps.write("s", "k", &["a.txt".into()]).unwrap();
         assert!(stamps.is_current("s", "k") && !stamps.is_current("s", "other"));
-        // with the same size and time as before
+        // change the content, but not the size and the time
         let written = std::fs::metadata(&file).unwrap().modified().unwrap();
         std::fs::write(&file, "two").unwrap();
         std::fs::File::options().write(true).open(&file).unwrap().set_modified(written).unwrap();

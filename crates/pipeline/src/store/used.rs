@@ -1,4 +1,4 @@
-//! Cached files that the last finished run used. Every finished run removes views of other
+//! Cached files that the last finished run used. Every finished run removes the views of other
 //! settings.
 
 use std::collections::BTreeSet;
@@ -12,22 +12,22 @@ use super::key::KeyBuilder;
 use super::left_overs::{entries, is_folder, remove_all};
 use crate::error::PipelineError;
 
-/// The list of used files, below `cache`.
+/// File with the list of used files, in the folder `cache`.
 pub(crate) const USED: &str = "used.json";
-/// Folder of unfinished tiles, below `cache`. A finished run does not need it.
+/// Folder of the results of tiles, in the folder `cache`. A finished run does not need it.
 pub(crate) const TILES: &str = "tiles";
-/// Names of light fields; each has folders `NAME-KEY` in the cache.
+/// Names of light fields. The cache has folders `NAME-KEY` for each.
 const FIELDS: [&str; 4] = ["target", "held-out", "outside", "zone"];
 /// Names of the files that a finished run used.
 #[derive(Default, Serialize, Deserialize)]
 pub(crate) struct Used {
-    /// Fingerprint of the code of views: no other version finds them.
+    /// Fingerprint of the code that makes views; another version cannot use them.
     code: String,
-    /// Folders of views.
+    /// Names of the folders of views.
     views: BTreeSet<String>,
-    /// Light fields of a sweep.
+    /// Names of the light fields of a sweep.
     pub(crate) fields: BTreeSet<String>,
-    /// Rows of a sweep.
+    /// Names of the rows' files of a sweep.
     pub(crate) designs: BTreeSet<String>,
 }
 
@@ -35,7 +35,7 @@ fn code_of_views() -> String {
     KeyBuilder::new("used", code::VIEWS).finish()
 }
 
-/// Writes which cached views the run in `dir` used, and removes all others.
+/// Records which cached views the run in `dir` used, and removes all others.
 ///
 /// # Errors
 /// If the list cannot be written.
@@ -51,8 +51,8 @@ pub(crate) fn keep_only_views(dir: &Path, used: &[PathBuf]) -> Result<(), Pipeli
     Ok(())
 }
 
-/// Writes which light fields (numbers) and rows (files) the sweep in `dir` used, and removes other
-/// light fields. Rows are small and stay for sweeps over more values.
+/// Records which light fields (numbers) and rows (files) the sweep in `dir` used, and removes all
+/// other light fields. Rows are small, so they stay for sweeps over more values.
 ///
 /// # Errors
 /// If the list cannot be written.
@@ -68,7 +68,7 @@ pub(crate) fn keep_only_fields(
     Ok(())
 }
 
-/// Returns the folders of cached views of a run (`cache/views`) or of `render` (`cache`).
+/// Returns the folders of cached views of a run (in `cache/views`) or of `render` (in `cache`).
 pub(crate) fn all_views(cache: &Path) -> Vec<(String, PathBuf)> {
     let is_field =
         |name: &str| name.rsplit_once('-').is_some_and(|(field, key)| FIELDS.contains(&field) && key.len() == 16);

@@ -1,7 +1,7 @@
-//! Cached views with a hash of name, size and pixels in their header.
+//! Cached views. The header of each has a hash of name, size and pixels.
 //!
-//! A run may be killed between two views, so each view has its own hash instead of a common stamp.
-//! The hash includes the name, so a copy of another view is invalid.
+//! A run may be killed between two views, so each view has a hash instead of a common stamp. The
+//! hash includes the name, so a copy of another view is invalid.
 
 use std::path::{Path, PathBuf};
 
@@ -15,30 +15,30 @@ use lumistack_pathtracer::{Features, SplitView};
 use super::key::KeyBuilder;
 use crate::error::{PipelineError, field_error};
 
-/// Returns the file of a view, or of a half of its samples.
+/// Returns the path of a view's file, or of the file with a half of its samples.
 pub(crate) fn view_path(folder: &Path, view: [usize; 2], half: Option<usize>) -> PathBuf {
     let half = half.map_or("", |half| ["-a", "-b"][half]);
     folder.join(format!("view_{:02}_{:02}{half}.exr", view[0], view[1]))
 }
 
-/// Returns the file of the variance of a view, or of a half of its samples.
+/// Returns the path of the file with the variance of a view, or with that of a half of its samples.
 pub(crate) fn variance_path(folder: &Path, view: [usize; 2], half: Option<usize>) -> PathBuf {
     let half = half.map_or("", |half| ["-a", "-b"][half]);
     folder.join(format!("variance_{:02}_{:02}{half}.exr", view[0], view[1]))
 }
 
-/// Returns the file of a view with separated light.
+/// Returns the path of a view whose diffuse and other light are separate.
 pub(crate) fn split_path(folder: &Path, view: [usize; 2]) -> PathBuf {
     folder.join(format!("split_{:02}_{:02}.exr", view[0], view[1]))
 }
 
-/// Returns the file of the guides of a view, or of a half of its samples.
+/// Returns the path of the file with the guides of a view, or with those of a half of its samples.
 pub(crate) fn guides_path(folder: &Path, view: [usize; 2], half: Option<usize>) -> PathBuf {
     let half = half.map_or("", |half| ["-a", "-b"][half]);
     folder.join(format!("guides_{:02}_{:02}{half}.exr", view[0], view[1]))
 }
 
-/// Returns the file of a view's splats.
+/// Returns the path of the file with a view's splats.
 pub(crate) fn splats_path(folder: &Path, view: [usize; 2]) -> PathBuf {
     folder.join(format!("splats_{:02}_{:02}.exr", view[0], view[1]))
 }
@@ -51,8 +51,8 @@ pub(crate) fn read_splats(path: &Path, geometry: &FieldGeometry) -> Option<Vec<f
     Some(read)
 }
 
-/// Writes the splats of a view `[row][col][r, g, b, T]`, as a picture of three channels and 4/3 of
-/// the height.
+/// Writes the splats of a view `[row][col][r, g, b, T]`, as a picture of three channels with 4/3 of
+/// the rows.
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -67,13 +67,14 @@ fn splat_rows(rows: usize) -> usize {
     (4 * rows).div_ceil(3)
 }
 
-/// Reads a view with separated light; `None` if the file is missing or damaged.
+/// Reads a view whose diffuse and other light are separate; `None` if the file is missing or
+/// damaged.
 pub(crate) fn read_split(path: &Path, geometry: &FieldGeometry) -> Option<SplitView> {
     SplitView::from_values(read_values(path, geometry, SplitView::VALUES)?)
 }
 
-/// Writes a view with separated light: three values per pixel in each of several pictures, one
-/// below the other.
+/// Writes a view whose diffuse and other light are separate: three values per pixel in each of
+/// several pictures. These are one below the other in the file.
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -94,7 +95,7 @@ pub(crate) fn write_guides(path: &Path, guides: &Features) -> Result<(), Pipelin
     write_values(path, guides.values())
 }
 
-/// Reads `[row][col][k]` with `count` values k per pixel.
+/// Reads `[row][col][k]` with `count` values per pixel.
 fn read_values(path: &Path, geometry: &FieldGeometry, count: usize) -> Option<Tensor<3>> {
     let [rows, cols] = [geometry.rows, geometry.cols];
     let pictures = read_picture(path, [cols, count.div_ceil(3) * rows])?;
@@ -108,7 +109,7 @@ fn read_values(path: &Path, geometry: &FieldGeometry, count: usize) -> Option<Te
     Some(values)
 }
 
-/// Writes `[row][col][k]`: values three by three as pictures, one below the other.
+/// Writes `[row][col][k]` as several pictures, one below the other. Each has three of the values k.
 fn write_values(path: &Path, values: &Tensor<3>) -> Result<(), PipelineError> {
     let [rows, cols, count] = values.shape();
     let height = count.div_ceil(3) * rows;
@@ -127,8 +128,8 @@ pub(crate) fn read_view(path: &Path, geometry: &FieldGeometry) -> Option<Vec<f32
     read_picture(path, [geometry.cols, geometry.rows])
 }
 
-/// Returns the elements of `all` that are not cached. Reading cached files takes seconds, so it
-/// shows progress; without any file it is skipped.
+/// Returns the elements of `all` that are not cached. Checking cached files takes seconds, so this
+/// shows progress. If no file exists, nothing is checked.
 pub(crate) fn missing<T: Send + Sync>(
     all: Vec<T>,
     file: impl Fn(&T) -> PathBuf,
@@ -187,7 +188,7 @@ mod tests {
 
     const SIZE: [usize; 2] = [16, 8];
 
-    /// Returns pixels that no compression reduces.
+    /// Returns pixels whose size no compression reduces.
     fn grain(seed: u64) -> Vec<f32> {
         let mut state = seed;
         let mut next = || {
@@ -212,7 +213,7 @@ mod tests {
             std::fs::write(&first, &damaged).unwrap();
             assert_eq!(read_picture(&first, SIZE), None, "byte {place} of {}", bytes.len());
         }
-        // a picture of the same size: that of another view, or one without a hash
+        // a picture of the same size: a copy of another view, or one without a hash
         std::fs::copy(&second, &first).unwrap();
         assert_eq!(read_picture(&first, SIZE), None);
         picture::write_exr(&first, SIZE, &grain(1), Precision::Float).unwrap();

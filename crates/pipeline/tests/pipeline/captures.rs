@@ -1,6 +1,7 @@
-//! One cloud gives the same picture from all file formats.
+//! A cloud of splats gives the same picture from every file format.
 //!
-//! USD needs `LUMISTACK_PYTHON` to name a Python with usd-core, and is skipped without.
+//! The case for USD needs `LUMISTACK_PYTHON` to name a Python with usd-core, and is skipped without
+//! it.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -15,11 +16,11 @@ use lumistack_splats::{Renderer, SplatView, Wanted, glb, write};
 
 use crate::usd::has_usd;
 
-/// Minimum agreement of two files, PSNR in dB.
+/// Minimum agreement of the pictures of two files, PSNR in dB.
 const LEAST_PSNR: f64 = 50.0;
 
-/// A bumpy ball of flat splats with colours that change with the direction. Its values are
-/// representable in an `.spz` file.
+/// A bumpy ball of flat splats, whose colours change with the direction. An `.spz` file can
+/// represent all of its values.
 fn ball() -> Cloud {
     let mut cloud = Cloud { degree: 2, ..Cloud::default() };
     for i in 0..1200 {
@@ -36,14 +37,15 @@ fn ball() -> Cloud {
     read_spz(&write::spz(&cloud).unwrap(), 1 << 30).unwrap().cloud
 }
 
-/// The cloud in the convention of trainers, y down and z away: rotated by half a turn about x.
+/// The cloud in the axes of trainers, y down and z away from the viewer: rotated by half a turn
+/// about x.
 fn as_trained(cloud: &Cloud) -> Cloud {
     let mut turned = cloud.clone();
     let turn = Quat::from_xyzw(1.0, 0.0, 0.0, 0.0);
     turned.positions.iter_mut().for_each(|at| *at = turn * *at);
     turned.rotations.iter_mut().for_each(|rotation| *rotation = turn * *rotation);
-    // Harmonics with an odd power of y and z together change sign: orders −1, 0 of degree 1; orders
-    // −2, 1 of degree 2.
+    // Harmonics with an odd power of y and z together change sign: orders −1 and 0 of degree 1, and
+    // orders −2 and 1 of degree 2.
     for splat in turned.harmonics.chunks_exact_mut(27) {
         for k in [1, 2, 4, 7] {
             splat[3 * k..3 * k + 3].iter_mut().for_each(|value| *value = -*value);
@@ -52,7 +54,7 @@ fn as_trained(cloud: &Cloud) -> Cloud {
     turned
 }
 
-/// A USD stage with the cloud.
+/// A USD stage that contains the cloud.
 fn usda(cloud: &Cloud) -> String {
     let tuples = |rows: &mut dyn Iterator<Item = Vec<f32>>| -> String {
         let texts = rows.map(|row| format!("({})", row.iter().map(f32::to_string).collect::<Vec<_>>().join(", ")));

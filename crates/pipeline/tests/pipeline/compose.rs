@@ -1,4 +1,4 @@
-//! Plans of a sequence of a graph, of a sweep over it, and of every step alone.
+//! Plans of a sequence with nodes and of a sweep over it, and the execution of every step alone.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,8 @@ use lumistack_core::{Cancel, Collector, Task};
 use lumistack_pipeline::{Job, Plan, Registry, plan, run, run_step, sweep};
 use serde_json::Value;
 
-/// Tolerance of a sweep's scores against a run's: both sum the same errors in different orders.
+/// Tolerance of a sweep's scores against those of a run. Both sum the same errors, in different
+/// orders.
 const AGREEMENT_DB: f64 = 1e-9;
 
 const DISPLAY: &str = "[display]\npreset = \"paper-three-layer\"\nresolution = [24, 15]\nviews = [3, 3]\nframes = 2\n";
@@ -27,7 +28,8 @@ pub(crate) fn job(folder: &Path, head: &str, tables: &[&str]) -> Job {
     Job::load(&path).unwrap()
 }
 
-/// Files below a folder, without the cache and without reports, which contain times.
+/// Files in a folder and its subfolders, without the cache, and without reports, since these
+/// contain times.
 pub(crate) fn results(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     fn walk(folder: &Path, root: &Path, found: &mut BTreeMap<PathBuf, Vec<u8>>) {
         for entry in std::fs::read_dir(folder).unwrap() {
@@ -77,7 +79,7 @@ fn a_sweep_over_a_sequence_of_two_nodes() {
     }
     assert_eq!(report["psnr_view"], report["nodes"][0]["psnr_view"]);
 
-    // a rerun uses all cached results, as the plan says
+    // the next run uses all cached results, as the plan predicts
     let found = plan(&job, &dir, &registry).unwrap();
     for id in ["t0001/source", "t0001/nodes/a/factorize", "t0002/nodes/b/factorize", "t0002/nodes/a/output-images"] {
         assert_eq!(cached(&found, id), Some(true), "{id}");
@@ -90,7 +92,7 @@ fn a_sweep_over_a_sequence_of_two_nodes() {
         json(&dir.join("report.json"))["nodes"][1]["times"].as_array().unwrap().iter().all(|t| t["cached"] == true)
     );
 
-    // a time step is a graph that runs on its own
+    // a time step is a graph that can be run by itself
     let alone = folder.path().join("alone");
     let of_time = Job::load(&dir.join("t0002/job.toml")).unwrap();
     with_task(|task| run(&of_time, &alone, &registry, None, task)).unwrap();
@@ -99,7 +101,8 @@ fn a_sweep_over_a_sequence_of_two_nodes() {
         assert!(again[Path::new(name)] == all[&Path::new("t0002").join(name)], "{name}");
     }
 
-    // Node a has the designs' displays; b has its own, and is equal in every row.
+    // Node a has the displays of the designs. Node b has another display, so its scores are equal
+    // in every row.
     let mut swept = job.clone();
     let table = lumistack_pipeline::SweepJob { frames: vec![1, 2], ..lumistack_pipeline::SweepJob::default() };
     swept.sweep = Some(table);
@@ -123,7 +126,8 @@ fn a_sweep_over_a_sequence_of_two_nodes() {
     assert_eq!((again.designs, again.kept), (2, 2));
 }
 
-/// A window that moves through a scene, with two displays and a report per display and time step.
+/// A window that moves through a scene, with two displays, and a report for each display and time
+/// step.
 #[test]
 fn a_walk_before_two_displays() {
     let registry = Registry::built_in().unwrap();
@@ -145,7 +149,7 @@ fn a_walk_before_two_displays() {
     for id in ["t0001/trace", "t0002/trace", "t0002/expose", "t0002/nodes/a/factorize"] {
         assert_eq!(cached(&found, id), Some(true), "{id}");
     }
-    // a killed or later changed step is not current
+    // a step whose files were damaged later is not current
     std::fs::write(dir.join("t0002/nodes/a/layers/layer_0.npy"), "damaged").unwrap();
     assert_eq!(cached(&plan(&job, &dir, &registry).unwrap(), "t0002/nodes/a/factorize"), Some(false));
 }
@@ -158,7 +162,7 @@ fn every_step_can_be_executed_alone() {
     let [whole, parts] = ["whole", "parts"].map(|name| folder.path().join(name));
     with_task(|task| run(&job, &whole, &registry, None, task)).unwrap();
     for step in plan(&job, &parts, &registry).unwrap().steps {
-        // only the run folder connects the steps
+        // the steps have only the run folder in common
         with_task(|task| run_step(&job, &parts, &step.id, &registry, task)).unwrap();
     }
     assert!(results(&whole) == results(&parts));
@@ -176,7 +180,7 @@ fn a_light_field_in_a_file_gives_what_one_in_memory_gives() {
     let display = "[display]\npreset = \"paper-three-layer\"\nresolution = [60, 40]\nviews = [5, 5]\nframes = 2\n";
     let report = "[report]\nzone_directions = 0\n";
     let (mut found, mut memory) = (Vec::new(), Vec::new());
-    // 60,000 rays of 18 bytes: more than one MiB
+    // 60,000 rays of 18 bytes take more than one MiB
     for (name, limit) in [("held", 4096), ("paged", 1)] {
         let render = format!("[render]\nsamples = 1\nmax_bounces = 1\nfield_mib = {limit}\n");
         let job = job(folder.path(), &head, &[display, &render, report]);

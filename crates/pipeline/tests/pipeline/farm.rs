@@ -1,5 +1,5 @@
-//! Units of work: bytes do not depend on the cut, units run in parallel, and wrong plans are
-//! refused.
+//! Units of work: the bytes of results do not depend on the cut, units run in parallel, and wrong
+//! plans are refused.
 
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -70,21 +70,21 @@ fn units_of_a_still_give_the_bytes_of_a_run() {
         ["place", "trace/1-of-2", "trace/2-of-2", "expose", "score/1-of-2", "score/2-of-2", "factorize", "finish"];
     assert_eq!(ids(&plan), expected);
     assert_eq!(results(&one), results(&many));
-    // the report has the scores of a run's
+    // the report has the scores of the report of a run
     let figure = |dir: &PathBuf| json(&dir.join("report.json"))["psnr_zone"].clone();
     assert!(figure(&one).is_number() && figure(&one) == figure(&many));
 
-    // Done units are skipped, except the last, which checks all results and makes damaged ones
-    // again.
+    // Units that are done are skipped, except the last one. It checks all results, and makes
+    // damaged ones again.
     assert_eq!(unit(&many, "trace/2-of-2", &registry), Ok(true));
     std::fs::write(many.join("layers/layer_0.npy"), "damaged").unwrap();
     assert_eq!(unit(&many, "finish", &registry), Ok(false));
     assert_eq!(results(&one), results(&many));
-    // a plain run may change results, so no unit counts as done after it
+    // a plain run may change results, so no unit is regarded as done after it
     with_task(|task| run(&job, &many, &registry, None, task)).unwrap();
     assert!(plan.done(&many, "expose").is_none());
     let error = unit(&many, "factorize", &registry).unwrap_err();
-    assert!(error.contains("unit `factorize`") && error.contains("`expose` not done"), "{error}");
+    assert!(error.contains("unit `factorize`") && error.contains("`expose`, which is not done"), "{error}");
 }
 
 #[test]
@@ -113,7 +113,7 @@ fn units_of_a_sequence_of_two_nodes_give_the_bytes_of_a_run() {
     let warm = &of("t0002/nodes/a/factorize").inputs;
     assert!(warm.contains(&"t0002/source".to_owned()) && warm.contains(&"t0001/nodes/a/factorize".to_owned()));
     assert_eq!(of("t0001/nodes/a/results").steps.len(), 2);
-    // reports of the whole are equal except for times and paths
+    // reports of the whole sequence are equal, except for times and paths
     let times = |dir: &PathBuf| json(&dir.join("report.json"))["nodes"][0]["psnr_change"].clone();
     assert!(times(&one).is_number() && times(&one) == times(&many));
 }
@@ -128,7 +128,7 @@ fn units_of_a_moving_window_give_the_bytes_of_a_run() {
     with_task(|task| run(&job, &one, &registry, None, task)).unwrap();
     let plan = execute(&job, &many, &registry);
     assert_eq!(results(&one), results(&many));
-    // views of all time steps need the placement only
+    // to render views of any time step, only the placement must be known
     for unit in plan.units.iter().filter(|unit| unit.block.is_some()) {
         assert_eq!(unit.inputs, ["place"], "{}", unit.id);
     }
@@ -152,13 +152,14 @@ fn chunks_of_a_sequence_do_not_wait_for_each_other() {
             let id = format!("t000{time}/{node}factorize");
             plan.units.iter().find(|unit| unit.id == id).unwrap().inputs.clone()
         };
-        // the light fields of the warm-up, not the patterns before
+        // inputs are the light fields of the warm-up, not the patterns of the previous time step
         assert_eq!(inputs(4), ["t0002/expose", "t0003/expose", "t0004/expose"]);
         assert!(inputs(5).contains(&format!("t0004/{node}factorize")));
-        // a time step may prefer a fresh start, so its job does not show the warm start
+        // a time step may prefer a fresh start, so its job does not show whether there was a warm
+        // start
         let warm_up = many.join("cache/warm-up/t0004/t0003").join(node).join("layers/stack.json");
         assert!(warm_up.is_file() && !many.join("cache/warm-up/t0005").exists());
-        // nearly the error of a sequence without chunks, since the content moves little
+        // the error is nearly that of a sequence without chunks, since the content moves little
         let chain = folder.path().join(format!("chain{}", nodes.len()));
         let mut whole = job.clone();
         (whole.sequence.as_mut().unwrap().chunk_times, whole.sequence.as_mut().unwrap().warm_up_times) = (None, None);
@@ -193,7 +194,7 @@ fn workers_of_other_code_and_other_folders_are_refused() {
     assert!(error.contains("expected a run folder with a farm's plan, found none"), "{error}");
     let plan = with_task(|task| farm_plan(&job, &dir, &registry, CUT, task)).unwrap();
     assert!(unit(&dir, "t0009/source", &registry).unwrap_err().contains("the id of a unit"));
-    // a plan of another build
+    // change the plan to that of another build
     let file = dir.join("cache/farm/plan.json");
     let text = std::fs::read_to_string(&file).unwrap();
     let (_, value) = text.split_once("\",\"value\":").unwrap();
@@ -202,7 +203,7 @@ fn workers_of_other_code_and_other_folders_are_refused() {
     std::fs::write(&file, format!("{{\"blake3\":\"{hash}\",\"value\":{value}}}")).unwrap();
     let error = with_task(|task| farm_unit(&dir, "source", &[], Duration::ZERO, &registry, task)).unwrap_err();
     assert!(error.is_machine_specific() && error.to_string().contains("0123456789abcdef"), "{error}");
-    // the same job, planned again by this build
+    // plan the same job again with this build
     with_task(|task| farm_plan(&job, &dir, &registry, CUT, task)).unwrap();
     assert_eq!(unit(&dir, "source", &registry), Ok(false));
 }

@@ -8,7 +8,7 @@ use lumistack_pipeline::{Job, LiveFields, Registry};
 
 use crate::compose::with_task;
 
-/// Largest difference of two light fields in brightness that is no change, as a share.
+/// Two light fields are regarded as equally bright if their ratio differs from 1 by less than this.
 const SAME: f64 = 0.02;
 
 /// Writes `triangle.gltf`: a triangle that emits this radiance, 0..1.
@@ -55,14 +55,14 @@ fn a_scene_that_is_saved_again_is_exposed_again() {
     with_task(|task| {
         let before = shown(&mut live_fields, &registry, task);
         assert!(mean(&before) > 0.01, "the triangle is seen");
-        // eight times the radiance: automatic exposure makes the same of both
+        // with eight times the radiance, automatic exposure gives the same light field
         write_glowing(folder, 0.8);
         live_fields.reload();
         let reloaded = shown(&mut live_fields, &registry, task);
         assert_eq!(reloaded, shown(&mut new_live_fields(), &registry, task));
         let change = mean(&reloaded) / mean(&before);
         assert!((change - 1.0).abs() < SAME, "brighter by {change}");
-        // the same files and settings give nothing new
+        // with unchanged files and settings there is nothing new
         assert!(live_fields.pass(&registry, task).unwrap().is_none());
     });
 }

@@ -1,4 +1,4 @@
-//! Captures through the whole pipeline, alone and among meshes.
+//! Captures go through the whole pipeline, alone and among meshes.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -45,7 +45,7 @@ fn pictures(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     entries.map(|path| (path.file_name().unwrap().into(), std::fs::read(&path).unwrap())).collect()
 }
 
-/// Returns the central pixel of the central view of the target, linear.
+/// Returns a pixel of the central view of the target, linear.
 fn middle(dir: &Path, at: [usize; 2]) -> [f32; 3] {
     let (field, _) = lumistack_field_io::read_field_folder(&dir.join("target")).unwrap();
     let first = 3 * (at[0] * 48 + at[1]);
@@ -65,7 +65,7 @@ fn assert_near(found: [f32; 3], expected: [f32; 3]) {
 fn a_capture_becomes_a_display_and_is_taken_from_the_cache() {
     let folder = tempfile::tempdir().unwrap();
     let mut capture = ball(Vec3::ZERO, 1.0, [0.9, 0.5, 0.2]);
-    // a distant splat must not move the window
+    // a distant splat, which must not move the window
     capture.positions.push(Vec3::splat(60.0));
     capture.rotations.push(Quat::IDENTITY);
     capture.scales.push(Vec3::splat(0.05));
@@ -76,9 +76,9 @@ fn a_capture_becomes_a_display_and_is_taken_from_the_cache() {
     let dir = folder.path().join("run");
     let (summary, warnings) = run_quietly(&job, &dir);
     assert!(warnings.is_empty(), "{warnings:?}");
-    // two frames, four iterations
+    // the display has two frames, and the solver four iterations
     assert!(summary.psnr_zone.unwrap() > 20.0, "{:?}", summary.psnr_zone);
-    // the colours of the capture without exposure and tone curve, on black
+    // the colours of the capture, without exposure and tone curve, over black
     assert_near(middle(&dir, [15, 24]), [0.9, 0.5, 0.2].map(srgb));
     assert_near(middle(&dir, [15, 2]), [0.0; 3]);
     // the ball fills the window from top to bottom
@@ -88,7 +88,7 @@ fn a_capture_becomes_a_display_and_is_taken_from_the_cache() {
     let cached =
         |id: &str| plan(&job, &dir, &registry).unwrap().steps.iter().find(|step| step.id == id).unwrap().cached;
     assert_eq!(["trace", "expose", "factorize"].map(cached), [Some(true); 3]);
-    // missing views are rendered again with the same bytes
+    // missing views are rendered again, with the same bytes
     let lost = std::fs::read_dir(dir.join("cache/views")).unwrap().map(|entry| entry.unwrap().path());
     let lost = lost.map(|folder| folder.join("splats_01_00.exr")).find(|path| path.exists()).unwrap();
     let bytes = std::fs::read(&lost).unwrap();
@@ -108,7 +108,8 @@ fn a_background_stands_behind_a_capture() {
     run_quietly(&job(folder.path(), "a.ply", background), &dir);
     assert_near(middle(&dir, [15, 24]), [0.8; 3].map(srgb));
     assert_near(middle(&dir, [15, 2]), [0.1, 0.2, 0.4]);
-    // Half-transparent splats blend code values: one splat of half opacity before the eye.
+    // Half-transparent splats blend code values. Here one splat of half opacity is in front of the
+    // eye.
     capture = Cloud {
         positions: vec![Vec3::ZERO],
         rotations: vec![Quat::IDENTITY],
@@ -125,7 +126,8 @@ fn a_background_stands_behind_a_capture() {
     assert_near(middle(&dir, [15, 24]), [0.1, 0.2, 0.4].map(|value| srgb(0.5 + 0.5 * encoded(value))));
 }
 
-/// A red ball of splats before a glowing white wall on the left, and one behind it on the right.
+/// A red ball of splats is in front of a glowing white wall on the left, and another behind it on
+/// the right.
 #[test]
 fn splats_and_meshes_hide_one_another() {
     let folder = tempfile::tempdir().unwrap();
@@ -149,14 +151,14 @@ fn splats_and_meshes_hide_one_another() {
         let mut job = job;
         job.render.denoise = denoise.parse().unwrap();
         run_quietly(&job, &dir);
-        // the left ball is visible, the right one is not: an unlit wall shows its colour
+        // the left ball is visible and the right one is not; the unlit wall shows its colour
         assert_near(middle(&dir, [15, 12]), [0.8, 0.1, 0.1].map(srgb));
         assert_near(middle(&dir, [15, 36]), [0.5; 3]);
         assert_near(middle(&dir, [15, 24]), [0.5; 3]);
     }
 }
 
-/// A grey wall inside a ball of splats; the near plane removes the part before the wall.
+/// A grey wall is inside a ball of splats. The near plane removes the splats in front of the wall.
 #[test]
 fn splats_light_meshes_only_if_asked() {
     let folder = tempfile::tempdir().unwrap();
@@ -175,11 +177,11 @@ fn splats_light_meshes_only_if_asked() {
         middle(&dir, [15, 24])
     };
     assert_near(lit(false), [0.0; 3]);
-    // half of the light, which is equal from all directions
+    // half of the light of the splats, which is the same from all directions
     assert_near(lit(true), [0.8, 0.4, 0.2].map(|value| 0.5 * srgb(value)));
 }
 
-/// Adds a wall of a material in the plane z = 0 to a document.
+/// Adds a wall with this material, in the plane z = 0, to a document.
 fn with_wall(document: &[u8], material: serde_json::Value) -> Vec<u8> {
     // A binary glTF file has a JSON chunk and a binary chunk.
     let length = u32::from_le_bytes(document[12..16].try_into().unwrap()) as usize;
@@ -238,7 +240,7 @@ fn a_crop_is_applied_to_splats_of_any_file() {
     let job = job(folder.path(), "a.glb", "[pose]\ncrop_sphere = [0.0, 0.0, 0.0, 2.0]\n[light]\ntone = \"linear\"\n");
     let dir = folder.path().join("run");
     run_quietly(&job, &dir);
-    // the window frames the remaining splats, so its centre is that of the first ball
+    // the window frames the splats that remain, so its centre is the centre of the first ball
     assert_near(middle(&dir, [15, 24]), [0.9, 0.5, 0.2].map(srgb));
 
     let wrong = Job::load(&folder.path().join("job.toml")).unwrap().with("pose.crop_sphere", [0.0; 4].into());

@@ -11,9 +11,9 @@ use lumistack_pipeline::{BlockSize, Job, Registry, farm_plan, farm_unit, run};
 
 use crate::compose::{results, with_task};
 
-/// Maximum loss of a band around seams against a solve without tiles, dB.
+/// Maximum loss of PSNR in a band around seams, compared with a solve without tiles, dB.
 const SEAM_DB: f64 = 0.1;
-/// Width of the band on either side of a seam, field pixels.
+/// Width of the band on either side of a seam, pixels of the light field.
 const BAND: usize = 4;
 const CUT: BlockSize = BlockSize { block_seconds: 1.0, blocks: Some(1) };
 
@@ -55,7 +55,7 @@ fn seams_are_not_to_be_seen_and_units_of_tiles_give_the_bytes_of_a_run() {
     let [of_whole, of_tiles, farm] = ["whole", "tiles", "farm"].map(|name| folder.path().join(name));
     with_task(|task| run(&whole, &of_whole, &registry, None, task)).unwrap();
 
-    // the same views; a stopped run continues
+    // both runs have the same views, and a stopped run continues
     std::fs::create_dir_all(&of_tiles).unwrap();
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let stops = StopsAt { stage: "factorize", after: 5, seen: Default::default(), cancel: &cancel };
@@ -78,7 +78,7 @@ fn seams_are_not_to_be_seen_and_units_of_tiles_give_the_bytes_of_a_run() {
     println!("around seams {seam:.2} dB, without tiles {without:.2}; elsewhere {rest:.2} and {elsewhere:.2}");
     assert!(seam > without - SEAM_DB && rest > elsewhere - SEAM_DB);
 
-    // every tile of every round alone
+    // execute every tile of every round alone
     let plan = with_task(|task| farm_plan(&tiled, &farm, &registry, CUT, task)).unwrap();
     let of = |id: &str| plan.units.iter().find(|unit| unit.id == id).unwrap();
     assert!(of("factorize/round-1/1-of-4").inputs.iter().all(|input| input == "expose"));
@@ -95,7 +95,7 @@ fn seams_are_not_to_be_seen_and_units_of_tiles_give_the_bytes_of_a_run() {
     assert!(std::fs::read_to_string(of_tiles.join("report.json")).unwrap().contains("\"psnr_view\""));
 }
 
-/// Cancels after a number of steps of a stage.
+/// Cancels the work after a number of steps of a stage.
 struct StopsAt<'a> {
     stage: &'static str,
     after: u64,

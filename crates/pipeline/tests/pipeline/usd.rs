@@ -1,5 +1,5 @@
-//! The same scene as glTF and as USD gives the same picture. Needs `LUMISTACK_PYTHON` to name a
-//! Python with usd-core; otherwise the tests are skipped.
+//! The same scene gives the same picture from glTF and from USD. The tests need `LUMISTACK_PYTHON`
+//! to name a Python with usd-core, and are skipped without it.
 
 use std::path::Path;
 use std::process::Command;
@@ -11,20 +11,22 @@ use lumistack_pipeline::{ImporterJob, LightJob, PoseJob, Registry, load_scene};
 use lumistack_scene::Window;
 use lumistack_testkit::statistics::Mean;
 
-/// Edge of the picture, and of the square blocks whose means are compared, pixels.
+/// Size of a picture, and edge of the square blocks whose means are compared, pixels.
 const ROWS: usize = 40;
 const COLS: usize = 64;
 const BLOCK: usize = 8;
-/// Pictures per scene, each with its own seed.
+/// Number of pictures of each scene, each with another seed.
 const PICTURES: u64 = 24;
-/// False-alarm rate per block and channel for normal errors, which gives a limit of 6.5 standard
-/// errors. A difference of two means of 24 (Student's t, 46 degrees of freedom) exceeds it in 5 of
-/// 10⁸ cases. There are 240 of them: 1 false alarm in 80,000.
+/// False-alarm rate per block and channel if errors are normal, which gives a limit of 6.5 standard
+/// errors. A difference of two means of 24 pictures (Student's t, 46 degrees of freedom) exceeds
+/// this limit in 5 of 10⁸ cases. There are 240 differences, so there is 1 false alarm in 80,000
+/// runs.
 const RATE: f64 = 8e-11;
-/// Tolerance for rounding, relative to the light of a block: texture coordinates are flipped twice.
+/// Tolerance for rounding, relative to the light of a block. Texture coordinates are flipped twice,
+/// which rounds them.
 const ROUNDING: f64 = 1e-5;
 
-/// Returns means of blocks and channels over all pictures.
+/// Returns the mean of each block and channel over all pictures.
 fn blocks(file: &str, first_seed: u64) -> Vec<Mean> {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
@@ -73,8 +75,8 @@ def Camera "above"
 }
 "#;
 
-/// A glowing panel above a dark floor, both in the syntax of one shader; `glow` are the panel's
-/// inputs.
+/// A glowing panel above a dark floor. Both materials use the syntax of one shader, and `glow` are
+/// the inputs for the panel's emission.
 fn lit_room(id: &str, color: &str, rough: &str, glow: &str) -> String {
     let material = |name: &str, inputs: &str| {
         format!(
@@ -136,13 +138,14 @@ def Mesh "{name}" (
     .concat()
 }
 
-/// Scenes that differ only in the syntax of their materials get the same light.
+/// Scenes that differ only in the syntax of their materials have the same light.
 #[test]
 fn the_syntax_of_materials_does_not_decide_about_light() {
     if !has_usd() {
         return;
     }
-    // Shaders with their inputs for colour and roughness, and the inputs of a glowing panel.
+    // Shaders with the names of their inputs for colour and roughness, and the inputs of a glowing
+    // panel.
     let preview = ("diffuseColor", "roughness");
     let standard = ("base_color", "specular_roughness");
     let twins = [

@@ -1,24 +1,24 @@
-//! Depth of a view's content, from its disparity to a neighbouring view.
+//! Depth of a view's content, by its disparity to a neighbouring view.
 //!
-//! Block matching: for every pixel, the shift along the row with the smallest sum of absolute
-//! differences of √luminance over a square, refined by a parabola. Between oblique views, content
-//! at depth z is shifted by −z·Δs/p pixels per step Δs of slope. Between pinholes at distance D, it
-//! is shifted by q = −z·Δs/(1 − z/D) millimetres. If no shift is clearly better, the nearest pixel
-//! of the row with a clear one decides. Rows without any are assigned to the display's plane. A
-//! median over squares removes outliers.
+//! Block matching: for every pixel, search the shift along the row with the smallest sum of
+//! absolute differences of √luminance over a square, refined by a parabola. Between oblique views,
+//! content at depth z is shifted by −z·Δs/p pixels per step Δs of slope. Between pinholes at
+//! distance D, it is shifted by q = −z·Δs/(1 − z/D) millimetres. If no shift is clearly better than
+//! the others, the pixel takes that of the nearest pixel of its row with a clear one. Rows without
+//! any get the depth of the display plane. A median over squares removes outliers.
 
 use lumistack_core::colour::luminance;
 use lumistack_display::{FieldGeometry, LightField, Projection};
 
-/// Depth of every pixel of one view, at a resolution that may be lower than the view's.
+/// Depth of every pixel of one view. The resolution may be lower than that of the view.
 #[derive(Clone, Debug)]
 pub(crate) struct DepthMap {
-    /// Factor by which the map has fewer rows and columns than the view.
+    /// Factor by which the rows and columns of the view are reduced.
     factor: usize,
     cols: usize,
     /// Depth, millimetres towards the viewer.
     z_mm: Vec<f32>,
-    /// Pixels near a depth discontinuity.
+    /// True for pixels near a depth discontinuity.
     edge: Vec<bool>,
     /// Depth that corresponds to a shift of half a map pixel, millimetres.
     pub(crate) resolution_mm: f64,
@@ -26,22 +26,22 @@ pub(crate) struct DepthMap {
 
 /// Row length up to which views are matched at full resolution, pixels.
 const LARGEST_COLS: usize = 480;
-/// Half the side of the compared squares: columns divided by this, within limits.
+/// Half the side of the compared squares: the number of columns divided by this, within limits.
 const RADIUS_SHARE: usize = 80;
 const RADIUS: std::ops::RangeInclusive<usize> = 3..=6;
-/// Largest shift: columns divided by this, and its limits in pixels.
+/// Largest shift: the number of columns divided by this, and its limits in pixels.
 const REACH_SHARE: usize = 16;
 const REACH: std::ops::RangeInclusive<usize> = 3..=40;
-/// The best shift must beat the mean over all shifts by this much per pixel (of 4095); otherwise it
-/// is rejected.
+/// The mean of the sums over all shifts must exceed the smallest sum by this much per pixel (of
+/// 4095); otherwise the best shift is rejected.
 const BETTER_BY: u32 = 40;
-/// A shift change above this fraction of the columns, and above a pixel, is an edge; pixels up to
-/// `NEAR` away belong to it.
+/// A change of the shift above this fraction of the columns, and above a pixel, is an edge. Pixels
+/// up to `NEAR` away belong to it.
 const JUMP_SHARE: f32 = 1.0 / 240.0;
 const NEAR: usize = 2;
 
 impl DepthMap {
-    /// Depth of `view` by matching it with `neighbour` in the same row of views; `None` if both
+    /// Depth of `view`, by matching it with `neighbour` in the same row of views. `None` if both
     /// have the same direction.
     pub(crate) fn new(field: &LightField, view: [usize; 2], neighbour: [usize; 2]) -> Option<Self> {
         let geometry = field.geometry();
@@ -63,14 +63,14 @@ impl DepthMap {
         f64::from(self.z_mm[row / self.factor * self.cols + col / self.factor])
     }
 
-    /// Returns true near a depth discontinuity.
+    /// Returns true for a pixel near a depth discontinuity.
     pub(crate) fn is_edge(&self, row: usize, col: usize) -> bool {
         self.edge[row / self.factor * self.cols + col / self.factor]
     }
 }
 
-/// Depth, millimetres, of content that is shifted by `shift_mm` on z = 0 between two views whose
-/// slopes differ by `step`.
+/// Depth, millimetres, of content whose position on z = 0 differs by `shift_mm` between two views,
+/// whose slopes differ by `step`.
 fn depth(shift_mm: f64, step: f64, geometry: &FieldGeometry) -> f64 {
     match geometry.grid.projection {
         Projection::Oblique => -shift_mm / step,
@@ -105,18 +105,18 @@ impl Levels {
         Self { rows, cols, values }
     }
 
-    /// Shift of every pixel's content to the right in `other`, pixels; NaN where matching is
-    /// ambiguous.
+    /// Shift of each pixel's content to the right in `other`, pixels; NaN if matching is ambiguous.
     fn shifts(&self, other: &Self) -> Vec<f32> {
         let (rows, cols, radius) = (self.rows, self.cols, self.radius());
         let reach = (cols / REACH_SHARE).clamp(*REACH.start(), *REACH.end());
         let candidates = 2 * reach + 1;
         let difference = |row: usize, shift: usize, col: usize| {
-            // clamp to the outermost pixel
+            // read the outermost pixel if the shift goes past the border
             let to = (col + shift).saturating_sub(reach).min(cols - 1);
             self.values[row * cols + col].abs_diff(other.values[row * cols + to])
         };
-        // sums over the square's rows, [shift][column], updated from row to row
+        // sums of the differences over the rows of the square, [shift][column], updated from row to
+        // row
         let mut sums = vec![0u32; candidates * cols];
         let include = |sums: &mut [u32], row: usize| {
             let places = sums.iter_mut().enumerate();
@@ -155,7 +155,7 @@ impl Levels {
         (self.cols / RADIUS_SHARE).clamp(*RADIUS.start(), *RADIUS.end())
     }
 
-    /// Median over squares, clipped at the picture's border.
+    /// Median over squares, which are cut at the border of the picture.
     fn median(&self, shifts: &[f32]) -> Vec<f32> {
         let (rows, cols, radius) = (self.rows, self.cols, self.radius().div_ceil(2));
         let mut square = Vec::with_capacity((2 * radius + 1).pow(2));
@@ -175,8 +175,8 @@ impl Levels {
     }
 }
 
-/// The shift of least cost, or NaN if it is not clearly better than the mean; `pixels` is the
-/// number of summed pixels.
+/// The shift of least cost, or NaN if it is not clearly better than the mean. `pixels` is the
+/// number of pixels in the sum.
 fn best(cost: impl Fn(usize) -> u32, reach: usize, pixels: u32) -> f32 {
     let place = (0..=2 * reach).min_by_key(|&shift| (cost(shift), shift.abs_diff(reach))).unwrap_or(reach);
     let mean = (0..=2 * reach).map(|shift| u64::from(cost(shift))).sum::<u64>() / (2 * reach as u64 + 1);
@@ -192,7 +192,7 @@ fn best(cost: impl Fn(usize) -> u32, reach: usize, pixels: u32) -> f32 {
     whole + if curvature > 0.0 { (0.5 * (left - right) / curvature).clamp(-0.5, 0.5) } else { 0.0 }
 }
 
-/// Replaces NaN by the nearest value of its row; by 0 in rows without any.
+/// Replaces NaN by the nearest value of its row, or by 0 in rows without any value.
 fn filled(mut shifts: Vec<f32>, cols: usize) -> Vec<f32> {
     for row in shifts.chunks_exact_mut(cols) {
         let known: Vec<(usize, f32)> = row.iter().copied().enumerate().filter(|(_, shift)| !shift.is_nan()).collect();
@@ -207,7 +207,7 @@ fn filled(mut shifts: Vec<f32>, cols: usize) -> Vec<f32> {
     shifts
 }
 
-/// Pixels near a discontinuity of the shift.
+/// True for pixels near a discontinuity of the shift.
 fn edges(shifts: &[f32], rows: usize, cols: usize) -> Vec<bool> {
     let mut near = vec![false; rows * cols];
     let jump = (JUMP_SHARE * cols as f32).max(1.0);
@@ -232,7 +232,7 @@ mod tests {
 
     use super::*;
 
-    /// A textured plane at 45 mm with a card at −60 mm in its centre, from two directions.
+    /// A textured plane at 45 mm, with a card at −60 mm in its centre, seen from two directions.
     fn two_planes(projection: Projection) -> LightField {
         let grid = ViewGrid { projection, slope_x: vec![0.0, 0.1], slope_y: vec![0.0] };
         let geometry = FieldGeometry { rows: 40, cols: 120, pitch_mm: 1.5, grid };

@@ -9,12 +9,13 @@ use super::limit::{Limit, without};
 use super::variants::{AT_END, BRIGHTER, Tone, USUAL_BITS, bits_are_given, emission_range};
 use crate::{ReportInput, format};
 
-/// Light increase to which the gain of [`BRIGHTER`] is extrapolated.
+/// Increase of light for which the gain is reported. It is extrapolated from the gain for
+/// [`BRIGHTER`].
 const BRIGHTER_SHOWN: f64 = 0.1;
 
-/// Fractions of the stack's values at the ends of their ranges.
+/// Fractions of the stack's values that are at the ends of their ranges.
 pub(super) struct Ends {
-    /// Per layer, rearmost first; the backlight is last.
+    /// Fractions for each layer, rearmost first, and then for the backlight.
     darkest: Vec<f64>,
     brightest: Vec<f64>,
 }
@@ -37,7 +38,7 @@ impl Ends {
     }
 }
 
-/// "12 %, 3 % and 40 % of the values of layers 0 to 2".
+/// A list such as "12 %, 3 % and 40 % of the values of layers 0 to 2".
 fn listed(shares: &[f64], layers: usize) -> String {
     let percents: Vec<String> = shares.iter().map(|share| format::percent(*share)).collect();
     let text = match percents.split_last() {
@@ -59,12 +60,12 @@ pub(super) fn brightness(
     brighter: Option<SquaredError>,
 ) -> Option<Limit> {
     let relative = ((base.mse() - brighter?.mse()) / base.mse()).max(0.0);
-    // the gain decreases with the step, so a straight line is an upper bound
+    // the gain per step falls with the size of the step, so a straight line is an upper bound
     let extrapolated = without((relative * BRIGHTER_SHOWN / BRIGHTER).min(0.99)).max(0.0);
     let mut text = format!("{} are at their brightest. ", listed(&ends.brightest, input.display.layers.len()));
     text += &if relative > 0.0 {
         format!(
-            "If the brightest state let 1 % more through, these patterns would have {} less squared error; extrapolated, 10 % more light (or a β that asks for 10 % less) is worth \
+            "If the brightest state transmitted 1 % more, these patterns would have {} less squared error. Extrapolated, 10 % more light (or a β that is 10 % lower) would bring \
              up to {} dB.",
             format::percent(relative),
             format::decibels_fine(extrapolated)
@@ -80,7 +81,7 @@ pub(super) fn contrast(ends: &Ends, tone: Tone, black: Option<f64>) -> Option<Li
     let (offset, slope, share) = tone.fit()?;
     let layers = ends.darkest.len();
     let mut text = format!(
-        "On average a target value L comes out as {} + {} · L; straightened, {} of the squared error would go. ",
+        "On average a target value L is shown as {} + {} · L. Without this change of contrast, {} of the squared error would be absent. ",
         format::number(offset),
         format::number(slope),
         format::percent(share)
@@ -88,7 +89,7 @@ pub(super) fn contrast(ends: &Ends, tone: Tone, black: Option<f64>) -> Option<Li
     let darkest = ends.darkest.iter().sum::<f64>() / layers as f64;
     text += &match black {
         Some(gain) => format!(
-            "{} of all values are at their darkest, which is not black; with a perfect black this layer stack would be {} dB better.",
+            "{} of all values are at their darkest, which is not black. With a perfect black, this layer stack would be {} dB better.",
             format::percent(darkest),
             format::decibels_fine(gain)
         ),
@@ -106,10 +107,10 @@ pub(super) fn bits(input: &ReportInput, gain: Option<f64>) -> Limit {
     let which = match (counts.iter().min(), counts.iter().max()) {
         (Some(low), Some(high)) if low == high => format!("the layers' {low} bits"),
         (Some(low), Some(high)) => format!("the layers' {low} to {high} bits"),
-        _ => format!("{USUAL_BITS} bits (the display does not say how many it has)"),
+        _ => format!("{USUAL_BITS} bits (assumed, since the display file states none)"),
     };
     let text = if given && loss.abs() < 1e-9 {
-        format!("The masks already contain only the values of {which}; the figures above include that loss.")
+        format!("The masks already contain only the values of {which}; the scores include the loss by rounding.")
     } else {
         format!(
             "Rounded to {which} per channel, this layer stack would be {} dB worse.",
@@ -128,7 +129,7 @@ pub(super) fn blur_and_crosstalk(gain: f64) -> Limit {
         )
     } else {
         format!(
-            "On layers without blur and crosstalk this layer stack would be {} dB worse: it compensates for this display's.",
+            "On layers without blur and crosstalk this layer stack would be {} dB worse, since it compensates for those of this display.",
             format::decibels_fine(-gain)
         )
     };

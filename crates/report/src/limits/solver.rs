@@ -1,4 +1,4 @@
-//! Limits of the solution: iterations, and unknowns against rays.
+//! Limits of the solution: number of iterations, and number of mask values compared with rays.
 
 use serde_json::json;
 
@@ -6,7 +6,7 @@ use super::limit::Limit;
 use crate::measure::FieldScore;
 use crate::{Iteration, ReportInput, format};
 
-/// Gains below this are invisible, dB.
+/// Smaller gains are invisible, dB.
 const NEGLIGIBLE_DB: f64 = 0.05;
 
 pub(super) fn iterations(history: &[Iteration]) -> Option<Limit> {
@@ -18,13 +18,13 @@ pub(super) fn iterations(history: &[Iteration]) -> Option<Limit> {
     }
     let text = if gain < NEGLIGIBLE_DB {
         format!(
-            "The second half of the {} iterations brought {} dB: more of them would make no visible difference.",
+            "The second half of the {} iterations brought {} dB. More iterations would make no visible difference.",
             last.iteration,
             format::decibels_fine(gain)
         )
     } else {
         format!(
-            "The second half of the {} iterations brought {} dB; as many again would bring about as much or less.",
+            "The second half of the {0} iterations brought {1} dB. Another {0} would bring about {1} dB at most.",
             last.iteration,
             format::decibels_fine(gain)
         )
@@ -43,20 +43,20 @@ pub(super) fn frames(input: &ReportInput, target: &FieldScore, still: Option<f64
     let (layers, frames) = (stack.layers.len(), stack.frames());
     let emitter = if stack.emission.is_some() { " and the backlight's values" } else { "" };
     let mut text = format!(
-        "{} × {}{emitter} stand against {}: {} unknowns for every ray that counts. ",
+        "{} × {}{emitter} have to show {}: {} values of the patterns for every ray. ",
         format::counted(layers, "layer"),
         format::counted(frames, "frame"),
         format::counted(views, "view"),
         format::number_short(ratio)
     );
     text += if ratio < 1.0 {
-        "The layer stack cannot represent every light field: more layers or frames would help, or more similar views."
+        "The layer stack cannot represent every light field. More layers or frames would help, or views that are more alike."
     } else {
-        "There are more unknowns than rays, so the layer stack could fit nearly any light field: figures above about 60 dB do not describe a display."
+        "There are at least as many values as rays, so the layer stack could fit nearly any light field. Scores above about 60 dB do not describe a display."
     };
     if let Some(still) = still.filter(|still| still.is_finite()) {
         text += &format!(
-            " With the mean of its frames in every frame, the display would be {} dB worse.",
+            " If every frame were the mean of all frames, the display would be {} dB worse.",
             format::decibels_fine((-still).max(0.0))
         );
     }

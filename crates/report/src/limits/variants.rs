@@ -1,4 +1,5 @@
-//! Variants: displays and stacks that differ from the given ones in one property, and their errors.
+//! Variants: displays and stacks that differ from the given ones in one property, and the errors of
+//! each.
 
 use std::borrow::Cow;
 
@@ -10,26 +11,26 @@ use rayon::prelude::*;
 use crate::measure::{counting, outstanding_views};
 use crate::{ReportError, ReportInput};
 
-/// Distance from an end of the range, as a fraction of the range, within which a value counts as at
-/// the end.
+/// A value is regarded as at an end of its range if it is at most this far away, as a fraction of
+/// the range.
 pub(super) const AT_END: f32 = 1e-3;
-/// Relative increase of the brightest state, to measure its gain.
+/// Relative increase of the brightest state, by which its gain is measured.
 pub(super) const BRIGHTER: f64 = 0.01;
-/// Bits of a panel without a declared number.
+/// Number of bits of a panel if no number is declared.
 pub(super) const USUAL_BITS: u32 = 8;
 
 /// A variant of the display or the stack.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Variant {
-    /// Unchanged.
+    /// The display and the stack are unchanged.
     Given,
     /// Values at the brightest state are slightly brighter.
     Brighter,
-    /// Values at a darkest state above black become black.
+    /// Values at the darkest state become black, if that state is not.
     Black,
     /// Values are rounded to the panels' codes.
     Quantized,
-    /// Layers without blur and crosstalk.
+    /// The layers have neither blur nor crosstalk.
     SharpAndPure,
     /// The mean over frames replaces every frame.
     Still,
@@ -66,8 +67,8 @@ impl Variant {
             Self::Brighter => {
                 let factors = match display.formation {
                     Formation::Additive => 1.0,
-                    // split over layers, so that a fully open display is brighter by BRIGHTER in
-                    // total
+                    // distribute the increase over the layers, so that a fully open display is
+                    // brighter by BRIGHTER in total
                     _ => (stack.layers.len() + usize::from(stack.emission.is_some())) as f64,
                 };
                 let factor = (1.0 + BRIGHTER).powf(1.0 / factors) as f32;
@@ -115,12 +116,13 @@ impl Variant {
     }
 }
 
-/// Returns true if any layer declares its bits.
+/// Returns true if any layer declares a number of bits.
 pub(super) fn bits_are_given(display: &Display) -> bool {
     display.layers.iter().any(|layer| layer.bits.is_some())
 }
 
-/// Levels of a layer's values: its own codes, or 8 bits if no layer declares any.
+/// Levels that a layer's values can have: those of its codes, or of 8 bits if no layer declares its
+/// bits.
 fn levels(display: &Display, layer: &Layer) -> Option<Vec<f32>> {
     if bits_are_given(display) {
         return layer.levels();
@@ -128,7 +130,8 @@ fn levels(display: &Display, layer: &Layer) -> Option<Vec<f32>> {
     Layer { bits: Some(USUAL_BITS), ..layer.clone() }.levels()
 }
 
-/// The stack with every value changed; `change` takes the value, its range and the range's width.
+/// The stack with every value changed. `change` receives the value, its range, and the width of the
+/// range.
 fn changed(input: &ReportInput, change: impl Fn(f32, [f32; 2], f32) -> f32 + Sync) -> LayerStack {
     let mut stack = input.stack.clone();
     let ranges = input.display.layers.iter().map(Layer::range).chain(emission_range(input.display));
@@ -147,8 +150,8 @@ pub(super) fn emission_range(display: &Display) -> Option<[f32; 2]> {
     }
 }
 
-/// Error of a variant over the central view and the corners, and the relation of its light to the
-/// target's.
+/// Error of a variant over the central view and the corners, and the relation of its light to that
+/// of the target.
 pub(super) fn simulated_error(
     input: &ReportInput,
     display: &Display,
@@ -183,7 +186,7 @@ pub(super) fn simulated_error(
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Tone {
     count: f64,
-    /// For x = L̃/β and y = L: Σx, Σy, Σx², Σxy, Σy².
+    /// Σx, Σy, Σx², Σxy and Σy² for x = L̃/β and y = L.
     sums: [f64; 5],
 }
 
@@ -206,7 +209,7 @@ impl Tone {
         Self { count: self.count + other.count, sums }
     }
 
-    /// (offset, slope) of x = offset + slope·y, the mean tone curve; and the fraction of the
+    /// (offset, slope) of x = offset + slope·y, the mean tone curve. Also the fraction of the
     /// squared error that the best straight line y ≈ a + b·x would remove.
     pub(super) fn fit(self) -> Option<(f64, f64, f64)> {
         let [x, y, xx, xy, yy] = self.sums.map(|sum| sum / self.count);

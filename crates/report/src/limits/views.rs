@@ -1,5 +1,5 @@
-//! Distribution of the error: content outside the layers' depths, depth discontinuities, outer
-//! views.
+//! Distribution of the error: over content outside of the layers' depths, depth discontinuities,
+//! and outer views.
 
 use lumistack_core::Task;
 use lumistack_core::metrics::SquaredError;
@@ -12,7 +12,8 @@ use super::limit::Limit;
 use crate::measure::{FieldScore, counting, left_to_right, top_to_bottom};
 use crate::{ReportError, ReportInput, format};
 
-/// Matching has failed if more than this fraction of the rays is near depth discontinuities.
+/// Matching is regarded as failed if more than this fraction of the rays is near depth
+/// discontinuities.
 const BELIEVABLE_JUMPS: f64 = 0.6;
 
 /// Squared error of a class of pixels, and of all pixels.
@@ -35,7 +36,7 @@ impl Part {
         if self.all.sum > 0.0 { self.inside.sum / self.all.sum } else { 0.0 }
     }
 
-    /// Gain in dB if the class had the mean error of the rest.
+    /// Gain in dB if the class had the mean error of all other pixels.
     fn gain(self) -> f64 {
         let rest = (self.all.sum - self.inside.sum) / (self.all.count - self.inside.count) as f64;
         if self.inside.count == 0 || self.all.sum == 0.0 {
@@ -46,8 +47,8 @@ impl Part {
     }
 }
 
-/// Error of content outside the layers' depths, and at depth discontinuities, in the leftmost,
-/// central and rightmost view of the central row.
+/// Error of content outside of the layers' depths, and of depth discontinuities, in three views:
+/// the leftmost, the central and the rightmost view of the central row.
 pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>, ReportError> {
     let geometry = input.target.geometry();
     let (order, down) = (left_to_right(&geometry.grid), top_to_bottom(&geometry.grid));
@@ -56,7 +57,7 @@ pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>
         return Ok(Vec::new());
     }
     task.cancel.check()?;
-    // Measure the leftmost, central and rightmost view, each matched with a neighbour.
+    // Measure the three views, each matched with a neighbour.
     let mut places = vec![(0, 1), (middle, if middle < last { middle + 1 } else { middle - 1 }), (last, last - 1)];
     places.dedup_by_key(|(place, _)| *place);
     let (low, high) = depth_range(input.display);
@@ -82,7 +83,8 @@ pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>
             Some((place == middle, far, part(&|row, col| depths.is_edge(row, col))))
         })
         .collect();
-    // Sum the classes over views, and derive the gain if they had the rest's mean error.
+    // Sum the classes over the views. Compute the gain if a class had the mean error of all other
+    // pixels.
     let jumps = found.iter().fold(Part::default(), |sum, (_, _, edges)| sum.merged(*edges));
     // on noise and untextured pictures, matching finds discontinuities everywhere
     if found.is_empty() || jumps.share_of_rays() > BELIEVABLE_JUMPS {
@@ -95,7 +97,7 @@ pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>
         };
         let (all, centre, outer) = (sum(None), sum(Some(false)), sum(Some(true)));
         let mut text = format!(
-            "{what}: {} of the middle view's rays with {} of its squared error; {} with {} in the leftmost and rightmost views. ",
+            "{what} are {} of the central view's rays, with {} of its squared error. In the leftmost and rightmost views they are {}, with {}. ",
             format::percent(centre.share_of_rays()),
             format::percent(centre.share_of_error()),
             format::percent(outer.share_of_rays()),
@@ -103,9 +105,9 @@ pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>
         );
         text += &if all.gain() > 0.0 {
             let gain = format::decibels_fine(all.gain());
-            format!("Were they as good as the rest, these views would be {gain} dB better.")
+            format!("If they were as good as all other rays, these three views would be {gain} dB better.")
         } else {
-            "They are no worse than the rest.".into()
+            "They are no worse than other rays.".into()
         };
         let figures = json!({
             "share_of_rays_middle": centre.share_of_rays(),
@@ -118,14 +120,16 @@ pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>
     let range = format!("{} to {} mm", format::number(low), format::number(high));
     let far = limit(
         "Depth",
-        &format!("Things in front of or behind the layers (outside {range}, found by matching neighbouring views)"),
+        &format!(
+            "Rays to things in front of or behind the layers (outside {range}, found by matching neighbouring views)"
+        ),
         &|v| v.1,
     );
-    let edges = limit("Depth edges", "Places where the depth jumps, since one thing covers another", &|v| v.2);
+    let edges = limit("Depth edges", "Rays near edges where one thing covers another", &|v| v.2);
     Ok(vec![far, edges])
 }
 
-/// Range of the layers' depths, millimetres, the backlight's lenslets and z = 0 included.
+/// Range of the depths of the layers, of the backlight's lenslets and of z = 0, millimetres.
 fn depth_range(display: &Display) -> (f64, f64) {
     let lenslets = match &display.backlight {
         Backlight::Lenslets(backlight) => Some(backlight.d_mm),

@@ -1,4 +1,4 @@
-//! Positions of views among others, and their names.
+//! Positions of views in their grid, and names for them.
 
 use lumistack_display::ViewGrid;
 
@@ -24,8 +24,8 @@ pub(crate) fn outstanding_views(grid: &ViewGrid) -> Vec<[usize; 2]> {
     distinct(places.map(|[y, x]| [down[y], across[x]]))
 }
 
-/// A central view and two opposite corners, as samples of a grid other than the target's; the ends
-/// of a single row or column.
+/// A central view and two opposite corners, as samples of a grid that is not the target's. For a
+/// single row or column of two views, both.
 pub(super) fn sample_views(grid: &ViewGrid) -> Vec<[usize; 2]> {
     let (down, across) = (top_to_bottom(grid), left_to_right(grid));
     if down.len() * across.len() == 2 {
@@ -45,7 +45,7 @@ fn distinct<const N: usize>(views: [[usize; 2]; N]) -> Vec<[usize; 2]> {
     list
 }
 
-/// Names a view by its position among the target views.
+/// Names a view by its position among the views of the target.
 pub(super) fn title(grid: &ViewGrid, target: &ViewGrid, view: [usize; 2]) -> String {
     if grid != target {
         return foreign_title([grid.slope_x[view[1]], grid.slope_y[view[0]]], target).into();
@@ -71,9 +71,9 @@ pub(super) fn title(grid: &ViewGrid, target: &ViewGrid, view: [usize; 2]) -> Str
     }
 }
 
-/// Names a view outside the target's grid.
+/// Names a view that is not in the grid of the target.
 fn foreign_title(slope: [f64; 2], target: &ViewGrid) -> &'static str {
-    /// Slopes closer than this are the same direction.
+    /// Slopes that differ by less than this are the same direction.
     const SAME: f64 = 1e-9;
     let place = |slope: f64, of: &[f64]| {
         let (low, high) = of.iter().fold((f64::MAX, f64::MIN), |(low, high), s| (low.min(*s), high.max(*s)));
@@ -82,7 +82,7 @@ fn foreign_title(slope: [f64; 2], target: &ViewGrid) -> &'static str {
     let ((on_x, outside_x), (on_y, outside_y)) = (place(slope[0], &target.slope_x), place(slope[1], &target.slope_y));
     match (outside_x || outside_y, on_x && on_y) {
         (true, _) => "View outside the zone",
-        (false, true) => "Another look at a target view",
+        (false, true) => "Another picture of a target view",
         (false, false) => "In-between view",
     }
 }

@@ -1,4 +1,4 @@
-//! Figures of every view of a light field.
+//! Scores of every view of a light field.
 
 use lumistack_core::Task;
 use lumistack_core::colour::luminance;
@@ -8,26 +8,26 @@ use rayon::prelude::*;
 
 use crate::{ReportError, ReportInput, ZoneView};
 
-/// Figures of one view, over rays that count.
+/// Scores of one view, over the rays that are included.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct ViewFigures {
-    /// L̃/β against L, linear light.
+    /// Error of L̃/β against L, in linear light.
     pub(crate) error: SquaredError,
     /// SSIM of L̃/β and L, sRGB-encoded.
     pub(crate) ssim: Mean,
-    /// FLIP error of the same.
+    /// FLIP error of L̃/β against L, sRGB-encoded.
     pub(crate) flip: Mean,
-    /// Luminance of L̃.
+    /// Mean luminance of L̃.
     pub(crate) emitted: Mean,
-    /// Luminance of L.
+    /// Mean luminance of L.
     pub(crate) wanted: Mean,
 }
 
-/// Figures of a light field's views.
+/// Scores of a light field's views.
 #[derive(Clone, Debug)]
 pub(crate) struct FieldScore {
     pub(crate) geometry: FieldGeometry,
-    /// Row by row.
+    /// The views, in row order.
     views: Vec<ViewFigures>,
     brightness: f64,
 }
@@ -45,7 +45,7 @@ impl<'a> Judge<'a> {
         Self { input, simulator, flip: Flip::new(input.pixels_per_degree) }
     }
 
-    /// Simulates all views of a field in parallel, and passes them to `each` in row order.
+    /// Simulates all views of a light field in parallel, and passes them to `each` in row order.
     pub(crate) fn field(
         &self,
         field: &LightField,
@@ -76,8 +76,8 @@ impl<'a> Judge<'a> {
         Ok(FieldScore { geometry: geometry.clone(), views, brightness: self.input.stack.brightness })
     }
 
-    /// Figures of a direction of the zone. Its error is that of the zone score, which excludes
-    /// noise of the references.
+    /// Scores of a direction of the zone. The error is that of the zone score, which excludes noise
+    /// of the references.
     pub(crate) fn zone_view(&self, view: &ZoneView) -> ViewFigures {
         let figures = self.figures(self.input.target.geometry(), &view.target, &view.seen, &view.seen.valid);
         let count = 3 * view.score.pixels as u64;
@@ -104,7 +104,7 @@ impl<'a> Judge<'a> {
     }
 }
 
-/// Rays of a view that count: those that hit the display and have a weight.
+/// For each ray of a view, true if scores include it: it hits the display and has a weight.
 pub(crate) fn counting(
     emitted: &EmittedView,
     geometry: &FieldGeometry,
@@ -115,7 +115,7 @@ pub(crate) fn counting(
     emitted.valid.iter().enumerate().map(|(i, valid)| *valid && weight(i) > 0.0).collect()
 }
 
-/// L̃/β; the target for rays that do not count, so that they add neither error nor edges.
+/// L̃/β. Rays that scores exclude get the target's value, so that they add neither error nor edges.
 pub(super) fn seen(emitted: &EmittedView, target: &[f32], brightness: f64, counts: &[bool]) -> Vec<f32> {
     let scale = (1.0 / brightness) as f32;
     let pixels = emitted.radiance.data().chunks_exact(3).zip(target.chunks_exact(3)).zip(counts);
@@ -135,17 +135,17 @@ impl FieldScore {
         self.psnr_view() - 20.0 * self.brightness.log10()
     }
 
-    /// Mean of a figure over all rays.
+    /// Mean of a score over all rays.
     pub(crate) fn mean(&self, figure: impl Fn(&ViewFigures) -> Mean) -> f64 {
         self.total(figure, Mean::merged).value()
     }
 
-    /// Figures of one view; `view` = [view_y, view_x].
+    /// Scores of one view; `view` = [view_y, view_x].
     pub(crate) fn view(&self, view: [usize; 2]) -> &ViewFigures {
         &self.views[view[0] * self.geometry.grid.views()[1] + view[1]]
     }
 
-    /// Fraction of a view's rays that count, 0..1.
+    /// Fraction of a view's rays that scores include, 0..1.
     pub(crate) fn counted_share(&self, view: [usize; 2]) -> f64 {
         self.view(view).error.count as f64 / (3 * self.geometry.rows * self.geometry.cols) as f64
     }

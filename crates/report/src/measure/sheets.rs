@@ -6,24 +6,24 @@ use super::names::{left_to_right, top_to_bottom};
 use crate::picture::{self, Embedded, Encoding, Linear, Picture};
 use crate::{ReportError, ReportInput, format};
 
-/// All target views in one picture, topmost row and leftmost column first; and the same for the
-/// simulated views.
+/// All target views in one picture, with the topmost row and the leftmost column first. Another
+/// picture has all simulated views in the same arrangement.
 #[derive(Clone, Debug)]
 pub(crate) struct Sheets {
     pub(crate) target: Embedded,
     pub(crate) simulated: Embedded,
-    /// Directions of its columns, left to right.
+    /// Directions of the picture's columns, from left to right.
     pub(crate) across: Vec<String>,
-    /// Directions of its rows, top to bottom.
+    /// Directions of the picture's rows, from top to bottom.
     pub(crate) up: Vec<String>,
 }
 
-/// Pixel budget of one sheet.
+/// Maximum number of pixels of one sheet.
 const SHEET_BUDGET: usize = 2_800_000;
 /// Largest width of a view on a sheet, about the width on the page.
 const VIEW_COLS: usize = 640;
 
-/// The sheets under construction.
+/// The two sheets, while views are added.
 pub(super) struct SheetPair {
     factor: usize,
     down: Vec<usize>,

@@ -1,4 +1,4 @@
-//! Views on the page: target, simulated, difference and FLIP error.
+//! Views on the page: target, simulated view, difference and FLIP error.
 
 use lumistack_core::metrics::Flip;
 use lumistack_display::{EmittedView, FieldGeometry, Weights};
@@ -8,22 +8,22 @@ use super::score::{ViewFigures, counting, seen};
 use crate::picture::{self, Embedded, Encoding, Linear};
 use crate::{ReportError, ReportInput, ZoneView, format};
 
-/// Target, simulated and difference of one view.
+/// Target, simulated view, difference and FLIP error of one view.
 #[derive(Clone, Debug)]
 pub(crate) struct Comparison {
-    /// "Top left view".
+    /// Title, such as "Top left view".
     pub(crate) title: String,
-    /// "seen from −8.0° across, +8.0° up".
+    /// Direction, such as "−8.0° across, +8.0° up".
     pub(crate) direction: String,
-    /// Absent without a target.
+    /// Scores; absent without a target.
     pub(crate) figures: Option<ViewFigures>,
     pub(crate) counted_share: f64,
     pub(crate) target: Option<Embedded>,
     pub(crate) simulated: Embedded,
     pub(crate) difference: Option<Embedded>,
-    /// Factor of the difference picture.
+    /// Factor by which the difference picture is amplified.
     pub(crate) amplification: u32,
-    /// FLIP error.
+    /// Picture of the FLIP error.
     pub(crate) flip: Option<Embedded>,
 }
 
@@ -31,15 +31,15 @@ pub(crate) struct Comparison {
 pub(super) struct Shown {
     pub(super) title: String,
     pub(super) direction: String,
-    /// Absent without a target.
+    /// Scores; absent without a target.
     pub(super) figures: Option<ViewFigures>,
     pub(super) counted_share: f64,
     pub(super) target: Option<Linear>,
-    /// L̃/β.
+    /// The view of the display, L̃/β.
     pub(super) simulated: Linear,
-    /// See [`picture::signed_error`].
+    /// Signed error of each pixel; see [`picture::signed_error`].
     pub(super) errors: Option<Vec<Option<f32>>>,
-    /// FLIP error of every pixel; `None` for rays that do not count.
+    /// FLIP error of every pixel; `None` for rays that scores exclude.
     flip: Option<Vec<Option<f32>>>,
 }
 
@@ -71,11 +71,12 @@ impl Shown {
         }
     }
 
-    /// A direction of the zone.
+    /// A direction of the viewing zone.
     pub(super) fn of_zone(input: &ReportInput, view: &ZoneView, figures: &ViewFigures) -> Self {
         let geometry = input.target.geometry().with_grid(view.direction.clone());
         let shown = Self::new(input, &geometry, &view.target, &Weights::Uniform, [0, 0], figures, view.seen.clone());
-        // the zone's border lies outside the outermost views, so the title is general
+        // directions near the zone's border are outside of the outermost views, so the title does
+        // not name a view
         Self { title: "Seen picture".into(), ..shown }
     }
 
@@ -104,7 +105,7 @@ impl Shown {
         }
     }
 
-    /// Encodes the pictures, `factor` times smaller, as one of `count` comparisons.
+    /// Encodes the pictures of one of `count` comparisons, reduced by `factor`.
     pub(super) fn compare(&self, amplification: u32, factor: usize, count: usize) -> Result<Comparison, ReportError> {
         let simulated = self.simulated.shrunk(factor).encoded();
         let (rows, cols) = (self.simulated.rows, self.simulated.cols);

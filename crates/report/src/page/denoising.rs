@@ -1,4 +1,4 @@
-//! The denoiser's effect: bias per view, and a picture of the difference.
+//! Changes by the denoiser: bias of each view, and a picture of the difference.
 
 use maud::{Markup, html};
 
@@ -6,14 +6,14 @@ use super::{figure, legend};
 use crate::picture::{DIVERGING, Encoding, Linear, amplification, difference, shrink_factor, signed_error};
 use crate::{ReportError, ReportInput, format};
 
-/// Pixel budget of the three pictures.
+/// Maximum number of pixels of the three pictures.
 const BUDGET: usize = 1_500_000;
 
 pub(super) fn section(input: &ReportInput) -> Result<Markup, ReportError> {
     let Some(denoising) = input.denoising else { return Ok(html! {}) };
     let geometry = input.target.geometry();
     let (rows, cols) = (geometry.rows, geometry.cols);
-    // Three pictures of the middle view share the budget of bytes.
+    // The three pictures of the central view share the maximum number of pixels.
     let factor = shrink_factor(&[(rows, cols); 3], BUDGET);
     let small = |values: &[f32]| Linear::new(rows, cols, values, 1.0).shrunk(factor);
     let (before, after) = (small(denoising.unbiased), small(denoising.filtered));
@@ -63,7 +63,7 @@ pub(super) fn section(input: &ReportInput) -> Result<Markup, ReportError> {
     })
 }
 
-/// A value with its standard error.
+/// A value and its standard error.
 fn estimate([value, error]: [f64; 2]) -> String {
     format!("{value:.2e} ± {error:.0e}")
 }

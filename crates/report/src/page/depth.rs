@@ -1,4 +1,4 @@
-//! The scene's depth in relation to the display.
+//! The depth of the scene compared with that of the display.
 
 use maud::{Markup, PreEscaped, html};
 
@@ -22,8 +22,8 @@ pub(super) fn section(budget: &DepthBudget) -> Result<Markup, ReportError> {
                 p {
                     @match &of_field {
                         Some([low, high]) => {
-                            "The display can show the finest detail of its pixels from " (low) " to " (high) " mm (towards the viewer is positive). "
-                            strong { (format::percent(budget.inside)) } " of the hits in all views lie there, " (format::percent(budget.inside_middle)) " of those in the central view. "
+                            "The display can show the finest detail of its pixels from " (low) " to " (high) " mm (positive is towards the viewer). "
+                            strong { (format::percent(budget.inside)) } " of the hits in all views are there, and " (format::percent(budget.inside_middle)) " of those in the central view. "
                         }
                         None => "The display shows the finest detail of the light field's pixels at no depth. ",
                     }
@@ -36,16 +36,16 @@ pub(super) fn section(budget: &DepthBudget) -> Result<Markup, ReportError> {
                 @if budget.moved_back_mm != 0.0 || budget.depth_scale != 1.0 {
                     p {
                         @if budget.moved_back_mm != 0.0 {
-                            "To fit, the window was moved " @if budget.moved_back_mm > 0.0 { "back" } @else { "forward" } " by " (mm(budget.moved_back_mm.abs())) " mm. "
+                            "To fit the scene, the window was moved " @if budget.moved_back_mm > 0.0 { "back" } @else { "forward" } " by " (mm(budget.moved_back_mm.abs())) " mm. "
                         }
                         @if budget.depth_scale != 1.0 {
-                            "Parallax, and so depth, is " (format::percent(budget.depth_scale)) " of the scene's; depths here are as shown."
+                            "Parallax, and thereby depth, is " (format::percent(budget.depth_scale)) " of that of the scene. Depths on this page are those that are shown."
                         }
                     }
                 }
                 div class="plots" { @for svg in &plots { (PreEscaped(svg)) } }
                 p class="quiet" {
-                    "Depths are those of the first surface along a ray, also where it is glass or a mirror. The bound on detail holds for continuous layers and many frames; pixels and few frames reach less."
+                    "Depths are those of the first surface along a ray, even if it is glass or a mirror. The bound on detail holds for continuous layers and many frames; pixels and few frames reach less."
                 }
             }
         }

@@ -1,4 +1,4 @@
-//! Key figures, quality per view, limits, convergence and timings.
+//! Main scores, quality of each view, limits, convergence and times.
 
 use lumistack_core::metrics::Mean;
 use lumistack_display::DirectionScore;
@@ -10,10 +10,10 @@ use crate::measure::{FieldScore, Measured, ViewFigures, left_to_right, top_to_bo
 use crate::picture::{SEQUENTIAL, map_colour};
 use crate::{Found, ReportError, ReportInput, Solution, Stage, format, plot};
 
-/// The bar of key figures under the title.
+/// The bar of main scores under the title.
 pub(super) fn key_figures(input: &ReportInput, measured: &Measured) -> Markup {
     let geometry = input.target.geometry();
-    // the views of the solution, a subset of which is shown
+    // the number of views of the solution; only some of them are shown
     let [view_cols, view_rows] = input.display.views();
     let pixels = format!("across × up, {} × {} pixels each", geometry.cols, geometry.rows);
     let db = |value: f64| format!("{} dB", format::decibels(value));
@@ -22,16 +22,16 @@ pub(super) fn key_figures(input: &ReportInput, measured: &Measured) -> Markup {
         (
             "PSNR over the zone",
             zone,
-            "psnr_zone: pixel-averaged views over the whole zone, independent of the target views",
+            "psnr_zone: seen pictures over the whole zone; it does not depend on the choice of target views",
         ),
-        ("Worst tenth of the zone", worst, "the same of the directions that look worst"),
+        ("Worst tenth of the zone", worst, "psnr_zone over the tenth of the directions with the lowest PSNR"),
         ("PSNR at the solver's views", db(measured.target.psnr_view()), "psnr_view: a diagnostic of the solver"),
     ];
     if let Some(held_out) = &measured.held_out {
         figures.push((
             "Held-out PSNR",
             db(held_out.psnr_view()),
-            "psnr_view of in-between views, which the solver did not see",
+            "psnr_view of in-between views, which the solver did not use",
         ));
     }
     let mean = |of: fn(&ViewFigures) -> Mean| format::similarity(measured.target.mean(of));
@@ -40,12 +40,12 @@ pub(super) fn key_figures(input: &ReportInput, measured: &Measured) -> Markup {
         None => (mean(|view| view.ssim), mean(|view| view.flip)),
     };
     figures.extend([
-        ("SSIM", ssim, "structure that is kept; 1 is all"),
-        ("FLIP", flip, "difference that an eye sees; 0 is none"),
+        ("SSIM", ssim, "structure that is kept; 1 means all of it"),
+        ("FLIP", flip, "difference that an eye sees; 0 means none"),
     ]);
     let backlight = if input.stack.emission.is_some() { "and a directional backlight" } else { "uniform backlight" };
     figures.extend([
-        ("Brightness β", format::number(input.stack.brightness), "emitted light as a share of the target's"),
+        ("Brightness β", format::number(input.stack.brightness), "emitted light as a fraction of the target's"),
         ("Layers × frames", format!("{} × {}", input.stack.layers.len(), input.stack.frames()), backlight),
         ("Views", format!("{view_cols} × {view_rows}"), pixels.as_str()),
     ]);
@@ -60,7 +60,7 @@ pub(super) fn key_figures(input: &ReportInput, measured: &Measured) -> Markup {
     }
 }
 
-/// The main figure and the worst tenth.
+/// The zone score, and that of the worst tenth of the directions.
 fn zone_figures(input: &ReportInput) -> (String, String) {
     let db = |value: Option<f64>| value.map_or("not known".into(), |value| format!("{} dB", format::decibels(value)));
     (db(input.zone.and_then(|zone| zone.score.psnr())), db(input.zone.and_then(|zone| zone.score.worst_tenth())))
@@ -68,7 +68,7 @@ fn zone_figures(input: &ReportInput) -> (String, String) {
 
 /// Quality over the zone: a map of the measured directions.
 pub(super) fn zone(input: &ReportInput) -> Markup {
-    /// Side of the map, in its own units.
+    /// Side of the map, in units of the map.
     const SIDE: f64 = 400.0;
     const DOT: f64 = 19.0;
     let Some(zone) = input.zone else {
@@ -76,13 +76,13 @@ pub(super) fn zone(input: &ReportInput) -> Markup {
             section id="zone" {
                 h2 { "Whole viewing zone" }
                 p class="quiet" {
-                    "Unknown: the solver used all views of the given light field, so there are no references between them. The figures below are those of these views. "
-                    "If a light field has more views than the display needs, keep fewer (" code { "--views" } "): the others are then the references of the zone."
+                    "Unknown: the solver used all views of the given light field, so there are no references between them. The scores below are those of these views. "
+                    "If a light field has more views than the display needs, keep fewer (" code { "--views" } "). The others are then the references of the zone."
                 }
             }
         };
     };
-    // A map of the zone: a dot per direction, coloured by its PSNR.
+    // Draw a map of the zone: a dot for each direction, coloured by its PSNR.
     let directions: Vec<_> = zone.score.directions.iter().filter(|direction| direction.pixels > 0).collect();
     let psnr = |direction: &DirectionScore| direction.psnr();
     let (low, high) =
@@ -108,7 +108,7 @@ pub(super) fn zone(input: &ReportInput) -> Markup {
             h2 { "Whole viewing zone" }
             p {
                 "Eyes may be anywhere, so the display is scored from " (directions.len()) " directions over its whole zone, none of which the solver used. Each seen picture, averaged over the area of every pixel, is compared with "
-                @if zone.left_out { "a view of the given light field that was left out" } @else { "two renders of the scene from there, so that their noise does not count" }
+                @if zone.left_out { "a view of the given light field that was left out" } @else { "two renders of the scene from there, so that their noise is excluded" }
                 ": " strong { (mean) } " over all directions, " strong { (worst) } " over the worst tenth. SSIM and FLIP are means over the first eight directions"
                 @if !zone.left_out { ", whose renders have more samples" } "."
             }
@@ -120,7 +120,7 @@ pub(super) fn zone(input: &ReportInput) -> Markup {
     }
 }
 
-/// A figure of every view, as a table of colours.
+/// A score of every view, as a table with colours.
 struct Heat {
     heading: &'static str,
     explanation: &'static str,
@@ -128,9 +128,9 @@ struct Heat {
     overall: fn(&FieldScore) -> f64,
     text: fn(f64) -> String,
     unit: &'static str,
-    /// Smallest range of the colours; a smaller one would exaggerate invisible differences.
+    /// Smallest range of the colours. A smaller range would exaggerate invisible differences.
     narrowest: f64,
-    /// The range for views without a figure.
+    /// The range if no view has a finite value.
     fallback: (f64, f64),
     larger_is_better: bool,
 }
@@ -139,7 +139,7 @@ const HEATS: [Heat; 3] = [
     Heat {
         heading: "PSNR per view, dB",
         explanation: "Every cell is a view, laid out as an eye in front of the display moves: the topmost views in the top row. PSNR is 10·log₁₀(1/mean squared error) in linear light with peak 1; \
-                      6 dB more is half the error. It usually falls towards the corners; a single bad cell points at a view that needs a look.",
+                      6 dB more is half the error. It usually falls towards the corners; a single bad cell marks a view to check.",
         value: |view| view.error.psnr(),
         overall: FieldScore::psnr_view,
         text: format::decibels,
@@ -150,7 +150,7 @@ const HEATS: [Heat; 3] = [
     },
     Heat {
         heading: "SSIM per view",
-        explanation: "Structural similarity (Wang et al. 2004) of the views, sRGB-encoded: 1 where all structure is kept.",
+        explanation: "Structural similarity (Wang et al. 2004) of the views, sRGB-encoded. 1 means that all structure is kept.",
         value: |view| view.ssim.value(),
         overall: |score| score.mean(|view| view.ssim),
         text: format::similarity,
@@ -161,7 +161,7 @@ const HEATS: [Heat; 3] = [
     },
     Heat {
         heading: "FLIP per view",
-        explanation: "FLIP (Andersson et al. 2020): how much an eye sees that changes between target and display, 0 for nothing, 1 for most.",
+        explanation: "FLIP (Andersson et al. 2020): the difference that an eye sees between target and display, from 0 (none) to 1 (largest).",
         value: |view| view.flip.value(),
         overall: |score| score.mean(|view| view.flip),
         text: format::similarity,
@@ -172,21 +172,22 @@ const HEATS: [Heat; 3] = [
     },
 ];
 
-/// PSNR, SSIM and FLIP per view, in the views' layout; other views beside them on the same scale.
+/// PSNR, SSIM and FLIP of each view, in the arrangement of the views. Other views are next to them,
+/// on the same scale.
 pub(super) fn quality(input: &ReportInput, measured: &Measured) -> Markup {
     html! {
         section id="quality" {
             h2 { "Quality per view" }
             @for heat in &HEATS { (heat.tables(measured)) }
             p class="quiet" {
-                "FLIP for " (format::number_short(input.pixels_per_degree)) " pixels of a view per degree of visual angle. SSIM and FLIP compare L̃/β with the target, clamped to 0..1; rays that do not "
-                "count are taken from the target in both."
+                "FLIP for " (format::number_short(input.pixels_per_degree)) " pixels of a view per degree of visual angle. SSIM and FLIP compare L̃/β with the target, clamped to 0..1. For rays that are "
+                "excluded, both have the value of the target."
                 @if measured.held_out.is_none() || measured.outside.is_none() {
                     " Views that were not rendered ("
                     @if measured.held_out.is_none() { "in-between" }
                     @if measured.held_out.is_none() && measured.outside.is_none() { " and " }
                     @if measured.outside.is_none() { "outside" }
-                    ") have no figures."
+                    ") have no scores."
                 }
             }
         }
@@ -256,8 +257,8 @@ pub(super) fn limits(input: &ReportInput, found: &Found) -> Markup {
         section id="limits" {
             h2 { "Limits of the result" }
             p {
-                "Measured on this layer stack, without solving again. Each line has the gain of the PSNR without one effect, all else unchanged, the largest first. Effects overlap, so the "
-                "figures do not add up. The central view and the corners stand for all."
+                "Measured on this layer stack, without solving again. Each line has the gain of the PSNR if one effect were absent and all else unchanged; the largest is first. Effects overlap, so the "
+                "gains do not add up. Only the central view and the corners are measured."
             }
             ol class="limits" {
                 @for limit in &found.limits {
@@ -284,7 +285,7 @@ pub(super) fn convergence(input: &ReportInput) -> Result<Markup, ReportError> {
         section id="convergence" {
             h2 { "Convergence" }
             @match input.convergence.last() {
-                None => p class="quiet" { "No history of the solver: the layer stack came from another source or an earlier run." },
+                None => p class="quiet" { "There is no history of the solver: another source or an earlier run made the layer stack." },
                 Some(last) => p {
                     "After " (format::counted(last.iteration as usize, "iteration")) " and " (format::duration(last.seconds)) ": " (format::decibels(last.psnr_view)) " dB. "
                     "A curve that still rises at its right end needs more iterations; a flat one is at the limit of its layers, frames and brightness."
@@ -298,7 +299,7 @@ pub(super) fn convergence(input: &ReportInput) -> Result<Markup, ReportError> {
     })
 }
 
-/// Summary of the solution, in one or two sentences.
+/// Summary of the solution, in a few sentences.
 fn solved_by(solution: &Solution) -> String {
     let begun = match solution.coarse_levels {
         0 => String::new(),
@@ -306,14 +307,14 @@ fn solved_by(solution: &Solution) -> String {
         levels => format!(", at {levels} coarser levels first"),
     };
     let mut text = format!(
-        "Solver {}, start {}{begun}. One more exact step of each value would change the emission by {:.1e} (root mean square): 0 where the \
-         first-order conditions hold.",
+        "Solver {}, start {}{begun}. One more exact step of each value would change the emission by {:.1e} (root mean square). It is 0 if the \
+         first-order conditions are satisfied.",
         solution.solver, solution.start, solution.kkt_residual
     );
     if let Some([continuous, rounded, reoptimized]) = solution.levels {
         let [continuous, rounded, reoptimized] = [continuous, rounded, reoptimized].map(format::decibels);
         text += &format!(
-            " The panels' few levels: {continuous} dB before, {rounded} dB rounded to them, {reoptimized} dB re-optimized on them."
+            " The panels have few levels: {continuous} dB with continuous values, {rounded} dB rounded to the levels, {reoptimized} dB optimized again on the levels."
         );
     }
     text
@@ -332,7 +333,7 @@ fn reached_by(lines: &[Reached]) -> Markup {
     }
 }
 
-/// Seconds per stage.
+/// Time of each stage, seconds.
 pub(super) fn timings(stages: &[Stage]) -> Markup {
     let total: f64 = stages.iter().map(|stage| stage.seconds).sum();
     let share = |stage: &Stage| if total > 0.0 { (100.0 * stage.seconds / total).clamp(0.0, 100.0) } else { 0.0 };

@@ -24,13 +24,13 @@ pub(crate) fn render(input: &GraphInput) -> Result<String, ReportError> {
         section id="settings" {
             h2 { "Settings" }
             @if let Some(command) = input.command { p { "Made by " code { (command) } " with Lumistack " (input.version) "." } }
-            (settings::facts("Job, every default written out", input.settings))
+            (settings::facts("Job with all defaults", input.settings))
         }
     };
     Ok(document(input.title, input.version, &header, &main))
 }
 
-/// Central views: the target, and every display's.
+/// Central views: that of the target, and that of every display.
 fn pictures(input: &GraphInput) -> Result<Markup, ReportError> {
     let mut shown = Vec::new();
     for node in input.nodes {
@@ -73,7 +73,7 @@ fn table(nodes: &[GraphNode]) -> Markup {
     html! {
         section id="nodes" {
             h2 { "Every display" }
-            p { "psnr_zone covers pixel-averaged views over the whole zone. psnr_view compares the view of an adapted viewer, L̃/β, with the light field; psnr_raw compares the emitted light L̃ with βL." }
+            p { "psnr_zone is the PSNR of seen pictures over the whole zone. psnr_view compares the view of an adapted viewer, L̃/β, with the light field; psnr_raw compares the emitted light L̃ with βL." }
             div class="scroll" {
                 table class="layers" {
                     thead { tr { @for name in names { th scope="col" { (name) } } } }

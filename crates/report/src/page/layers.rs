@@ -1,4 +1,5 @@
-//! The masks, in the order in which light passes the layers: large, close up, and every frame.
+//! The masks, in the order in which light goes through the layers: large, in close-ups, and every
+//! frame.
 
 use lumistack_display::{Backlight, Display, Formation};
 use maud::{Markup, html};
@@ -59,11 +60,11 @@ pub(super) fn patterns(input: &ReportInput, patterns: &Patterns) -> Markup {
     }
 }
 
-/// Describes the mapping from values to grey.
+/// Describes how values are shown as grey.
 fn scale(display: &Display) -> &'static str {
     match display.formation {
         Formation::Attenuating => {
-            "Patterns are linear transmittance, shown sRGB-encoded: black blocks light, white lets it through."
+            "Patterns are linear transmittance, shown sRGB-encoded: black blocks light, white transmits it."
         }
         Formation::Additive => "Patterns are linear emission, shown sRGB-encoded: black is dark, white emits most.",
         Formation::Polarization => {
@@ -72,11 +73,11 @@ fn scale(display: &Display) -> &'static str {
     }
 }
 
-/// Typical features of masks of such a display (section 3.4 of the paper).
+/// Typical features of the masks of such a display (section 3.4 of the paper).
 fn expectation(display: &Display, frames: usize) -> &'static str {
     match (&display.backlight, display.layers.len(), frames) {
         (Backlight::Lenslets(_), _, _) => {
-            "The layer should contain content that is equal in all views, with flowing slit-like patterns around the rest. The backlight should contain mostly content that changes with the view, such as objects far in front of or behind the display."
+            "The layer should contain content that is equal in all views, with flowing slit-like patterns around all other content. The backlight should contain mostly content that changes with the view, such as objects far in front of or behind the display."
         }
         (Backlight::Uniform, 1, _) => {
             "One layer with a uniform backlight shows the same picture to every eye: expect the mean of all views."
@@ -85,7 +86,7 @@ fn expectation(display: &Display, frames: usize) -> &'static str {
             "Objects near a layer should appear mostly on it. With one frame a single set of masks serves all views, so objects far from the display appear as blurred copies."
         }
         (Backlight::Uniform, _, _) => {
-            "Objects near a layer should appear mostly on it, under fine patterns that change from frame to frame and act as content-adaptive barriers. The mean over frames shows a layer's content; single frames show the directions of light."
+            "Objects near a layer should appear mostly on it, under fine patterns that change from frame to frame and act as content-adaptive barriers. The mean over frames shows the content of a layer; single frames show how it directs light."
         }
     }
 }
@@ -99,8 +100,8 @@ fn name(n: usize, display: &Display) -> String {
     }
 }
 
-/// All layers of one frame side by side, with a slider. Its pictures are those of the sheets below;
-/// the script swaps them.
+/// All layers of one frame next to each other, with a slider. Its pictures are those of the contact
+/// sheets farther down, which the script copies.
 fn flipper(display: &Display, patterns: &Patterns) -> Markup {
     let backlight = patterns.emission.iter().map(|emission| ("backlight".to_string(), &emission.panel.frames));
     let layers = patterns.layers.iter().enumerate().map(|(n, sheet)| (name(n, display), &sheet.frames));
@@ -120,7 +121,7 @@ fn flipper(display: &Display, patterns: &Patterns) -> Markup {
     }
 }
 
-/// A layer's mean, and its change over frames.
+/// The mean of a layer, and its change over the frames.
 fn large(sheet: &Sheet, name: &str) -> Markup {
     html! {
         div class="large group" {
@@ -135,7 +136,7 @@ fn large(sheet: &Sheet, name: &str) -> Markup {
     }
 }
 
-/// The same small part of every frame, unscaled.
+/// The same small section of every frame, at full resolution.
 fn close_up(sheet: &Sheet, name: &str) -> Markup {
     let Some(closeup) = &sheet.closeup else { return html! {} };
     let Window { row, col, rows, cols } = closeup.window;
@@ -146,8 +147,8 @@ fn close_up(sheet: &Sheet, name: &str) -> Markup {
         p class="note" {
             "Close-up, pixel by pixel: columns " (col) " to " (col + cols - 1) ", rows " (row) " to " (row + rows - 1)
             @if closeup.mean.is_some() { ", where the frames differ most finely" }
-            ". The green channel alone, since each channel has its own masks. "
-            @if stretched { "Contrast stretched: " (low) " is black, " (high) " white." } @else { "Contrast as it is." }
+            ". Only the green channel is shown, since the masks of the channels differ. "
+            @if stretched { "Contrast stretched: " (low) " is black, " (high) " white." } @else { "Contrast is unchanged." }
         }
         div class="contact group" style=(format!("--across:{}", if count <= 8 { count.clamp(3, 4) } else { 5 })) {
             @if let Some(mean) = &closeup.mean { (figure(mean, &format!("{name}, close-up: mean over frames"), "mean over frames")) }
@@ -167,7 +168,7 @@ fn contact_sheet(sheet: &Sheet, name: &str) -> Markup {
     }
 }
 
-/// Number of columns on a wide page: at most eight, with rows of equal length.
+/// Number of columns on a wide page: at most eight, so that rows have about equal length.
 fn across(count: usize) -> String {
     format!("--across:{}", count.div_ceil(count.div_ceil(8)).max(3))
 }
@@ -181,7 +182,7 @@ fn central_bin(emission: &Emission) -> Markup {
     let [row, col] = emission.bin;
     html! {
         @if !emission.central_bin.is_empty() {
-            p { "The same for light straight ahead only (direction row " (row) ", column " (col) " counted from 0): one pixel per lenslet." }
+            p { "The backlight's emission straight ahead only (direction row " (row) ", column " (col) " counted from 0): one pixel per lenslet." }
             div class="contact group" style=(across(emission.central_bin.len())) {
                 @for (m, embedded) in emission.central_bin.iter().enumerate() { (numbered(embedded, "backlight, straight ahead", m)) }
             }

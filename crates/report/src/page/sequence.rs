@@ -1,4 +1,4 @@
-//! The page of a sequence.
+//! The page of a sequence of time steps.
 
 use maud::{Markup, PreEscaped, html};
 
@@ -23,13 +23,13 @@ pub(crate) fn render(input: &SequenceInput, report: &SequenceReport) -> Result<S
         section id="settings" {
             h2 { "Settings" }
             @if let Some(command) = input.command { p { "Made by " code { (command) } " with Lumistack " (input.version) "." } }
-            (settings::facts("Job, every default written out", input.settings))
+            (settings::facts("Job with all defaults", input.settings))
         }
     };
     Ok(document(input.title, input.version, &header, &main))
 }
 
-/// One display over time.
+/// The section of one display over time.
 fn section(series: &SequenceSeries<'_>) -> Result<Markup, ReportError> {
     let name = |name: &str| series.id.map_or(name.to_owned(), |id| format!("{name}-{id}"));
     Ok(html! {
@@ -49,17 +49,17 @@ fn key_figures(input: &SequenceSeries<'_>, report: &SequenceFigures) -> Markup {
         (
             "Times",
             input.times.len().to_string(),
-            "each starts from the previous time step's stack, unless everything changes",
+            "each starts from the patterns of the previous time step, unless its content differs too much",
         ),
-        ("PSNR of the views", db(Some(report.psnr_view)), "psnr_view of all times together"),
+        ("PSNR of the views", db(Some(report.psnr_view)), "psnr_view of all time steps together"),
         ("PSNR of raw light", db(Some(report.psnr_raw)), "psnr_raw: emitted light, L̃ against βL"),
         (
             "Flicker over time",
             db(report.psnr_change),
-            "psnr_change: changes shown against changes wanted; higher is steadier",
+            "psnr_change: PSNR of the shown change against the change of the target; higher means less flicker",
         ),
-        ("Flicker where still", db(report.psnr_still), "psnr_still: the same where the target stands still"),
-        ("Brightness β", format::number(input.brightness), "emitted light as a share of the target's"),
+        ("Flicker where still", db(report.psnr_still), "psnr_still: psnr_change over rays whose target is constant"),
+        ("Brightness β", format::number(input.brightness), "emitted light as a fraction of the target's"),
         ("Solver", format::duration(seconds), iterations.as_str()),
     ];
     html! {
@@ -69,9 +69,9 @@ fn key_figures(input: &SequenceSeries<'_>, report: &SequenceFigures) -> Markup {
     }
 }
 
-/// Central views: the target above, the display below.
+/// Central views, with the target above and the display below.
 fn pictures(times: &[SequenceTime], id: &str) -> Result<Markup, ReportError> {
-    // evenly spaced, with the first and the last
+    // evenly spaced, including the first and the last time step
     let count = times.len().min(PICTURES);
     let chosen = (0..count).map(|i| &times[i * (times.len() - 1) / (count - 1).max(1)]);
     let mut cells = Vec::new();
@@ -83,7 +83,7 @@ fn pictures(times: &[SequenceTime], id: &str) -> Result<Markup, ReportError> {
             h2 { "Central view over time" }
             p {
                 "Above the target, below the display (divided by β, clamped to 0..1 and sRGB-encoded)."
-                @if times.len() > count { " " (count) " of " (times.len()) " times, evenly spread." }
+                @if times.len() > count { " " (count) " of " (times.len()) " time steps, evenly spread." }
                 " Click a picture and hold an arrow key to play them."
             }
             div class="times" style=(format!("--across:{count}")) {
@@ -109,13 +109,13 @@ fn plots(times: &[SequenceTime], id: &str) -> Result<Markup, ReportError> {
         section id=(id) {
             h2 { "Error and flicker over time" }
             p {
-                "Left, how close every time comes to its target. The first time starts from nothing; where the curve falls after it, more iterations at the later times help."
+                "Left: the PSNR of every time step. The first time step has no warm start. If the curve falls after it, more iterations at later time steps help."
                 @if flicker.is_some() {
-                    " Then flicker, the unwanted change: the rms over all rays and channels of the change of the error L̃/β − L since the previous time step, in dB below full "
-                    "brightness, so that higher is steadier. An error that stands still has none; errors that are new at every time give 3 dB less than the PSNR."
+                    " Next: flicker, the unwanted change. It is the rms over all rays and channels of the change of the error L̃/β − L since the previous time step, in dB below full "
+                    "brightness, so higher means less flicker. A constant error does not flicker. If errors of time steps are independent, flicker is 3 dB below the PSNR."
                 }
                 @if still.is_some() && !same {
-                    " Last, the same over the rays alone whose target keeps its colour (8-bit sRGB codes to within 1), where an eye sees flicker most."
+                    " Last: flicker over rays whose target keeps its colour (8-bit sRGB codes to within 1), where an eye sees flicker most."
                 }
             }
             div class="plots" {
@@ -146,7 +146,7 @@ fn table(times: &[SequenceTime], id: &str) -> Markup {
         section id=(id) {
             h2 { "Every time step" }
             p {
-                "A \"warm\" start uses the previous time step's stack. If a fresh start is nearer to the target within an iteration, as after a cut, it is used instead. "
+                "A \"warm\" start uses the patterns of the previous time step. If a fresh start is better after an iteration, as after a cut, it is used instead. "
                 "\"start, dB\" is the PSNR before the first iteration."
             }
             details open[times.len() <= 60] {

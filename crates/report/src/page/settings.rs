@@ -10,10 +10,10 @@ use serde_json::Value;
 
 use crate::{ReportInput, format};
 
-/// Longer lists start collapsed.
+/// Lists with more entries than this are collapsed at first.
 const FOLD: usize = 60;
 
-/// Warnings, above the pictures, since they may explain them.
+/// Warnings are above the pictures, since they may explain them.
 pub(super) fn warnings(warnings: &[Warning]) -> Markup {
     html! {
         @if !warnings.is_empty() {
@@ -25,7 +25,7 @@ pub(super) fn warnings(warnings: &[Warning]) -> Markup {
     }
 }
 
-/// The page's last section.
+/// The last section of the page.
 pub(super) fn section(input: &ReportInput) -> Markup {
     html! {
         section id="settings" {
@@ -33,7 +33,7 @@ pub(super) fn section(input: &ReportInput) -> Markup {
             @if let Some(command) = input.command { p { "Made by " code { (command) } " with Lumistack " (input.version) "." } }
             (display(input))
             @if let Some(scene) = input.scene { (facts("Scene", scene)) }
-            (facts("Job, every default written out", input.settings))
+            (facts("Job with all defaults", input.settings))
         }
     }
 }
@@ -130,8 +130,8 @@ fn display_facts(input: &ReportInput) -> Vec<(&'static str, String)> {
         (
             "rays that leave a layer",
             match display.missing {
-                Missing::Drop => "do not count (drop)",
-                Missing::Clear => "pass it unattenuated (clear)",
+                Missing::Drop => "are excluded (drop)",
+                Missing::Clear => "are not attenuated by it (clear)",
             }
             .into(),
         ),
@@ -173,7 +173,7 @@ fn backlight(display: &Display) -> String {
     }
 }
 
-/// Any JSON as a table of dotted keys.
+/// Any JSON value as a table of keys with dots.
 pub(super) fn facts(name: &str, value: &Value) -> Markup {
     let mut rows = Vec::new();
     flatten(String::new(), value, &mut rows);

@@ -1,4 +1,4 @@
-//! Target, simulated and difference views, and FLIP maps.
+//! Views of the target, simulated views, their differences, and FLIP maps.
 
 use maud::{Markup, html};
 
@@ -15,13 +15,13 @@ pub(super) fn headline(measured: &Measured) -> Markup {
             div class="compare group" { (pictures(&measured.headline)) }
             div class="beside" {
                 p {
-                    @if measured.zone.is_some() { "A seen picture from between the solver's views, the median of those below. " } @else { "The view from straight ahead. " }
-                    "A good display shows the target's picture again, and its difference is almost white: red is too bright, blue too dark, and the error is "
-                    "amplified " strong { "× " (k) } " (of the colour channel that is furthest off, in linear light)."
-                    @if measured.has_dropped_rays { " Grey squares are rays that leave a layer or have weight 0; they do not count, and the display may show black there." }
+                    @if measured.zone.is_some() { "A seen picture in a direction between the solver's views; of those below, it has the median score. " } @else { "The view from straight ahead. " }
+                    "A good display shows the picture of the target, and the difference is almost white. Red is too bright, blue is too dark. The error is "
+                    "amplified " strong { "× " (k) } " (that of the colour channel with the largest error, in linear light)."
+                    @if measured.has_dropped_rays { " Grey squares are rays that leave a layer or have weight 0; scores exclude them, and the display may show black there." }
                     " Views are divided by the brightness β, clamped to 0..1 and sRGB-encoded." (shrunk_note(measured.headline_shrunk))
-                    " Click a picture for full size; there the arrow keys flip between target, simulated, difference and FLIP error in place. FLIP says where an eye sees a difference when it flips between "
-                    "target and display, the lighter the more."
+                    " Click a picture for full size; there the arrow keys flip between target, simulated, difference and FLIP error in place. FLIP shows where an eye sees a difference between "
+                    "target and display that alternate: the lighter, the larger."
                 }
                 div { (difference_legend(k)) (flip_legend()) }
             }
@@ -37,7 +37,8 @@ pub(super) fn look_around(measured: &Measured) -> Markup {
         return html! {};
     }
     let sheet = |picture: &Embedded, name: &str| {
-        // the sheet of all views is shifted so that the central one is visible; the script moves it
+        // the sheet of all views is moved so that the central view is visible; the script moves it
+        // further
         let style = format!(
             "width:{}%;transform:translate({}%,{}%)",
             100 * cols,
@@ -71,7 +72,8 @@ pub(super) fn look_around(measured: &Measured) -> Markup {
     }
 }
 
-/// Corners, centre, worst, in-between and outside views.
+/// Views at the corners and the centre, the worst view, and views between and outside of the
+/// target's.
 pub(super) fn comparisons(input: &ReportInput, measured: &Measured) -> Markup {
     let grid = &input.target.geometry().grid;
     let one_view = grid.views() == [1, 1];
@@ -89,7 +91,7 @@ pub(super) fn comparisons(input: &ReportInput, measured: &Measured) -> Markup {
         section {
             h2 { "Views side by side" }
             p {
-                "Corner views are the hardest: their rays lean most, so things far from the display blur or double there first. Seen pictures, averaged over the area of every pixel, come from directions of the zone that were not targets of the optimization; ghosts and noise that "
+                "Corner views are the hardest: their rays are the most oblique, so things far from the display blur or double there first. Seen pictures, averaged over the area of every pixel, come from directions of the zone that were not targets of the optimization; ghosts and noise that "
                 "only they show mean that the target's views are too far apart. Views outside the outermost ones are not constrained, so the picture may break up there."
                 @if !one_view { (missing) }
                 (shrunk_note(measured.rows_shrunk))
@@ -124,12 +126,12 @@ fn facts(view: &Comparison) -> String {
         );
     }
     if view.counted_share < 1.0 {
-        facts += &format!(" · {} of rays count", format::percent(view.counted_share));
+        facts += &format!(" · {} of rays included", format::percent(view.counted_share));
     }
     facts
 }
 
-/// Target, simulated, difference and FLIP error; only the simulated view without a target.
+/// Target, simulated view, difference and FLIP error. Without a target, only the simulated view.
 fn pictures(view: &Comparison) -> Markup {
     let amplification = view.amplification;
     let name = |what: &str| format!("{what}: {}, {}", view.title, view.direction);

@@ -1,17 +1,17 @@
-//! Selects the position of the close-up: the finest changes of the masks between frames.
+//! Selects the position of the close-ups: where masks have the finest changes between frames.
 //!
-//! The energy of a mask pixel is based on each frame's deviation from the mean over frames (for a
-//! single frame: on the frame). It is the sum over frames and channels of squared differences to
-//! the right and lower neighbour. The selected point of z = 0 maximizes the energy within the
-//! layers' close-ups, where each layer counts by its fraction of its own total.
+//! The energy of a mask pixel is the sum over frames and channels of squared differences to the
+//! right and lower neighbour. It is computed on each frame's deviation from the mean over frames;
+//! for a single frame, on the frame. The selected point of z = 0 maximizes a sum over the layers:
+//! the energy within a layer's close-up, divided by that of the whole layer.
 
 use lumistack_core::Tensor;
 use lumistack_display::{Display, Layer};
 
-/// Largest close-up: columns, rows.
+/// Size of the largest close-up: [columns, rows].
 pub(super) const CLOSEUP: [usize; 2] = [72, 45];
 
-/// Part of a layer.
+/// A rectangle of pixels of a layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Window {
     pub(crate) row: usize,
@@ -20,14 +20,15 @@ pub(crate) struct Window {
     pub(crate) cols: usize,
 }
 
-/// Summed-area table.
+/// Summed-area table of a layer's energy.
 struct Totals {
     rows: usize,
     cols: usize,
     sums: Vec<f64>,
 }
 
-/// The windows around one point on all layers; `None` if no layer is larger than a close-up.
+/// The windows on all layers around one point of z = 0. `None` if no layer is larger than a
+/// close-up.
 pub(super) fn on_layers(display: &Display, layers: &[Tensor<4>]) -> Option<Vec<Window>> {
     let larger = |layer: &Layer| layer.resolution[0] > CLOSEUP[0] || layer.resolution[1] > CLOSEUP[1];
     if !display.layers.iter().any(larger) {
@@ -45,15 +46,14 @@ pub(super) fn on_layers(display: &Display, layers: &[Tensor<4>]) -> Option<Vec<W
         let shares = energies.iter().zip(windows).map(|(energy, window)| energy.share(*window));
         shares.sum::<f64>()
     };
-    // ties are resolved to the first, so that the position is deterministic
+    // if positions are equal, take the first, so that the result is deterministic
     found
         .map(|windows| (gain(&windows), windows))
         .reduce(|best, next| if next.0 > best.0 { next } else { best })
         .map(|(_, windows)| windows)
 }
 
-/// The window of a backlight's panel, which is no layer; `None` if the panel is no larger than a
-/// close-up.
+/// The window of a backlight's panel. `None` if the panel is no larger than a close-up.
 pub(super) fn on_panel(panel: &Tensor<4>) -> Option<Window> {
     let [_, rows, cols, _] = panel.shape();
     if cols <= CLOSEUP[0] && rows <= CLOSEUP[1] {
@@ -68,7 +68,7 @@ pub(super) fn on_panel(panel: &Tensor<4>) -> Option<Window> {
 }
 
 impl Window {
-    /// A close-up of a layer around a point of z = 0, moved to lie within the layer.
+    /// A close-up of a layer around a point of z = 0. It is moved so that it is within the layer.
     fn around(layer: &Layer, x_mm: f64, y_mm: f64) -> Self {
         let [cols, rows] = layer.resolution;
         let start = |position_mm: f64, count: usize, size: usize| {
@@ -88,7 +88,7 @@ impl Window {
 impl Totals {
     fn of(patterns: &Tensor<4>) -> Self {
         let [frames, rows, cols, _] = patterns.shape();
-        // Changes between frames count, so the mean over frames is subtracted.
+        // Subtract the mean over frames, since only changes between frames are of interest.
         let line = cols * 3;
         let mut mean = vec![0.0f32; rows * line];
         if frames > 1 {
@@ -96,7 +96,7 @@ impl Totals {
                 mean.iter_mut().zip(patterns.block([frame])).for_each(|(mean, value)| *mean += value / frames as f32);
             }
         }
-        // Energy of the gradient per pixel, over channels and frames.
+        // Compute the energy of the gradient of each pixel, over channels and frames.
         let mut energy = vec![0.0f64; rows * cols];
         for frame in 0..frames {
             let values = patterns.block([frame]);
@@ -110,7 +110,7 @@ impl Totals {
                 }
             }
         }
-        // A summed-area table gives the energy of any rectangle from four values.
+        // In a summed-area table, four values give the energy of any rectangle.
         let width = cols + 1;
         let mut sums = vec![0.0; (rows + 1) * width];
         for row in 0..rows {
@@ -123,7 +123,7 @@ impl Totals {
         Self { rows, cols, sums }
     }
 
-    /// Fraction of the total energy in a window; 0 if the total is 0.
+    /// Energy in a window divided by the total energy; 0 if the total is 0.
     fn share(&self, window: Window) -> f64 {
         let width = self.cols + 1;
         let sum = |row: usize, col: usize| self.sums[row * width + col];
@@ -147,7 +147,7 @@ mod tests {
                     [[layers]]\nd_mm = 0.0\nresolution = [200, 120]\npitch_mm = 1.0\n[[layers]]\nd_mm = 5.0\nresolution = [100, 60]\npitch_mm = 2.0\noffset_mm = [10.0, 0.0]\n";
         let display = Display::from_toml(text).unwrap();
         let mut stack = LayerStack::filled(&display, 0.5);
-        // static texture must be ignored; patterns that change between frames must be found
+        // static texture must be ignored, and patterns that change between frames must be found
         for row in 0..40 {
             for col in 0..40 {
                 for frame in 0..2 {
@@ -161,8 +161,8 @@ mod tests {
         let [first, second] = [windows[0], windows[1]];
         assert!(first.row <= 60 && first.row + first.rows >= 100, "{first:?}");
         assert!(first.col <= 140 && first.col + first.cols >= 180, "{first:?}");
-        // the same position on the coarser layer, which is 10 mm further right, clamped to the
-        // layer
+        // the same position on the coarser layer, which is 10 mm farther to the right, clamped to
+        // the layer
         let centre_mm = first.col as f64 + 36.0 - 100.0;
         let expected = ((centre_mm - 10.0) / 2.0 + 50.0 - 36.0).round().clamp(0.0, 28.0) as usize;
         assert!(second.col.abs_diff(expected) <= 1 && second.rows == 45, "{second:?}");

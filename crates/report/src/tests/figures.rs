@@ -1,7 +1,7 @@
-//! Figures of report.json other than PSNR, against the display crate or closed forms.
+//! Numbers of report.json other than PSNR, compared with the display crate or with closed forms.
 //!
-//! Limits are simulated for the central view and the corners, so their tests have two by two views:
-//! all of them.
+//! Limits are simulated for the central view and the corners. The tests of limits have two by two
+//! views, so these are all views.
 
 use lumistack_core::metrics::{Flip, ssim};
 use lumistack_display::{Display, LayerStack, LightField, RayMap, Simulator, ViewGrid, Weights, quantize, score};
@@ -13,7 +13,7 @@ use crate::{Iteration, ReportInput};
 /// Tolerance of means over f32 pictures.
 const SAME: f64 = 1e-6;
 
-/// The text of a display's two layers, `extra` in each.
+/// A display of two layers, with the lines `extra` in the table of each layer.
 fn two_layers(views: [usize; 2], resolution: [usize; 2], extra: &str) -> Display {
     let [cols, rows] = resolution;
     let mut text = format!(
@@ -94,7 +94,7 @@ fn outside_views_are_scored_or_shown() {
 
 #[test]
 fn brightness_is_relative_to_the_backlight() {
-    // two layers with a peak of 0.5, each at 0.4, and a target of ½: L̃ = 0.16, open 0.25
+    // two layers with a peak of 0.5, each at 0.4, and a target of ½, so L̃ = 0.16 and open = 0.25
     let display = two_layers([1, 1], [12, 8], "peak = 0.5");
     let mut target = LightField::black(display.geometry().unwrap()).unwrap();
     target.radiance_mut().data_mut().fill(0.5);
@@ -110,7 +110,7 @@ fn brightness_is_relative_to_the_backlight() {
         "{text}"
     );
     assert!(report.html.contains("transmit 25.0 %"));
-    // emissive layers add up; two rotations of 0.5 make 90° and transmit all light
+    // emissive layers add up, and two rotations of 0.5 give 90°, which transmits all light
     for (formation, open) in [("additive", 1.0), ("polarization", 1.0)] {
         let text = display.to_toml().replacen("\"attenuating\"", &format!("\"{formation}\""), 1);
         let display = Display::from_toml(&text).unwrap();
@@ -209,7 +209,7 @@ fn a_flattened_tone_curve_is_measured() {
     for view in target.geometry().grid.iter() {
         target.view_mut(view).copy_from_slice(&picture);
     }
-    // on z = 0 every view reads the picture in place
+    // on z = 0, every view reads the same pixels of the picture
     let display =
         Display { layers: vec![lumistack_display::Layer { d_mm: 0.0, ..display.layers[0].clone() }], ..display };
     stack.layers[0].data_mut().iter_mut().zip(&picture).for_each(|(value, l)| *value = 0.2 * (0.1 + 0.7 * l));
@@ -220,7 +220,7 @@ fn a_flattened_tone_curve_is_measured() {
         "{figures}"
     );
     assert!(number(&figures["share_of_error"]) > 0.999_99);
-    // a single frame on one layer: as many unknowns as rays of one view
+    // a single frame on one layer has as many values as one view has rays
     let ratio = number(&limit(&report, "Frames")["figures"]["ratio"]);
     assert!((ratio - 1.0 / 9.0).abs() < 1e-9, "{ratio}");
 }
@@ -257,7 +257,8 @@ fn blur_and_crosstalk_are_compared_with_a_display_without() {
     assert!(report["limits"].as_array().unwrap().iter().all(|limit| limit["name"] != "Blur and crosstalk"));
 }
 
-/// A plane of fine texture at `z_mm` in the left half, and on z = 0 in the right half.
+/// A plane with a fine texture is at `z_mm` in the left half of the picture, and on z = 0 in the
+/// right half.
 fn stepped_field(display: &Display, z_mm: f64) -> LightField {
     let mut field = LightField::black(display.geometry().unwrap()).unwrap();
     let geometry = field.geometry().clone();
@@ -278,8 +279,8 @@ fn stepped_field(display: &Display, z_mm: f64) -> LightField {
 
 #[test]
 fn error_behind_the_layers_is_found_there() {
-    // one layer on z = 0 that contains the central view: exact for content on the display, wrong
-    // behind it
+    // one layer on z = 0 contains the central view, so it is exact for content on the display, and
+    // wrong behind it
     let text = "name = \"one\"\nframes = 1\nbrightness = 1.0\n[field]\nresolution = [160, 40]\npitch_mm = 1.0\nviews = [3, 1]\nfov_deg = [20.0, 20.0]\n[[layers]]\nd_mm = 0.0\nresolution = [160, 40]\npitch_mm = 1.0\n";
     let display = Display::from_toml(text).unwrap();
     let target = stepped_field(&display, -40.0);

@@ -1,4 +1,4 @@
-//! Checks a plan before the work, so that no error is found after an hour of rendering.
+//! Checks a plan before the work, so that no error is found after hours of rendering.
 
 use lumistack_plugin_host::PluginKind;
 
@@ -12,12 +12,12 @@ impl Context<'_> {
     /// Checks jobs, displays, settings and outputs of all parts.
     ///
     /// # Errors
-    /// The first invalid value.
+    /// The first invalid value that is found.
     pub(super) fn check(&mut self) -> Result<(), PipelineError> {
         let plan = self.plan;
         for (number, part) in plan.parts.iter().enumerate() {
-            // Later time steps have the job of the first, and a sweep's designs are checked by
-            // `Designs`.
+            // Later time steps have the settings of the first one. The designs of a sweep are
+            // checked by `Designs`.
             let job = &part.job;
             match (&part.kind, part.parent) {
                 (PartKind::Time(_), _) => continue,
@@ -29,7 +29,7 @@ impl Context<'_> {
                 (PartKind::Node(_), _) => {}
                 _ => job.check()?,
             }
-            // Settings, plugins and folders.
+            // Check settings, plugins and folders.
             let display = job.resolve_display()?;
             factorize::check(&job.factorize)?;
             if let Some(source) = &job.source {
@@ -42,7 +42,7 @@ impl Context<'_> {
             for node in &job.nodes {
                 node::check(node, self.registry)?;
             }
-            // Outputs refuse displays that they cannot show.
+            // Let outputs refuse displays that they cannot show.
             if job.scene.is_some() && !matches!(part.kind, PartKind::Node(_)) {
                 self.open_outputs(
                     job,

@@ -1,4 +1,4 @@
-//! Memory of an execution: results of the steps of each part.
+//! Results in memory during an execution, for each part of the plan.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -24,7 +24,7 @@ use crate::stage::trace::Traced;
 use crate::store::lock::FolderLock;
 use crate::store::stamps::Stamps;
 
-/// Patterns of a display, with the display and the weights that they were solved for.
+/// Patterns of a display, and the display and the weights that they were solved for.
 pub(crate) struct Patterns {
     pub(super) display: Display,
     pub(super) weights: Weights,
@@ -38,7 +38,7 @@ pub(crate) struct Reported {
     pub(super) shown: Option<[Thumbnail; 2]>,
 }
 
-/// Results of the steps of a part.
+/// Results of the steps of one part, as far as they exist.
 #[derive(Default)]
 pub(crate) struct State {
     pub(super) job: Option<Arc<Job>>,
@@ -48,7 +48,7 @@ pub(crate) struct State {
     pub(super) samples: Option<Samples>,
     pub(super) traced: Option<Arc<Traced>>,
     pub(crate) field: Option<Arc<Field>>,
-    /// Exposure and tone curve of the light field; kept after the field is dropped.
+    /// Exposure and tone curve of the light field. They are kept after the light field is dropped.
     pub(super) tone_mapping: Option<ToneMapping>,
     pub(super) geometry: Option<FieldGeometry>,
     pub(crate) references: Option<Arc<References>>,
@@ -63,7 +63,7 @@ pub(crate) struct State {
     pub(super) views: Vec<PathBuf>,
 }
 
-/// State of an execution: its plan, and the results of every part in memory.
+/// State of an execution: the plan, and the results of every part in memory.
 pub(crate) struct Context<'a> {
     pub(crate) plan: &'a Plan,
     pub(super) registry: &'a Registry,
@@ -73,7 +73,7 @@ pub(crate) struct Context<'a> {
     pub(super) warned: Vec<(usize, Warning)>,
     pub(crate) failed: Vec<FailedOutput>,
     pub(crate) sequence: Option<SequenceReport>,
-    /// The scene's depth against the depth of field of the job's own display.
+    /// The scene's depth compared with the depth of field of the display in the job.
     pub(crate) depth: Option<DepthBudget>,
 }
 
@@ -101,7 +101,7 @@ impl<'a> Context<'a> {
         Stamps::new(&self.dir(part))
     }
 
-    /// Returns the cache folder of a part. A sequence uses that of its first time step.
+    /// Returns the cache folder of a part. A sequence uses the folder of its first time step.
     pub(super) fn cache(&self, part: usize) -> PathBuf {
         match self.plan.parts[part].kind {
             PartKind::Sequence(_) => self.dir(part).join(name(0)).join("cache"),
@@ -109,15 +109,15 @@ impl<'a> Context<'a> {
         }
     }
 
-    /// Returns the job of a part, completed by results of earlier steps.
+    /// Returns the job of a part, completed with results of earlier steps.
     pub(super) fn job(&mut self, part: usize) -> Arc<Job> {
         if let Some(job) = &self.states[part].job {
             return job.clone();
         }
         let plan = self.plan;
         let of_part = &plan.parts[part];
-        // A time step gets placement, exposure and warm start from the first one and the one
-        // before.
+        // A time step gets placement and exposure from the first time step, and a warm start from
+        // the previous one.
         let job = match (&of_part.kind, of_part.parent) {
             (PartKind::Time(time), Some(sequence)) => match &plan.parts[sequence].kind {
                 PartKind::Sequence(times) => {
@@ -148,7 +148,7 @@ impl<'a> Context<'a> {
         job
     }
 
-    /// Returns a result that an earlier step of the part has made.
+    /// Returns a result that an earlier step of the part made.
     pub(super) fn of<T>(
         &self,
         part: usize,
@@ -160,7 +160,7 @@ impl<'a> Context<'a> {
             .ok_or_else(|| PipelineError::value(place, "plan", format!("{name_of_result} of an earlier step"), "none"))
     }
 
-    /// Returns the scene of a part: its own, or that of its sequence.
+    /// Returns the scene of a part, or else the scene of its sequence.
     pub(super) fn ingested(&self, part: usize) -> Result<Arc<Ingested>, PipelineError> {
         let shared = |state: &State| state.ingested.clone();
         let above = self.plan.time(part).map(|(_, sequence)| sequence);
@@ -180,7 +180,8 @@ impl<'a> Context<'a> {
         }
     }
 
-    /// Returns warnings of the parts that `concerns` selects, in their order of time.
+    /// Returns the warnings of all parts for which `concerns` returns true, in the order of their
+    /// occurrence.
     pub(super) fn warnings(&self, concerns: impl Fn(usize) -> bool) -> Vec<Warning> {
         self.warned.iter().filter(|(part, _)| concerns(*part)).map(|(_, warning)| warning.clone()).collect()
     }

@@ -22,7 +22,7 @@ use crate::store::settings::{write_display, write_job};
 use crate::view_options::ViewOptions;
 
 impl Context<'_> {
-    /// Loads the scene. A scene's files are read by every run, so it is never cached.
+    /// Loads the scene. Every run reads the scene's files, so the result is never cached.
     pub(super) fn ingest(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let job = self.job(part);
         let pose = match &self.plan.parts[part].kind {
@@ -70,7 +70,7 @@ impl Context<'_> {
         trace::run_block(of.shot(), &views, block, task)
     }
 
-    /// Renders a block of the pictures for the zone score, before the exposure is known.
+    /// Renders a block of the pictures for the zone score. The exposure need not be known.
     pub(super) fn score_block(&mut self, part: usize, block: Block, task: Task<'_>) -> Result<bool, PipelineError> {
         let of = self.shot(part)?;
         let zone = score::zone_of(&of.job, &of.display, &of.geometry);
@@ -86,7 +86,7 @@ impl Context<'_> {
         denoise::run(of.shot(), &traced.fields, task)
     }
 
-    /// Exposes the views, which makes the light field.
+    /// Exposes the views; the result is the light field.
     pub(super) fn expose(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let (of, traced) = (self.shot(part)?, self.of(part, "views", |state| state.traced.clone())?);
         let exposed = expose::run(of.shot(), &traced, false, task)?;
@@ -153,13 +153,13 @@ impl Context<'_> {
 
     fn check_geometry(&self, part: usize, path: &Path, found: &FieldGeometry) -> Result<(), PipelineError> {
         let Some((time, _)) = self.plan.time(part).filter(|(time, _)| *time > 0) else { return Ok(()) };
-        // Every time step must have the first one's geometry, so the message may name the one
-        // before.
+        // Every time step must have the geometry of the first one, so the message may name the
+        // previous one.
         let first = self.plan.at_time(part, 0).and_then(|first| self.states[first].geometry.as_ref());
         first.map_or(Ok(()), |expected| check_geometry(path, found, expected, &self.source_of(part, time - 1)))
     }
 
-    /// Keeps a light field. For several nodes, it also writes the settings and removes an older
+    /// Keeps a light field. If the job has nodes, also writes the settings and removes an older
     /// report.
     fn take_field(&mut self, part: usize, field: Field) -> Result<(), PipelineError> {
         let job = self.job(part);

@@ -1,9 +1,9 @@
-//! Listeners of a step: they collect its warnings for the report, and add the time step to its
-//! progress.
+//! Listeners of a step. They collect its warnings for the report, and add the time step to the
+//! progress that is shown.
 
 use lumistack_core::{Collector, Progress, Warning, Warnings};
 
-/// Collects warnings for the report and forwards them.
+/// Collects warnings for the report, and forwards them.
 pub(super) struct Tee<'a> {
     pub(super) list: Collector,
     next: &'a dyn Warnings,
@@ -22,7 +22,7 @@ impl Warnings for Tee<'_> {
     }
 }
 
-/// Adds the number of the time step to the stage's name.
+/// Adds the number of the time step to the name of the stage.
 pub(super) struct TimeStepProgress<'a> {
     pub(super) next: &'a dyn Progress,
     pub(super) place: Option<String>,

@@ -19,7 +19,7 @@ impl Context<'_> {
         let plan = self.plan;
         let (field, patterns) = (self.field(part)?, self.of(part, "patterns", |state| state.patterns.clone())?);
         let Some((time, sequence)) = plan.time(part) else { return Ok(true) };
-        // Flicker needs patterns and target of the time step before.
+        // Flicker compares with patterns and target of the previous time step.
         let before = time.checked_sub(1).and_then(|time| plan.at_time(part, time));
         let before = match before {
             None => None,
@@ -32,7 +32,7 @@ impl Context<'_> {
         let then = before.as_ref().map(|(field, before)| Shown { stack: &before.solved.stack, target: &field.target });
         let stamps = self.stamps(part);
         let (found, key, cached) = measure::run(&patterns.display, &patterns.weights, now, then, &stamps, task)?;
-        // The entry in the sequence's report.
+        // Make the entry in the sequence's report.
         let reports = matches!(&plan.parts[sequence].kind, PartKind::Sequence(times) if times.sequence.reports);
         let compared = |error: SquaredError| (error.count > 0).then_some(error);
         let (steps, solution) = (&patterns.solved.steps, &patterns.solved.solution);

@@ -11,7 +11,7 @@ use crate::plan::graph::outputs_on;
 use crate::stage::output;
 
 impl Context<'_> {
-    /// Opens a job's outputs and those of its nodes, each for its display and this geometry.
+    /// Opens the outputs of a job and of its nodes, each for its display and this geometry.
     pub(super) fn open_outputs(
         &self,
         job: &Job,
@@ -22,14 +22,14 @@ impl Context<'_> {
         outputs.iter().try_for_each(|(output, display)| output::open(output, display, self.registry, self.task))
     }
 
-    /// Writes an output of the light field, by number in the job.
+    /// Writes an output of the light field; `number` is its number in the job.
     pub(super) fn field_output(&mut self, part: usize, number: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let field = self.field(part)?;
         let relative = format!("outputs/{}", OutputJob::LIGHT_FIELD);
         self.output(part, number, &relative, &field.display, OutputData::LightField(&field.target), task)
     }
 
-    /// Writes an output of the patterns, by number in the job.
+    /// Writes an output of the patterns; `number` is its number in the job.
     pub(super) fn stack_output(&mut self, part: usize, number: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let field = self.field(part)?;
         let patterns = self.of(part, "patterns", |state| state.patterns.clone())?;

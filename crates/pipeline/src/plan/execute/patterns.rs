@@ -25,15 +25,15 @@ impl Context<'_> {
         let (plan, mut job, field, stamps) = (self.plan, self.job(part), self.field(part)?, self.stamps(part));
         let of_node = plan.node(part);
         let display = self.display(part, &field.display, field.target.geometry(), task)?;
-        // A preset is a design, whose refresh rate stands in the report. A display file stands for
-        // real panels, which might flicker.
+        // A preset is a design, and the report contains the refresh rate that it needs. A display
+        // file describes real panels, which may flicker.
         if let Some(message) = display.flicker_warning().filter(|_| job.display.file.is_some()) {
             task.warn("display", message);
         }
         let weights = field::weights(&job.factorize, field.target.geometry())?;
         let target = &field.target;
-        // Solve, or take the cached patterns. A time step may not start from patterns of too
-        // different content.
+        // Solve, or read the cached patterns. A time step whose content differs too much from the
+        // previous one starts without its patterns.
         let (solved, cached) = match of_node.filter(|of_node| !node::is_factorized(Some(of_node))) {
             Some(node) => {
                 let given = NodeInput { node, seed: job.seed, display: &display, target, weights: &weights };
@@ -53,8 +53,8 @@ impl Context<'_> {
                 tiles::run(solve, &stamps, task)?
             }
         };
-        // Write the settings only now: a run that stopped earlier leaves older settings, patterns
-        // and report together.
+        // Write the settings only now: a run that stopped earlier leaves the older settings,
+        // patterns and report, which match each other.
         let dir = self.dir(part);
         if of_node.is_none() {
             write_job(&job, &dir)?;
@@ -62,7 +62,7 @@ impl Context<'_> {
         write_display(&dir.join("display.toml"), &display)?;
         let mut above = (!cached).then_some(part);
         while let Some(part) = above {
-            // These reports belong to older patterns.
+            // Reports in these folders belong to older patterns.
             remove_reports(&self.dir(part))?;
             above = plan.parts[part].parent;
         }
@@ -85,7 +85,7 @@ impl Context<'_> {
         let geometry = shared.geometry().map_err(|source| display_error(source, "field"))?;
         let display = self.display(part, &shared, &geometry, task)?;
         let weights = field::weights(&job.factorize, &geometry)?;
-        // A unit before this one wrote the light field; read only the tile's part.
+        // An earlier unit wrote the light field; read only the region that the tile needs.
         let target = self.dir(of_field).join("target");
         let crop = |tile: &Tile| {
             let Region { rows, cols } = tile.field.clone();
@@ -96,7 +96,8 @@ impl Context<'_> {
         tiles::run_tile(cut, [round, block.number(), block.count()], &stamps, task)
     }
 
-    /// Returns the display of a part, adapted to the light field of the run's display.
+    /// Returns the display of a part, adapted to the light field. `shared` is the display of the
+    /// run.
     fn display(
         &mut self,
         part: usize,
@@ -113,8 +114,8 @@ impl Context<'_> {
         Ok(display)
     }
 
-    /// Solves the time steps before a chunk again, the first one without warm start. The results
-    /// are kept like other patterns.
+    /// Solves the time steps before a chunk again, the first of them without a warm start. The
+    /// results are kept like other patterns.
     fn warm_up(&mut self, part: usize, display: &Display, task: Task<'_>) -> Result<(), PipelineError> {
         let plan = self.plan;
         let Some((time, sequence)) = plan.time(part) else { return Ok(()) };
@@ -123,7 +124,7 @@ impl Context<'_> {
         let all = &plan.parts[sequence].job;
         let of_node = node.and_then(|node| all.nodes.iter().find(|other| other.id == node.id)?.factorize.as_ref());
         let first = FactorizeJob { warm_start: None, ..of_node.unwrap_or(&all.factorize).clone() };
-        // Each time step starts from the patterns of the one before.
+        // Each time step starts from the patterns of the previous one.
         let mut before: Option<PathBuf> = None;
         for earlier in times.warm_up(time) {
             let of_earlier = plan.at_time(of_field, earlier).unwrap_or(of_field);
@@ -143,7 +144,8 @@ impl Context<'_> {
         Ok(())
     }
 
-    /// Returns the settings of a time step that starts without patterns; `None` for the first.
+    /// Returns the settings of a time step that starts without patterns; `None` for the first time
+    /// step.
     fn fresh(&self, part: usize) -> Option<FactorizeJob> {
         let (time, sequence) = self.plan.time(part)?;
         match &self.plan.parts[sequence].kind {
@@ -156,7 +158,7 @@ impl Context<'_> {
         }
     }
 
-    /// Writes into the jobs of a part and of its graph that the part takes no warm start.
+    /// Removes the warm start from the jobs of a part and of the part around it.
     fn drop_warm_start(&mut self, part: usize, fresh: FactorizeJob) -> Result<Arc<Job>, PipelineError> {
         let of_field = self.plan.field_part(part);
         if let Some(id) = self.plan.node(part).map(|node| node.id.clone()) {

@@ -20,7 +20,8 @@ impl Context<'_> {
         let (field, of_field) = (self.field(part)?, plan.field_part(part));
         let patterns = self.of(part, "patterns", |state| state.patterns.clone())?;
         let is_time = matches!(plan.parts[part].kind, PartKind::Time(_));
-        // Reports of time steps have keys. Other reports are always written, since they hold times.
+        // Reports of time steps have keys. Other reports are always written, since they contain
+        // times.
         let mut key = None;
         if let Some((_, measured)) = self.states[part].measured.as_ref().filter(|_| is_time) {
             let mut of_report = KeyBuilder::new("report", code::REPORTS);
@@ -31,7 +32,7 @@ impl Context<'_> {
         if key.as_ref().is_some_and(|key| stamps.is_current("report", key)) {
             return Ok(true);
         }
-        // A node's report includes the stages of the light field.
+        // The report of a node includes the stages of the light field.
         let warnings = self.warnings(|other| other == part || other == of_field);
         let mut stages = self.states[of_field].stages.clone();
         if of_field != part {
@@ -54,7 +55,8 @@ impl Context<'_> {
             stamps.clear("report")?;
         }
         let report = report::run(&about, &stamps, task)?;
-        // The stamp is written last, so that a killed run writes the report again.
+        // The stamp is written last. So if a run is killed before, the next run writes the report
+        // again.
         if let Some(key) = key {
             stamps.write("report", &key, &["report.html".into(), "report.json".into()])?;
         }
@@ -65,7 +67,7 @@ impl Context<'_> {
 
     pub(super) fn report_graph(&mut self, part: usize) -> Result<bool, PipelineError> {
         let (plan, job) = (self.plan, self.job(part));
-        // One row per node, with paths relative to the run folder.
+        // Make one row per node, with paths relative to the run folder.
         let (mut nodes, mut wanted) = (Vec::new(), None);
         for inner in plan.within(part) {
             let (Some(node), Some(patterns)) = (plan.node(inner), &self.states[inner].patterns) else { continue };
@@ -94,7 +96,7 @@ impl Context<'_> {
         let Some(wanted) = wanted else {
             return Err(PipelineError::job("nodes", "at least one node", "none"));
         };
-        // The page compares all nodes with one target.
+        // The page compares all nodes with the same target.
         let (settings, warnings) = (job.to_json(), self.warnings(|other| plan.is_below(other, part)));
         let input = GraphInput {
             title: &job.name,
@@ -113,7 +115,7 @@ impl Context<'_> {
     pub(super) fn report_sequence(&mut self, part: usize) -> Result<bool, PipelineError> {
         let (plan, job) = (self.plan, self.job(part));
         write_job(&job, &self.dir(part))?;
-        // One series per display: the still's, or one of each node.
+        // Make one series per display: one for a still, or one for each node.
         let ids = job.nodes.iter().map(|node| Some(node.id.clone()));
         let ids: Vec<Option<String>> = if job.nodes.is_empty() { vec![None] } else { ids.collect() };
         let all: Vec<(Option<String>, Vec<SequenceTime>, f64)> = ids

@@ -9,7 +9,7 @@ use crate::error::{PipelineError, display_error};
 use crate::job::{DisplayJob, FitDepth, Job, SweepJob};
 use crate::stage::design::Candidate;
 
-/// Returns all distinct designs, and a job for each of their light fields.
+/// Returns all distinct designs, and a job for each light field that they need.
 ///
 /// # Errors
 /// If a display cannot be loaded, or a combination is invalid.
@@ -23,10 +23,10 @@ pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Jo
         sweep.displays.iter().map(|text| base(job, text)).collect()
     };
     if !sweep.fov_deg.is_empty() && job.scene.is_none() {
-        return Err(PipelineError::job("sweep.fov_deg", "a scene to render from other angles", "none"));
+        return Err(PipelineError::job("sweep.fov_deg", "a scene, which can be rendered with other angles", "none"));
     }
-    // Combinations that change nothing, such as lenslets of a uniform backlight, give equal
-    // displays.
+    // Equal displays result from combinations that change nothing, such as lenslets of a uniform
+    // backlight.
     let mut candidates: Vec<Candidate> = Vec::new();
     let mut fields: Vec<(Display, Job)> = Vec::new();
     for (name, display_job) in &bases {
@@ -46,7 +46,8 @@ pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Jo
                         DisplayJob { fov_deg: variation.fov_deg.or(display_job.fov_deg), ..display_job.clone() };
                     let mut of = Job { display: shown, sweep: None, outputs: Vec::new(), ..job.clone() };
                     of.render.outside = 0;
-                    // All designs are compared on the same scene, whose depth no design compresses.
+                    // All designs are compared on the same scene, so no design may compress its
+                    // depth.
                     if of.window.fit_depth == FitDepth::Auto {
                         of.window.fit_depth = FitDepth::Off;
                     }
@@ -57,7 +58,7 @@ pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Jo
             candidates.push(Candidate { design: Design::of(name, &display), display, field });
         }
     }
-    // All displays on one light field need the same views.
+    // All displays that share a light field need the same views.
     let mut jobs: Vec<Job> = fields.into_iter().map(|(_, job)| job).collect();
     for (number, job) in jobs.iter_mut().enumerate() {
         choose_views(job, candidates.iter_mut().filter(|candidate| candidate.field == number));
@@ -65,8 +66,8 @@ pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Jo
     Ok((candidates, jobs))
 }
 
-/// Chooses common views for displays that choose their views: those of the most demanding display.
-/// More views than a display needs cost only time; fewer reduce its zone score.
+/// Chooses common views for displays that choose their views: those of the display that needs the
+/// most. More views than a display needs only cost time, but fewer reduce its zone score.
 fn choose_views<'a>(job: &mut Job, candidates: impl Iterator<Item = &'a mut Candidate>) {
     let mut choosing: Vec<&mut Candidate> =
         candidates.filter(|candidate| candidate.display.field.views == Views::Auto).collect();
@@ -82,7 +83,7 @@ fn choose_views<'a>(job: &mut Job, candidates: impl Iterator<Item = &'a mut Cand
     }
 }
 
-/// Returns the name and the job table of a preset or display file, with the job's changes.
+/// Returns the name of a preset or display file, and the job's table `[display]` for it.
 fn base(job: &Job, text: &str) -> (String, DisplayJob) {
     let named = DisplayJob::by_name_or_path(text);
     let name = Path::new(text).file_stem().map_or(text.into(), |stem| stem.to_string_lossy().into_owned());
@@ -90,7 +91,7 @@ fn base(job: &Job, text: &str) -> (String, DisplayJob) {
     (name, DisplayJob { preset: named.preset, file, ..job.display.clone() })
 }
 
-/// Returns all combinations; the last axis varies fastest.
+/// Returns all combinations; the last parameter varies fastest.
 fn variations(sweep: &SweepJob) -> Vec<Variation> {
     let mut all = vec![Variation::default()];
     expand(&mut all, &sweep.layers, |variation, layers| variation.layers = Some(layers));
@@ -135,7 +136,7 @@ mod tests {
         };
         assert_eq!(sweep.count(), 24);
         let (found, fields) = all(&job(sweep.clone()), &sweep).unwrap();
-        // a uniform backlight has no lenslets to vary
+        // a uniform backlight has no lenslets to vary, so these combinations are equal
         assert_eq!((found.len(), fields.len()), (6 + 12, 1));
         assert_eq!(found[5].design.layers, 3);
         assert!(found.iter().all(|candidate| candidate.field == 0 && candidate.display.field.resolution == [16, 10]));

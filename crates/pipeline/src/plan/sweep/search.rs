@@ -1,8 +1,9 @@
-//! Search for a design under constraints, without solving every design to the end.
+//! Search for a design under constraints, without solving every design to the last iteration.
 //!
 //! Successive halving (Jamieson and Talwalkar 2016) solves all allowed designs with few iterations.
-//! The better part gets more, and only the last few get all. The order after few iterations is
-//! nearly that after many. All rows are kept, so a search reuses rows of a sweep.
+//! The better ones get more iterations, and only the last few get all. The ranking after few
+//! iterations is nearly that after many. All rows are kept, so a search also reuses the rows of a
+//! sweep.
 
 use lumistack_design::table::{Design, Row};
 
@@ -10,22 +11,24 @@ use crate::error::PipelineError;
 use crate::job::SearchJob;
 use crate::stage::design::Candidate;
 
-/// Per rung: share of the iterations, and share of the candidates that go on.
+/// For each round: fraction of the iterations, and fraction of the candidates that it keeps.
 const RUNGS: [(f64, f64); 2] = [(0.08, 0.5), (0.3, 0.4)];
-/// Minimum number of candidates that go on.
+/// Minimum number of candidates that a round keeps.
 const LEAST: usize = 6;
-/// Designs whose scores differ by less are equally good, dB: the cheaper one is preferred.
+/// If scores differ by less, dB, designs are regarded as equally good, and the cheaper design is
+/// preferred.
 const EQUAL_DB: f64 = 0.3;
-/// A design that misses the wanted PSNR by more after few iterations is dropped, dB.
+/// A design is dropped if, after few iterations, its PSNR is lower than the requested one by more
+/// than this, dB.
 const DROP_DB: f64 = 8.0;
 
-/// Returns the candidates that keep the constraints.
+/// Returns the candidates that satisfy the constraints.
 ///
 /// # Errors
-/// If there are none. The message has the best value of each constraint.
+/// If no candidate does. The message has the best value of each constraint among the candidates.
 pub(crate) fn allowed(candidates: Vec<Candidate>, search: &SearchJob) -> Result<Vec<Candidate>, PipelineError> {
     let fits = |d: &Design| {
-        // A refresh rate of one frame has no flicker, so `refresh_hz` is 0 there.
+        // A single frame does not flicker at any refresh rate, so `refresh_hz` is 0 for it.
         let checks = [
             search.max_thickness_mm.is_none_or(|most| d.thickness_mm <= most * (1.0 + 1e-9)),
             search.max_refresh_hz.is_none_or(|most| d.refresh_hz <= most * (1.0 + 1e-9)),
@@ -49,11 +52,12 @@ pub(crate) fn allowed(candidates: Vec<Candidate>, search: &SearchJob) -> Result<
     Ok(kept)
 }
 
-/// Solves candidates with a number of iterations. Returns rows and the number of cached rows.
+/// Solves candidates with a number of iterations. Returns a row for each, and the number of cached
+/// rows.
 pub(super) type SolveAll<'a> = &'a mut dyn FnMut(&[Candidate], u32) -> Result<(Vec<Row>, usize), PipelineError>;
 
-/// Returns rows of the last rung in the candidates' order, the number of cached rows, and the
-/// proposals, best first.
+/// Returns the rows of the candidates that got all iterations, in their order, the number of cached
+/// rows, and the proposals, best first.
 ///
 /// # Errors
 /// If the solver fails on a design, or the task is cancelled.
@@ -63,7 +67,7 @@ pub(super) fn run(
     mut candidates: Vec<Candidate>,
     search: &SearchJob,
 ) -> Result<(Vec<Row>, usize, Vec<(Candidate, Row)>), PipelineError> {
-    // Each rung keeps the better part of the candidates.
+    // Each round keeps the better candidates.
     for (share, on) in RUNGS {
         if candidates.len() <= LEAST {
             break;
@@ -74,7 +78,8 @@ pub(super) fn run(
         let mut order: Vec<usize> = (0..candidates.len()).collect();
         match search.enough_db {
             None => order.sort_by(|&a, &b| rows[b].quality_db().total_cmp(&rows[a].quality_db())),
-            // Prefer the cheapest designs that may reach the wanted PSNR; if none may, the best.
+            // Prefer the cheapest designs among those that may reach the requested PSNR, then the
+            // others by their PSNR.
             Some(enough) => {
                 let too_low = |i: usize| rows[i].quality_db() < enough - DROP_DB;
                 order.sort_by(|&a, &b| {
@@ -88,7 +93,7 @@ pub(super) fn run(
                 });
             }
         }
-        // Rows keep the order of the designs.
+        // Keep the candidates in the order of the designs.
         let mut chosen: Vec<usize> = order.into_iter().take(goes_on).collect();
         chosen.sort_unstable();
         candidates = chosen.into_iter().map(|i| candidates[i].clone()).collect();
@@ -99,13 +104,13 @@ pub(super) fn run(
     Ok((rows, kept, proposed))
 }
 
-/// Returns the cost of a design for lexicographic comparison: panels, frames, thickness, darkness.
+/// Returns the cost of a design for lexicographic comparison: panels, frames, thickness, and −β.
 fn cost(design: &Design) -> [f64; 4] {
     [design.panels as f64, design.frames as f64, design.thickness_mm, -design.brightness]
 }
 
-/// Returns row numbers by rank. Rows that reach `enough_db` come first, the cheapest first. The
-/// others follow by PSNR; among equally good ones the cheapest is first.
+/// Returns row numbers by rank. Rows that reach `enough_db` come first, from the cheapest on. The
+/// other rows follow by PSNR; among equally good ones, the cheapest is first.
 fn ranked(rows: &[Row], enough_db: Option<f64>) -> Vec<usize> {
     let by_cost = |a: usize, b: usize| {
         cost(&rows[a].design).partial_cmp(&cost(&rows[b].design)).unwrap_or(std::cmp::Ordering::Equal)

@@ -1,8 +1,8 @@
-//! Intel's Open Image Denoise, if installed: its program `oidnDenoise` runs once per view.
+//! Intel's Open Image Denoise, if it is installed: its program `oidnDenoise` runs once per view.
 //!
-//! It is searched in `LUMISTACK_OIDN` (path of the program), on PATH, and in the Python package
-//! `pyoidn`, which includes it. Pictures are exchanged as PFM files: three little-endian floats per
-//! pixel, the lowest row first.
+//! The program is searched in `LUMISTACK_OIDN` (path of the program), on PATH, and in the Python
+//! package `pyoidn`, which includes it. Pictures are exchanged as PFM files: three little-endian
+//! floats per pixel, the lowest row first.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -12,26 +12,26 @@ use lumistack_pathtracer::Features;
 use crate::error::{PipelineError, read};
 use crate::store::files::write;
 
-/// Python code that prints the program's path in the package.
+/// Python code that prints the path of the program in the package.
 const ASK_PYTHON: &str = "import importlib.util as u, os; print(os.path.join(os.path.dirname(u.find_spec('pyoidn').origin), 'oidn', 'bin', 'oidnDenoise'))";
 
-/// The program, after a successful call.
+/// The program, found by a successful call.
 pub(crate) struct Oidn {
     program: PathBuf,
-    /// Version, from the first line of its help.
+    /// Version, from the first line of the program's help.
     pub(crate) version: String,
 }
 
 impl Oidn {
-    /// Searches the program.
+    /// Searches for the program.
     ///
     /// # Errors
-    /// If there is none.
+    /// If the program is not found.
     pub(crate) fn find() -> Result<Self, PipelineError> {
         if let Some(given) = std::env::var_os("LUMISTACK_OIDN") {
             let program = PathBuf::from(given);
             return Self::try_program(&program).ok_or_else(|| {
-                let found = format!("{}, which cannot be executed", program.display());
+                let found = format!("`{}`, which does not start or is another program", program.display());
                 PipelineError::option("LUMISTACK_OIDN", "program", "Open Image Denoise's program `oidnDenoise`", found)
             });
         }
@@ -41,9 +41,9 @@ impl Oidn {
             Self::try_program(Path::new(said.trim()))
         };
         Self::try_program(Path::new("oidnDenoise")).or_else(in_package).ok_or_else(|| {
-            let expected = "Open Image Denoise's program `oidnDenoise` on PATH, in LUMISTACK_OIDN or in Python's package pyoidn \
-                            (`pip install pyoidn`); `guided` needs nothing";
-            PipelineError::job("render.denoise", expected, "`oidn`, but no such program")
+            let expected = "Open Image Denoise's program `oidnDenoise` on PATH, in LUMISTACK_OIDN or in the Python package pyoidn \
+                            (`pip install pyoidn`); the denoiser `guided` needs no other program";
+            PipelineError::job("render.denoise", expected, "`oidn` without the program")
         })
     }
 
@@ -54,17 +54,17 @@ impl Oidn {
         said.contains("Open Image Denoise").then(|| Self { program: program.to_owned(), version })
     }
 
-    /// Denoises a picture `[row][col][rgb]`, scene-linear. The exchanged files go to `folder`.
+    /// Denoises a picture `[row][col][rgb]`, scene-linear. The exchanged files are in `folder`.
     ///
     /// # Errors
-    /// If the program fails or writes another file.
+    /// If the program fails, or writes no picture of this size.
     pub(crate) fn denoise(
         &self,
         radiance: &[f32],
         features: &Features,
         folder: &Path,
     ) -> Result<Vec<f32>, PipelineError> {
-        // Albedo of pixels without surface is 1, as the program's documentation recommends.
+        // The albedo of pixels without a surface is 1, as the program's documentation recommends.
         let [rows, cols] = features.size();
         let path = |name: &str| folder.join(name).with_extension("pfm");
         let guide = |of: &dyn Fn(lumistack_pathtracer::Feature) -> glam::Vec3| -> Vec<f32> {
@@ -72,7 +72,7 @@ impl Oidn {
         };
         let albedo = guide(&|feature| feature.covered * feature.albedo + glam::Vec3::splat(1.0 - feature.covered));
         let normal = guide(&|feature| feature.covered * feature.normal);
-        // The program reads and writes files only.
+        // The program reads and writes only files.
         write(&path("colour"), &pfm(radiance, rows, cols))?;
         write(&path("albedo"), &pfm(&albedo, rows, cols))?;
         write(&path("normal"), &pfm(&normal, rows, cols))?;
@@ -127,7 +127,7 @@ mod tests {
         let values: Vec<f32> = (0..18).map(|i| i as f32 - 3.5).collect();
         let bytes = pfm(&values, 3, 2);
         assert!(bytes.starts_with(b"PF\n2 3\n-1.0\n"));
-        // the lowest row is the first
+        // the lowest row is written first
         assert_eq!(bytes[12..16], values[12].to_le_bytes());
         assert_eq!(parse_pfm(&bytes), Some(([3, 2], values)));
         for cut in 0..bytes.len() {

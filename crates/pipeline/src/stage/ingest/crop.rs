@@ -34,7 +34,7 @@ pub(crate) fn cropped(scene: Scene, pose: &PoseJob, task: Task<'_>) -> Result<Sc
     })
 }
 
-/// Crops every placement of a cloud by itself.
+/// Crops each place where a cloud is used separately, since they may differ.
 fn crop(parts: &mut SceneParts, inside: impl Fn(Vec3) -> bool) {
     let clouds = std::mem::take(&mut parts.clouds);
     for mut placed in std::mem::take(&mut parts.placed_clouds) {
@@ -60,7 +60,7 @@ mod tests {
 
     use super::*;
 
-    /// Four splats in a row along x, placed twice: as they are, and ten units above.
+    /// Four splats in a row along x, placed twice: at the origin, and ten units above.
     fn scene() -> Scene {
         let mut cloud = Cloud::default();
         for x in 0..4 {
@@ -77,7 +77,7 @@ mod tests {
         parts.validate(Task::quiet(&warnings, &cancel)).unwrap()
     }
 
-    /// Returns positions of the remaining splats, sorted; or the error.
+    /// Returns the sorted positions of the remaining splats, or the error.
     fn left(pose: &PoseJob) -> Result<Vec<[f32; 2]>, String> {
         let (warnings, cancel) = (Collector::default(), Cancel::default());
         let scene = cropped(scene(), pose, Task::quiet(&warnings, &cancel)).map_err(|error| error.to_string())?;
@@ -89,7 +89,7 @@ mod tests {
     #[test]
     fn each_placement_is_cropped_where_it_stands() {
         assert_eq!(left(&PoseJob::default()).unwrap().len(), 8);
-        // corners in any order, in the scene's axes
+        // the corners are in any order, in the scene's axes
         let crop_box = Some([[2.5, 11.0, 1.0], [0.5, 9.0, -1.0]]);
         assert_eq!(left(&PoseJob { crop_box, ..PoseJob::default() }).unwrap(), [[1.0, 10.0], [2.0, 10.0]]);
         let crop_sphere = Some([0.0, 0.0, 0.0, 2.0]);

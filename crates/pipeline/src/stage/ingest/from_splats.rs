@@ -1,11 +1,11 @@
-//! Splats as light of the meshes among them: an environment map of the splats around the meshes.
+//! Light of splats on the meshes among them: an environment map of the splats around the meshes.
 //!
 //! ```text
-//! L(ω) = linear light of the splats in direction ω from the centre of the meshes
+//! L(ω) = linear light of the splats from direction ω, seen from the centre of the meshes
 //! ```
 //!
-//! Six faces of a cube are rendered as views from the centre. The light comes from infinity, so it
-//! is equal for all meshes. Meshes cast no shadow on splats.
+//! The six faces of a cube are rendered as views from the centre. The light of an environment comes
+//! from infinity, so it is the same for all meshes. Meshes cast no shadow on splats.
 
 use std::sync::Arc;
 
@@ -21,8 +21,8 @@ use crate::error::PipelineError;
 const FACE: usize = 96;
 /// Width and height of the map, pixels.
 const SIZE: [usize; 2] = [256, 128];
-/// Distance of a face from the eye, as a share of the scene's diagonal. It is small, so that splats
-/// near the eye are seen.
+/// Distance of a face from the eye, as a fraction of the scene's diagonal. It is small, so that
+/// splats near the eye are seen.
 const NEAR: f64 = 1e-3;
 /// View directions of the faces, each with its up direction.
 const FACES: [[DVec3; 2]; 6] = [
@@ -34,7 +34,7 @@ const FACES: [[DVec3; 2]; 6] = [
     [DVec3::NEG_Y, DVec3::Z],
 ];
 
-/// Returns the environment map in the scene's axes; `None` if splats or meshes are missing.
+/// Returns the environment map in the scene's axes; `None` if there are no splats or no meshes.
 ///
 /// # Errors
 /// If cancelled.
@@ -51,7 +51,7 @@ pub(crate) fn panorama(scene: &Arc<Scene>, task: Task<'_>) -> Result<Option<Imag
     // Render six views of 90° around the centre of the meshes.
     let centre = meshes.centre().as_dvec3();
     let scale = NEAR * f64::from(scene.bounds().size().length());
-    // a face of 2 × 2 mm, 1 mm before the eye
+    // a face of 2 × 2 mm, 1 mm in front of the eye
     let grid = ViewGrid::single(Projection::Perspective { distance_mm: 1.0 }, [0.0; 2]);
     let geometry = FieldGeometry { rows: FACE, cols: FACE, pitch_mm: 2.0 / FACE as f64, grid };
     let turns = FACES.map(|[forward, up]| DMat3::from_cols(forward.cross(up), up, -forward));
@@ -66,11 +66,11 @@ pub(crate) fn panorama(scene: &Arc<Scene>, task: Task<'_>) -> Result<Option<Imag
             Ok(())
         })?;
     }
-    // Look up each texel's direction in the face that it points to.
+    // For each texel, read its direction from the face that it points to.
     let [width, height] = SIZE;
     let texel = |i: usize| {
         let elevation = std::f64::consts::PI * (0.5 - ((i / width) as f64 + 0.5) / height as f64);
-        // The central column shows −z; columns to the right turn towards +x.
+        // The central column of the map is −z; columns to its right turn towards +x.
         let azimuth = std::f64::consts::TAU * (((i % width) as f64 + 0.5) / width as f64 - 0.5);
         let to = DVec3::new(elevation.cos() * azimuth.sin(), elevation.sin(), -elevation.cos() * azimuth.cos());
         let along = |face: &usize| FACES[*face][0].dot(to);

@@ -13,7 +13,8 @@ use lumistack_shot::light::set_environment;
 use crate::error::{PipelineError, field_error, read};
 use crate::stage::ingest::from_splats;
 
-/// Replaces the scene's environment by a Radiance HDR or EXR file, times `strength`.
+/// Replaces the scene's environment by a Radiance HDR or EXR file, whose radiance is multiplied by
+/// `strength`.
 ///
 /// # Errors
 /// If the file cannot be read or decoded.
@@ -38,13 +39,14 @@ pub fn load_environment(parts: &mut SceneParts, path: &Path, strength: f32) -> R
     Ok(())
 }
 
-/// Rotates an environment, whose central column is −z in its own space, as Blender and three.js do.
-/// The central column goes to +x, the column at a quarter of the width to −z.
+/// Rotates an environment as Blender and three.js do. In its own axes, the central column is −z.
+/// The rotation turns the central column to +x, and the column at a quarter of the width to −z.
 fn as_in_blender() -> Quat {
     Quat::from_rotation_y(-std::f32::consts::FRAC_PI_2)
 }
 
-/// Makes the scene's splats light its meshes. A scene without both is unchanged.
+/// Makes the scene's splats light its meshes. A scene without splats or without meshes does not
+/// change.
 ///
 /// # Errors
 /// If cancelled, or the scene becomes invalid.
@@ -55,7 +57,7 @@ pub(crate) fn from_splats(scene: Scene, strength: f32, task: Task<'_>) -> Result
     let Some(image) = panorama else { return Ok(scene) };
     edited(scene, task, |parts| {
         set_environment(parts, image, Vec3::splat(strength), Quat::IDENTITY);
-        // The background shows the splats themselves, not their map.
+        // The background shows the splats themselves, not the map.
         parts.backdrop = Some(Vec3::ZERO);
         Ok(())
     })
@@ -65,11 +67,11 @@ pub(crate) fn from_splats(scene: Scene, strength: f32, task: Task<'_>) -> Result
 mod tests {
     use super::*;
 
-    /// Expected values are from Blender 4.5. There a camera of an imported glTF file that looks
-    /// along −z shows the column at 0.25 of the width. Columns to its right are larger.
+    /// Expected values are from Blender 4.5: a camera that looks along −z in an imported glTF file
+    /// shows the column at 0.25 of the width. Columns to its right are farther right in the file.
     #[test]
     fn environment_files_lie_as_in_blender() {
-        // columns of the map in its own space: the central one is −z, +x is to the right
+        // columns of the map in its own axes: the central column is −z, and +x is to the right
         let column = |u: f32| {
             let azimuth = (u - 0.5) * std::f32::consts::TAU;
             as_in_blender() * Vec3::new(azimuth.sin(), 0.0, -azimuth.cos())

@@ -1,4 +1,4 @@
-//! Views rendered by the engine of a `.blend` file instead of our path tracer.
+//! Views that the engine of a `.blend` file renders instead of our path tracer.
 
 use std::path::Path;
 
@@ -15,12 +15,12 @@ use crate::reader::is_blend;
 use crate::stage::ingest::Ingested;
 use crate::store::views::write_picture;
 
-/// Chooses the renderer of a job's views, with warnings about lost features or the reason for the
+/// Chooses the renderer of a job's views. Warns about lost features, or reports the reason for the
 /// choice.
 ///
-/// The job's engine comes first. With `auto`, it is our path tracer. A `.blend` file with features
-/// that the conversion loses is rendered by its own engine, if that works here. Only our path
-/// tracer computes the `variance` of views.
+/// An engine that the job names is used. With `auto`, our path tracer renders, with one exception:
+/// a `.blend` file with features that the conversion loses is rendered by its own engine, if that
+/// works here. Only our path tracer computes the `variance` of views.
 pub(crate) fn engine(job: &Job, ingested: &Ingested, variance: bool, task: Task<'_>) -> Engine {
     let is_file = job.scene.as_deref().is_some_and(is_blend);
     chosen(
@@ -33,8 +33,8 @@ pub(crate) fn engine(job: &Job, ingested: &Ingested, variance: bool, task: Task<
     )
 }
 
-/// Chooses without looking at files. `plain` is true if the job needs nothing that only our path
-/// tracer has.
+/// Chooses the renderer without reading files. `plain` is true if the job needs nothing that only
+/// our path tracer can do.
 fn chosen(
     render: &RenderJob,
     plain: bool,
@@ -43,16 +43,16 @@ fn chosen(
     name: &str,
     task: Task<'_>,
 ) -> Engine {
-    // Without losses, our path tracer renders unless the job wants Blender.
+    // If no features are lost, our path tracer renders, unless the job requests Blender.
     let Some(contents) = losing else {
         return if render.engine == Engine::Blender { Engine::Blender } else { Engine::Lumistack };
     };
-    // The reasons against the file's own engine.
+    // Find a reason against the file's own engine.
     let why_not = match render.engine {
         Engine::Blender => return Engine::Blender,
         Engine::Lumistack => Some("`render.engine = \"lumistack\"` requests our path tracer".to_owned()),
         Engine::Auto if !plain => Some(
-            "`angular_filter`, `lens_deg`, `denoise`, `clamp`, `background` and variance need our path tracer"
+            "`angular_filter`, `lens_deg`, `denoise`, `clamp`, `background` and variance require our path tracer"
                 .to_owned(),
         ),
         Engine::Auto if !is_file => {
@@ -62,13 +62,13 @@ fn chosen(
             contents.unfit.as_ref().map(|reason| format!("the file's own engine cannot render it here ({reason})"))
         }
     };
-    // Report the losses only if our path tracer renders the converted scene.
+    // If our path tracer renders the converted scene, report the lost features.
     let Some(reason) = why_not else {
         let engine = &contents.engine;
         let lost = contents.lost.join("; ");
         task.warn(
             name,
-            format!("the file's own engine, {engine}, renders the views, since the scene has {lost}. `render.engine = \"lumistack\"` selects our path tracer, without them"),
+            format!("the file's own engine, {engine}, renders the views, since the scene has {lost}. `render.engine = \"lumistack\"` selects our path tracer, which leaves them out"),
         );
         return Engine::Blender;
     };
@@ -79,7 +79,8 @@ fn chosen(
     Engine::Lumistack
 }
 
-/// Renders views of the job's scene. Each file is written as soon as the view is finished.
+/// Renders views of the job's scene in Blender. Each file is written as soon as its view is
+/// finished.
 ///
 /// # Errors
 /// If the scene is not a `.blend` file, Blender fails, a picture cannot be written, or the task is
@@ -95,7 +96,7 @@ pub(crate) fn render(
         let found = job.scene.as_ref().map_or_else(|| "no scene".into(), |scene| scene.display().to_string());
         return Err(PipelineError::job("render.engine", "a .blend file as the scene for `blender`", found));
     };
-    // Blender needs the window as a camera frame, and the slopes of the views.
+    // Blender needs the window as a frame for its cameras, and the slopes of the views.
     let map = window.scene_from_display;
     let views = BlendViews {
         window: BlendWindow {
@@ -112,7 +113,7 @@ pub(crate) fn render(
         },
         slopes: wanted.iter().map(|(view, _)| geometry.grid.slope_at(*view, [0.0, 0.0])).collect(),
     };
-    // Keep each picture at once, so that a stopped run continues.
+    // Keep each picture immediately, so that a stopped run continues.
     let mut failed = None;
     let mut finished = |number: usize, picture: &Path| {
         if let Err(error) = keep(picture, geometry, wanted[number].1) {
