@@ -412,8 +412,10 @@ fn unneeded_files_are_removed_and_reported() {
     assert!(!is_left() && views_of(&run) == second && results(&run) == whole);
     succeed(render(&run).args(["--seed", "5"]));
     assert!(cached(&run, "render"), "what the settings need was kept");
+    assert!(!placed(&run).is_empty());
     let (freed, kept_now) = clean(&run, &["--all"]);
     assert!(freed.iter().any(|(kind, bytes)| kind == "cached views" && *bytes > 1000), "{freed:?}");
+    assert_eq!(placed(&run), [""; 0], "no file of the placement is left");
     assert!(kept_now < kept && results(&run) == whole);
     succeed(render(&run).args(["--seed", "5"]));
     assert!(!cached(&run, "render") && results(&run) == whole);
@@ -421,6 +423,12 @@ fn unneeded_files_are_removed_and_reported() {
     assert!(text.contains("cached views") && text.contains("would be freed"), "{text}");
     let error = fail(lumistack().arg("clean").arg(folder.path()));
     assert!(error.contains("the folder of a run"), "{error}");
+}
+
+/// Names of the cached files of the placement.
+fn placed(run: &Path) -> Vec<String> {
+    let files = fs::read_dir(run.join("cache")).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    files.filter(|name| ["side-", "window-", "fit-"].iter().any(|kind| name.starts_with(kind))).collect()
 }
 
 #[test]

@@ -485,7 +485,7 @@ fn merged(
     let mut map = mapping.map(|mapping| map_of(place, mapping)).transpose()?.unwrap_or_default();
     for (name, value) in arguments {
         if let Some(value) = value {
-            map.insert((*name).into(), value_of(value)?);
+            map.insert((*name).into(), value_of(place, value)?);
         }
     }
     Ok(map)

@@ -19,7 +19,7 @@ pub(crate) fn table<T: DeserializeOwned>(py: Python<'_>, place: &str, arguments:
     let mut map = Map::new();
     for (name, value) in arguments {
         if let Some(value) = value {
-            map.insert((*name).into(), value_of(value)?);
+            map.insert((*name).into(), value_of(place, value)?);
         }
     }
     parsed(py, place, map)
@@ -33,7 +33,7 @@ pub(crate) fn table_of<T: DeserializeOwned>(place: &str, mapping: &Bound<'_, PyA
 /// Reads a list of numbers from a sequence or a NumPy array.
 pub(crate) fn numbers<T: DeserializeOwned>(place: &str, value: Option<&Bound<'_, PyAny>>) -> PyResult<Option<T>> {
     let Some(value) = value.filter(|value| !value.is_none()) else { return Ok(None) };
-    let numbers = serde_json::from_value(value_of(value)?);
+    let numbers = serde_json::from_value(value_of(place, value)?);
     numbers.map(Some).map_err(|error| setting(value.py(), format!("{place}: {}", plain(&error.to_string(), place))))
 }
 
@@ -58,7 +58,7 @@ pub(crate) fn parsed<T: DeserializeOwned>(py: Python<'_>, place: &str, map: Map<
 
 /// Converts a mapping whose keys are names.
 pub(crate) fn map_of(place: &str, mapping: &Bound<'_, PyAny>) -> PyResult<Map<String, Value>> {
-    match value_of(mapping)? {
+    match value_of(place, mapping)? {
         Value::Object(map) => Ok(map),
         _ => {
             let found = mapping.get_type().name()?;
@@ -69,7 +69,7 @@ pub(crate) fn map_of(place: &str, mapping: &Bound<'_, PyAny>) -> PyResult<Map<St
 
 /// Converts a value to JSON: numbers, texts, paths, mappings and sequences of such values, and
 /// NumPy's numbers and arrays.
-pub(crate) fn value_of(value: &Bound<'_, PyAny>) -> PyResult<Value> {
+pub(crate) fn value_of(place: &str, value: &Bound<'_, PyAny>) -> PyResult<Value> {
     if value.is_none() {
         return Ok(Value::Null);
     }
@@ -91,11 +91,11 @@ pub(crate) fn value_of(value: &Bound<'_, PyAny>) -> PyResult<Value> {
             let (key, value): (Bound<'_, PyAny>, Bound<'_, PyAny>) = item.extract()?;
             let Ok(key) = key.cast::<PyString>() else {
                 let found = key.get_type().name()?;
-                return Err(PyTypeError::new_err(format!("expected strings (str) as keys, found {found}")));
+                return Err(PyTypeError::new_err(format!("{place}: expected strings (str) as keys, found {found}")));
             };
             // None means that the argument is absent
             if !value.is_none() {
-                map.insert(key.to_string(), value_of(&value)?);
+                map.insert(key.to_string(), value_of(place, &value)?);
             }
         }
         return Ok(Value::Object(map));
@@ -107,11 +107,11 @@ pub(crate) fn value_of(value: &Bound<'_, PyAny>) -> PyResult<Value> {
     if value.hasattr("tolist")? {
         let plain = value.call_method0("tolist")?;
         if !plain.hasattr("tolist")? {
-            return value_of(&plain);
+            return value_of(place, &plain);
         }
     }
     if let Ok(sequence) = value.cast::<PySequence>() {
-        let items = sequence.try_iter()?.map(|item| value_of(&item?));
+        let items = sequence.try_iter()?.map(|item| value_of(place, &item?));
         return Ok(Value::Array(items.collect::<PyResult<_>>()?));
     }
     if value.hasattr("__index__")? {

@@ -210,7 +210,7 @@ def test_jobs(tmp_path: Path) -> None:
         lumistack.run({"scen": "a.glb"}, tmp_path)
     with pytest.raises(lumistack.SettingError, match="expected one of `scene`, `light_field` and `source`"):
         lumistack.run({"display": {"preset": "fig7-uniform"}}, tmp_path)
-    with pytest.raises(TypeError, match=r"expected strings \(str\) as keys"):
+    with pytest.raises(TypeError, match=r"\w: expected strings \(str\) as keys"):
         lumistack.run({3: 4}, tmp_path)  # type: ignore[dict-item]
     with pytest.raises(TypeError, match="expected a number, a text, a path"):
         lumistack.run({"scene": object()}, tmp_path)

@@ -19,7 +19,7 @@ use crate::error::PipelineError;
 
 /// Kinds of small files of the placement, next to the stamps. No other result depends on these
 /// files.
-const PLACED: [&str; 2] = ["window", "fit"];
+const PLACED: [&str; 3] = ["side", "window", "fit"];
 
 /// Files that `lumistack clean` removed, or would remove.
 #[derive(Clone, Debug, Serialize)]
@@ -137,7 +137,7 @@ fn collect(dir: &Path, all: bool, kinds: &mut Vec<(&'static str, Vec<PathBuf>)>)
     let of_kind = |name: &str, wanted: &[&str]| name.rsplit_once('-').is_some_and(|(kind, _)| wanted.contains(&kind));
     let kept = entries(&cache).into_iter();
     let (scenes, placed): (Vec<_>, Vec<_>) = kept
-        .filter(|(name, path)| !path.is_dir() && of_kind(name, &["blend", "window", "fit"]))
+        .filter(|(name, path)| !path.is_dir() && (of_kind(name, &["blend"]) || of_kind(name, &PLACED)))
         .partition(|(name, _)| of_kind(name, &["blend"]));
     let stale = scenes.into_iter().filter(|(_, path)| all || !handover::holds(path));
     kinds.push(("scenes that Blender converted", stale.map(|(_, path)| path).collect()));
