@@ -44,8 +44,12 @@ const RELOAD: &str = "<script>{const was='STAMP';setInterval(async()=>{try{\
     const answer=await fetch('.stamp',{cache:'no-store'});if(answer.ok&&await answer.text()!==was)location.reload()\
     }catch{}},1000)}</script></body>";
 
-/// Loads the script of a live display, which receives new states without a reload.
-const FOLLOW: &str = "<script type=\"module\" src=\".live.js\"></script></body>";
+/// Loads the script of a live display, which receives new states without a reload. Its address
+/// holds the word by which the page may move a viewer; pages of other origins cannot read it.
+fn follow(word: Option<&str>) -> String {
+    let query = word.map_or(String::new(), |word| format!("?viewer={word}"));
+    format!("<script type=\"module\" src=\".live.js{query}\"></script></body>")
+}
 
 /// Listens on the loopback interface.
 pub(crate) struct Server {
@@ -80,6 +84,10 @@ pub(crate) trait Feed: Sync {
     fn script(&self) -> &'static str;
     /// Response to a query, after a newer state or a timeout; `None` without a state.
     fn frame(&self, query: &str) -> Option<Vec<u8>>;
+    /// The word that a query of [`look`](Self::look) must have; `None` where pages move no viewer.
+    fn word(&self) -> Option<&str>;
+    /// Moves the viewer of a page. Returns whether the query is right.
+    fn look(&self, query: &str) -> bool;
 }
 
 /// The page's preload of the preview's index, which a live display's page does not need.
@@ -88,6 +96,8 @@ const PRELOAD: &str = "<link rel=\"preload\" as=\"fetch\" crossorigin href=\"sta
 const SCRIPT: &str = "/.live.js";
 /// Path of the states that the script requests.
 const STATES: &str = "/.live";
+/// Path to which the script sends its viewing position.
+const LOOK: &str = "/.look";
 /// The element that shows a preview: as written in the page, and without a preview of its own.
 const ELEMENT: [&str; 2] = ["<lumistack-viewer src=\"stack/preview.json\"", "<lumistack-viewer"];
 
@@ -390,6 +400,8 @@ fn reply(method: &str, host: Option<&str>, url: &str, site: Site<'_>, stamp: &st
                     .frame(query)
                     .map_or_else(|| Reply::text(204, ""), |frame| bytes("application/octet-stream", frame));
             }
+            LOOK if feed.look(query) => return Reply::text(204, ""),
+            LOOK => return Reply::text(403, "expected the page's own word and a slope\n"),
             _ => {}
         }
     }
@@ -399,7 +411,10 @@ fn reply(method: &str, host: Option<&str>, url: &str, site: Site<'_>, stamp: &st
         let Ok(bytes) = std::fs::read(&file) else { return missing() };
         let page = String::from_utf8_lossy(&bytes);
         let page = match site.live {
-            Some(_) => page.replacen(PRELOAD, "", 1).replacen(ELEMENT[0], ELEMENT[1], 1).replacen("</body>", FOLLOW, 1),
+            Some(feed) => {
+                let page = page.replacen(PRELOAD, "", 1).replacen(ELEMENT[0], ELEMENT[1], 1);
+                page.replacen("</body>", &follow(feed.word()), 1)
+            }
             None => page.replacen("</body>", &RELOAD.replace("STAMP", stamp), 1),
         };
         let content = Content::Bytes(page.into_bytes());

@@ -165,7 +165,9 @@ def _export_meshes(bpy: Any, path: str | Path) -> None:
         "will_save_settings": False,
     }
     known = bpy.ops.export_scene.gltf.get_rna_type().properties.keys()
-    bpy.ops.export_scene.gltf(filepath=str(path), **{name: value for name, value in settings.items() if name in known})
+    # The exporter would end the edit mode of an active object.
+    with bpy.context.temp_override(active_object=None, object=None):
+        bpy.ops.export_scene.gltf(filepath=str(path), **{name: value for name, value in settings.items() if name in known})
 
 
 def y_up(matrix: Any) -> Rows:
