@@ -129,7 +129,7 @@ fn states_follow_commands_files_and_heads_and_the_last_is_a_run() {
     succeed(lumistack().arg("simulate").arg(&run).args(["--view", "2,0", "-o"]).arg(folder.path().join("view.png")));
 }
 
-/// Requests a path of the page's server. Returns the head and the body.
+/// Requests a path of the page's server. Returns the whole answer.
 fn get(address: &str, path: &str) -> String {
     let host = address.trim_start_matches("http://").trim_end_matches('/');
     let mut stream = std::net::TcpStream::connect(host.replace("localhost", "127.0.0.1")).unwrap();
@@ -166,7 +166,7 @@ fn a_page_moves_its_viewer_and_a_stranger_does_not() {
     live.stop();
 }
 
-/// A program that starts a display may end without a last word.
+/// A program that starts a display may crash, and cannot stop it then.
 #[test]
 fn the_end_of_the_input_stops_it_on_request() {
     let folder = tempfile::tempdir().unwrap();

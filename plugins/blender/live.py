@@ -55,9 +55,14 @@ class Session:
         self._scenes = Files(folder / "live-scene", "scene", ".glb")
         self._displays = Files(folder / "live-scene", "display", ".toml")
         self._digest = b""
+        #: Input and result of `_settings`, and the display's text and file.
         self._key: object = None
-        #: A line for the panel, beside those of the program.
-        self.note = ""
+        self._tables: dict[str, object] = {}
+        self._display = ("", "")
+        #: Content that glTF cannot express.
+        self._lost = ""
+        #: A line for the panel, beside those of the program, and the reason of the end.
+        self.note = self.reason = ""
         self.export_s = 0.0
         self.exports = 0
         #: Time of the oldest change that was not exported; None without one.
@@ -76,9 +81,9 @@ class Session:
     def state(self) -> State:
         return self.program.state
 
-    def stop(self) -> None:
+    def stop(self, reason: str = "") -> None:
         """Asks the program to end; `step` goes on until it has."""
-        self._asked = True
+        self._asked, self.reason = True, reason
         self.program.stop()
 
     @property
@@ -94,8 +99,7 @@ class Session:
             return True
         scene = next((each for each in bpy.data.scenes if each.session_uid == self._uid), None)
         if scene is None:
-            self.note = "the scene was deleted"
-            self.stop()
+            self.stop("the scene was deleted")
             return True
         now = time.monotonic()
         is_shown = self.program.is_shown or now > self._next + PATIENCE_S
@@ -113,7 +117,7 @@ class Session:
             self.note = self._lost
         except (jobs.JobError, lumistack.Error, RuntimeError, ValueError, OSError) as error:
             # The display stays as it is.
-            self.note = str(error) or type(error).__name__
+            self.note = jobs.text_of(error)
             self._next = time.monotonic() + RETRY_S
             return True
         if keys:
@@ -150,8 +154,7 @@ class Session:
         return self._tables
 
     def _display_file(self, text: str) -> str:
-        before = getattr(self, "_display", ("", ""))
-        if before[0] != text:
+        if self._display[0] != text:
             path = self._displays.next()
             path.write_text(text, encoding="utf-8")
             self._display = (text, str(path))
@@ -167,7 +170,9 @@ class Session:
             handover.export_scene(bpy, path, lambda place, text: lost.append(f"{place}: {text}"), scene)
             # Settings that the export restored are changes too, which must not start the next one.
             bpy.context.view_layer.update()
-        except BaseException:
+        except BaseException as error:
+            # Shown until an export works.
+            self._lost = jobs.text_of(error)
             self._scenes.back()
             raise
         finally:
@@ -203,8 +208,7 @@ def start(scene) -> None:
 def stop(reason: str = "") -> None:
     """Asks the program to end; its run folder stays."""
     if session is not None:
-        session.note = reason or session.note
-        session.stop()
+        session.stop(reason)
 
 
 def end_now() -> None:
@@ -224,7 +228,7 @@ def step() -> bool:
         return True
     state = session.state
     if session.is_stopping:
-        reason = f" ({session.note})" if session.note else ""
+        reason = f" ({session.reason})" if session.reason else ""
         ended = f"Live has ended{reason}. The last state is in {Path(state.report).parent}" if state.report else f"Live has ended{reason}"
     elif state.report:
         ended = f"Live was ended outside Blender. The last state is in {Path(state.report).parent}"
@@ -308,7 +312,7 @@ class LUMISTACK_OT_live(bpy.types.Operator):
         try:
             start(context.scene)
         except Exception as error:  # every error is reported to the user
-            self.report({"ERROR"}, str(error) or type(error).__name__)
+            self.report({"ERROR"}, jobs.text_of(error))
             return {"CANCELLED"}
         return {"FINISHED"}
 

@@ -811,6 +811,10 @@ def case_overlay(folder, zip_path):
 
 #: The display of `case_live`: 160 × 100 pixels.
 LIVE_DISPLAY_SIZE = "[160, 100]"
+#: Seconds without a better state after which a picture is at rest.
+LIVE_REST = 1.0
+#: Largest mean difference of two pictures at rest.
+LIVE_NOISE = 0.003
 #: Longest wait for a picture of a change, seconds: the machine may compile beside.
 LIVE_PATIENCE = 60.0
 
@@ -912,7 +916,8 @@ def case_live(folder, zip_path):
     def follows(name, change, is_right=lambda old, new: True):
         """The picture differs from the one before by more than noise, and as expected."""
         old = pictures[list(pictures)[-1]]
-        assert numpy.abs(page.picture() - old).mean() < 0.004, f"{name}: it moves at rest"
+        moved = float(numpy.abs(page.picture() - old).mean())
+        assert moved < LIVE_NOISE, f"{name}: it moves at rest, by {moved}"
         content = session.state.content
         change()
         bpy.context.view_layer.update()
@@ -920,7 +925,7 @@ def case_live(folder, zip_path):
 
         def is_shown():
             pictures[name] = page.picture()
-            return numpy.abs(pictures[name] - old).mean() > 0.008 and is_right(old, pictures[name])
+            return numpy.abs(pictures[name] - old).mean() > 3.0 * LIVE_NOISE and is_right(old, pictures[name])
 
         until(f"the picture of {name}", is_shown)
         times[name] = (seconds, session.state.latency_s)
@@ -1027,13 +1032,13 @@ def case_live(folder, zip_path):
 
 
 def settled(session):
-    """True if nothing waits and no better state came for half a second."""
+    """True if nothing waits and no better state came for a while."""
     if session.changed_at is not None or not session.program.is_shown:
         return False
     now, states = time.monotonic(), session.state.states
     if getattr(session, "_seen", (None, 0.0))[0] != states:
         session._seen = (states, now)
-    return now - session._seen[1] > 0.5
+    return now - session._seen[1] > LIVE_REST
 
 
 CASES = ["lifecycle", "silhouettes", "radiance", "make", "animation", "faults", "handover", "beyond", "resume", "headless", "digest", "overlay", "live"]

@@ -114,8 +114,7 @@ impl Requests {
         self.stopped.store(true, Ordering::SeqCst);
     }
 
-    /// Makes the end of standard input stop the display: a program that starts it may end without a
-    /// last word.
+    /// Makes the end of standard input stop the display: a program that starts it may crash.
     pub(super) fn stop_at_end(&self) {
         self.stops_at_end.store(true, Ordering::SeqCst);
     }
@@ -175,7 +174,9 @@ impl<'a> Once<'a> {
 
 impl Warnings for Once<'_> {
     fn warn(&self, warning: Warning) {
-        self.messages.say(warning.to_string());
+        // the page itself is the place of the display's own errors
+        let is_own = warning.place == "live";
+        self.messages.say(if is_own { warning.message.clone() } else { warning.to_string() });
         let mut seen = lock(&self.seen);
         if seen.len() >= MOST_SEEN {
             seen.clear();

@@ -25,7 +25,7 @@ LONGEST = 400
 
 @dataclass(frozen=True)
 class State:
-    """The program's last words."""
+    """The state of the program, from its events."""
 
     #: Address of the page; empty before the first picture.
     address: str = ""
