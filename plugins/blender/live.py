@@ -195,7 +195,7 @@ ended = ""
 
 
 def start(scene) -> None:
-    """Starts to follow a scene. Raises what `Session` raises."""
+    """Starts to follow a scene. Raises the errors of `Session`."""
     global session, ended
     end_now()
     ended = ""

@@ -121,7 +121,7 @@ class Guest {
     for (; this.on; await rest(LOOK_MS)) {
       const [x, y] = this.viewer.slope;
       const at = performance.now();
-      // A page that nobody sees has no viewer.
+      // A hidden page has no viewer.
       if (document.hidden) {
         if (sent) await this.send("");
         sent = undefined;

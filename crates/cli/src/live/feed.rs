@@ -1,11 +1,13 @@
 //! States for the page. One response holds a complete state, so the page never mixes two states.
 //!
 //! ```text
-//! GET /.live?after=NUMBER&edition=NAME&said=NUMBER      waits for a newer state or message; 204 after a timeout
+//! GET /.live?after=NUMBER&edition=NAME&said=NUMBER
+//!     waits for a newer state or message; 204 after a timeout
 //! u32 length of JSON (little endian) | JSON | files, one after another
 //! JSON: {"number", "edition", "files": [bytes, ...], "preview": text or null, "said", "message"}
 //!
-//! GET /.look?viewer=WORD&x=SLOPE&y=SLOPE    a page's viewer, as a tracked head; without x and y it leaves
+//! GET /.look?viewer=WORD&x=SLOPE&y=SLOPE
+//!     a page's viewer, as a tracked head; without x and y it leaves
 //! ```
 //!
 //! Files are those of preview.json, in its order. An edition is a version of preview.json; its text
