@@ -9,8 +9,8 @@ import bpy
 
 from . import jobs, live, overlay, settings as settings_of
 
-#: Characters of a line of a message in a panel of usual width.
-LINE = 56
+#: Mean width of a character, pixels; and characters that an icon and margins take.
+CHARACTER_PX, MARGIN = 7.0, 8
 
 
 class _Panel:
@@ -75,8 +75,9 @@ class LUMISTACK_PT_live(_Panel, bpy.types.Panel):
             if session.state.address:
                 row.operator("wm.url_open", text="Open Page", icon="URL").url = session.state.address
         column = layout.column(align=True)
+        characters = int(context.region.width / (CHARACTER_PX * context.preferences.system.ui_scale)) - MARGIN
         for icon, text in live.status():
-            for number, line in enumerate(textwrap.wrap(text, LINE)):
+            for number, line in enumerate(textwrap.wrap(text, max(characters, 20))):
                 column.label(text=line, icon="BLANK1" if number else icon)
 
 
