@@ -351,14 +351,15 @@ def test_a_live_display_ends_with_the_program_that_started_it(tmp_path: Path) ->
     text = (
         "import os, signal, sys, time; from lumistack.blender.live import Live; live = Live(sys.argv[1:], os.environ)\n"
         "while live.state.states == 0: time.sleep(0.01)\n"
-        "os.kill(os.getpid(), signal.SIGKILL)"
+        "assert live.state.code is None; os.kill(os.getpid(), signal.SIGKILL)"
     )
     done = subprocess.run([sys.executable, "-c", text, *live_words(tmp_path)], capture_output=True, text=True)
     assert done.returncode == -signal.SIGKILL, done
-    # It writes its run folder at the end.
-    report = tmp_path / "run" / "report.html"
-    for _ in range(6000):
-        if report.is_file():
+    # Its run folder is free again: until then another display refuses it.
+    for _ in range(60):
+        live = Live(live_words(tmp_path), os.environ)
+        if until(live, lambda state: state.states > 0 or state.code is not None).code is None:
+            live.end(60.0)
             return
-        time.sleep(0.01)
+        time.sleep(1.0)
     raise AssertionError("it runs on")
