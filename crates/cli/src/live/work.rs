@@ -45,9 +45,6 @@ pub(super) struct Shared {
     pub(super) states: Mailbox<State>,
     /// Number of the newest light field that has a state, or cannot be solved.
     handled: AtomicU64,
-    /// The renderer works at changed content: updates for the content before it would only take
-    /// processors from it.
-    renews: AtomicBool,
     files: Mutex<(Vec<PathBuf>, SystemTime)>,
     updates: u32,
     sigma_mm: f64,
@@ -70,7 +67,6 @@ impl Shared {
             to_solve: Mailbox::default(),
             states: Mailbox::default(),
             handled: AtomicU64::new(0),
-            renews: AtomicBool::new(false),
             files: Mutex::new((Vec::new(), SystemTime::now())),
             updates,
             sigma_mm,
@@ -163,9 +159,7 @@ pub(super) fn render(
         // requests would show nothing.
         let cancel = if is_new { task.cancel.clone() } else { requests.pass() };
         let begun = SystemTime::now();
-        shared.renews.store(is_new && !is_video, Ordering::SeqCst);
         let pass = live_fields.pass(registry, Task { cancel: &cancel, ..task });
-        shared.renews.store(false, Ordering::SeqCst);
         // also after an error, since files may be incomplete
         shared.note_files(live_fields.files(), begun);
         let pass = pass
@@ -214,9 +208,7 @@ pub(super) fn solve(mut solver: LiveSolver, shared: &Shared, json: bool, task: T
             continue;
         };
         on.follow(shared.requests.tracker().boxes(now(), latency), shared.sigma_mm, task);
-        // Content that is about to be replaced has a state already.
-        let is_outdated = on.updates > 0 && shared.renews.load(Ordering::SeqCst);
-        if on.left == 0 || is_outdated {
+        if on.left == 0 {
             drop(shared.to_solve.wait_after(seen, IDLE));
             continue;
         }
