@@ -17,7 +17,8 @@ const PATIENCE: Duration = Duration::from_secs(120);
 /// A running display.
 pub(crate) struct Live {
     process: Child,
-    input: ChildStdin,
+    /// None after its end.
+    input: Option<ChildStdin>,
     events: Receiver<Value>,
 }
 
@@ -31,7 +32,7 @@ impl Live {
     fn start_by(mut command: Command, job: &Path, run: &Path, options: &[&str]) -> Self {
         command.args(["--json", "live", "--no-open"]).arg(job).arg("-o").arg(run).args(options);
         let mut process = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
-        let (input, output) = (process.stdin.take().unwrap(), process.stdout.take().unwrap());
+        let (input, output) = (process.stdin.take(), process.stdout.take().unwrap());
         let (send, events) = channel();
         std::thread::spawn(move || {
             for line in BufReader::new(output).lines() {
@@ -42,7 +43,7 @@ impl Live {
     }
 
     pub(crate) fn command(&mut self, command: &Value) {
-        writeln!(self.input, "{command}").unwrap();
+        writeln!(self.input.as_ref().unwrap(), "{command}").unwrap();
     }
 
     /// Waits for an event that satisfies a condition.
@@ -127,6 +128,57 @@ fn states_follow_commands_files_and_heads_and_the_last_is_a_run() {
     let display = std::fs::read_to_string(run.join("display.toml")).unwrap();
     assert!(display.contains("brightness = 0.4"), "{display}");
     succeed(lumistack().arg("simulate").arg(&run).args(["--view", "2,0", "-o"]).arg(folder.path().join("view.png")));
+}
+
+/// Requests a path of the page's server. Returns the whole answer.
+fn get(address: &str, path: &str) -> String {
+    let host = address.trim_start_matches("http://").trim_end_matches('/');
+    let mut stream = std::net::TcpStream::connect(host.replace("localhost", "127.0.0.1")).unwrap();
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: {host}\r\n\r\n").unwrap();
+    let mut answer = String::new();
+    std::io::Read::read_to_string(&mut stream, &mut answer).unwrap();
+    answer
+}
+
+#[test]
+fn a_page_moves_its_viewer_and_a_stranger_does_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let (job, run) = (write_job(folder.path()), folder.path().join("run"));
+    let live = Live::start(&job, &run, &[]);
+    let address = live.event(|event| event["event"] == "serving")["address"].as_str().unwrap().to_owned();
+    let page = get(&address, "/");
+    let (_, rest) = page.split_once(".live.js?viewer=").expect("the page has its word");
+    let (word, _) = rest.split_once('"').unwrap();
+    for wrong in ["/.look", "/.look?x=0.1&y=0", "/.look?viewer=0&x=0.1&y=0", &format!("/.look?viewer={word}&x=a&y=0")] {
+        assert!(get(&address, wrong).starts_with("HTTP/1.1 403 "), "{wrong}");
+    }
+    assert!(get(&address, &format!("/.look?viewer={word}&x=0.1&y=0")).starts_with("HTTP/1.1 204 "));
+    live.state(|state| state["zone"] == 0.0);
+    assert!(get(&address, &format!("/.look?viewer={word}")).starts_with("HTTP/1.1 204 "));
+    live.state(|state| state["zone"] == 1.0);
+    live.stop();
+
+    // a tracker moves the viewer alone
+    let port = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let live = Live::start(&job, &run, &["--opentrack", &port.to_string()]);
+    let address = live.event(|event| event["event"] == "serving")["address"].as_str().unwrap().to_owned();
+    assert!(!get(&address, "/").contains("viewer="));
+    assert!(get(&address, "/.look?viewer=&x=0.1&y=0").starts_with("HTTP/1.1 403 "));
+    live.stop();
+}
+
+/// A program that starts a display may crash, and cannot stop it then.
+#[test]
+fn the_end_of_the_input_stops_it_on_request() {
+    let folder = tempfile::tempdir().unwrap();
+    let (job, run) = (write_job(folder.path()), folder.path().join("run"));
+    let mut live = Live::start(&job, &run, &[]);
+    live.state(|_| true);
+    live.command(&json!({"stop_at_end": true}));
+    live.input = None;
+    live.event(|event| event["event"] == "done");
+    assert!(live.process.wait().unwrap().success());
+    assert!(run.join("report.html").exists());
 }
 
 #[test]

@@ -8,11 +8,12 @@ package has the panel, the operators and the functions that Blender calls.
     jobs        the work, step by step              panel       the panels
     pictures    views from files, simulated views   overlay     the drawing in the 3D view
     digest      the validity of kept views          command     `blender --command lumistack`
+    live        a display that follows the scene
 """
 
-from . import command, jobs, operators, overlay, panel, settings
+from . import command, jobs, live, operators, overlay, panel, settings
 
-_PARTS = (settings, operators, panel, overlay, command)
+_PARTS = (settings, operators, live, panel, overlay, command)
 
 
 def register() -> None:

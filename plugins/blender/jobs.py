@@ -281,6 +281,15 @@ def result_of(work: Work):
     return work.result
 
 
+def text_of(error: BaseException) -> str:
+    """The message of an error; of an operator's error, which holds a whole trace, the last line."""
+    lines = [line for line in str(error).splitlines() if line.strip()]
+    is_trace = any(line.startswith("Traceback") or "Python: Traceback" in line for line in lines)
+    if not lines:
+        return type(error).__name__
+    return lines[-1] if is_trace else "\n".join(lines)
+
+
 def display_of(settings) -> lumistack.Display:
     try:
         return settings_of.display_of(settings)

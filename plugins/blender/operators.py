@@ -22,10 +22,6 @@ WINDOW_PX = 720
 _previews: list[subprocess.Popen] = []
 
 
-def _text(error: BaseException) -> str:
-    return str(error) or type(error).__name__
-
-
 class _Steps(bpy.types.Operator):
     """Does a job's steps from a timer; without a window, all at once."""
 
@@ -41,7 +37,7 @@ class _Steps(bpy.types.Operator):
         try:
             jobs.run_now(job)
         except Exception as error:  # every error is reported to the user
-            self.report({"ERROR"}, _text(error))
+            self.report({"ERROR"}, jobs.text_of(error))
             return {"CANCELLED"}
         return self._end(context, job)
 
@@ -69,7 +65,7 @@ class _Steps(bpy.types.Operator):
             return self._go_on(context)
         except Exception as error:  # the timer must be removed after any error
             self._close(context)
-            self.report({"ERROR"}, _text(error))
+            self.report({"ERROR"}, jobs.text_of(error))
             return {"CANCELLED"}
 
     def _go_on(self, context):

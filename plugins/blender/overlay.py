@@ -74,6 +74,12 @@ def placement(scene) -> tuple[object, cameras.Window] | None:
 
 
 def _key(scene) -> object:
+    """The data that determine the window: those of the camera, and the content at the frame."""
+    camera = key_of_camera(scene)
+    return camera and (camera, scene.frame_current)
+
+
+def key_of_camera(scene) -> object:
     """The camera's data that determine the window."""
     camera = scene.camera
     if camera is None or camera.type != "CAMERA":
@@ -81,7 +87,7 @@ def _key(scene) -> object:
     dof = camera.data.dof
     focus = dof.focus_object and dof.focus_object.matrix_world.copy()
     frame = tuple(corner.copy().freeze() for corner in camera.data.view_frame(scene=scene))
-    return (camera.matrix_world.copy(), camera.data.type, frame, dof.use_dof, dof.focus_distance, focus, scene.frame_current)
+    return (camera.matrix_world.copy(), camera.data.type, frame, dof.use_dof, dof.focus_distance, focus)
 
 
 def _draw() -> None:

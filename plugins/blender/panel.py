@@ -3,9 +3,14 @@
 
 from __future__ import annotations
 
+import textwrap
+
 import bpy
 
-from . import jobs, overlay, settings as settings_of
+from . import jobs, live, overlay, settings as settings_of
+
+#: Mean width of a character, pixels; and characters that an icon and margins take.
+CHARACTER_PX, MARGIN = 7.0, 8
 
 
 class _Panel:
@@ -53,6 +58,27 @@ class LUMISTACK_PT_main(_Panel, bpy.types.Panel):
             layout.prop(settings, "exposure_ev")
         layout.prop(settings, "times")
         layout.prop(settings, "folder")
+
+
+class LUMISTACK_PT_live(_Panel, bpy.types.Panel):
+    bl_label = "Live"
+    bl_parent_id = "LUMISTACK_PT_main"
+
+    def draw(self, context):
+        layout, _ = self.begin(context)
+        session = live.session
+        row = layout.row(align=True)
+        if session is None:
+            row.operator("lumistack.live", text="Start Live", icon="PLAY")
+        else:
+            row.operator("lumistack.live", text="Stop Live", icon="PAUSE", depress=True)
+            if session.state.address:
+                row.operator("wm.url_open", text="Open Page", icon="URL").url = session.state.address
+        column = layout.column(align=True)
+        characters = int(context.region.width / (CHARACTER_PX * context.preferences.system.ui_scale)) - MARGIN
+        for icon, text in live.status():
+            for number, line in enumerate(textwrap.wrap(text, max(characters, 20))):
+                column.label(text=line, icon="BLANK1" if number else icon)
 
 
 class LUMISTACK_PT_window(_Panel, bpy.types.Panel):
@@ -121,7 +147,7 @@ class LUMISTACK_PT_output(_Panel, bpy.types.Panel):
             layout.prop(context.scene.lumistack_outputs, each.identifier)
 
 
-_CLASSES = (LUMISTACK_PT_main, LUMISTACK_PT_window, LUMISTACK_PT_views, LUMISTACK_PT_output)
+_CLASSES = (LUMISTACK_PT_main, LUMISTACK_PT_live, LUMISTACK_PT_window, LUMISTACK_PT_views, LUMISTACK_PT_output)
 
 
 def register() -> None:

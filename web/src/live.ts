@@ -1,5 +1,6 @@
 // Makes the page's viewer follow `lumistack live`: requests the newest state and shows it without a
-// reload of the page.
+// reload of the page. A bar below the viewer reports the connection, and lets the view act as a
+// tracked head.
 //
 // A state is one answer: u32 length of JSON | JSON | files in the order of preview.json. The
 // viewer's attribute `data-state` is the number of the current state.
@@ -9,32 +10,157 @@ interface Head {
   number: number;
   /** Stays the same as long as preview.json does. */
   edition: string;
-  /** Length of every file. */
+  /** Length of every file; none without a newer state. */
   files: number[];
   /** The text of preview.json, if this page has another edition. */
   preview: string | null;
+  /** Number of the newest message, and its text: a warning or an error of the last change, or empty. */
+  said: number;
+  message: string;
 }
 
 /** Milliseconds before a failed request is repeated. */
 const AGAIN_MS = 500;
+/** Milliseconds between two reports of the view, and of rest before the same view is reported. */
+const LOOK_MS = 40;
+const REST_MS = 400;
+/** Change of a slope that is reported: 0.6 mm at a distance of 600 mm. */
+const STEP = 0.001;
 
-async function follow(viewer: LumistackViewer): Promise<never> {
-  let [number, edition] = [0, ""];
+/** The bar's own rules; its colours are those of the viewer in the same theme. */
+const SHEET = `
+  lumistack-viewer { height: calc(100dvh - 34px) }
+  .live { --back: #15171a; --line: #282b30; --text: #ecebe8; --quiet: #9a9da5; --good: #7fc98f; --warn: #efb152; color-scheme: dark }
+  @media (prefers-color-scheme: light) {
+    lumistack-viewer:not([theme]) + .live { --back: #fbfaf8; --line: #dcdad3; --text: #1a1b1d; --quiet: #5d6067; --good: #2c7a3f; --warn: #8a5a06; color-scheme: light }
+  }
+  lumistack-viewer[theme="light"] + .live { --back: #fbfaf8; --line: #dcdad3; --text: #1a1b1d; --quiet: #5d6067; --good: #2c7a3f; --warn: #8a5a06; color-scheme: light }
+  .live { display: flex; gap: 10px; align-items: center; box-sizing: border-box; height: 34px; padding: 0 14px; border-top: 1px solid var(--line);
+    background: var(--back); color: var(--text); font: 13px/1 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", sans-serif }
+  .live i { flex: none; width: 8px; height: 8px; border-radius: 50%; background: var(--good) }
+  .live:is(.waits, .warns) i { background: var(--warn) }
+  .live p { flex: 1; margin: 0; line-height: 1.3; overflow: hidden; text-overflow: ellipsis; white-space: nowrap; color: var(--quiet) }
+  .live:is(.waits, .warns) p { color: var(--warn) }
+  .live label { flex: none; display: flex; gap: 7px; align-items: center; cursor: pointer }
+  .live input { margin: 0 }
+`;
+
+/** The bar below the viewer. */
+class Bar {
+  private readonly bar = document.createElement("div");
+  private readonly text = document.createElement("p");
+
+  constructor(private readonly viewer: LumistackViewer) {
+    const style = document.createElement("style");
+    style.textContent = SHEET;
+    document.head.append(style);
+    this.bar.className = "live waits";
+    this.text.setAttribute("role", "status");
+    this.text.textContent = "Waiting for the first state";
+    this.bar.append(document.createElement("i"), this.text);
+    viewer.after(this.bar);
+  }
+
+  /** Shows the connection, or a message of the program. */
+  live(number: number, message: string): void {
+    this.viewer.dataset.state = String(number);
+    delete this.viewer.dataset.waits;
+    this.bar.className = message ? "live warns" : "live";
+    this.say(message || "Live");
+  }
+
+  waits(): void {
+    this.viewer.dataset.waits = "";
+    this.bar.className = "live waits";
+    this.say("lumistack live does not answer: it has ended, or starts again. This is its last state");
+  }
+
+  /** Adds a switch with a key. */
+  toggle(label: string, title: string, key: string, changed: (on: boolean) => void): void {
+    const box = document.createElement("input");
+    box.type = "checkbox";
+    box.id = "follow";
+    const row = document.createElement("label");
+    row.title = title;
+    row.append(box, `${label} (${key.toUpperCase()})`);
+    this.bar.append(row);
+    box.addEventListener("change", () => changed(box.checked));
+    document.addEventListener("keydown", (event) => {
+      if (event.key.toLowerCase() === key && !event.ctrlKey && !event.metaKey && !event.altKey && !event.repeat) box.click();
+    });
+  }
+
+  /** Unchanged words are not repeated to screen readers. */
+  private say(text: string): void {
+    if (this.text.textContent !== text) this.text.textContent = this.text.title = text;
+  }
+}
+
+/** The view as a tracked head: mouse, finger, keys and tilt move it. */
+class Guest {
+  private on = false;
+  private running = false;
+
+  constructor(
+    private readonly viewer: LumistackViewer,
+    private readonly word: string,
+  ) {
+    addEventListener("pagehide", () => this.on && void this.send(""));
+  }
+
+  follow(on: boolean): void {
+    this.on = on;
+    if (on && !this.running) void this.run();
+  }
+
+  private async run(): Promise<void> {
+    this.running = true;
+    // A view that swings by itself is no viewer.
+    this.viewer.slope = this.viewer.slope;
+    let sent: { x: number; y: number; at: number } | undefined;
+    for (; this.on; await rest(LOOK_MS)) {
+      const [x, y] = this.viewer.slope;
+      const at = performance.now();
+      // A hidden page has no viewer.
+      if (document.hidden) {
+        if (sent) await this.send("");
+        sent = undefined;
+      } else if (!sent || Math.hypot(x - sent.x, y - sent.y) >= STEP || at - sent.at >= REST_MS) {
+        sent = { x, y, at };
+        await this.send(`&x=${x.toFixed(5)}&y=${y.toFixed(5)}`);
+      }
+    }
+    await this.send("");
+    this.running = false;
+    if (this.on) void this.run();
+  }
+
+  private async send(view: string): Promise<void> {
+    // A failure is that of the next request of a state, which reports it.
+    await fetch(`.look?viewer=${this.word}${view}`, { cache: "no-store", keepalive: true }).catch(() => undefined);
+  }
+}
+
+const rest = (ms: number): Promise<void> => new Promise((resolve) => setTimeout(resolve, ms));
+
+async function follow(viewer: LumistackViewer, bar: Bar): Promise<never> {
+  let [number, edition, said] = [0, "", 0];
+  let message = "";
   for (;;) {
     try {
-      const response = await fetch(`.live?after=${number}&edition=${edition}`, { cache: "no-store" });
-      if (response.status === 204) continue;
-      if (!response.ok) throw new Error(response.statusText);
-      const [head, files] = taken(await response.arrayBuffer());
-      if (head.preview === null) await viewer.renew(files);
-      else await viewer.open(previewOf(head.preview, files));
-      ({ number, edition } = head);
-      viewer.dataset.state = String(number);
-      delete viewer.dataset.waits;
+      const response = await fetch(`.live?after=${number}&edition=${edition}&said=${said}`, { cache: "no-store" });
+      if (response.status !== 204) {
+        if (!response.ok) throw new Error(response.statusText);
+        const [head, files] = taken(await response.arrayBuffer());
+        if (head.preview !== null) await viewer.open(previewOf(head.preview, files));
+        else if (files.length > 0) await viewer.renew(files);
+        ({ number, edition, said, message } = head);
+      }
+      if (number > 0) bar.live(number, message);
     } catch {
       // The program has ended, or will restart: the current content stays.
-      viewer.dataset.waits = "";
-      await new Promise((resolve) => setTimeout(resolve, AGAIN_MS));
+      bar.waits();
+      await rest(AGAIN_MS);
     }
   }
 }
@@ -59,4 +185,13 @@ function previewOf(json: string, files: readonly ArrayBuffer[]): Map<string, Fil
 
 await customElements.whenDefined("lumistack-viewer");
 const viewer = document.querySelector("lumistack-viewer");
-if (viewer) void follow(viewer);
+if (viewer) {
+  const bar = new Bar(viewer);
+  // Without the word a tracker moves the viewer already.
+  const word = new URL(import.meta.url).searchParams.get("viewer");
+  if (word !== null) {
+    const guest = new Guest(viewer, word);
+    bar.toggle("The display follows my view", "Rays near this view count most, as for a tracked viewer", "f", (on) => guest.follow(on));
+  }
+  void follow(viewer, bar);
+}

@@ -96,6 +96,17 @@ test("the page follows files and commands without being loaded again", { skip },
   assert.ok((await number()) > first);
   await page.screenshot({ path: join(SHOTS, "live-green.png") });
 
+  // a file that cannot be read: a message, and the display stays
+  const words = () => page.locator(".live p").textContent();
+  await until("no message", async () => (await words()) === "Live");
+  writeFileSync(scene, card(1, 0, 0).slice(0, -40));
+  await until("a message about the file", async () => (await words()).includes("card.gltf"));
+  const [red, green] = await middle(page);
+  assert.ok(green > 120 && red < 80);
+  await page.screenshot({ path: join(SHOTS, "live-broken.png") });
+  writeFileSync(scene, card(0, 1, 0));
+  await until("no message about the file", async () => (await words()) === "Live");
+
   say({ set: { "light.background": "#0000ff" } });
   await until("a blue background", async () => {
     const { data } = await pixels(page, [0, 0]);
@@ -111,12 +122,45 @@ test("the page follows files and commands without being loaded again", { skip },
   await page.context().close();
 });
 
+test("the view acts as a tracked head while the switch is on", { skip }, async () => {
+  const page = await open(browser, address);
+  const zone = () => states.findLast(({ event }) => event === "state").zone;
+  await until("a state", async () => (await page.evaluate(() => Number(document.querySelector("lumistack-viewer").dataset.state ?? 0))) > 0);
+  assert.equal(zone(), 1);
+  const box = await page.locator("lumistack-viewer #stage").boundingBox();
+  await page.mouse.move(box.x + 0.7 * box.width, box.y + 0.4 * box.height);
+  await new Promise((resolve) => setTimeout(resolve, 1000));
+  assert.equal(zone(), 1, "the view moves no viewer by itself");
+  await page.getByLabel("The display follows my view").check();
+  await until("rays near the view", () => zone() === 0);
+  // a mouse at rest is a viewer who stands still, for longer than a tracker may be silent
+  await new Promise((resolve) => setTimeout(resolve, 2500));
+  assert.equal(zone(), 0);
+  await page.screenshot({ path: join(SHOTS, "live-follows.png") });
+  // the key is the same switch
+  await page.keyboard.press("f");
+  assert.equal(await page.getByLabel("The display follows my view").isChecked(), false);
+  await until("the whole zone", () => zone() === 1);
+  await page.keyboard.press("f");
+  await until("rays near the view again", () => zone() === 0);
+  // a page that is closed has no viewer
+  await page.close();
+  await until("the whole zone again", () => zone() === 1);
+  assert.deepEqual(page.trouble, []);
+});
+
 test("states have rising numbers, and Ctrl-C leaves a run folder", { skip }, async () => {
+  const page = await open(browser, address);
+  const words = () => page.locator(".live p").textContent();
+  await until("a live page", async () => (await words()) === "Live");
   const started = Date.now();
   const ended = new Promise((resolve) => live.once("exit", (code) => resolve(code)));
   live.kill("SIGINT");
   assert.equal(await ended, 0);
   console.log(`ended with its report after ${Date.now() - started} ms`);
+  await until("a word about the end", async () => (await words()).includes("does not answer"));
+  await page.screenshot({ path: join(SHOTS, "live-ended.png") });
+  await page.context().close();
   const numbers = states.filter(({ event }) => event === "state").map(({ number }) => number);
   assert.deepEqual(numbers, numbers.map((_, i) => i + 1));
   for (const file of ["job.toml", "display.toml", "layers/stack.json", "target/lightfield.json", "report.html", "report.json"]) assert.ok(existsSync(join(run, file)), file);

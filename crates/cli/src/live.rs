@@ -32,7 +32,7 @@ use lumistack_plugin_panels::presentation::{Command, Event};
 use serde_json::json;
 
 use self::control::{read_commands, read_packets};
-use self::feed::PageFeed;
+use self::feed::{Guest, PageFeed};
 use self::requests::{Once, Requests, lock};
 use self::watch::Watched;
 use self::work::{Rates, Shared, render, solve};
@@ -45,7 +45,7 @@ use crate::server::{Site, listen, port_of, serve};
 use crate::values::Numbers;
 
 /// For `lumistack live --help`.
-pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack live model.glb                          the display follows when the model is saved again\n  lumistack live scenes/still-life/job.toml --resolution 160x100\n  echo '{\"set\": {\"display.brightness\": 0.5}}' | lumistack live model.glb\n  lumistack live views/ --times --rate 12           a video: one light field per time step, in the order of the names\n  lumistack live model.glb --opentrack 4242         viewers tracked by OpenTrack (output: UDP over network)\n\nCommands on standard input, one JSON object a line: {\"set\": {KEY: VALUE, ...}} with keys of the job, {\"time\": SECONDS}, {\"viewers\": [[X, Y, Z], ...]} in millimetres,\n{\"reload\": true}, {\"stop\": true}. After Ctrl-C the last state remains as a run folder. docs/LIVE.md has the details.";
+pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack live model.glb                          the display follows when the model is saved again\n  lumistack live scenes/still-life/job.toml --resolution 160x100\n  echo '{\"set\": {\"display.brightness\": 0.5}}' | lumistack live model.glb\n  lumistack live views/ --times --rate 12           a video: one light field per time step, in the order of the names\n  lumistack live model.glb --opentrack 4242         viewers tracked by OpenTrack (output: UDP over network)\n\nCommands on standard input, one JSON object a line: {\"set\": {KEY: VALUE, ...}} with keys of the job, {\"time\": SECONDS}, {\"viewers\": [[X, Y, Z], ...]} in millimetres,\n{\"reload\": true}, {\"stop\": true}, {\"stop_at_end\": true} (the end of the input also stops it). After Ctrl-C the last state remains as a run folder. docs/LIVE.md has the details.";
 
 /// Interval at which files are checked for changes.
 const LOOK: Duration = Duration::from_millis(100);
@@ -166,14 +166,17 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
     })?;
     let socket = args.opentrack.map(open_socket).transpose()?;
 
-    let warnings = Once::new(task.warnings);
-    let work = Task { progress: &NoProgress, warnings: &warnings, cancel: task.cancel };
     let title = job.name.clone();
     let shared = Shared::new(Requests::new(job), args.updates, args.sigma_mm);
+    let warnings = Once::new(task.warnings, &shared.messages);
+    let work = Task { progress: &NoProgress, warnings: &warnings, cancel: task.cancel };
     // A thread that waits for a line of input cannot be ended, so it is detached.
     let requests = shared.requests.clone();
     std::thread::spawn(move || read_commands(std::io::stdin().lock(), &requests, json));
-    let feed = PageFeed::new(&shared.states, (&site, &title), registry, work);
+    // A tracker, or the mouse in the window, moves the viewer already.
+    let is_tracked = args.opentrack.is_some() || args.mouse;
+    let guest = (!is_tracked).then(|| Guest::new(&shared.requests, args.head_mm.0[2])).transpose()?;
+    let feed = PageFeed::new(&shared.states, &shared.messages, (&site, &title), guest, registry, work);
     let rates = Rates { times, rate_hz: args.rate, most_late: args.most_late };
     // Threads run until the user, a command or the end of the video stops them.
     let ended = std::thread::scope(|scope| {

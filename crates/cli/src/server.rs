@@ -46,8 +46,13 @@ const RELOAD: &str = "<script>{const was='STAMP';setInterval(async()=>{try{\
     const answer=await fetch('.stamp',{cache:'no-store'});if(answer.ok&&await answer.text()!==was)location.reload()\
     }catch{}},1000)}</script></body>";
 
-/// Element that loads the script of a live display, which receives new states without a reload.
-const FOLLOW: &str = "<script type=\"module\" src=\".live.js\"></script></body>";
+/// Element that loads the script of a live display, which receives new states without a reload. The
+/// script's address holds the word by which the page may move a viewer; pages of other origins
+/// cannot read it.
+fn follow(word: Option<&str>) -> String {
+    let query = word.map_or(String::new(), |word| format!("?viewer={word}"));
+    format!("<script type=\"module\" src=\".live.js{query}\"></script></body>")
+}
 
 /// A socket that listens on the loopback interface.
 pub(crate) struct Server {
@@ -83,6 +88,10 @@ pub(crate) trait Feed: Sync {
     /// Waits for a state newer than the query's, or for a timeout. Returns the response, or `None`
     /// without a state.
     fn frame(&self, query: &str) -> Option<Vec<u8>>;
+    /// The word that a query of [`look`](Self::look) must have; `None` where pages move no viewer.
+    fn word(&self) -> Option<&str>;
+    /// Moves the viewer of a page. Returns whether the query is right.
+    fn look(&self, query: &str) -> bool;
 }
 
 /// The page's element that preloads the preview's index; a live display's page does not need it.
@@ -91,6 +100,8 @@ const PRELOAD: &str = "<link rel=\"preload\" as=\"fetch\" crossorigin href=\"sta
 const SCRIPT: &str = "/.live.js";
 /// Path of the states that the script requests.
 const STATES: &str = "/.live";
+/// Path to which the script sends its viewing position.
+const LOOK: &str = "/.look";
 /// The beginning of the element that shows a preview: as the page has it, and without an address.
 const ELEMENT: [&str; 2] = ["<lumistack-viewer src=\"stack/preview.json\"", "<lumistack-viewer"];
 
@@ -395,6 +406,8 @@ fn reply(method: &str, host: Option<&str>, url: &str, site: Site<'_>, stamp: &st
                     .frame(query)
                     .map_or_else(|| Reply::text(204, ""), |frame| bytes("application/octet-stream", frame));
             }
+            LOOK if feed.look(query) => return Reply::text(204, ""),
+            LOOK => return Reply::text(403, "expected the page's own word and a slope\n"),
             _ => {}
         }
     }
@@ -404,7 +417,10 @@ fn reply(method: &str, host: Option<&str>, url: &str, site: Site<'_>, stamp: &st
         let Ok(bytes) = std::fs::read(&file) else { return missing() };
         let page = String::from_utf8_lossy(&bytes);
         let page = match site.live {
-            Some(_) => page.replacen(PRELOAD, "", 1).replacen(ELEMENT[0], ELEMENT[1], 1).replacen("</body>", FOLLOW, 1),
+            Some(feed) => {
+                let page = page.replacen(PRELOAD, "", 1).replacen(ELEMENT[0], ELEMENT[1], 1);
+                page.replacen("</body>", &follow(feed.word()), 1)
+            }
             None => page.replacen("</body>", &RELOAD.replace("STAMP", stamp), 1),
         };
         let content = Content::Bytes(page.into_bytes());

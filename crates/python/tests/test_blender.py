@@ -5,9 +5,15 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import random
+import signal
+import subprocess
+import sys
 import threading
 import time
+import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy
@@ -18,6 +24,7 @@ from lumistack.blender import command_line, depth, forms, outline
 from lumistack.blender.cameras import Window, WindowError, seen_at_mm, view_camera, window_of_camera, window_of_job
 from lumistack.blender.glb import Glb, radiance_hdr
 from lumistack.blender.handover import ball, panel, surface
+from lumistack.blender.live import KEPT, Files, Live, State, toml_of
 from lumistack.blender.views import Views, key_of
 from lumistack.blender.work import Work
 
@@ -272,3 +279,87 @@ def test_words_become_settings() -> None:
     with pytest.raises(command_line.Usage) as caught:
         command_line.parse(["--help"])
     assert caught.value.code == 0 and "--display" in str(caught.value)
+
+
+def test_jobs_become_toml() -> None:
+    job = {"name": 'a "b" \\ ü \n \x7f', "scene": "C:\\ä.glb", "window": {"from": "given", "centre": [0.0, -1.5, 2e-9], "width": 3}, "light": {"automatic": False}}
+    assert tomllib.loads(toml_of(job)) == job
+
+
+def test_only_the_last_files_of_a_scene_stay(tmp_path: Path) -> None:
+    folder = tmp_path / "ü"
+    for _ in range(2):
+        files = Files(folder, "scene", ".glb")
+        made = []
+        for number in range(KEPT + 3):
+            made.append(files.next())
+            made[-1].write_text(str(number))
+            # A file that is taken back is no new one.
+            files.next().write_text("the same")
+            files.back()
+        assert len(set(made)) == KEPT + 3
+        assert sorted(folder.iterdir()) == made[-KEPT:]
+
+
+def live_words(tmp_path: Path) -> list[str]:
+    field = tmp_path / "field.npy"
+    numpy.save(field, numpy.full((3, 3, 16, 24, 3), 0.4, numpy.float32))
+    job = {"name": "plain", "light_field": str(field), "geometry": {"fov_deg": [20, 20], "pitch_mm": 3.0}, "display": {"preset": "fig7-uniform", "frames": 2}}
+    (tmp_path / "job.toml").write_text(toml_of(job), encoding="utf-8")
+    return [sys.executable, "-m", "lumistack", "--json", "live", "--no-open", str(tmp_path / "job.toml"), "-o", str(tmp_path / "run")]
+
+
+def until(live: Live, is_right: Callable[[State], bool]) -> State:
+    for _ in range(6000):
+        if is_right(live.state):
+            return live.state
+        time.sleep(0.01)
+    raise AssertionError(f"waited in vain: {live.state}")
+
+
+def test_a_live_display_follows_changes_and_ends_with_its_folder(tmp_path: Path) -> None:
+    live = Live(live_words(tmp_path), os.environ)
+    first = until(live, lambda state: state.content == 1)
+    assert first.latency_s is None and first.code is None
+    begin = time.monotonic()
+    live.change({"display.brightness": 0.3}, begin - 1.0)
+    assert not live.is_shown
+    changed = until(live, lambda state: state.content == 2)
+    assert live.is_shown and changed.latency_s is not None and 1.0 < changed.latency_s <= time.monotonic() - begin + 1.0
+    live.change({"display.bright": 0.3}, time.monotonic())
+    refused = until(live, lambda state: state.problem != "")
+    assert "did you mean `brightness`?" in refused.problem and live.is_shown and refused.content == 2
+    # The next change takes the message back.
+    live.change({"display.brightness": 0.4}, time.monotonic())
+    assert until(live, lambda state: state.content == 3).problem == ""
+    assert until(live, lambda state: state.address != "").address.startswith("http://localhost:")
+    live.stop()
+    ended = until(live, lambda state: state.code is not None)
+    assert ended.code == 0 and Path(ended.report).is_file()
+    live.change({"display.brightness": 0.5}, time.monotonic())
+
+
+def test_a_live_display_that_does_not_start_says_why(tmp_path: Path) -> None:
+    words = live_words(tmp_path)
+    (tmp_path / "field.npy").unlink()
+    ended = until(Live(words, os.environ), lambda state: state.code is not None)
+    assert ended.code and "field.npy" in ended.problem, ended
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_a_live_display_ends_with_the_program_that_started_it(tmp_path: Path) -> None:
+    text = (
+        "import os, signal, sys, time; from lumistack.blender.live import Live; live = Live(sys.argv[1:], os.environ)\n"
+        "while live.state.states == 0: time.sleep(0.01)\n"
+        "assert live.state.code is None; os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    done = subprocess.run([sys.executable, "-c", text, *live_words(tmp_path)], capture_output=True, text=True)
+    assert done.returncode == -signal.SIGKILL, done
+    # Its run folder is free again: until then another display refuses it.
+    for _ in range(60):
+        live = Live(live_words(tmp_path), os.environ)
+        if until(live, lambda state: state.states > 0 or state.code is not None).code is None:
+            live.end(60.0)
+            return
+        time.sleep(1.0)
+    raise AssertionError("it runs on")

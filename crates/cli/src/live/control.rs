@@ -20,6 +20,7 @@ enum Command {
     Viewers(Vec<[f64; 3]>),
     Reload,
     Stop,
+    StopAtEnd,
 }
 
 /// Executes commands until the input ends. Wrong commands are reported and change nothing.
@@ -28,7 +29,7 @@ pub(super) fn read_commands(mut lines: impl BufRead, requests: &Requests, json: 
     while !requests.is_stopped() {
         line.clear();
         match std::io::Read::take(&mut lines, LINE as u64).read_until(b'\n', &mut line) {
-            Ok(0) | Err(_) => return,
+            Ok(0) | Err(_) => return requests.end_of_input(),
             Ok(_) => {}
         }
         let text = String::from_utf8_lossy(&line);
@@ -52,13 +53,14 @@ fn carry_out(line: &str, requests: &Requests) -> Result<(), String> {
             Command::Viewers(heads_mm) => requests.see(&heads_mm).map_err(|error| error.to_string())?,
             Command::Reload => requests.reload(),
             Command::Stop => requests.stop(),
+            Command::StopAtEnd => requests.stop_at_end(),
         }
     }
     Ok(())
 }
 
 fn commands_of(line: &str) -> Result<Vec<Command>, String> {
-    const EXPECTED: &str = "an object with `set`, `time`, `viewers`, `reload` or `stop`";
+    const EXPECTED: &str = "an object with `set`, `time`, `viewers`, `reload`, `stop` or `stop_at_end`";
     let all: Map<String, Value> = serde_json::from_str(line)
         .map_err(|error| format!("expected {EXPECTED} on one line, found no such JSON: {error}"))?;
     if all.is_empty() {
@@ -79,7 +81,8 @@ fn commands_of(line: &str) -> Result<Vec<Command>, String> {
             },
             ("reload", Value::Bool(true)) => Ok(Command::Reload),
             ("stop", Value::Bool(true)) => Ok(Command::Stop),
-            ("reload" | "stop", value) => wrong("true", &value),
+            ("stop_at_end", Value::Bool(true)) => Ok(Command::StopAtEnd),
+            ("reload" | "stop" | "stop_at_end", value) => wrong("true", &value),
             (name, _) => Err(format!("expected {EXPECTED}, found `{name}`")),
         }
     };
@@ -133,9 +136,18 @@ mod tests {
     }
 
     #[test]
+    fn the_end_of_the_input_stops_the_display_only_on_request() {
+        for (lines, stops) in [("{\"time\": 1}\n", false), ("{\"stop_at_end\": true}\n{\"time\": 1}\n", true)] {
+            let requests = requests();
+            read_commands(lines.as_bytes(), &requests, false);
+            assert_eq!((requests.is_stopped(), requests.job().pose.time_s), (stops, Some(1.0)), "{lines}");
+        }
+    }
+
+    #[test]
     fn errors_state_the_expected_line() {
         for (line, message) in [
-            ("[]", "expected an object with `set`, `time`, `viewers`, `reload` or `stop` on one line"),
+            ("[]", "expected an object with `set`, `time`, `viewers`, `reload`, `stop` or `stop_at_end` on one line"),
             ("{}", "found an empty one"),
             ("{\"sett\": {}}", "found `sett`"),
             ("{\"set\": 3}", "set: expected an object of keys"),
@@ -143,6 +155,7 @@ mod tests {
             ("{\"viewers\": [[1, 2]]}", "viewers: expected a list of positions [x, y, z]"),
             ("{\"viewers\": [[0, 0, -5]]}", "viewer: expected three finite numbers"),
             ("{\"stop\": false}", "stop: expected true"),
+            ("{\"stop_at_end\": 1}", "stop_at_end: expected true"),
             ("{\"set\": {\"display.bright\": 1}}", "did you mean `brightness`?"),
         ] {
             let error = carry_out(line, &requests()).unwrap_err();

@@ -1,13 +1,18 @@
 //! Sends states to the page. A response holds a complete state, so the page never mixes two.
 //!
 //! ```text
-//! GET /.live?after=NUMBER&edition=NAME      waits for a newer state; 204 after a timeout
+//! GET /.live?after=NUMBER&edition=NAME&said=NUMBER
+//!     waits for a newer state or message; 204 after a timeout
 //! u32 length of JSON (little endian) | JSON | files, one after another
-//! JSON: {"number", "edition", "files": [bytes, ...], "preview": text or null}
+//! JSON: {"number", "edition", "files": [bytes, ...], "preview": text or null, "said", "message"}
+//!
+//! GET /.look?viewer=WORD&x=SLOPE&y=SLOPE
+//!     a page's viewer, as a tracked head; without x and y it leaves
 //! ```
 //!
 //! The files are those that preview.json lists, in its order. An edition is a version of
-//! preview.json. The response contains its text if the page has another edition.
+//! preview.json. The response contains its text if the page has another edition. A response without
+//! a newer state has no files.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -24,7 +29,7 @@ use lumistack_pipeline::{OutputData, PipelineError, Registry, write_output};
 use serde_json::{Map, Value, json};
 
 use super::clock::now;
-use super::requests::lock;
+use super::requests::{Messages, Requests, lock};
 use crate::server::Feed;
 
 /// The page's script, which requests states.
@@ -41,8 +46,41 @@ pub(super) struct PageFeed<'a> {
     title: &'a str,
     registry: &'a Registry,
     task: Task<'a>,
+    messages: &'a Messages,
+    guest: Option<Guest<'a>>,
     made: Mutex<Option<Made>>,
     stopped: AtomicBool,
+}
+
+/// A viewer who looks from the page instead of a tracker.
+pub(super) struct Guest<'a> {
+    /// Random: a page of another origin must not move the viewer.
+    word: String,
+    /// Distance of the head, mm.
+    distance_mm: f64,
+    requests: &'a Requests,
+}
+
+impl<'a> Guest<'a> {
+    /// # Errors
+    /// If the system has no random numbers.
+    pub(super) fn new(requests: &'a Requests, distance_mm: f64) -> Result<Self, PipelineError> {
+        let mut random = [0; 16];
+        getrandom::fill(&mut random).map_err(|error| {
+            PipelineError::option("live", "page", "random numbers of the system", error.to_string())
+        })?;
+        let word = random.iter().map(|byte| format!("{byte:02x}")).collect();
+        Ok(Self { word, distance_mm, requests })
+    }
+
+    /// Moves the viewer to the slope of a query. Returns whether word and slope are right.
+    fn look(&self, query: &str) -> bool {
+        let Some(slope) = slope_of(query).filter(|_| value(query, "viewer") == Some(&self.word)) else {
+            return false;
+        };
+        let head = slope.map(|[x, y]| [x * self.distance_mm, y * self.distance_mm, self.distance_mm]);
+        self.requests.see(head.as_slice()).is_ok()
+    }
 }
 
 /// The files of a state.
@@ -62,14 +100,18 @@ struct Edition {
 }
 
 impl<'a> PageFeed<'a> {
-    /// Makes a feed. `site` is a folder for the page's own files, `title` the page's title.
+    /// Makes a feed. `site` is a folder for the page's own files, `title` the page's title. Without
+    /// a guest the page moves no viewer.
     pub(super) fn new(
         states: &'a Mailbox<State>,
+        messages: &'a Messages,
         (site, title): (&'a Path, &'a str),
+        guest: Option<Guest<'a>>,
         registry: &'a Registry,
         task: Task<'a>,
     ) -> Self {
-        Self { states, site, title, registry, task, made: Mutex::default(), stopped: AtomicBool::new(false) }
+        let (made, stopped) = (Mutex::default(), AtomicBool::new(false));
+        Self { states, site, title, registry, task, messages, guest, made, stopped }
     }
 
     pub(super) fn root(&self) -> &Path {
@@ -132,31 +174,69 @@ impl Feed for PageFeed<'_> {
     }
 
     fn frame(&self, query: &str) -> Option<Vec<u8>> {
-        let (seen, edition) = asked(query);
+        let asked = Asked::of(query);
         let deadline = now() + PATIENCE;
         while !self.stopped.load(Ordering::SeqCst) && now() < deadline {
             // a page of an earlier run may send a number above the newest
-            let known = self.states.after(0).is_some_and(|(newest, _)| newest < seen);
-            if self.states.wait_after(if known { 0 } else { seen }, LOOK).is_some() {
-                let made = self.newest()?;
-                return Some(frame_of(&made, edition));
+            let known = self.states.after(0).is_some_and(|(newest, _)| newest < asked.number);
+            let is_newer = self.states.wait_after(if known { 0 } else { asked.number }, LOOK).is_some();
+            let message = self.messages.newest();
+            if is_newer || (asked.number > 0 && message.0 != asked.said) {
+                return Some(frame_of(&self.newest()?, asked.edition, is_newer, message));
             }
         }
         None
     }
+
+    fn word(&self) -> Option<&str> {
+        Some(&self.guest.as_ref()?.word)
+    }
+
+    fn look(&self, query: &str) -> bool {
+        self.guest.as_ref().is_some_and(|guest| guest.look(query))
+    }
 }
 
-/// Reads the state number and the edition from a page's request.
-fn asked(query: &str) -> (u64, &str) {
-    let value = |name: &str| query.split('&').find_map(|part| part.strip_prefix(name)?.strip_prefix('='));
-    (value("after").and_then(|number| number.parse().ok()).unwrap_or(0), value("edition").unwrap_or_default())
+fn value<'a>(query: &'a str, name: &str) -> Option<&'a str> {
+    query.split('&').find_map(|part| part.strip_prefix(name)?.strip_prefix('='))
 }
 
-fn frame_of(made: &Made, known: &str) -> Vec<u8> {
+/// A page's request.
+struct Asked<'a> {
+    /// Number of its state, and of its message; 0 without one.
+    number: u64,
+    said: u64,
+    edition: &'a str,
+}
+
+impl<'a> Asked<'a> {
+    fn of(query: &'a str) -> Self {
+        let number = |name| value(query, name).and_then(|number| number.parse().ok()).unwrap_or(0);
+        let edition = value(query, "edition").unwrap_or_default();
+        Self { number: number("after"), said: number("said"), edition }
+    }
+}
+
+/// Reads the slope of a viewer, to the right and up; `Some(None)` where the viewer leaves.
+fn slope_of(query: &str) -> Option<Option<[f64; 2]>> {
+    match ["x", "y"].map(|name| value(query, name)) {
+        [None, None] => Some(None),
+        [Some(x), Some(y)] => {
+            let slope = [x.parse().ok()?, y.parse().ok()?];
+            slope.iter().all(|part: &f64| part.is_finite()).then_some(Some(slope))
+        }
+        _ => None,
+    }
+}
+
+fn frame_of(made: &Made, known: &str, with_files: bool, (said, message): (u64, Arc<String>)) -> Vec<u8> {
     let Made { number, edition, files } = made;
+    let files: &[Vec<u8>] = if with_files { files } else { &[] };
     let lengths: Vec<usize> = files.iter().map(Vec::len).collect();
-    let preview = (edition.name != known).then_some(&edition.preview);
-    let head = json!({"number": number, "edition": edition.name, "files": lengths, "preview": preview}).to_string();
+    let preview = (with_files && edition.name != known).then_some(&edition.preview);
+    let head = json!({"number": number, "edition": edition.name, "files": lengths, "preview": preview, "said": said,
+        "message": *message});
+    let head = head.to_string();
     let mut frame = Vec::with_capacity(4 + head.len() + lengths.iter().sum::<usize>());
     frame.extend((head.len() as u32).to_le_bytes());
     frame.extend(head.as_bytes());
@@ -198,4 +278,31 @@ fn png([cols, rows]: [usize; 2], codes: Vec<u8>) -> Option<Vec<u8>> {
     let encoder = PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Sub);
     encoder.write_image(&codes, cols as u32, rows as u32, ExtendedColorType::Rgb8).ok()?;
     Some(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use lumistack_pipeline::{DisplayJob, Job};
+
+    use super::*;
+
+    #[test]
+    fn a_page_moves_its_viewer_by_its_word_and_a_slope() {
+        let requests = Requests::new(Job::new(DisplayJob::by_name_or_path("fig7-uniform")));
+        let guest = Guest::new(&requests, 600.0).unwrap();
+        let heads_mm = || requests.tracker().boxes(now(), Duration::ZERO).heads_mm;
+        let word = guest.word.clone();
+        assert!(word.len() == 32 && word != Guest::new(&requests, 600.0).unwrap().word);
+        for wrong in ["&x=0.1", "&y=1", "&x=a&y=1", "&x=inf&y=0", "&x=0&y=NaN", "&x=&y="] {
+            assert!(!guest.look(&format!("viewer={word}{wrong}")), "{wrong}");
+        }
+        for wrong in ["x=0.1&y=0", "viewer=&x=0.1&y=0", "viewer=0&x=0.1&y=0"] {
+            assert!(!guest.look(wrong), "{wrong}");
+        }
+        assert!(heads_mm().is_empty());
+        assert!(guest.look(&format!("viewer={word}&x=0.25&y=-0.5")));
+        assert_eq!(heads_mm(), [[150.0, -300.0, 600.0]]);
+        assert!(guest.look(&format!("viewer={word}")));
+        assert!(heads_mm().is_empty());
+    }
 }

@@ -3,7 +3,7 @@
 
 use std::collections::HashSet;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use lumistack_core::{Cancel, Warning, Warnings};
 use lumistack_live::{Mailbox, Tracker};
@@ -29,6 +29,8 @@ pub(super) struct Requests {
     /// Flag of the running pass, which a newer request makes useless.
     pass: Mutex<Option<Cancel>>,
     stopped: AtomicBool,
+    /// The end of standard input also stops the display.
+    stops_at_end: AtomicBool,
 }
 
 struct Kept {
@@ -46,6 +48,7 @@ impl Requests {
             tracker: Mutex::default(),
             pass: Mutex::default(),
             stopped: AtomicBool::new(false),
+            stops_at_end: AtomicBool::new(false),
         }
     }
 
@@ -112,6 +115,17 @@ impl Requests {
         self.stopped.store(true, Ordering::SeqCst);
     }
 
+    /// Makes the end of standard input stop the display: a program that starts it may crash.
+    pub(super) fn stop_at_end(&self) {
+        self.stops_at_end.store(true, Ordering::SeqCst);
+    }
+
+    pub(super) fn end_of_input(&self) {
+        if self.stops_at_end.load(Ordering::SeqCst) {
+            self.stop();
+        }
+    }
+
     pub(super) fn is_stopped(&self) -> bool {
         self.stopped.load(Ordering::SeqCst)
     }
@@ -125,23 +139,45 @@ pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Forwards each warning once, since a scene is rendered many times.
+/// Forwards each warning once, since a scene is rendered many times. Pages show the newest one.
 pub(super) struct Once<'a> {
     to: &'a dyn Warnings,
+    messages: &'a Messages,
     seen: Mutex<HashSet<String>>,
+}
+
+/// The message of the newest request; empty without one.
+#[derive(Default)]
+pub(super) struct Messages(Mailbox<String>);
+
+impl Messages {
+    /// Number and text of the message; 0 before the first one.
+    pub(super) fn newest(&self) -> (u64, Arc<String>) {
+        self.0.after(0).unwrap_or_default()
+    }
+
+    /// Replaces the message, unless it is the same.
+    pub(super) fn say(&self, text: String) {
+        if *self.newest().1 != text {
+            self.0.post(text);
+        }
+    }
 }
 
 /// Largest number of warnings in memory.
 const MOST_SEEN: usize = 1000;
 
 impl<'a> Once<'a> {
-    pub(super) fn new(to: &'a dyn Warnings) -> Self {
-        Self { to, seen: Mutex::default() }
+    pub(super) fn new(to: &'a dyn Warnings, messages: &'a Messages) -> Self {
+        Self { to, messages, seen: Mutex::default() }
     }
 }
 
 impl Warnings for Once<'_> {
     fn warn(&self, warning: Warning) {
+        // the page itself is the place of the display's own errors
+        let is_own = warning.place == "live";
+        self.messages.say(if is_own { warning.message.clone() } else { warning.to_string() });
         let mut seen = lock(&self.seen);
         if seen.len() >= MOST_SEEN {
             seen.clear();

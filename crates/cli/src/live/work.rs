@@ -13,7 +13,7 @@ use lumistack_pipeline::{Job, LiveFields, LiveSolver, PipelineError, Registry};
 use serde_json::json;
 
 use super::clock::now;
-use super::requests::{Requests, lock};
+use super::requests::{Messages, Requests, lock};
 use crate::console::say;
 
 /// Time that a thread without work sleeps before it checks for the end.
@@ -38,6 +38,8 @@ pub(super) struct SolveRequest {
 /// Values that the threads share.
 pub(super) struct Shared {
     pub(super) requests: Arc<Requests>,
+    /// For the page: warnings and errors of the newest request.
+    pub(super) messages: Messages,
     to_solve: Mailbox<SolveRequest>,
     /// States to show.
     pub(super) states: Mailbox<State>,
@@ -61,6 +63,7 @@ impl Shared {
     pub(super) fn new(requests: Requests, updates: u32, sigma_mm: f64) -> Self {
         Self {
             requests: Arc::new(requests),
+            messages: Messages::default(),
             to_solve: Mailbox::default(),
             states: Mailbox::default(),
             handled: AtomicU64::new(0),
@@ -114,6 +117,7 @@ pub(super) fn render(
         // Apply the newest request.
         if let Some((number, request)) = requests.newest.after(seen) {
             (seen, is_new) = (number, true);
+            shared.messages.say(String::new());
             let mut job = request.job.clone();
             if is_video {
                 job.light_field.clone_from(&live_fields.job().light_field);

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from .glb import Glb
-from .rig import focus_of
+from .rig import TEMPORARY, focus_of
 from .unshown import is_rendered, is_volume_alone
 
 #: Size of the picture of a world that is not a plain colour.
@@ -39,16 +39,11 @@ def export_scene(bpy: Any, path: str | Path, warn: Warn, scene: Any = None) -> N
     """Writes a scene, by default the active one, at the current frame. warn(place, message)
     receives content that is left out."""
     scene = scene or bpy.context.scene
-    with in_window(bpy, scene):
-        changed = _as_rendered(bpy)
-        try:
-            _export_meshes(bpy, path)
-            file = Glb.read(path)
-            _add_lights(bpy, scene, file, warn)
-            _add_cameras(bpy, scene, file, warn)
-        finally:
-            for held, name, value in reversed(changed):
-                setattr(held, name, value)
+    with in_window(bpy, scene), _as_rendered(bpy):
+        _export_meshes(bpy, path)
+        file = Glb.read(path)
+        _add_lights(bpy, scene, file, warn)
+        _add_cameras(bpy, scene, file, warn)
     _add_world(bpy, scene, file, warn)
     for image in bpy.data.images:
         if image.source == "FILE" and image.users and not image.packed_file and not image.has_data:
@@ -117,10 +112,11 @@ def untracked(bpy: Any) -> str | None:
     return None
 
 
-def _as_rendered(bpy: Any) -> list[tuple[Any, str, Any]]:
-    """Gives modifiers the settings of a render, since the exporter reads those of the viewport.
-    Returns the changes."""
-    changed = []
+@contextlib.contextmanager
+def _as_rendered(bpy: Any) -> Iterator[None]:
+    """Gives modifiers the settings of a render, since the exporter reads those of the viewport."""
+    changed: list[tuple[Any, str, Any]] = []
+    added: list[tuple[Any, Any]] = []
 
     def change(held: Any, name: str, value: Any) -> None:
         old = getattr(held, name, None)
@@ -128,18 +124,30 @@ def _as_rendered(bpy: Any) -> list[tuple[Any, str, Any]]:
             changed.append((held, name, old))
             setattr(held, name, value)
 
-    for held in bpy.context.scene.objects:
-        if held.mode == "EDIT":
-            held.update_from_editmode()
-        if is_volume_alone(held):
-            # A domain of smoke is invisible, but would be exported as a white box.
-            change(held, "hide_render", True)
-        for modifier in held.modifiers:
-            change(modifier, "show_viewport", modifier.show_render)
-            if modifier.type in ("SUBSURF", "MULTIRES"):
-                change(modifier, "levels", modifier.render_levels)
-    bpy.context.view_layer.update()
-    return changed
+    try:
+        for held in bpy.context.scene.objects:
+            if is_volume_alone(held):
+                # A domain of smoke is invisible, but would be exported as a white box.
+                change(held, "hide_render", True)
+            for modifier in held.modifiers:
+                change(modifier, "show_viewport", modifier.show_render)
+                if modifier.type in ("SUBSURF", "MULTIRES"):
+                    change(modifier, "levels", modifier.render_levels)
+            if held.mode == "EDIT":
+                held.update_from_editmode()
+                # Edit Mode hides a mesh's texture coordinates from the exporter, but not those of
+                # its evaluated copy, which the exporter takes where there is a modifier.
+                modifier = held.modifiers.new(TEMPORARY, "DISPLACE") if held.type == "MESH" else None
+                if modifier is not None:
+                    modifier.strength = 0.0
+                    added.append((held, modifier))
+        bpy.context.view_layer.update()
+        yield
+    finally:
+        for held, modifier in added:
+            held.modifiers.remove(modifier)
+        for held, name, value in reversed(changed):
+            setattr(held, name, value)
 
 
 def _export_meshes(bpy: Any, path: str | Path) -> None:
@@ -165,7 +173,9 @@ def _export_meshes(bpy: Any, path: str | Path) -> None:
         "will_save_settings": False,
     }
     known = bpy.ops.export_scene.gltf.get_rna_type().properties.keys()
-    bpy.ops.export_scene.gltf(filepath=str(path), **{name: value for name, value in settings.items() if name in known})
+    # The exporter would end the edit mode of an active object.
+    with bpy.context.temp_override(active_object=None, object=None):
+        bpy.ops.export_scene.gltf(filepath=str(path), **{name: value for name, value in settings.items() if name in known})
 
 
 def y_up(matrix: Any) -> Rows:

@@ -1,0 +1,336 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A display that follows the scene while it is edited.
+
+    handlers ──▶ session.changed_at
+    timer    ──▶ scene-00012.glb ──▶ {"set": {"scene": ..., "window": ...}} ──▶ lumistack live
+
+Handlers only note a change; a timer exports it, since an export in a handler would call the handler
+again. The whole scene is written each time. The next export waits until the last one is shown, and
+takes at most a third of Blender's time.
+"""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import sys
+import time
+from pathlib import Path
+
+import bpy
+import lumistack
+from lumistack.blender import handover, unshown
+from lumistack.blender.live import Files, Live, State, toml_of
+
+from . import jobs, operators, overlay, settings as settings_of
+
+#: Interval of the timer, seconds.
+TICK_S = 0.05
+#: Longest wait for a state of the last change: a scene that fails has none.
+PATIENCE_S = 2.0
+#: Wait after an error, such as a missing camera.
+RETRY_S = 0.5
+#: Share of Blender's time that is left to the user, in units of the last export.
+REST = 2.0
+#: Time in which the program writes its run folder when Blender ends.
+END_S = 10.0
+#: Our tone curves for Blender's view transforms; the base curve of AgX for all others.
+TONES = {"Standard": "linear", "Raw": "linear", "Khronos PBR Neutral": "khronos-neutral"}
+#: Settings that do not change the display.
+_OTHER = {"rna_type", "name", "folder", "output", "renderer", "handover", "times", "iterations", "show_window", "show_depth", "show_cone", "show_picture"}
+#: Computed from others.
+_OTHER |= {"window_width", "window_height"}
+
+
+class Session:
+    """One scene, and the program that shows it."""
+
+    def __init__(self, scene) -> None:
+        """Exports the scene and starts the program. Raises `jobs.JobError`, OSError and the errors
+        of exporters."""
+        # Undo replaces the scene's data and keeps this number.
+        self._uid = scene.session_uid
+        self.title = scene.name
+        folder = jobs.output_folder(scene)
+        self._scenes = Files(folder / "live-scene", "scene", ".glb")
+        self._displays = Files(folder / "live-scene", "display", ".toml")
+        self._digest = b""
+        #: Input and result of `_settings`, and the display's text and file.
+        self._key: object = None
+        self._tables: dict[str, object] = {}
+        self._display = ("", "")
+        #: Content that glTF cannot express.
+        self._lost = ""
+        #: A line for the panel, beside those of the program, and the reason of the end.
+        self.note = self.reason = ""
+        self.export_s = 0.0
+        self.exports = 0
+        #: Time of the oldest change that was not exported; None without one.
+        self.changed_at: float | None = None
+        self.is_exporting = False
+        self._asked = False
+        self._next = 0.0
+        self._sent = dict(self._settings(scene))
+        job = {"name": scene.name, "scene": self._export(scene), **self._sent}
+        path = folder / "live-scene" / "job.toml"
+        path.write_text(toml_of(job), encoding="utf-8")
+        words = [sys.executable, "-m", "lumistack", "--json", "live", str(path), "-o", str(folder / "live")]
+        self.program = Live([*words, *(["--no-open"] if bpy.app.background else [])], operators.preview_environment())
+
+    @property
+    def state(self) -> State:
+        return self.program.state
+
+    def stop(self, reason: str = "") -> None:
+        """Asks the program to end; `step` goes on until it has."""
+        self._asked, self.reason = True, reason
+        self.program.stop()
+
+    @property
+    def is_stopping(self) -> bool:
+        return self._asked
+
+    def step(self) -> bool:
+        """Sends the changes since the last step. Returns false after the end of the program."""
+        state = self.program.state
+        if state.code is not None:
+            return False
+        if self._asked:
+            return True
+        scene = next((each for each in bpy.data.scenes if each.session_uid == self._uid), None)
+        if scene is None:
+            self.stop("the scene was deleted")
+            return True
+        now = time.monotonic()
+        is_shown = self.program.is_shown or now > self._next + PATIENCE_S
+        # A job replaces the camera while it renders.
+        is_busy = scene.name in jobs.busy or bpy.app.is_job_running("RENDER")
+        if now < self._next or not is_shown or is_busy:
+            return True
+        since = self.changed_at or now
+        try:
+            keys = {key: value for key, value in self._settings(scene).items() if self._sent[key] != value}
+            if self.changed_at is not None:
+                path = self._export(scene)
+                if path is not None:
+                    keys["scene"] = path
+            self.note = self._lost
+        except (jobs.JobError, lumistack.Error, RuntimeError, ValueError, OSError) as error:
+            # The display stays as it is.
+            self.note = jobs.text_of(error)
+            self._next = time.monotonic() + RETRY_S
+            return True
+        if keys:
+            self._sent.update(keys)
+            self.program.change(keys, since)
+        return True
+
+    def _settings(self, scene) -> dict[str, object]:
+        """Tables of the job that the scene's settings and its camera define. The window stays while
+        objects move, also where it was found from them."""
+        settings, view = scene.lumistack, scene.view_settings
+        values = [(prop.identifier, getattr(settings, prop.identifier)) for prop in settings.bl_rna.properties if prop.identifier not in _OTHER]
+        values = [(name, tuple(value) if hasattr(value, "__len__") and not isinstance(value, str) else value) for name, value in values]
+        key = (overlay.key_of_camera(scene), values, view.view_transform, view.exposure)
+        if key == self._key:
+            return self._tables
+        display = jobs.display_of(settings)
+        window = jobs.window_of(scene, display)
+        is_linear = settings.look == "LINEAR"
+        # A fixed exposure: otherwise a lamp that gets brighter would darken everything else.
+        light = {
+            "automatic": False,
+            "automatic_exposure": False,
+            "exposure_ev": settings.exposure_ev if is_linear else view.exposure,
+            "tone": "linear" if is_linear else TONES.get(view.view_transform, "agx"),
+        }
+        self._tables = {
+            "display": {"file": self._display_file(display.to_toml())},
+            "window": {**window.as_job(), "fit_depth": "off", "depth_scale": settings.depth_scale},
+            "light": light,
+            "render": {"engine": "lumistack", "samples": settings_of.quality(settings)[2]},
+        }
+        self._key = key
+        return self._tables
+
+    def _display_file(self, text: str) -> str:
+        if self._display[0] != text:
+            path = self._displays.next()
+            path.write_text(text, encoding="utf-8")
+            self._display = (text, str(path))
+        return self._display[1]
+
+    def _export(self, scene) -> str | None:
+        """Writes the scene; returns None if it is the same as before."""
+        self.changed_at = None
+        path, begin = self._scenes.next(), time.monotonic()
+        lost = unshown.unshown(bpy, scene)
+        self.is_exporting = True
+        try:
+            handover.export_scene(bpy, path, lambda place, text: lost.append(f"{place}: {text}"), scene)
+            # Settings that the export restored are changes too, which must not start the next one.
+            bpy.context.view_layer.update()
+        except BaseException as error:
+            # Shown until an export works.
+            self._lost = jobs.text_of(error)
+            self._scenes.back()
+            raise
+        finally:
+            self.is_exporting = False
+            self.export_s = time.monotonic() - begin
+            self._next = time.monotonic() + REST * self.export_s
+        self.exports += 1
+        self._lost = "; ".join(lost)
+        digest = hashlib.sha256(path.read_bytes()).digest()
+        if digest == self._digest:
+            self._scenes.back()
+            return None
+        self._digest = digest
+        return str(path)
+
+
+#: The running session, and a line about the last one.
+session: Session | None = None
+ended = ""
+
+
+def start(scene) -> None:
+    """Starts to follow a scene. Raises the errors of `Session`."""
+    global session, ended
+    end_now()
+    ended = ""
+    session = Session(scene)
+    if not bpy.app.timers.is_registered(_tick):
+        # A file that is opened removes other timers.
+        bpy.app.timers.register(_tick, first_interval=TICK_S, persistent=True)
+
+
+def stop(reason: str = "") -> None:
+    """Asks the program to end; its run folder stays."""
+    if session is not None:
+        session.stop(reason)
+
+
+def end_now() -> None:
+    """Ends the program before this function returns."""
+    global session
+    if session is not None:
+        session.program.end(END_S)
+        session = None
+
+
+def step() -> bool:
+    """One step of the timer. Returns false without a session."""
+    global session, ended
+    if session is None:
+        return False
+    if session.step():
+        return True
+    state = session.state
+    if session.is_stopping:
+        reason = f" ({session.reason})" if session.reason else ""
+        ended = f"Live has ended{reason}. The last state is in {Path(state.report).parent}" if state.report else f"Live has ended{reason}"
+    elif state.report:
+        ended = f"Live was ended outside Blender. The last state is in {Path(state.report).parent}"
+    else:
+        ended = f"lumistack live stopped unexpectedly (status {state.code}): {state.problem or 'it gave no reason'}"
+    session = None
+    return False
+
+
+_drawn: object = None
+
+
+def _tick() -> float | None:
+    global _drawn
+    goes_on = step()
+    lines = status()
+    if lines != _drawn:
+        _drawn = lines
+        for window in bpy.context.window_manager.windows:
+            for area in window.screen.areas:
+                if area.type == "PROPERTIES":
+                    area.tag_redraw()
+    return TICK_S if goes_on else None
+
+
+def status() -> list[tuple[str, str]]:
+    """Lines for the panel: (icon, text)."""
+    if session is None:
+        return [("ERROR" if "unexpectedly" in ended else "INFO", ended)] if ended else []
+    state = session.state
+    if session.is_stopping:
+        return [("SORTTIME", "Writes the last state")]
+    if not state.states:
+        lines = [("SORTTIME", f"{session.title}: waits for the first picture")]
+    else:
+        after = "" if state.latency_s is None else f", the last change after {state.latency_s:.1f} s"
+        lines = [("REC", f"{session.title} is live{after}")]
+    lines += [("ERROR", text) for text in (session.note, state.problem) if text]
+    return lines
+
+
+@bpy.app.handlers.persistent
+def _changed(scene, depsgraph=None) -> None:
+    """After changes of data. A selection is a change without consequences."""
+    if session is None or session.is_exporting:
+        return
+    updates = () if depsgraph is None else depsgraph.updates
+    if any(update.is_updated_transform or update.is_updated_geometry or update.is_updated_shading for update in updates):
+        session.changed_at = session.changed_at or time.monotonic()
+
+
+@bpy.app.handlers.persistent
+def _changed_all(*_) -> None:
+    """After another frame, undo and redo."""
+    if session is not None and not session.is_exporting:
+        session.changed_at = session.changed_at or time.monotonic()
+
+
+@bpy.app.handlers.persistent
+def _opens(*_) -> None:
+    stop("another file was opened")
+
+
+_HANDLERS = {"depsgraph_update_post": _changed, "frame_change_post": _changed_all, "undo_post": _changed_all, "redo_post": _changed_all, "load_pre": _opens}
+
+
+class LUMISTACK_OT_live(bpy.types.Operator):
+    """Start or stop a display in the browser that follows every change of the scene, rendered by Lumistack's path tracer"""
+
+    bl_idname = "lumistack.live"
+    bl_label = "Live"
+
+    @classmethod
+    def poll(cls, context):
+        return context.scene is not None
+
+    def execute(self, context):
+        if session is not None:
+            stop()
+            return {"FINISHED"}
+        try:
+            start(context.scene)
+        except Exception as error:  # every error is reported to the user
+            self.report({"ERROR"}, jobs.text_of(error))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
+def register() -> None:
+    bpy.utils.register_class(LUMISTACK_OT_live)
+    for name, handler in _HANDLERS.items():
+        getattr(bpy.app.handlers, name).append(handler)
+    atexit.register(end_now)
+
+
+def unregister() -> None:
+    global ended
+    end_now()
+    ended = ""
+    atexit.unregister(end_now)
+    if bpy.app.timers.is_registered(_tick):
+        bpy.app.timers.unregister(_tick)
+    for name, handler in _HANDLERS.items():
+        getattr(bpy.app.handlers, name).remove(handler)
+    bpy.utils.unregister_class(LUMISTACK_OT_live)
