@@ -71,6 +71,47 @@ async function save(at, name) {
   return run;
 }
 
+/** Saves a quilt, and compares two of its tiles with the picture on show from there. */
+async function savedQuilt(at) {
+  const [download] = await Promise.all([at.waitForEvent("download"), at.click("#quilt")]);
+  assert.equal(download.suggestedFilename(), "letters_qs8x6a1.6.png");
+  const views = await at.evaluate(async (bytes) => {
+    const picture = await createImageBitmap(await (await fetch(`data:image/png;base64,${bytes}`)).blob());
+    const context = new OffscreenCanvas(picture.width, picture.height).getContext("2d");
+    context.drawImage(picture, 0, 0);
+    const [width, height] = [picture.width / 8, picture.height / 6];
+    // the first one is at the bottom left, the last one at the top right
+    return { width, height, tiles: [[0, 5], [7, 0]].map(([col, row]) => [...context.getImageData(col * width, row * height, width, height).data]) };
+  }, readFileSync(await download.path(), "base64"));
+  assert.deepEqual([views.width, views.height], [96, 60]);
+  // 48 views of the zone: the outermost ones are half a part inside its edge
+  const { slope_x, slope_y } = await at.evaluate(() => JSON.parse(document.querySelector("lumistack-viewer").content.json).target);
+  const step = slope_x[1] - slope_x[0];
+  const edge = slope_x.at(-1) + step / 2 - (step * slope_x.length) / 96;
+  for (const [tile, side] of views.tiles.map((tile, i) => [tile, [-1, 1][i]])) {
+    const shown = await pixels(at, [side * edge, slope_y[Math.floor((slope_y.length - 1) / 2)]]);
+    assert.equal(tile.length, shown.data.length);
+    assert.ok(tile.every((code, i) => Math.abs(code - shown.data[i]) <= 1), `the view of side ${side}`);
+  }
+}
+
+/** Saves a turn as a video that plays. */
+async function savedTurn(at) {
+  const [download] = await Promise.all([at.waitForEvent("download"), at.click("#turn")]);
+  assert.match(download.suggestedFilename(), /^letters_turn\.(webm|mp4)$/);
+  const [width, height] = await at.evaluate(
+    async ([type, bytes]) => {
+      const video = document.createElement("video");
+      video.muted = true;
+      video.src = URL.createObjectURL(await (await fetch(`data:${type};base64,${bytes}`)).blob());
+      await video.play();
+      return [video.videoWidth, video.videoHeight];
+    },
+    [`video/${download.suggestedFilename().split(".").at(-1)}`, readFileSync(await download.path(), "base64")],
+  );
+  assert.ok(width >= 960 && Math.abs(width / height - 1.6) < 0.02, `${width} × ${height}`);
+}
+
 test("a built-in scene becomes the patterns that the command makes", { skip: !BIN && "LUMISTACK_BIN names no program" }, async () => {
   const at = await page("#scene=letters&preset=paper-three-layer&cols=96&frames=3&zone_samples=100&iterations=6");
   await stage(at, "done");
@@ -117,8 +158,12 @@ test("a built-in scene becomes the patterns that the command makes", { skip: !BI
 test("patterns show while they form, stop, go on, and take another display", async () => {
   const at = await page("#preset=paper-three-layer&cols=96&frames=2&zone_samples=400&iterations=2");
   await shot(at, "empty");
+  // Decoders are loaded when a scene has something to decode, once.
+  let decoders = 0;
+  at.on("request", (request) => (decoders += request.url().endsWith("lumistack_web_decoders_bg.wasm")));
   await at.click("text=Letters");
   await at.waitForFunction(() => performance.getEntriesByName("lumistack-first-patterns").length > 0);
+  assert.equal(decoders, 1);
   await at.click("#pause");
   await at.waitForFunction(() => /Stopped/.test(document.querySelector("#status").textContent));
   const share = await at.evaluate(() => document.querySelector("#bar").value);
@@ -130,6 +175,8 @@ test("patterns show while they form, stop, go on, and take another display", asy
   const before = await pixels(at, [0, 0]);
   assert.ok(before.data.some((value, i) => i % 4 < 3 && value > 60), "something is seen");
   await shot(at, "done");
+  await savedQuilt(at);
+  await savedTurn(at);
   await at.evaluate(() => {
     document.documentElement.dataset.stage = "";
     const frames = document.querySelector("#frames");
@@ -161,6 +208,16 @@ test("a broken file is told as the command tells it, and the page goes on", { sk
     assert.equal(status, 1);
     assert.ok(stderr.replace(/\s+/g, " ").includes(said.replace(/\s+/g, " ")), `page: ${said}\ncommand: ${stderr}`);
   }
+  // A picture that ends too early: its decoder is another module.
+  const letters = join(folder, "cut");
+  cpSync(join(SCENES, "letters"), letters, { recursive: true });
+  writeFileSync(join(letters, "charts.png"), readFileSync(join(SCENES, "letters/charts.png")).subarray(0, 400));
+  await at.setInputFiles("#files", ["letters.gltf", "letters.bin", "charts.png", "graph-paper.png", "sky.hdr"].map((name) => join(letters, name)));
+  await at.waitForFunction(() => document.querySelector("#problem").textContent.includes("letters.gltf"));
+  const said = await problem(at);
+  const { stderr } = spawnSync(BIN, ["info", "letters.gltf"], { cwd: letters, encoding: "utf8" });
+  assert.ok(stderr.replace(/\s+/g, " ").includes(said.replace(/\s+/g, " ")), `page: ${said}\ncommand: ${stderr}`);
+  assert.match(said, /readable Png/);
   await shot(at, "broken");
   await at.setInputFiles("#files", { name: "words.txt", mimeType: "text/plain", buffer: Buffer.from("a") });
   assert.match(await problem(at), /no model among the one file.*Drop a \.glb/);
@@ -193,7 +250,7 @@ test("axe finds nothing, on a desk and on a phone, in dark and light", async () 
       await at.keyboard.press("Tab");
       reached.add(await at.evaluate(() => document.activeElement.id || document.activeElement.textContent));
     }
-    for (const id of ["choose", "preset", "cols", "layers", "gap_mm", "frames", "brightness", "save", "link", "closer"]) assert.ok(reached.has(id), `${name}: ${id}`);
+    for (const id of ["choose", "preset", "cols", "layers", "gap_mm", "frames", "brightness", "save", "quilt", "turn", "link", "closer"]) assert.ok(reached.has(id), `${name}: ${id}`);
     assert.deepEqual(at.trouble, []);
     await at.context().close();
   }

@@ -34,7 +34,7 @@ pub(crate) fn source(folder: &Path, task: Task<'_>) -> Result<Option<Source>, Fi
         return Ok(None);
     }
     let path = folder.join(PARAMETERS);
-    let parameters = if path.is_file() {
+    let parameters = if lumistack_files::is_file(&path) {
         // names and notes may have any encoding; only numbers are used
         let bytes = read_index(&path)?;
         Parameters { path, values: parse(&String::from_utf8_lossy(&bytes)) }

@@ -5,11 +5,27 @@
 //! compared with a limit before the first byte is read. A [`Folder`] keeps the names that a file
 //! contains inside the folder of that file. Every reader of the workspace that has a path goes
 //! through this crate.
+//!
+//! A page has no file system. There, files that were dropped are held in memory (`hold`), and the
+//! same readers read them.
+
+#[cfg(not(target_arch = "wasm32"))]
+mod disk;
+#[cfg(target_arch = "wasm32")]
+mod memory;
 
 use std::fmt;
-use std::fs::{File, FileType};
 use std::io::{self, ErrorKind, Read};
 use std::path::{Path, PathBuf};
+
+#[cfg(not(target_arch = "wasm32"))]
+use disk as system;
+#[cfg(target_arch = "wasm32")]
+use memory as system;
+
+#[cfg(target_arch = "wasm32")]
+pub use memory::hold;
+pub use system::File;
 
 /// Largest file that is read whole, bytes: 16 GiB.
 pub const MAX_FILE_BYTES: u64 = 16 << 30;
@@ -19,15 +35,38 @@ pub const MAX_TEXT_BYTES: u64 = 64 << 20;
 /// Opens a regular file for reading.
 ///
 /// # Errors
-/// As [`File::open`], and when the path leads to anything but a regular file.
+/// As [`std::fs::File::open`], and when the path leads to anything but a regular file.
 pub fn open(path: &Path) -> io::Result<File> {
-    // before it is opened: to open a pipe waits for a writer, to open a device may already do
-    // something
-    check_kind(std::fs::metadata(path)?.file_type())?;
-    let file = File::open(path)?;
-    // the path may lead elsewhere by now
-    check_kind(file.metadata()?.file_type())?;
-    Ok(file)
+    system::open(path)
+}
+
+/// Length of an open file, bytes.
+///
+/// # Errors
+/// When the system does not tell.
+pub fn length(file: &File) -> io::Result<u64> {
+    system::length(file)
+}
+
+/// Returns whether the path leads to a regular file.
+pub fn is_file(path: &Path) -> bool {
+    system::is_file(path)
+}
+
+/// Returns whether the path leads to a folder.
+///
+/// # Errors
+/// When it leads to nothing.
+pub fn is_folder(path: &Path) -> io::Result<bool> {
+    system::is_folder(path)
+}
+
+/// Paths of all entries of a folder, sorted.
+///
+/// # Errors
+/// When it cannot be listed.
+pub fn list(folder: &Path) -> io::Result<Vec<PathBuf>> {
+    system::list(folder)
 }
 
 /// Reads a regular file of at most [`MAX_FILE_BYTES`].
@@ -44,7 +83,7 @@ pub fn read(path: &Path) -> io::Result<Vec<u8>> {
 /// As [`open`], when the file is larger than `most`, and when it cannot be read or held in memory.
 pub fn read_at_most(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     let file = open(path)?;
-    let length = file.metadata()?.len();
+    let length = length(&file)?;
     let too_large = |length: u64| {
         let message = format!("expected a file of at most {most} bytes, found {length}");
         io::Error::new(ErrorKind::FileTooLarge, message)
@@ -69,31 +108,6 @@ pub fn read_text(path: &Path) -> io::Result<String> {
         let at = error.utf8_error().valid_up_to();
         io::Error::new(ErrorKind::InvalidData, format!("expected text in UTF-8, found another byte at {at}"))
     })
-}
-
-fn check_kind(kind: FileType) -> io::Result<()> {
-    if kind.is_file() {
-        return Ok(());
-    }
-    let (error, found) =
-        if kind.is_dir() { (ErrorKind::IsADirectory, "a folder") } else { (ErrorKind::InvalidInput, special(kind)) };
-    Err(io::Error::new(error, format!("expected a regular file, found {found}")))
-}
-
-#[cfg(unix)]
-fn special(kind: FileType) -> &'static str {
-    use std::os::unix::fs::FileTypeExt;
-    match kind {
-        _ if kind.is_fifo() => "a pipe",
-        _ if kind.is_char_device() || kind.is_block_device() => "a device",
-        _ if kind.is_socket() => "a socket",
-        _ => "something else",
-    }
-}
-
-#[cfg(not(unix))]
-fn special(_kind: FileType) -> &'static str {
-    "something else"
 }
 
 /// The folder of a file, in which the names that the file contains are looked up.
@@ -152,8 +166,8 @@ impl Folder {
     pub fn around(file: &Path) -> io::Result<Self> {
         let anywhere = Self::anywhere(file);
         let here = if anywhere.base.as_os_str().is_empty() { Path::new(".") } else { &anywhere.base };
-        let mut inside = vec![here.canonicalize()?];
-        if let Some(target) = file.canonicalize()?.parent()
+        let mut inside = vec![system::canonical(here)?];
+        if let Some(target) = system::canonical(file)?.parent()
             && !inside.iter().any(|folder| target.starts_with(folder))
         {
             inside.push(target.to_owned());
@@ -173,7 +187,7 @@ impl Folder {
     pub fn resolve(&self, name: impl AsRef<Path>) -> Result<PathBuf, Refusal> {
         let path = self.path_of(name);
         if let Some(folder) = self.inside.first() {
-            let found = path.canonicalize()?;
+            let found = system::canonical(&path)?;
             if !self.inside.iter().any(|folder| found.starts_with(folder)) {
                 return Err(Refusal::Outside { found, folder: folder.clone() });
             }

@@ -49,7 +49,6 @@ mod extensions;
 mod fields;
 mod glossiness;
 mod images;
-mod ktx2;
 mod lights_cameras;
 mod load;
 mod material;
@@ -62,6 +61,8 @@ mod quote;
 mod skin;
 mod splats;
 mod textures;
+mod typed;
+pub mod unpack;
 mod variants;
 mod view;
 
@@ -83,4 +84,12 @@ pub trait AssetResolver {
     /// The reason in a few words, for the user ("No such file"); also where the file is larger than
     /// `max_bytes`, which is to be known before it is read.
     fn read(&self, uri: &str, max_bytes: u64) -> Result<Vec<u8>, String>;
+
+    /// Decodes packed content. A page that keeps its decoders in a module of their own passes it on.
+    ///
+    /// # Errors
+    /// When the content is broken.
+    fn unpack(&self, packed: &unpack::Packed<'_>) -> Result<unpack::Unpacked, unpack::Unsound> {
+        unpack::unpack(packed)
+    }
 }

@@ -5,6 +5,9 @@ use crate::error::Fault;
 /// Largest side of a picture in texels.
 pub(crate) const MAX_SIDE: u32 = 1 << 15;
 
+/// Largest unpacked view, bytes.
+pub(crate) const MAX_VIEW_BYTES: u64 = 2 << 30;
+
 /// Choices of [`load_with`](crate::load_with). The default is the scene as its nodes stand, with
 /// its default materials.
 #[derive(Clone, Debug, PartialEq)]

@@ -3,7 +3,8 @@ import { Problem } from "../problem.js";
 import scenes from "./scenes.json";
 
 export interface Input {
-  files: [path: string, bytes: ArrayBuffer][];
+  /** Content by path; the solver's thread reads it, so that the page copies none. */
+  files: [path: string, content: Blob][];
   /** Path of the scene. */
   path: string;
   title: string;
@@ -22,16 +23,16 @@ const WANTED = "Drop a .glb, a .gltf with its files, or a capture (.ply, .spz, .
 export async function builtIn(name: string): Promise<Input> {
   const scene = SCENES[name];
   if (!scene) throw new Problem(`There is no scene “${name}” in this page.`, `There are ${Object.keys(SCENES).join(", ")}.`, false);
-  const files = scene.files.map(async (file): Promise<[string, ArrayBuffer]> => {
+  const files = scene.files.map(async (file): Promise<[string, Blob]> => {
     const response = await fetch(new URL(`scenes/${name}/${file}`, import.meta.url));
     if (!response.ok) throw new Problem(`scenes/${name}/${file} could not be fetched: the server answers ${response.status}.`, "See that the folder scenes lies beside this page.", false);
-    return [file, await response.arrayBuffer()];
+    return [file, await response.blob()];
   });
   return { files: await Promise.all(files), path: scene.files[0]!, title: scene.title, builtIn: name };
 }
 
 /** The scene among dropped files; undefined for content that is shown unchanged. */
-export async function dropped(files: ReadonlyMap<string, File>): Promise<Input | undefined> {
+export function dropped(files: ReadonlyMap<string, File>): Input | undefined {
   const paths = [...files.keys()];
   const models = paths.filter((path) => MODEL.test(path) || /(^|\/)meta\.json$/.test(path)).sort((a, b) => depth(a) - depth(b) || a.localeCompare(b));
   const path = models[0];
@@ -44,9 +45,8 @@ export async function dropped(files: ReadonlyMap<string, File>): Promise<Input |
   if (bytes > MOST_BYTES) {
     throw new Problem(`${path}: expected at most ${MOST_BYTES / 1e6} MB, found ${Math.round(bytes / 1e6)} MB.`, "The command takes more: lumistack run.", false);
   }
-  const read = needed.map(async (name): Promise<[string, ArrayBuffer]> => [name.slice(base.length), await files.get(name)!.arrayBuffer()]);
   const name = path.slice(base.length);
-  return { files: await Promise.all(read), path: name, title: name.replace(/\.[^.]*$/, "") };
+  return { files: needed.map((name) => [name.slice(base.length), files.get(name)!]), path: name, title: name.replace(/\.[^.]*$/, "") };
 }
 
 export function nothing(files: ReadonlyMap<string, File>): Problem {

@@ -1,6 +1,7 @@
 // The page that solves: a model becomes patterns in another thread, and the viewer shows them as
 // they form.
 import type { LumistackViewer } from "../element.js";
+import { download, videoFormat } from "../capture.js";
 import { filesByName, filesOf, recognize } from "../drop.js";
 import { Problem, problemOf } from "../problem.js";
 import { Choice } from "./choice.js";
@@ -22,6 +23,8 @@ let settling: ReturnType<typeof setTimeout> | undefined;
 /** The newest patterns, which wait until the previous ones are shown. */
 let next: Extract<SolverMessage, { kind: "stack" }> | undefined;
 let showing = false;
+/** True while a quilt or a turn is made; new patterns wait for its end. */
+let saving = false;
 /** Number of the newest load. */
 let load = 0;
 
@@ -35,7 +38,7 @@ async function solve(get: () => Promise<Input | undefined>): Promise<void> {
     paused = false;
     document.title = `${found.title} – Lumistack`;
     performance.mark("lumistack-solve");
-    // The files are copied to the thread; the page keeps them in case the thread ends.
+    // The page keeps the files in case the thread ends.
     solver.ask({ kind: "solve", files: found.files, path: found.path, title: found.title, settings: choice.settings });
     buttons(true);
   } catch (error) {
@@ -67,7 +70,7 @@ function receive(what: SolverMessage): void {
       next = what;
       return void show();
     case "zip":
-      return download(`${input?.title ?? "patterns"}.zip`, new Blob([what.bytes], { type: "application/zip" }));
+      return download(new Blob([what.bytes], { type: "application/zip" }), `${input?.title ?? "patterns"}.zip`);
     case "error":
       return refuse(new Problem(what.message, "", false));
   }
@@ -75,10 +78,10 @@ function receive(what: SolverMessage): void {
 
 /** Shows patterns one after another, and skips all but the newest. */
 async function show(): Promise<void> {
-  if (showing) return;
+  if (showing || saving) return;
   showing = true;
   try {
-    for (let stack = next; stack; stack = next) {
+    for (let stack = next; stack && !saving; stack = next) {
       next = undefined;
       await customElements.whenDefined("lumistack-viewer");
       at("drop").classList.remove("idle");
@@ -101,7 +104,7 @@ function showState({ stage, share, psnr, warnings }: State): void {
   const rest = paused && stage !== "done" ? "Stopped." : words[stage];
   say(`${rest}${quality}`);
   Object.assign(document.documentElement.dataset, { stage, psnr });
-  for (const id of ["save", "closer"]) at<HTMLButtonElement>(id).disabled = Number.isNaN(psnr);
+  for (const id of ["save", "closer", "quilt", "turn"]) at<HTMLButtonElement>(id).disabled = Number.isNaN(psnr) || saving;
   if (stage === "done") {
     performance.mark("lumistack-done");
     buttons(false);
@@ -135,17 +138,27 @@ function buttons(working: boolean): void {
   }
 }
 
-function download(name: string, bytes: Blob): void {
-  const link = document.createElement("a");
-  link.download = name;
-  link.href = URL.createObjectURL(bytes);
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+/** Saves something of the patterns on show, which stay the same meanwhile. */
+async function save(id: "quilt" | "turn", make: () => Promise<void>): Promise<void> {
+  const button = at<HTMLButtonElement>(id);
+  const { textContent: text } = button;
+  saving = true;
+  for (const other of ["quilt", "turn"]) at<HTMLButtonElement>(other).disabled = true;
+  button.textContent = "Saving…";
+  try {
+    await make();
+  } catch (error) {
+    refuse(problemOf(error, ""));
+  }
+  saving = false;
+  button.textContent = text;
+  for (const other of ["quilt", "turn"]) at<HTMLButtonElement>(other).disabled = false;
+  void show();
 }
 
 async function open(files: ReadonlyMap<string, File>): Promise<void> {
   await solve(async () => {
-    const found = await dropped(files);
+    const found = dropped(files);
     if (found) return found;
     try {
       recognize(files);
@@ -188,6 +201,9 @@ at("save").addEventListener("click", () => {
   solver.ask({ kind: "zip" });
   at("saved").hidden = false;
 });
+at("quilt").addEventListener("click", () => void save("quilt", () => viewer.saveQuilt()));
+at("turn").addEventListener("click", () => void save("turn", () => viewer.saveTurn()));
+at("turn").hidden = videoFormat() === undefined;
 at("closer").addEventListener("click", () => {
   const closer = viewer.toggleAttribute("plain") === false;
   at("closer").setAttribute("aria-pressed", String(closer));
