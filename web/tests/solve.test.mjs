@@ -220,11 +220,92 @@ test("a broken file is told as the command tells it, and the page goes on", { sk
   assert.match(said, /readable Png/);
   await shot(at, "broken");
   await at.setInputFiles("#files", { name: "words.txt", mimeType: "text/plain", buffer: Buffer.from("a") });
-  assert.match(await problem(at), /no model among the one file.*Drop a \.glb/);
+  assert.match(await problem(at), /nothing to solve among the one file.*Drop a \.glb/);
   await at.evaluate(() => (location.hash = ""));
   await at.click("text=Dandelion");
   await at.waitForFunction(() => performance.getEntriesByName("lumistack-first-patterns").length > 0);
   assert.ok(await at.isHidden("#problem"));
+  await at.context().close();
+});
+
+/** Stripes at two depths, an array of 3 × 5 views. */
+function stripes(path) {
+  const [rows, cols, height, width] = [3, 5, 40, 64];
+  const values = new Float32Array(rows * cols * height * width * 3);
+  let at = 0;
+  for (let y = 0; y < rows; y++)
+    for (let x = 0; x < cols; x++)
+      for (let row = 0; row < height; row++)
+        for (let col = 0; col < width; col++) {
+          const near = (col + 2 * x) % 16 < 5 && (row + y) % 12 > 3;
+          values.set([near ? 0.8 : 0.05, (col + 60 - x) % 9 < 4 ? 0.5 : 0.1, near ? 0.1 : 0.3], at);
+          at += 3;
+        }
+  const header = `{'descr': '<f4', 'fortran_order': False, 'shape': (${rows}, ${cols}, ${height}, ${width}, 3), }`.padEnd(117) + "\n";
+  writeFileSync(path, Buffer.concat([Buffer.from("\x93NUMPY\x01\x00v\x00", "latin1"), Buffer.from(header), Buffer.from(values.buffer)]));
+}
+
+/** The largest difference between the patterns of two runs. */
+function apart(a, b) {
+  let most = 0;
+  for (let layer = 0; layer < 3; layer++) {
+    const [ours, theirs] = [a, b].map((from) => npy(readFileSync(join(from, `layers/layer_${layer}.npy`))));
+    assert.equal(ours.length, theirs.length);
+    ours.forEach((value, i) => (most = Math.max(most, Math.abs(value - theirs[i]))));
+  }
+  return most;
+}
+
+test("light fields are solved as the command solves them", { skip: !BIN && "LUMISTACK_BIN names no program" }, async () => {
+  const array = join(folder, "stripes.npy");
+  stripes(array);
+  const at = await page("#preset=paper-three-layer&cols=96&frames=2&iterations=5");
+  const solved = async (choose, name) => {
+    await at.evaluate(() => (document.documentElement.dataset.stage = ""));
+    await choose();
+    await stage(at, "done");
+    assert.ok(await at.isHidden("#problem"));
+    return save(at, name);
+  };
+  const ours = await solved(() => at.setInputFiles("#files", array), "array");
+  assert.match(await at.textContent("#caption"), /^stripes 3 layers, 2 frames/);
+  await shot(at, "array");
+  cpSync(array, join(ours, "stripes.npy"));
+  const command = join(folder, "array-command");
+  execFileSync(BIN, ["run", join(ours, "job.toml"), "-o", command], { stdio: "pipe" });
+  assert.ok(apart(ours, command) < SAME, `${apart(ours, command)}`);
+  // The command's folder of OpenEXR pictures has rounded values.
+  const views = join(folder, "array-views");
+  cpSync(join(command, "target"), views, { recursive: true });
+  const again = await solved(() => at.setInputFiles("#folder", views), "views");
+  assert.match(readFileSync(join(again, "job.toml"), "utf8"), /light_field = "array-views"/);
+  assert.ok(apart(again, ours) < 0.01, `${apart(again, ours)}`);
+  // The page's own quilt: its 48 views are more than those of the array.
+  const [download] = await Promise.all([at.waitForEvent("download"), at.click("#quilt")]);
+  const quilt = join(folder, download.suggestedFilename());
+  await download.saveAs(quilt);
+  const third = await solved(() => at.setInputFiles("#files", quilt), "quilt");
+  cpSync(quilt, join(third, download.suggestedFilename()));
+  const known = join(folder, "quilt-command");
+  execFileSync(BIN, ["run", join(third, "job.toml"), "-o", known], { stdio: "pipe" });
+  assert.ok(apart(third, known) < SAME, `${apart(third, known)}`);
+
+  // Errors are those of the command.
+  const few = join(folder, "few");
+  mkdirSync(few);
+  writeFileSync(join(few, "cut.npy"), readFileSync(array).subarray(0, 5000));
+  writeFileSync(join(few, "flat.npy"), Buffer.concat([Buffer.from("\x93NUMPY\x01\x00v\x00", "latin1"), Buffer.from("{'descr': '<i4', 'fortran_order': False, 'shape': (2, 2), }".padEnd(117) + "\n"), Buffer.alloc(16)]));
+  writeFileSync(join(few, "plain.png"), readFileSync(join(SCENES, "letters/charts.png")));
+  writeFileSync(join(few, "cut_qs2x2.png"), readFileSync(join(SCENES, "letters/charts.png")).subarray(0, 400));
+  for (const name of ["cut.npy", "flat.npy", "plain.png", "cut_qs2x2.png"]) {
+    await at.setInputFiles("#files", join(few, name));
+    await at.waitForFunction((name) => document.querySelector("#problem").textContent.includes(name), name);
+    const said = await problem(at);
+    const { stderr, status } = spawnSync(BIN, ["factorize", name, "-o", join(few, "run")], { cwd: few, encoding: "utf8" });
+    assert.notEqual(status, 0, name);
+    assert.ok(stderr.replace(/\s+/g, " ").includes(said.replace(/\s+/g, " ")), `page: ${said}\ncommand: ${stderr}`);
+  }
+  assert.deepEqual(at.trouble, []);
   await at.context().close();
 });
 
@@ -244,7 +325,10 @@ test("axe finds nothing, on a desk and on a phone, in dark and light", async () 
       name,
     );
     await shot(at, name);
-    // By keyboard alone: every control is reached.
+    // By keyboard alone: every control is reached. The sliders are folded.
+    await at.focus("#built summary");
+    await at.keyboard.press("Enter");
+    await at.evaluate(() => document.activeElement.blur());
     const reached = new Set();
     for (let i = 0; i < 30; i++) {
       await at.keyboard.press("Tab");

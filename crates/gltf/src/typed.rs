@@ -1,6 +1,7 @@
 //! From JSON to typed values, with the place of an error as a JSON pointer.
 //!
-//! This is the deserializer of `serde_json::Value` with places. A wrapper around that one
+//! This is the deserializer of `serde_json::Value` with places, and readers of values of one kind
+//! only, so that no type compiles the others. A wrapper around that one
 //! (`serde_path_to_error`) compiles every reader of every type once more, which was a twelfth of a
 //! module for the web.
 
@@ -61,6 +62,24 @@ impl Error for Mistyped {
 
 struct Typed<'v>(&'v Value);
 
+impl Typed<'_> {
+    fn unexpected(&self, expected: &dyn Expected) -> Mistyped {
+        let found = match self.0 {
+            Value::Null => Unexpected::Unit,
+            Value::Bool(value) => Unexpected::Bool(*value),
+            Value::String(text) => Unexpected::Str(text),
+            Value::Array(_) => Unexpected::Seq,
+            Value::Object(_) => Unexpected::Map,
+            Value::Number(number) => match (number.as_u64(), number.as_i64()) {
+                (Some(number), _) => Unexpected::Unsigned(number),
+                (None, Some(number)) => Unexpected::Signed(number),
+                (None, None) => Unexpected::Float(number.as_f64().unwrap_or(f64::NAN)),
+            },
+        };
+        Mistyped::invalid_type(found, expected)
+    }
+}
+
 impl<'v> Deserializer<'v> for Typed<'v> {
     type Error = Mistyped;
 
@@ -75,19 +94,66 @@ impl<'v> Deserializer<'v> for Typed<'v> {
                 (None, None, Some(number)) => visitor.visit_f64(number),
                 (None, None, None) => Err(Mistyped::custom("a number out of range")),
             },
-            Value::Array(items) => {
-                let mut list = List { items, next: 0 };
-                let value = visitor.visit_seq(&mut list)?;
-                list.is_read(value)
-            }
-            Value::Object(members) => {
-                let mut table = Table { left: members.iter(), value: None };
-                let value = visitor.visit_map(&mut table)?;
-                match table.left.len() {
-                    0 => Ok(value),
-                    _ => Err(Mistyped::invalid_length(members.len(), &"fewer elements in map")),
-                }
-            }
+            Value::Array(_) => self.deserialize_seq(visitor),
+            Value::Object(_) => self.deserialize_map(visitor),
+        }
+    }
+
+    fn deserialize_seq<V: Visitor<'v>>(self, visitor: V) -> Result<V::Value, Mistyped> {
+        let Value::Array(items) = self.0 else { return Err(self.unexpected(&visitor)) };
+        let mut list = List { items, next: 0 };
+        let value = visitor.visit_seq(&mut list)?;
+        list.is_read(value)
+    }
+
+    fn deserialize_tuple<V: Visitor<'v>>(self, _: usize, visitor: V) -> Result<V::Value, Mistyped> {
+        self.deserialize_seq(visitor)
+    }
+
+    fn deserialize_tuple_struct<V: Visitor<'v>>(
+        self,
+        _: &'static str,
+        _: usize,
+        visitor: V,
+    ) -> Result<V::Value, Mistyped> {
+        self.deserialize_seq(visitor)
+    }
+
+    fn deserialize_map<V: Visitor<'v>>(self, visitor: V) -> Result<V::Value, Mistyped> {
+        let Value::Object(members) = self.0 else { return Err(self.unexpected(&visitor)) };
+        let mut table = Table { left: members.iter(), value: None };
+        let value = visitor.visit_map(&mut table)?;
+        match table.left.len() {
+            0 => Ok(value),
+            _ => Err(Mistyped::invalid_length(members.len(), &"fewer elements in map")),
+        }
+    }
+
+    /// Only from objects, as glTF has them; serde would take an array of the members, too.
+    fn deserialize_struct<V: Visitor<'v>>(
+        self,
+        _: &'static str,
+        _: &'static [&'static str],
+        visitor: V,
+    ) -> Result<V::Value, Mistyped> {
+        self.deserialize_map(visitor)
+    }
+
+    fn deserialize_str<V: Visitor<'v>>(self, visitor: V) -> Result<V::Value, Mistyped> {
+        match self.0 {
+            Value::String(text) => visitor.visit_borrowed_str(text),
+            _ => Err(self.unexpected(&visitor)),
+        }
+    }
+
+    fn deserialize_string<V: Visitor<'v>>(self, visitor: V) -> Result<V::Value, Mistyped> {
+        self.deserialize_str(visitor)
+    }
+
+    fn deserialize_bool<V: Visitor<'v>>(self, visitor: V) -> Result<V::Value, Mistyped> {
+        match self.0 {
+            Value::Bool(value) => visitor.visit_bool(*value),
+            _ => Err(self.unexpected(&visitor)),
         }
     }
 
@@ -114,8 +180,7 @@ impl<'v> Deserializer<'v> for Typed<'v> {
 
     forward_to_deserialize_any! {
         <V: Visitor<'v>>
-        bool i8 i16 i32 i64 i128 u8 u16 u32 u64 u128 f32 f64 char str string bytes byte_buf unit unit_struct seq
-        tuple tuple_struct map struct identifier
+        i8 i16 i32 i64 i128 u8 u16 u32 u64 u128 f32 f64 char bytes byte_buf unit unit_struct identifier
     }
 }
 
@@ -253,6 +318,11 @@ mod tests {
         for (pointer, wrong, place) in [
             ("/count", json!("3"), ""),
             ("/count", json!(null), ""),
+            ("/count", json!(-3), ""),
+            ("/count", json!([3]), ""),
+            ("/at", json!("x"), ""),
+            ("/at", json!({"0": 1, "1": 2}), ""),
+            ("/kinds", json!(2.5), ""),
             ("/count", json!(300), ""),
             ("/at", json!([1.0]), ""),
             ("/at", json!([1.0, 2.0, 3.0]), ""),
@@ -269,6 +339,8 @@ mod tests {
             let pointer = pointer.trim_end_matches("/Sized");
             assert_eq!(error.place, format!("{pointer}{place}"), "{wrong}");
         }
+        let error = typed::<Root>(&json!([3, [1, 2]])).unwrap_err();
+        assert_eq!(error.message, "invalid type: sequence, expected struct Root");
         let error = typed::<Root>(&json!({"at": [0, 0]})).unwrap_err();
         assert_eq!((error.place.as_str(), error.message.as_str()), ("", "missing field `count`"));
     }

@@ -2,12 +2,12 @@
 // they form.
 import type { LumistackViewer } from "../element.js";
 import { download, videoFormat } from "../capture.js";
-import { filesByName, filesOf, recognize } from "../drop.js";
+import { filesByName, filesOf } from "../drop.js";
 import { Problem, problemOf } from "../problem.js";
 import { Choice } from "./choice.js";
-import { builtIn, dropped, nothing, SCENES, type Input } from "./input.js";
+import { builtIn, dropped, droppedField, nothing, SCENES, type Input } from "./input.js";
 import { Solver } from "./solver.js";
-import type { State, SolverMessage } from "./worker.js";
+import type { State, SolverMessage, SolverRequest } from "./worker.js";
 
 /** Milliseconds without a change before a changed display is solved. */
 const SETTLE_MS = 300;
@@ -39,11 +39,15 @@ async function solve(get: () => Promise<Input | undefined>): Promise<void> {
     document.title = `${found.title} – Lumistack`;
     performance.mark("lumistack-solve");
     // The page keeps the files in case the thread ends.
-    solver.ask({ kind: "solve", files: found.files, path: found.path, title: found.title, settings: choice.settings });
+    solver.ask(request(found));
     buttons(true);
   } catch (error) {
     if (own === load) refuse(problemOf(error, ""));
   }
+}
+
+function request({ files, path, title, isField }: Input): SolverRequest {
+  return { kind: "solve", files, path, title, isField, settings: choice.settings };
 }
 
 function displayChanged(): void {
@@ -53,9 +57,7 @@ function displayChanged(): void {
     paused = false;
     const present = solver.runs;
     await solver.start();
-    const { files, path, title } = input;
-    const settings = choice.settings;
-    solver.ask(present ? { kind: "change", settings } : { kind: "solve", files, path, title, settings });
+    solver.ask(present ? { kind: "change", settings: choice.settings } : request(input));
     buttons(true);
   }, SETTLE_MS);
 }
@@ -87,6 +89,7 @@ async function show(): Promise<void> {
       at("drop").classList.remove("idle");
       at("empty").hidden = true;
       await viewer.showStack(stack.json, stack.codes);
+      tell(JSON.parse(stack.json) as { title: string; caption: string });
       // The picture is visible only after it has been drawn.
       await viewer.ready;
       if (performance.getEntriesByName("lumistack-first-patterns").length === 0) performance.mark("lumistack-first-patterns");
@@ -97,10 +100,18 @@ async function show(): Promise<void> {
   showing = false;
 }
 
+/** Names what is on show. */
+function tell({ title, caption }: { title: string; caption: string }): void {
+  const name = document.createElement("strong");
+  name.textContent = title;
+  at("caption").replaceChildren(name, ` ${caption}`);
+  at("caption").hidden = false;
+}
+
 function showState({ stage, share, psnr, warnings }: State): void {
   at<HTMLProgressElement>("bar").value = share;
   const quality = Number.isFinite(psnr) ? ` ${psnr.toFixed(1)} dB over its views.` : "";
-  const words = { scene: "Reading the scene…", views: `Rendering views, ${Math.floor(100 * share)} %.`, patterns: `Solving, ${Math.floor(100 * share)} %.`, done: "Finished." };
+  const words = { scene: input?.isField ? "Reading the light field…" : "Reading the scene…", views: `Rendering views, ${Math.floor(100 * share)} %.`, patterns: `Solving, ${Math.floor(100 * share)} %.`, done: "Finished." };
   const rest = paused && stage !== "done" ? "Stopped." : words[stage];
   say(`${rest}${quality}`);
   Object.assign(document.documentElement.dataset, { stage, psnr });
@@ -158,15 +169,12 @@ async function save(id: "quilt" | "turn", make: () => Promise<void>): Promise<vo
 
 async function open(files: ReadonlyMap<string, File>): Promise<void> {
   await solve(async () => {
-    const found = dropped(files);
+    const isPreview = [...files.keys()].some((path) => /(^|\/)preview\.json$/.test(path));
+    const found = dropped(files) ?? (isPreview ? undefined : droppedField(files));
     if (found) return found;
-    try {
-      recognize(files);
-    } catch {
-      throw nothing(files);
-    }
-    // Views or a finished preview need no solver.
-    at("empty").hidden = true;
+    if (!isPreview) throw nothing(files);
+    // A finished preview needs no solver.
+    at("empty").hidden = at("caption").hidden = true;
     at("drop").classList.remove("idle");
     say("Shown as it is.");
     await viewer.open(files);

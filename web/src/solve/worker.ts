@@ -6,7 +6,7 @@ import { Dropped, initSync, presets, Solver } from "../../pkg/lumistack_web_solv
 /** Requests of the page. */
 export type SolverRequest =
   | { kind: "start"; module: WebAssembly.Module; decoders: string }
-  | { kind: "solve"; files: [path: string, content: Blob][]; path: string; title: string; settings: string }
+  | { kind: "solve"; files: [path: string, content: Blob][]; path: string; title: string; isField: boolean; settings: string }
   | { kind: "change"; settings: string }
   | { kind: "pause" | "resume" }
   | { kind: "zip" };
@@ -44,6 +44,14 @@ function ready(): typeof decoders {
   return decoders;
 }
 
+/**
+ * True if a module stopped: out of memory, or a decoder on content that is broken in a way that it
+ * does not look for.
+ */
+function stopped(error: unknown): boolean {
+  return error instanceof WebAssembly.RuntimeError || error instanceof RangeError;
+}
+
 /** The solver's module imports these functions. */
 Object.assign(globalThis, {
   lumistack_decoders: {
@@ -52,9 +60,17 @@ Object.assign(globalThis, {
       try {
         return answer(request);
       } catch (error) {
-        // A decoder stops on content that is broken in a way that it does not look for.
-        if (error instanceof WebAssembly.RuntimeError || error instanceof RangeError) return undefined;
+        if (stopped(error)) return undefined;
         throw error;
+      }
+    },
+    field(path: string, ...wanted: [widthMm: number, fovX: number, fovY: number, cols: number]): decoders.Field {
+      const { field } = ready();
+      try {
+        return field(path, ...wanted);
+      } catch (error) {
+        if (!stopped(error)) throw error;
+        throw new Error(`${path}: content: expected a sound light field, found bytes on which its reader stops`);
       }
     },
     pack: (display: string, names: string[], contents: Uint8Array[]): Uint8Array => ready().pack(display, names, contents),
@@ -104,7 +120,7 @@ function report(patterns: boolean): void {
 }
 
 /** Reads the files of a solve, and starts it. */
-async function begin(files: [path: string, content: Blob][], path: string): Promise<void> {
+async function begin({ files, path, isField }: Extract<SolverRequest, { kind: "solve" }>): Promise<void> {
   const own = ++newest;
   const read = files.map(async ([name, content]): Promise<[string, ArrayBuffer]> => {
     try {
@@ -118,9 +134,14 @@ async function begin(files: [path: string, content: Blob][], path: string): Prom
   }));
   if (own !== newest || !contents) return;
   guarded(() => {
-    const dropped = new Dropped();
-    for (const [name, bytes] of contents) dropped.add(name, new Uint8Array(bytes));
-    solver = new Solver(dropped, path, settings);
+    if (isField) {
+      ready().hold(contents.map(([name]) => name), contents.map(([, bytes]) => new Uint8Array(bytes)));
+      solver = Solver.of_field(path, settings);
+    } else {
+      const dropped = new Dropped();
+      for (const [name, bytes] of contents) dropped.add(name, new Uint8Array(bytes));
+      solver = new Solver(dropped, path, settings);
+    }
     run();
   });
 }
@@ -142,7 +163,7 @@ function guarded(work: () => void): void {
     work();
   } catch (error) {
     running = false;
-    if (error instanceof WebAssembly.RuntimeError || error instanceof RangeError) {
+    if (stopped(error)) {
       solver = undefined;
       const why = "the solver stopped: most likely this takes more memory than a page can have";
       return send({ kind: "error", message: `${title}: ${why}. Take less detail or fewer frames, or solve it with “lumistack run”.` });
@@ -163,7 +184,7 @@ onmessage = ({ data }: MessageEvent<SolverRequest>) =>
         solver?.free();
         solver = undefined;
         ({ title, settings } = data);
-        return void begin(data.files, data.path);
+        return void begin(data);
       case "change":
         // Settings that arrive while files are read are those of the solve to come.
         ({ settings } = data);
