@@ -8,8 +8,8 @@ const [COLUMNS, ROWS] = [8, 6];
 
 /**
  * Slopes of `count` views from left to right, each at the centre of its part of the zone; on the
- * central row of the target's views, the upper of two. View i is at (i + ½) / count · A − ½ in units
- * of the target's A views across, as in the quilts of the command.
+ * central row of the target's views, the upper of two. View i is at (i + ½) / count · A − ½ in
+ * units of the target's A views across, as in the quilts of the command.
  */
 export function slopesAcross({ views }: Pick<Info, "views">, count: number): Slope[] {
   const start = Math.floor((views.rows - 1) / 2) * views.cols;

@@ -9,6 +9,7 @@ import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
 import { DIST, launch, open, pixels, SHOTS } from "./browser.mjs";
 import { serve } from "./server.mjs";
+import { stripes } from "./stripes.mjs";
 
 const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 const SCENES = join(dirname(fileURLToPath(import.meta.url)), "../../scenes");
@@ -139,17 +140,11 @@ test("a built-in scene becomes the patterns that the command makes", { skip: !BI
   for (const name of ["letters.gltf", "letters.bin", "charts.png", "graph-paper.png", "sky.hdr"]) cpSync(join(SCENES, "letters", name), join(run, name));
   const out = join(folder, "command");
   execFileSync(BIN, ["run", join(run, "job.toml"), "-o", out], { stdio: "pipe" });
-  let [squares, count] = [0, 0];
-  for (let layer = 0; layer < 3; layer++) {
-    const [ours, theirs] = [run, out].map((from) => npy(readFileSync(join(from, `layers/layer_${layer}.npy`))));
-    assert.equal(ours.length, theirs.length);
-    for (let i = 0; i < ours.length; i++) squares += (ours[i] - theirs[i]) ** 2;
-    count += ours.length;
-  }
+  const difference = apart(run, out);
   const { value: curve } = JSON.parse(readFileSync(join(out, "cache/convergence.json"), "utf8"));
   const command = curve.steps.at(-1).psnr_view;
-  console.log(`page ${psnr.toFixed(4)} dB, command ${command.toFixed(4)} dB, patterns differ by ${Math.sqrt(squares / count).toExponential(1)}`);
-  assert.ok(Math.sqrt(squares / count) < SAME, `${Math.sqrt(squares / count)}`);
+  console.log(`page ${psnr.toFixed(4)} dB, command ${command.toFixed(4)} dB, patterns differ by ${difference.toExponential(1)}`);
+  assert.ok(difference < SAME, `${difference}`);
   assert.ok(Math.abs(psnr - command) < SAME_DB, `${psnr} and ${command}`);
   assert.deepEqual(at.trouble, []);
   await at.context().close();
@@ -228,32 +223,16 @@ test("a broken file is told as the command tells it, and the page goes on", { sk
   await at.context().close();
 });
 
-/** Stripes at two depths, an array of 3 × 5 views. */
-function stripes(path) {
-  const [rows, cols, height, width] = [3, 5, 40, 64];
-  const values = new Float32Array(rows * cols * height * width * 3);
-  let at = 0;
-  for (let y = 0; y < rows; y++)
-    for (let x = 0; x < cols; x++)
-      for (let row = 0; row < height; row++)
-        for (let col = 0; col < width; col++) {
-          const near = (col + 2 * x) % 16 < 5 && (row + y) % 12 > 3;
-          values.set([near ? 0.8 : 0.05, (col + 60 - x) % 9 < 4 ? 0.5 : 0.1, near ? 0.1 : 0.3], at);
-          at += 3;
-        }
-  const header = `{'descr': '<f4', 'fortran_order': False, 'shape': (${rows}, ${cols}, ${height}, ${width}, 3), }`.padEnd(117) + "\n";
-  writeFileSync(path, Buffer.concat([Buffer.from("\x93NUMPY\x01\x00v\x00", "latin1"), Buffer.from(header), Buffer.from(values.buffer)]));
-}
-
-/** The largest difference between the patterns of two runs. */
+/** Root mean square difference between the patterns of two runs. */
 function apart(a, b) {
-  let most = 0;
+  let [squares, count] = [0, 0];
   for (let layer = 0; layer < 3; layer++) {
     const [ours, theirs] = [a, b].map((from) => npy(readFileSync(join(from, `layers/layer_${layer}.npy`))));
     assert.equal(ours.length, theirs.length);
-    ours.forEach((value, i) => (most = Math.max(most, Math.abs(value - theirs[i]))));
+    for (let i = 0; i < ours.length; i++) squares += (ours[i] - theirs[i]) ** 2;
+    count += ours.length;
   }
-  return most;
+  return Math.sqrt(squares / count);
 }
 
 test("light fields are solved as the command solves them", { skip: !BIN && "LUMISTACK_BIN names no program" }, async () => {

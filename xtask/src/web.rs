@@ -36,12 +36,12 @@ const PACKAGE: &str = "web/pkg";
 const DIST: &str = "web/dist";
 /// Hashes of the sources of `web/dist` and of its files, a line each.
 const HASH: &str = "web/dist/sources.blake3";
-/// Files of the viewer, further files of the page that solves, the files that it loads for packed
-/// content or to save, and the largest compressed size of each group, bytes.
+/// Files of each part, and their largest compressed size together, bytes. The viewer; further files
+/// of the page that solves; the module that this page loads for packed content and to save.
 const BUDGETS: [(&str, &[&str], usize); 3] = [
     ("page", &["index.html", "viewer.js", "lumistack_web_bg.wasm"], 150_000),
     ("solver", &["solve.html", "solve.js", "lumistack_web_solver_bg.wasm"], 500_000),
-    ("decoders", &["lumistack_web_decoders_bg.wasm"], 300_000),
+    ("decoders", &["lumistack_web_decoders_bg.wasm"], 600_000),
 ];
 /// Sources of the pages, beside the lock entries of their dependencies.
 const SOURCES: [&str; 25] = [
@@ -132,7 +132,7 @@ fn module(&Module { package: name_of_package, name, profile, bare }: &Module) ->
     let mut build = command("cargo");
     build.args(["build", "--quiet", "--profile", profile, "--target", WASM, "--package", name_of_package]);
     if bare {
-        // a third smaller; the compiler that the workspace demands has these options as unstable ones
+        // a third smaller; in the compiler that the workspace demands these options are unstable
         tools::rust_sources()?;
         flags.extend(["-Zunstable-options", "-Cpanic=immediate-abort"].map(str::to_owned));
         build.env("RUSTC_BOOTSTRAP", "1").arg("-Zbuild-std=std,panic_abort");
@@ -153,7 +153,7 @@ fn module(&Module { package: name_of_package, name, profile, bare }: &Module) ->
         }
     }
     let mut optimize = command(root().join("web/node_modules/.bin/wasm-opt"));
-    optimize.args(["-Oz", "--converge", "--strip-debug", "--strip-producers"]).args(FEATURES);
+    optimize.args(["-Os", "--reorder-functions", "--strip-debug", "--strip-producers"]).args(FEATURES);
     tools::run(optimize.arg(&module).arg("-o").arg(&module))
 }
 

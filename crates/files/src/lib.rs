@@ -43,7 +43,7 @@ pub fn open(path: &Path) -> io::Result<File> {
 /// Length of an open file, bytes.
 ///
 /// # Errors
-/// When the system does not tell.
+/// When the system refuses.
 pub fn length(file: &File) -> io::Result<u64> {
     system::length(file)
 }

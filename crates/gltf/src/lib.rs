@@ -85,7 +85,7 @@ pub trait AssetResolver {
     /// `max_bytes`, which is to be known before it is read.
     fn read(&self, uri: &str, max_bytes: u64) -> Result<Vec<u8>, String>;
 
-    /// Decodes packed content. A page that keeps its decoders in a module of their own passes it on.
+    /// Decodes packed content. A page whose decoders are another module passes it on.
     ///
     /// # Errors
     /// When the content is broken.

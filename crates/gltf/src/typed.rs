@@ -161,7 +161,11 @@ impl<'v> Deserializer<'v> for Typed<'v> {
         if self.0.is_null() { visitor.visit_none() } else { visitor.visit_some(self) }
     }
 
-    fn deserialize_newtype_struct<V: Visitor<'v>>(self, _: &'static str, visitor: V) -> Result<V::Value, Mistyped> {
+    fn deserialize_newtype_struct<V: Visitor<'v>>(self, name: &'static str, visitor: V) -> Result<V::Value, Mistyped> {
+        // extras keep their text, which their own deserializer alone can give them
+        if name.starts_with("$serde_json") {
+            return self.0.deserialize_newtype_struct(name, visitor).map_err(Mistyped::custom);
+        }
         visitor.visit_newtype_struct(self)
     }
 

@@ -2,8 +2,8 @@
 //!
 //! The reader of glTF passes [`Packed`] content to
 //! [`AssetResolver::unpack`](crate::AssetResolver::unpack), whose default is [`unpack`] here. A page
-//! that keeps its decoders in a second module passes it on as bytes: [`to_bytes`](Packed::to_bytes),
-//! there [`answer`], and [`answered`] again.
+//! whose decoders are a second module passes it on as bytes: [`to_bytes`](Packed::to_bytes), there
+//! [`answer`], and [`answered`] again.
 
 mod draco;
 mod kinds;

@@ -1,5 +1,5 @@
-//! Parts of the page that solves that most scenes do not need, or that are needed once: decoders of
-//! pictures, packed meshes and captures, the readers of light fields, and the zip that is saved.
+//! Parts of the page that solves that most scenes do not need, or that are needed once. They decode
+//! pictures, packed meshes and captures, read light fields, and write the zip that is saved.
 //!
 //! In the page they are a module of their own, which is loaded at its first use. A decoder that
 //! stops on broken content stops this module alone; the page starts it again. Natively the crate of

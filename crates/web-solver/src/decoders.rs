@@ -1,5 +1,5 @@
-//! The decoders of packed content, the readers of light fields and the zip: a module of their own in
-//! a page, a crate elsewhere.
+//! The decoders of packed content, the readers of light fields and the zip: a module of their own
+//! in a page, a crate elsewhere.
 
 #[cfg(target_arch = "wasm32")]
 pub(crate) use page::{field, pack, unpack};

@@ -96,8 +96,8 @@ impl Work {
         Self::begin(Some(files), path, settings)
     }
 
-    /// Prepares the work on a light field: a file or folder of any kind that the command reads. In a
-    /// page it is among the files that the module of decoders holds.
+    /// Prepares the work on a light field: a file or folder of any kind that the command reads. In
+    /// a page it is among the files that the module of decoders holds.
     ///
     /// # Errors
     /// When the settings are invalid.
@@ -304,8 +304,8 @@ fn begin(
     Ok(Ongoing::begin(&Problem { display, target, weights: &Weights::Uniform }, &settings, warm, task)?)
 }
 
-/// Plans all pieces after a light field is read: one solve, whose patterns are shown often at first,
-/// when they change most.
+/// Plans all pieces after a light field is read: one solve, whose patterns are shown often at
+/// first, when they change most.
 fn plan_field(iterations: u32) -> VecDeque<Piece> {
     let mut pieces = VecDeque::from([Piece::BeginField]);
     for iteration in 1..=iterations {

@@ -131,7 +131,7 @@ pub struct Unsound {
     pub place: String,
     /// The expected content.
     pub expected: String,
-    /// What was found.
+    /// The found content.
     pub found: String,
 }
 
