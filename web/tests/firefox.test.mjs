@@ -72,7 +72,7 @@ test("Firefox solves a light field, and reports a broken one", { skip }, async (
     stripes(join(folder, "stripes.npy"));
     await files.uploadFile(join(folder, "stripes.npy"));
     const { psnr, seen } = await solved(page, (done) => page.waitForFunction(done));
-    assert.ok(Number(psnr) > 20, psnr);
+    assert.ok(Number(psnr) > 15, psnr);
     assert.deepEqual([seen.width, seen.height], [64, 40]);
     writeFileSync(join(folder, "cut.npy"), readFileSync(join(folder, "stripes.npy")).subarray(0, 5000));
     await files.uploadFile(join(folder, "cut.npy"));

@@ -78,7 +78,7 @@ async function savedQuilt(at) {
   assert.equal(download.suggestedFilename(), "letters_qs8x6a1.6.png");
   const views = await at.evaluate(async (bytes) => {
     const picture = await createImageBitmap(await (await fetch(`data:image/png;base64,${bytes}`)).blob());
-    const context = new OffscreenCanvas(picture.width, picture.height).getContext("2d");
+    const context = new OffscreenCanvas(picture.width, picture.height).getContext("2d", { willReadFrequently: true });
     context.drawImage(picture, 0, 0);
     const [width, height] = [picture.width / 8, picture.height / 6];
     // the first one is at the bottom left, the last one at the top right
