@@ -105,7 +105,8 @@ function tell({ title, caption }: { title: string; caption: string }): void {
   const name = document.createElement("strong");
   name.textContent = title;
   at("caption").replaceChildren(name, ` ${caption}`);
-  at("caption").hidden = false;
+  // Its own controls name it.
+  at("caption").hidden = !viewer.hasAttribute("plain");
 }
 
 function showState({ stage, share, psnr, warnings }: State): void {
@@ -215,6 +216,7 @@ at("turn").hidden = videoFormat() === undefined;
 at("closer").addEventListener("click", () => {
   const closer = viewer.toggleAttribute("plain") === false;
   at("closer").setAttribute("aria-pressed", String(closer));
+  at("caption").hidden = closer;
 });
 at("link").addEventListener("click", async () => {
   const address = choice.address;
