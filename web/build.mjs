@@ -6,7 +6,7 @@ import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { gzipSync } from "node:zlib";
 
-const MODULES = ["lumistack_web_bg.wasm", "lumistack_web_solver_bg.wasm"];
+const MODULES = ["lumistack_web_bg.wasm", "lumistack_web_solver_bg.wasm", "lumistack_web_decoders_bg.wasm"];
 for (const name of MODULES) {
   if (existsSync(`pkg/${name}`)) continue;
   console.error(`web/pkg/${name} is missing: run \`cargo xtask web\`, which builds it and then this page`);
@@ -67,7 +67,7 @@ execFileSync(process.execPath, ["node_modules/typescript/bin/tsc", "--emitDeclar
 mkdirSync("dist/types", { recursive: true });
 for (const name of ["viewer.d.ts", "element.d.ts", "state.d.ts"]) copyFileSync(join(all, name), join("dist/types", name));
 rmSync(all, { recursive: true });
-for (const name of ["index.html", "viewer.js", "lumistack_web_bg.wasm", "solve.html", "solve.js", "lumistack_web_solver_bg.wasm"]) {
+for (const name of ["index.html", "viewer.js", "lumistack_web_bg.wasm", "solve.html", "solve.js", "lumistack_web_solver_bg.wasm", "lumistack_web_decoders_bg.wasm"]) {
   const bytes = readFileSync(`dist/${name}`);
   console.log(`dist/${name}  ${(bytes.length / 1000).toFixed(1)} kB, ${(gzipSync(bytes, { level: 9 }).length / 1000).toFixed(1)} kB gzip`);
 }

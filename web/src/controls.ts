@@ -98,9 +98,18 @@ export class Controls {
     onInput("exploded-frame", (frame) => ({ frame }));
   }
 
+  /** Records one turn around the zone and saves it as a video. */
+  async saveTurn(): Promise<void> {
+    if (this.on.content()) await this.turn.save(this.shown, () => this.on.ticker.redraw());
+  }
+
+  private get shown(): Shown {
+    return { title: this.on.content()?.info.title ?? "", mode: this.on.state().mode };
+  }
+
   private listenToButtons(): void {
     const { on, target } = this;
-    const shown = (): Shown => ({ title: on.content()?.info.title ?? "", mode: on.state().mode });
+    const shown = (): Shown => this.shown;
     const onClick = (id: string, action: () => unknown): void => on.face.at(id).addEventListener("click", () => void action());
     onClick("step-back", () => target.stepFrame(-1));
     onClick("step-on", () => target.stepFrame(1));
@@ -120,7 +129,7 @@ export class Controls {
       const shot = on.shot();
       return shot && savePicture(on.stage, shot, shown(), on.motion);
     });
-    onClick("record", () => on.content() && this.turn.save(shown(), () => on.ticker.redraw()));
+    onClick("record", () => this.saveTurn());
     onClick("link", () => copyLink(`${location.href.replace(/#.*$/, "")}${Address.hash(on.state(), on.motion.slope, true)}`, on.face));
   }
 

@@ -11,7 +11,7 @@
 // * hold: keeps the view from swinging
 import { Address } from "./address.js";
 import type { Surroundings } from "./around.js";
-import { toPng, videoFormat } from "./capture.js";
+import { download, fileName, toPng, videoFormat } from "./capture.js";
 import { readyFrame, StackContent, type Content } from "./content.js";
 import { Controls } from "./controls.js";
 import { recognize } from "./drop.js";
@@ -24,6 +24,7 @@ import { Ticker } from "./loop.js";
 import { Motion, Tilt } from "./motion.js";
 import type { Wish } from "./painter.js";
 import { Problem, problemOf } from "./problem.js";
+import { quilt } from "./quilt.js";
 import { lastMask, Sheet } from "./sheet.js";
 import { Sliders } from "./sliders.js";
 import { FilesSource, sourceOf } from "./source.js";
@@ -203,6 +204,20 @@ export class LumistackViewer extends HTMLElement {
     const shot = this.shot();
     if (!shot) throw new Error("there is no picture yet");
     return toPng(await this.stage.still(shot));
+  }
+
+  /** Saves a quilt of 8 × 6 views for lenticular displays: a PNG whose name ends in `_qs8x6aASPECT`. */
+  async saveQuilt(): Promise<void> {
+    const { content, state } = this;
+    if (!content || content.frames.length === 0) throw new Error("there is no picture yet");
+    const perceived: State = { ...state, mode: "perceived" };
+    const { blob, ending } = await quilt(content.info, (slope) => this.stage.pixels(content.shot(perceived, slope)));
+    download(blob, `${fileName(content.info.title)}${ending}`);
+  }
+
+  /** Records one turn around the zone and saves it as a video. */
+  async saveTurn(): Promise<void> {
+    await this.controls.saveTurn();
   }
 
   /** Shows the files (path → file): a preview, a quilt, or the views of a light field. */

@@ -9,6 +9,7 @@ import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
 import { DIST, launch, open, pixels, SHOTS } from "./browser.mjs";
 import { serve } from "./server.mjs";
+import { stripes } from "./stripes.mjs";
 
 const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 const SCENES = join(dirname(fileURLToPath(import.meta.url)), "../../scenes");
@@ -71,6 +72,47 @@ async function save(at, name) {
   return run;
 }
 
+/** Saves a quilt, and compares two of its tiles with the picture on show from there. */
+async function savedQuilt(at) {
+  const [download] = await Promise.all([at.waitForEvent("download"), at.click("#quilt")]);
+  assert.equal(download.suggestedFilename(), "letters_qs8x6a1.6.png");
+  const views = await at.evaluate(async (bytes) => {
+    const picture = await createImageBitmap(await (await fetch(`data:image/png;base64,${bytes}`)).blob());
+    const context = new OffscreenCanvas(picture.width, picture.height).getContext("2d", { willReadFrequently: true });
+    context.drawImage(picture, 0, 0);
+    const [width, height] = [picture.width / 8, picture.height / 6];
+    // the first one is at the bottom left, the last one at the top right
+    return { width, height, tiles: [[0, 5], [7, 0]].map(([col, row]) => [...context.getImageData(col * width, row * height, width, height).data]) };
+  }, readFileSync(await download.path(), "base64"));
+  assert.deepEqual([views.width, views.height], [96, 60]);
+  // 48 views of the zone: the outermost ones are half a part inside its edge
+  const { slope_x, slope_y } = await at.evaluate(() => JSON.parse(document.querySelector("lumistack-viewer").content.json).target);
+  const step = slope_x[1] - slope_x[0];
+  const edge = slope_x.at(-1) + step / 2 - (step * slope_x.length) / 96;
+  for (const [tile, side] of views.tiles.map((tile, i) => [tile, [-1, 1][i]])) {
+    const shown = await pixels(at, [side * edge, slope_y[Math.floor((slope_y.length - 1) / 2)]]);
+    assert.equal(tile.length, shown.data.length);
+    assert.ok(tile.every((code, i) => Math.abs(code - shown.data[i]) <= 1), `the view of side ${side}`);
+  }
+}
+
+/** Saves a turn as a video that plays. */
+async function savedTurn(at) {
+  const [download] = await Promise.all([at.waitForEvent("download"), at.click("#turn")]);
+  assert.match(download.suggestedFilename(), /^letters_turn\.(webm|mp4)$/);
+  const [width, height] = await at.evaluate(
+    async ([type, bytes]) => {
+      const video = document.createElement("video");
+      video.muted = true;
+      video.src = URL.createObjectURL(await (await fetch(`data:${type};base64,${bytes}`)).blob());
+      await video.play();
+      return [video.videoWidth, video.videoHeight];
+    },
+    [`video/${download.suggestedFilename().split(".").at(-1)}`, readFileSync(await download.path(), "base64")],
+  );
+  assert.ok(width >= 960 && Math.abs(width / height - 1.6) < 0.02, `${width} × ${height}`);
+}
+
 test("a built-in scene becomes the patterns that the command makes", { skip: !BIN && "LUMISTACK_BIN names no program" }, async () => {
   const at = await page("#scene=letters&preset=paper-three-layer&cols=96&frames=3&zone_samples=100&iterations=6");
   await stage(at, "done");
@@ -98,17 +140,11 @@ test("a built-in scene becomes the patterns that the command makes", { skip: !BI
   for (const name of ["letters.gltf", "letters.bin", "charts.png", "graph-paper.png", "sky.hdr"]) cpSync(join(SCENES, "letters", name), join(run, name));
   const out = join(folder, "command");
   execFileSync(BIN, ["run", join(run, "job.toml"), "-o", out], { stdio: "pipe" });
-  let [squares, count] = [0, 0];
-  for (let layer = 0; layer < 3; layer++) {
-    const [ours, theirs] = [run, out].map((from) => npy(readFileSync(join(from, `layers/layer_${layer}.npy`))));
-    assert.equal(ours.length, theirs.length);
-    for (let i = 0; i < ours.length; i++) squares += (ours[i] - theirs[i]) ** 2;
-    count += ours.length;
-  }
+  const difference = apart(run, out);
   const { value: curve } = JSON.parse(readFileSync(join(out, "cache/convergence.json"), "utf8"));
   const command = curve.steps.at(-1).psnr_view;
-  console.log(`page ${psnr.toFixed(4)} dB, command ${command.toFixed(4)} dB, patterns differ by ${Math.sqrt(squares / count).toExponential(1)}`);
-  assert.ok(Math.sqrt(squares / count) < SAME, `${Math.sqrt(squares / count)}`);
+  console.log(`page ${psnr.toFixed(4)} dB, command ${command.toFixed(4)} dB, patterns differ by ${difference.toExponential(1)}`);
+  assert.ok(difference < SAME, `${difference}`);
   assert.ok(Math.abs(psnr - command) < SAME_DB, `${psnr} and ${command}`);
   assert.deepEqual(at.trouble, []);
   await at.context().close();
@@ -117,8 +153,12 @@ test("a built-in scene becomes the patterns that the command makes", { skip: !BI
 test("patterns show while they form, stop, go on, and take another display", async () => {
   const at = await page("#preset=paper-three-layer&cols=96&frames=2&zone_samples=400&iterations=2");
   await shot(at, "empty");
+  // Decoders are loaded when a scene has something to decode, once.
+  let decoders = 0;
+  at.on("request", (request) => (decoders += request.url().endsWith("lumistack_web_decoders_bg.wasm")));
   await at.click("text=Letters");
   await at.waitForFunction(() => performance.getEntriesByName("lumistack-first-patterns").length > 0);
+  assert.equal(decoders, 1);
   await at.click("#pause");
   await at.waitForFunction(() => /Stopped/.test(document.querySelector("#status").textContent));
   const share = await at.evaluate(() => document.querySelector("#bar").value);
@@ -130,6 +170,8 @@ test("patterns show while they form, stop, go on, and take another display", asy
   const before = await pixels(at, [0, 0]);
   assert.ok(before.data.some((value, i) => i % 4 < 3 && value > 60), "something is seen");
   await shot(at, "done");
+  await savedQuilt(at);
+  await savedTurn(at);
   await at.evaluate(() => {
     document.documentElement.dataset.stage = "";
     const frames = document.querySelector("#frames");
@@ -161,13 +203,88 @@ test("a broken file is told as the command tells it, and the page goes on", { sk
     assert.equal(status, 1);
     assert.ok(stderr.replace(/\s+/g, " ").includes(said.replace(/\s+/g, " ")), `page: ${said}\ncommand: ${stderr}`);
   }
+  // A picture that ends too early: its decoder is another module.
+  const letters = join(folder, "cut");
+  cpSync(join(SCENES, "letters"), letters, { recursive: true });
+  writeFileSync(join(letters, "charts.png"), readFileSync(join(SCENES, "letters/charts.png")).subarray(0, 400));
+  await at.setInputFiles("#files", ["letters.gltf", "letters.bin", "charts.png", "graph-paper.png", "sky.hdr"].map((name) => join(letters, name)));
+  await at.waitForFunction(() => document.querySelector("#problem").textContent.includes("letters.gltf"));
+  const said = await problem(at);
+  const { stderr } = spawnSync(BIN, ["info", "letters.gltf"], { cwd: letters, encoding: "utf8" });
+  assert.ok(stderr.replace(/\s+/g, " ").includes(said.replace(/\s+/g, " ")), `page: ${said}\ncommand: ${stderr}`);
+  assert.match(said, /readable Png/);
   await shot(at, "broken");
   await at.setInputFiles("#files", { name: "words.txt", mimeType: "text/plain", buffer: Buffer.from("a") });
-  assert.match(await problem(at), /no model among the one file.*Drop a \.glb/);
+  assert.match(await problem(at), /nothing to solve among the one file.*Drop a \.glb/);
   await at.evaluate(() => (location.hash = ""));
   await at.click("text=Dandelion");
   await at.waitForFunction(() => performance.getEntriesByName("lumistack-first-patterns").length > 0);
   assert.ok(await at.isHidden("#problem"));
+  await at.context().close();
+});
+
+/** Root mean square difference between the patterns of two runs. */
+function apart(a, b) {
+  let [squares, count] = [0, 0];
+  for (let layer = 0; layer < 3; layer++) {
+    const [ours, theirs] = [a, b].map((from) => npy(readFileSync(join(from, `layers/layer_${layer}.npy`))));
+    assert.equal(ours.length, theirs.length);
+    for (let i = 0; i < ours.length; i++) squares += (ours[i] - theirs[i]) ** 2;
+    count += ours.length;
+  }
+  return Math.sqrt(squares / count);
+}
+
+test("light fields are solved as the command solves them", { skip: !BIN && "LUMISTACK_BIN names no program" }, async () => {
+  const array = join(folder, "stripes.npy");
+  stripes(array);
+  const at = await page("#preset=paper-three-layer&cols=96&frames=2&iterations=5");
+  const solved = async (choose, name) => {
+    await at.evaluate(() => (document.documentElement.dataset.stage = ""));
+    await choose();
+    await stage(at, "done");
+    assert.ok(await at.isHidden("#problem"));
+    return save(at, name);
+  };
+  const ours = await solved(() => at.setInputFiles("#files", array), "array");
+  assert.match(await at.textContent("#caption"), /^stripes 3 layers, 2 frames/);
+  await shot(at, "array");
+  cpSync(array, join(ours, "stripes.npy"));
+  const command = join(folder, "array-command");
+  execFileSync(BIN, ["run", join(ours, "job.toml"), "-o", command], { stdio: "pipe" });
+  assert.ok(apart(ours, command) < SAME, `${apart(ours, command)}`);
+  // The command's folder of OpenEXR pictures has rounded values.
+  const views = join(folder, "array-views");
+  cpSync(join(command, "target"), views, { recursive: true });
+  const again = await solved(() => at.setInputFiles("#folder", views), "views");
+  assert.match(readFileSync(join(again, "job.toml"), "utf8"), /light_field = "array-views"/);
+  assert.ok(apart(again, ours) < 0.01, `${apart(again, ours)}`);
+  // The page's own quilt: its 48 views are more than those of the array.
+  const [download] = await Promise.all([at.waitForEvent("download"), at.click("#quilt")]);
+  const quilt = join(folder, download.suggestedFilename());
+  await download.saveAs(quilt);
+  const third = await solved(() => at.setInputFiles("#files", quilt), "quilt");
+  cpSync(quilt, join(third, download.suggestedFilename()));
+  const known = join(folder, "quilt-command");
+  execFileSync(BIN, ["run", join(third, "job.toml"), "-o", known], { stdio: "pipe" });
+  assert.ok(apart(third, known) < SAME, `${apart(third, known)}`);
+
+  // Errors are those of the command.
+  const few = join(folder, "few");
+  mkdirSync(few);
+  writeFileSync(join(few, "cut.npy"), readFileSync(array).subarray(0, 5000));
+  writeFileSync(join(few, "flat.npy"), Buffer.concat([Buffer.from("\x93NUMPY\x01\x00v\x00", "latin1"), Buffer.from("{'descr': '<i4', 'fortran_order': False, 'shape': (2, 2), }".padEnd(117) + "\n"), Buffer.alloc(16)]));
+  writeFileSync(join(few, "plain.png"), readFileSync(join(SCENES, "letters/charts.png")));
+  writeFileSync(join(few, "cut_qs2x2.png"), readFileSync(join(SCENES, "letters/charts.png")).subarray(0, 400));
+  for (const name of ["cut.npy", "flat.npy", "plain.png", "cut_qs2x2.png"]) {
+    await at.setInputFiles("#files", join(few, name));
+    await at.waitForFunction((name) => document.querySelector("#problem").textContent.includes(name), name);
+    const said = await problem(at);
+    const { stderr, status } = spawnSync(BIN, ["factorize", name, "-o", join(few, "run")], { cwd: few, encoding: "utf8" });
+    assert.notEqual(status, 0, name);
+    assert.ok(stderr.replace(/\s+/g, " ").includes(said.replace(/\s+/g, " ")), `page: ${said}\ncommand: ${stderr}`);
+  }
+  assert.deepEqual(at.trouble, []);
   await at.context().close();
 });
 
@@ -187,13 +304,16 @@ test("axe finds nothing, on a desk and on a phone, in dark and light", async () 
       name,
     );
     await shot(at, name);
-    // By keyboard alone: every control is reached.
+    // By keyboard alone: every control is reached. The sliders are folded.
+    await at.focus("#built summary");
+    await at.keyboard.press("Enter");
+    await at.evaluate(() => document.activeElement.blur());
     const reached = new Set();
     for (let i = 0; i < 30; i++) {
       await at.keyboard.press("Tab");
       reached.add(await at.evaluate(() => document.activeElement.id || document.activeElement.textContent));
     }
-    for (const id of ["choose", "preset", "cols", "layers", "gap_mm", "frames", "brightness", "save", "link", "closer"]) assert.ok(reached.has(id), `${name}: ${id}`);
+    for (const id of ["choose", "preset", "cols", "layers", "gap_mm", "frames", "brightness", "save", "quilt", "turn", "link", "closer"]) assert.ok(reached.has(id), `${name}: ${id}`);
     assert.deepEqual(at.trouble, []);
     await at.context().close();
   }

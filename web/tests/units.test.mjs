@@ -105,3 +105,16 @@ test("who prefers less motion is taken there at once", async () => {
   motion.lookTo([0.1, 0.05]);
   assert.deepEqual(motion.slope, [0.1, 0.05]);
 });
+
+test("a quilt's views are at the centres of their parts of the zone", async () => {
+  const { slopesAcross } = await source("quilt.ts");
+  const across = [-0.2, -0.1, 0, 0.1, 0.2];
+  const slopes = [0.1, 0, -0.1].flatMap((y) => across.map((x) => [x, y]));
+  const near = (found, expected) => found.forEach(([x, y], i) => assert.ok(Math.abs(x - expected[i]) < 1e-12 && y === 0, `${x} ${y}`));
+  // as many views as the target has: its own
+  near(slopesAcross({ views: { rows: 3, cols: 5, slopes } }, 5), across);
+  near(slopesAcross({ views: { rows: 3, cols: 5, slopes } }, 2), [-0.125, 0.125]);
+  // more views reach beyond the centres of the outermost ones
+  near(slopesAcross({ views: { rows: 3, cols: 5, slopes } }, 10), across.flatMap((x) => [x - 0.025, x + 0.025]));
+  near(slopesAcross({ views: { rows: 1, cols: 1, slopes: [[0, 0]] } }, 2), [0, 0]);
+});

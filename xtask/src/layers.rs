@@ -22,7 +22,7 @@ const FORBIDDEN: [(&str, &[&str]); 3] = [
 ];
 
 /// Crates that must compile to wasm32, and so use no file system, clock or terminal.
-pub const PORTABLE: [&str; 10] = [
+pub const PORTABLE: [&str; 11] = [
     "lumistack-simd",
     "lumistack-core",
     "lumistack-scene",
@@ -32,6 +32,7 @@ pub const PORTABLE: [&str; 10] = [
     "lumistack-factorizer",
     "lumistack-splats",
     "lumistack-shot",
+    "lumistack-web-decoders",
     "lumistack-web-solver",
 ];
 

@@ -280,6 +280,24 @@ pub fn rust_target(triple: &str) -> Outcome {
     if installed() { Ok(()) } else { Err(format!("rustup ran, but the Rust target {triple} is not installed")) }
 }
 
+/// Makes sure that the sources of the standard library are there; installs them with rustup if they
+/// are missing.
+///
+/// # Errors
+/// Where they cannot be installed.
+pub fn rust_sources() -> Outcome {
+    let installed = || {
+        output_of(command("rustc").args(["--print", "sysroot"]))
+            .is_some_and(|folder| Path::new(folder.trim()).join("lib/rustlib/src/rust/library").is_dir())
+    };
+    if installed() {
+        return Ok(());
+    }
+    println!("\nfetching: the sources of Rust's standard library");
+    run(command("rustup").args(["component", "add", "rust-src"]))?;
+    if installed() { Ok(()) } else { Err("rustup gave no sources of the standard library".into()) }
+}
+
 /// Runs an example of a package as a release build.
 pub fn example(package: &str, name: &str, arguments: &[String]) -> Outcome {
     let mut words = vec!["run", "--release", "--package", package, "--example", name, "--"];

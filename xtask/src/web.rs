@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
-use crate::tools::{self, Outcome, cargo, command, output_of, root};
+use crate::tools::{self, Outcome, command, output_of, root};
 
 /// A WebAssembly module.
 struct Module {
@@ -19,12 +19,16 @@ struct Module {
     /// Name of the module and of the files around it.
     name: &'static str,
     profile: &'static str,
+    /// True if its standard library is compiled for it, without the messages of panics, which no
+    /// page shows.
+    bare: bool,
 }
 
-/// The viewer's module, and the module of the page that solves.
-const MODULES: [Module; 2] = [
-    Module { package: "lumistack-web", name: "lumistack_web", profile: "web" },
-    Module { package: "lumistack-web-solver", name: "lumistack_web_solver", profile: "web-solver" },
+/// The viewer's module, and the modules of the page that solves.
+const MODULES: [Module; 3] = [
+    Module { package: "lumistack-web", name: "lumistack_web", profile: "web", bare: false },
+    Module { package: "lumistack-web-solver", name: "lumistack_web_solver", profile: "web-solver", bare: true },
+    Module { package: "lumistack-web-decoders", name: "lumistack_web_decoders", profile: "web-solver", bare: true },
 ];
 /// Folder of the modules and their glue; not committed.
 const PACKAGE: &str = "web/pkg";
@@ -32,23 +36,29 @@ const PACKAGE: &str = "web/pkg";
 const DIST: &str = "web/dist";
 /// Hashes of the sources of `web/dist` and of its files, a line each.
 const HASH: &str = "web/dist/sources.blake3";
-/// Files of the viewer, further files of the page that solves, and the largest compressed size of
-/// each group, bytes.
-const BUDGETS: [(&str, &[&str], usize); 2] = [
+/// Files of each part, and their largest compressed size together, bytes. The viewer; the page that
+/// solves; its module; the module that it loads for packed content and to save.
+const BUDGETS: [(&str, &[&str], usize); 4] = [
     ("page", &["index.html", "viewer.js", "lumistack_web_bg.wasm"], 150_000),
-    ("solver", &["solve.html", "solve.js", "lumistack_web_solver_bg.wasm"], 950_000),
+    ("page that solves", &["solve.html", "solve.js"], 15_000),
+    ("solver", &["lumistack_web_solver_bg.wasm"], 500_000),
+    ("decoders", &["lumistack_web_decoders_bg.wasm"], 600_000),
 ];
-/// Sources of the pages, in addition to the lock entries of their dependencies.
-const SOURCES: [&str; 21] = [
+/// Sources of the pages, beside the lock entries of their dependencies.
+const SOURCES: [&str; 25] = [
     "crates/core/src",
     "crates/display/src",
     "crates/factorizer/src",
+    "crates/field-io/src",
+    "crates/files/src",
     "crates/gltf/src",
     "crates/pathtracer/src",
     "crates/scene/src",
     "crates/shot/src",
     "crates/simd/src",
     "crates/splats/src",
+    "crates/web-decoders/Cargo.toml",
+    "crates/web-decoders/src",
     "crates/web/Cargo.toml",
     "crates/web/src",
     "crates/web-solver/Cargo.toml",
@@ -104,6 +114,7 @@ fn hashes() -> Outcome<String> {
 /// When they cannot be installed.
 pub fn fetch() -> Outcome {
     npm_packages()?;
+    firefox();
     chromium().map(drop)
 }
 
@@ -112,16 +123,23 @@ pub fn modules() -> Outcome {
     MODULES.iter().try_for_each(module)
 }
 
-fn module(&Module { package: name_of_package, name, profile }: &Module) -> Outcome {
+fn module(&Module { package: name_of_package, name, profile, bare }: &Module) -> Outcome {
     if !tools::wasm_target() {
         return Err(
             "web: this machine cannot get the Rust target wasm32-unknown-unknown (`rustup target add` adds it)".into(),
         );
     }
     let target = target_folder()?;
-    let rustflags = format!("target.{WASM}.rustflags={:?}", rustflags());
-    let build = ["build", "--quiet", "--profile", profile, "--target", WASM, "--package", name_of_package];
-    cargo(&[&build[..], &["--config", &rustflags]].concat())?;
+    let mut flags = rustflags();
+    let mut build = command("cargo");
+    build.args(["build", "--quiet", "--profile", profile, "--target", WASM, "--package", name_of_package]);
+    if bare {
+        // a third smaller; in the compiler that the workspace demands these options are unstable
+        tools::rust_sources()?;
+        flags.extend(["-Zunstable-options", "-Cpanic=immediate-abort"].map(str::to_owned));
+        build.env("RUSTC_BOOTSTRAP", "1").arg("-Zbuild-std=std,panic_abort");
+    }
+    tools::run(build.args(["--config", &format!("target.{WASM}.rustflags={flags:?}")]))?;
     let built = target.join(WASM).join(profile).join(format!("{name}.wasm"));
     let package = root().join(PACKAGE);
     fs::create_dir_all(&package).map_err(|error| format!("{}: {error}", package.display()))?;
@@ -137,7 +155,7 @@ fn module(&Module { package: name_of_package, name, profile }: &Module) -> Outco
         }
     }
     let mut optimize = command(root().join("web/node_modules/.bin/wasm-opt"));
-    optimize.args(["-Oz", "--converge", "--strip-debug", "--strip-producers"]).args(FEATURES);
+    optimize.args(["-Os", "--reorder-functions", "--strip-debug", "--strip-producers"]).args(FEATURES);
     tools::run(optimize.arg(&module).arg("-o").arg(&module))
 }
 
@@ -178,7 +196,8 @@ pub fn fixtures() -> Outcome {
 /// Runs the tests of `web/tests` in a headless browser.
 pub fn browser_tests() -> Outcome {
     let chromium = chromium()?;
-    // build the program, for the tests of `lumistack preview`
+    firefox();
+    // builds the program for `lumistack preview`
     tools::build_everything()?;
     let binary = target_folder()?.join("debug").join(format!("lumistack{}", std::env::consts::EXE_SUFFIX));
     let mut tests = command("npm");
@@ -227,6 +246,19 @@ fn chromium() -> Outcome<PathBuf> {
         let error = install.err().unwrap_or_default();
         format!("web: no browser to test the page with; install Chromium, or name one in LUMISTACK_CHROMIUM {error}")
     })
+}
+
+/// Installs Firefox if there is none. Its test names the places that it looks at, and the variable.
+fn firefox() {
+    let there = || {
+        std::env::var_os("LUMISTACK_FIREFOX").is_some()
+            || ["/usr/bin/firefox-esr", "/usr/bin/firefox"].iter().any(|path| Path::new(path).is_file())
+    };
+    if !there()
+        && let Err(error) = tools::apt(&["firefox-esr"], "test the page that solves")
+    {
+        tools::skipped("web: the page that solves in Firefox", &error);
+    }
 }
 
 /// Prints the sizes of the files of both pages. A size above a budget is an error. The size is that

@@ -19,6 +19,7 @@ files!(
     "solve.js",
     "viewer.js",
     "lumistack_web_bg.wasm",
+    "lumistack_web_decoders_bg.wasm",
     "lumistack_web_solver_bg.wasm",
     "scenes/dandelion/dandelion.spz",
     "scenes/letters/charts.png",

@@ -40,7 +40,7 @@ pub(crate) fn source(path: &Path, task: Task<'_>) -> Result<Source, FieldError> 
     let json = path.with_extension("json");
     let mut linear = None;
     let mut hints = Hints::default();
-    if json.is_file() {
+    if lumistack_files::is_file(&json) {
         let text = read_index(&json)?;
         let geometry: GeometryJson = parse_json(&json, &text)?;
         linear = geometry.linear;

@@ -10,7 +10,6 @@
 //! `RR_CC.png`: names without centres; row 0 is the topmost, column 0 the leftmost.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use lumistack_core::Task;
@@ -115,18 +114,9 @@ pub(crate) fn source(folder: &Path, task: Task<'_>) -> Result<Option<Source>, Fi
 
 /// All pictures of a folder, sorted by name.
 pub(crate) fn pictures(folder: &Path) -> Result<Vec<PathBuf>, FieldError> {
-    let list = || -> std::io::Result<Vec<PathBuf>> {
-        let mut files = Vec::new();
-        for entry in fs::read_dir(folder)? {
-            let path = entry?.path();
-            if has_picture_extension(&path) && path.is_file() {
-                files.push(path);
-            }
-        }
-        files.sort();
-        Ok(files)
-    };
-    list().map_err(FieldError::io(folder, "list the folder"))
+    let mut files = lumistack_files::list(folder).map_err(FieldError::io(folder, "list the folder"))?;
+    files.retain(|path| has_picture_extension(path) && lumistack_files::is_file(path));
+    Ok(files)
 }
 
 fn parse_name(stem: &str) -> Option<CameraName> {

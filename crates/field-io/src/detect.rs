@@ -1,6 +1,5 @@
 //! Detects the kind of a light field.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use lumistack_core::Task;
@@ -12,8 +11,7 @@ use crate::{FieldError, array, cameras, folder, hci, quilt};
 
 /// Opens a light field without reading its pictures: headers, sizes and indices are checked.
 pub(crate) fn detect(path: &Path, flags: &GeometryFlags, task: Task<'_>) -> Result<Source, FieldError> {
-    let metadata = fs::metadata(path).map_err(FieldError::io(path, "read"))?;
-    if metadata.is_dir() {
+    if lumistack_files::is_folder(path).map_err(FieldError::io(path, "read"))? {
         return detect_folder(path, flags, task);
     }
     if path.file_name().is_some_and(|name| name == folder::INDEX) {
@@ -36,7 +34,7 @@ pub(crate) fn detect(path: &Path, flags: &GeometryFlags, task: Task<'_>) -> Resu
 
 fn detect_folder(path: &Path, flags: &GeometryFlags, task: Task<'_>) -> Result<Source, FieldError> {
     for candidate in [path.to_path_buf(), path.join("target")] {
-        if candidate.join(folder::INDEX).is_file() {
+        if lumistack_files::is_file(&candidate.join(folder::INDEX)) {
             return folder::source(&candidate);
         }
     }
@@ -66,9 +64,7 @@ fn detect_folder(path: &Path, flags: &GeometryFlags, task: Task<'_>) -> Result<S
 }
 
 fn arrays(folder: &Path) -> Result<Vec<PathBuf>, FieldError> {
-    let entries = fs::read_dir(folder).map_err(FieldError::io(folder, "list the folder"))?;
-    let mut files: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
+    let mut files = lumistack_files::list(folder).map_err(FieldError::io(folder, "list the folder"))?;
     files.retain(|file| extension(file).as_deref() == Some("npy"));
-    files.sort();
     Ok(files)
 }

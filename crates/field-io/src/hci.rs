@@ -34,8 +34,8 @@ pub(crate) fn source(folder: &Path, task: Task<'_>) -> Result<Option<Source>, Fi
         return Ok(None);
     }
     let path = folder.join(PARAMETERS);
-    let parameters = if path.is_file() {
-        // names and notes in the file may have any encoding; only numbers are used
+    let parameters = if lumistack_files::is_file(&path) {
+        // names and notes may have any encoding; only numbers are used
         let bytes = read_index(&path)?;
         Parameters { path, values: parse(&String::from_utf8_lossy(&bytes)) }
     } else {

@@ -1,22 +1,26 @@
 //! Arrays that may be larger than memory: their values stay in the file, and the system keeps the
 //! pages in memory that are read.
 
-use std::fs::File;
+#[cfg(target_pointer_width = "64")]
 use std::sync::Arc;
 
 use lumistack_core::Lender;
+use lumistack_files::File;
+#[cfg(target_pointer_width = "64")]
 use memmap2::Mmap;
 
 /// Smallest size of an array that stays in its file, bytes.
 pub(crate) const FROM: u64 = 1 << 30;
 
 /// `float32` values in a mapped file.
+#[cfg(target_pointer_width = "64")]
 struct Mapped {
     file: Mmap,
     first: usize,
     count: usize,
 }
 
+#[cfg(target_pointer_width = "64")]
 impl AsRef<[f32]> for Mapped {
     fn as_ref(&self) -> &[f32] {
         // SAFETY: all bytes are valid numbers. A map begins at a page, and `lend` checked the
@@ -27,13 +31,20 @@ impl AsRef<[f32]> for Mapped {
 
 /// Maps `count` little-endian `float32` values of a file, from byte `first` on.
 ///
-/// `None` if this machine cannot use the bytes of the file directly, or the file is too short.
+/// `None` if this machine cannot use the bytes in place, or the file is too short.
+#[cfg(target_pointer_width = "64")]
 pub(crate) fn lend(file: &File, first: u64, count: usize) -> Option<Lender> {
-    if !(cfg!(target_endian = "little") && cfg!(target_pointer_width = "64") && first.is_multiple_of(4)) {
+    if !(cfg!(target_endian = "little") && first.is_multiple_of(4)) {
         return None;
     }
     // SAFETY: files of results are replaced, never changed in place
     let file = unsafe { Mmap::map(file) }.ok()?;
     (file.len() as u64 >= first + 4 * count as u64)
         .then(|| Arc::new(Mapped { file, first: first as usize, count }) as Lender)
+}
+
+/// On 32 bits an array that exceeds memory has no addresses either.
+#[cfg(not(target_pointer_width = "64"))]
+pub(crate) fn lend(_file: &File, _first: u64, _count: usize) -> Option<Lender> {
+    None
 }

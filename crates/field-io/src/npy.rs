@@ -4,7 +4,6 @@
 //! `float16/32/64` and `uint8/16` of either byte order are read. Ranges of values can be read, so a
 //! large array need not fit into memory.
 
-use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
@@ -28,7 +27,7 @@ pub struct NpyFile {
     scalar: Scalar,
     big_endian: bool,
     data_start: u64,
-    file: BufReader<File>,
+    file: BufReader<lumistack_files::File>,
 }
 
 /// Type of the values.
@@ -99,7 +98,7 @@ impl NpyFile {
     /// file is too short.
     pub fn open(path: &Path) -> Result<Self, FieldError> {
         let mut file = BufReader::new(lumistack_files::open(path).map_err(FieldError::io(path, "read"))?);
-        let file_length = file.get_ref().metadata().map_err(FieldError::io(path, "read"))?.len();
+        let file_length = lumistack_files::length(file.get_ref()).map_err(FieldError::io(path, "read"))?;
         let (header, data_start) = read_header(path, &mut file)?;
         let (scalar, big_endian) = scalar_type(path, &header.dtype())?;
         if header.order() != Order::C && header.shape().len() > 1 {

@@ -1,17 +1,33 @@
 //! Reads files that the user or another file names.
 //!
-//! A name may lead to anything: a device that never ends, a pipe without a writer, a file of
-//! terabytes, a secret in another folder. This crate opens only regular files, and compares their
-//! size with a limit before the first byte is read. A [`Folder`] keeps the names that a file
-//! contains inside the folder of that file. Every reader of the workspace that has a path uses this
-//! crate.
+//! A name may stand for anything: a device that never ends, a pipe without a writer, a file of
+//! terabytes, a secret in another folder. Here only regular files are opened, and their size is
+//! compared with a limit before the first byte is read. A [`Folder`] keeps the names that a file
+//! contains inside the folder of that file. Every reader of the workspace that has a path goes
+//! through this crate.
+//!
+//! A page has no file system. There, files that were dropped are held in memory (`hold`), and the
+//! same readers read them.
+
+#[cfg(not(target_arch = "wasm32"))]
+mod disk;
+#[cfg(target_arch = "wasm32")]
+mod memory;
 
 use std::fmt;
-use std::fs::{File, FileType};
 use std::io::{self, ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
-/// Size of the largest file that is read whole, bytes: 16 GiB.
+#[cfg(not(target_arch = "wasm32"))]
+use disk as system;
+#[cfg(target_arch = "wasm32")]
+use memory as system;
+
+#[cfg(target_arch = "wasm32")]
+pub use memory::hold;
+pub use system::File;
+
+/// Largest file that is read whole, bytes: 16 GiB.
 pub const MAX_FILE_BYTES: u64 = 16 << 30;
 /// Size of the largest text (job, display, index) that is read whole, bytes: 64 MiB.
 pub const MAX_TEXT_BYTES: u64 = 64 << 20;
@@ -19,15 +35,38 @@ pub const MAX_TEXT_BYTES: u64 = 64 << 20;
 /// Opens a regular file for reading.
 ///
 /// # Errors
-/// The errors of [`File::open`], and if the path does not lead to a regular file.
+/// As [`std::fs::File::open`], and when the path leads to anything but a regular file.
 pub fn open(path: &Path) -> io::Result<File> {
-    // check before the file is opened: opening a pipe would wait for a writer, and opening a device
-    // may have an effect
-    check_kind(std::fs::metadata(path)?.file_type())?;
-    let file = File::open(path)?;
-    // check again, since the path may lead to another file by now
-    check_kind(file.metadata()?.file_type())?;
-    Ok(file)
+    system::open(path)
+}
+
+/// Length of an open file, bytes.
+///
+/// # Errors
+/// When the system refuses.
+pub fn length(file: &File) -> io::Result<u64> {
+    system::length(file)
+}
+
+/// Returns whether the path leads to a regular file.
+pub fn is_file(path: &Path) -> bool {
+    system::is_file(path)
+}
+
+/// Returns whether the path leads to a folder.
+///
+/// # Errors
+/// When it leads to nothing.
+pub fn is_folder(path: &Path) -> io::Result<bool> {
+    system::is_folder(path)
+}
+
+/// Paths of all entries of a folder, sorted.
+///
+/// # Errors
+/// When it cannot be listed.
+pub fn list(folder: &Path) -> io::Result<Vec<PathBuf>> {
+    system::list(folder)
 }
 
 /// Reads a regular file of at most [`MAX_FILE_BYTES`].
@@ -45,7 +84,7 @@ pub fn read(path: &Path) -> io::Result<Vec<u8>> {
 /// in memory.
 pub fn read_at_most(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     let file = open(path)?;
-    let length = file.metadata()?.len();
+    let length = length(&file)?;
     let too_large = |length: u64| {
         let message = format!("expected a file of at most {most} bytes, found {length}");
         io::Error::new(ErrorKind::FileTooLarge, message)
@@ -72,32 +111,7 @@ pub fn read_text(path: &Path) -> io::Result<String> {
     })
 }
 
-fn check_kind(kind: FileType) -> io::Result<()> {
-    if kind.is_file() {
-        return Ok(());
-    }
-    let (error, found) =
-        if kind.is_dir() { (ErrorKind::IsADirectory, "a folder") } else { (ErrorKind::InvalidInput, special(kind)) };
-    Err(io::Error::new(error, format!("expected a regular file, found {found}")))
-}
-
-#[cfg(unix)]
-fn special(kind: FileType) -> &'static str {
-    use std::os::unix::fs::FileTypeExt;
-    match kind {
-        _ if kind.is_fifo() => "a pipe",
-        _ if kind.is_char_device() || kind.is_block_device() => "a device",
-        _ if kind.is_socket() => "a socket",
-        _ => "something else",
-    }
-}
-
-#[cfg(not(unix))]
-fn special(_kind: FileType) -> &'static str {
-    "something else"
-}
-
-/// The folder of a file. Names that the file contains are relative to it.
+/// The folder of a file, in which the names that the file contains are looked up.
 #[derive(Clone, Debug)]
 pub struct Folder {
     base: PathBuf,
@@ -153,8 +167,8 @@ impl Folder {
     pub fn around(file: &Path) -> io::Result<Self> {
         let anywhere = Self::anywhere(file);
         let here = if anywhere.base.as_os_str().is_empty() { Path::new(".") } else { &anywhere.base };
-        let mut inside = vec![here.canonicalize()?];
-        if let Some(target) = file.canonicalize()?.parent()
+        let mut inside = vec![system::canonical(here)?];
+        if let Some(target) = system::canonical(file)?.parent()
             && !inside.iter().any(|folder| target.starts_with(folder))
         {
             inside.push(target.to_owned());
@@ -174,7 +188,7 @@ impl Folder {
     pub fn resolve(&self, name: impl AsRef<Path>) -> Result<PathBuf, Refusal> {
         let path = self.path_of(name);
         if let Some(folder) = self.inside.first() {
-            let found = path.canonicalize()?;
+            let found = system::canonical(&path)?;
             if !self.inside.iter().any(|folder| found.starts_with(folder)) {
                 return Err(Refusal::Outside { found, folder: folder.clone() });
             }

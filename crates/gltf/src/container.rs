@@ -4,9 +4,9 @@
 
 use gltf::json;
 use serde_json::{Number, Value};
-use serde_path_to_error::{Path, Segment};
 
 use crate::error::Fault;
+use crate::typed::{Mistyped, typed};
 
 /// The contents of a file's container.
 pub(crate) struct Container<'a> {
@@ -29,10 +29,7 @@ impl<'a> Container<'a> {
         let mut raw: Value = serde_json::from_slice(text).map_err(|error| syntax_fault(text, &error))?;
         write_integers_as_integers(&mut raw);
         let untyped = adapt_to_types(&mut raw);
-        let root = serde_path_to_error::deserialize(&raw).map_err(|error| {
-            let path = pointer(error.path());
-            structure_fault(path, &error.into_inner().to_string())
-        })?;
+        let root = typed(&raw).map_err(|Mistyped { place, message }| structure_fault(place, &message))?;
         if let (Some(members), Some(untyped)) = (raw.as_object_mut(), untyped) {
             members.insert(ANIMATIONS.to_owned(), untyped);
         }
@@ -143,20 +140,7 @@ fn syntax_fault(text: &[u8], error: &serde_json::Error) -> Fault {
     Fault::new(format!("line {} column {}", error.line(), error.column()), "valid JSON", format!("an error: {message}"))
 }
 
-/// The known start of a path, as a JSON pointer.
-fn pointer(path: &Path) -> String {
-    let mut pointer = String::new();
-    for segment in path.iter() {
-        match segment {
-            Segment::Seq { index } => pointer.push_str(&format!("/{index}")),
-            Segment::Map { key } => pointer.push_str(&format!("/{key}")),
-            Segment::Enum { .. } | Segment::Unknown => break,
-        }
-    }
-    pointer
-}
-
-/// Splits serde's message into the expected and the found value.
+/// Splits serde's sentence into the expected and the found part.
 fn structure_fault(place: String, message: &str) -> Fault {
     if let Some(field) = message.strip_prefix("missing field `").and_then(|rest| rest.strip_suffix('`')) {
         return Fault::new(format!("{place}/{field}"), "a value", "nothing");

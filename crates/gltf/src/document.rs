@@ -17,6 +17,7 @@ use serde_json::Value;
 use crate::container::Container;
 use crate::error::Fault;
 use crate::quote::{quote, shorten};
+use crate::unpack::{Packed, Unpacked, Unsound};
 use crate::{AssetResolver, LoadOptions};
 
 /// An opened file.
@@ -145,7 +146,21 @@ impl<'a> Document<'a> {
         self.max_decoded_bytes.saturating_sub(self.decoded_bytes.get())
     }
 
-    /// A range of a buffer. `place` is the object with the fields `buffer` and `byteLength`.
+    /// Decodes the packed content at `place`; `wanted` takes its kind of answer.
+    pub(crate) fn unpack<T>(
+        &self,
+        place: &str,
+        packed: &Packed<'_>,
+        wanted: impl FnOnce(Unpacked) -> Option<T>,
+    ) -> Result<T, Fault> {
+        let unpacked = self.resolver.unpack(packed).and_then(|unpacked| wanted(unpacked).ok_or(packed.stopped()));
+        unpacked.map_err(|Unsound { place: within, expected, found }| {
+            let place = if within.is_empty() { place.to_owned() } else { format!("{place}: {within}") };
+            Fault::new(place, expected, found)
+        })
+    }
+
+    /// A part of a buffer. `place` holds the fields `buffer` and `byteLength`.
     pub(crate) fn range(
         &self,
         buffer: json::Index<json::Buffer>,

@@ -5,14 +5,14 @@
 
 use std::collections::HashMap;
 
-use draco_core::{DataType, DecodeLimits, DecoderBuffer, Mesh, MeshDecoder, PointIndex};
 use gltf::json::accessor::ComponentType;
 use serde_json::Value;
 
 use crate::document::Document;
-use crate::error::{Fault, contained};
+use crate::error::Fault;
 use crate::fields::Fields;
 use crate::quote::quote;
+use crate::unpack::{self, Packed, Unpacked};
 
 /// Largest memory that the decoder may take for one primitive.
 const MAX_PRIMITIVE_BYTES: u64 = 2 << 30;
@@ -37,59 +37,41 @@ pub(crate) fn decode(document: &Document<'_>, place: &str) -> Result<Option<Deco
     let Some(fields) = Fields::at(document, format!("{place}/extensions/KHR_draco_mesh_compression"))? else {
         return Ok(None);
     };
-    // decode within the memory that is left for the file
-    let stream_place = fields.place("bufferView");
-    let stream = document.view(fields.needed_index("bufferView")?, &stream_place)?.bytes;
-    let most_bytes = document.affordable_bytes().min(MAX_PRIMITIVE_BYTES);
-    let limits = DecodeLimits::default()
-        .with_max_decoded_bytes(most_bytes)
-        .with_max_points(most_bytes / 12)
-        .with_max_faces(most_bytes / 12);
-    let mut mesh = Mesh::new();
-    let mut buffer = DecoderBuffer::new(stream).with_limits(limits);
-    let broken = |found: String| Fault::new(&stream_place, "a sound Draco mesh", found);
-    contained(&stream_place, "a sound Draco mesh", || {
-        MeshDecoder::new().decode(&mut buffer, &mut mesh).map_err(|error| broken(error.to_string()))
-    })?;
-
-    let vertices = mesh.num_points();
-    document.spend(&stream_place, mesh.num_faces(), size_of::<[u32; 3]>())?;
-    let triangles: Vec<[u32; 3]> = mesh.faces().iter().map(|face| face.map(|corner| corner.0)).collect();
-    if triangles.as_flattened().iter().any(|&corner| corner as usize >= vertices) {
-        return Err(broken(format!("a corner past its {vertices} vertices")));
-    }
-    let mut attributes = HashMap::new();
-    // unpack the attributes to one element per vertex, as in accessors
     let listed = document.json(&fields.place("attributes"));
     let Some(list) = listed.and_then(Value::as_object) else {
         return Err(Fault::new(fields.place("attributes"), "an object of attributes", quote(listed)));
     };
-    for (name, id) in list {
+    let ids = list.values().map(|id| id.as_u64().and_then(|id| u32::try_from(id).ok()));
+    let ids: Vec<Option<u32>> = ids.collect();
+    let mut wanted: Vec<u32> = ids.iter().copied().flatten().collect();
+    wanted.sort_unstable();
+    wanted.dedup();
+    // decode within the memory that is left to the file
+    let stream_place = fields.place("bufferView");
+    let stream = document.view(fields.needed_index("bufferView")?, &stream_place)?.bytes;
+    let max_bytes = document.affordable_bytes().min(MAX_PRIMITIVE_BYTES);
+    let packed = Packed::Draco { bytes: stream, attributes: &wanted, max_bytes };
+    let mesh = document.unpack(&stream_place, &packed, |unpacked| match unpacked {
+        Unpacked::Mesh(mesh) => Some(mesh),
+        _ => None,
+    })?;
+    let unpack::Mesh { vertices, triangles, attributes: unpacked } = mesh;
+    let broken = |found: String| Fault::new(&stream_place, "a sound Draco mesh", found);
+    document.spend(&stream_place, triangles.len(), size_of::<[u32; 3]>())?;
+    if triangles.as_flattened().iter().any(|&corner| corner as usize >= vertices) {
+        return Err(broken(format!("a corner past its {vertices} vertices")));
+    }
+    let mut attributes = HashMap::new();
+    for ((name, id), known) in list.iter().zip(ids) {
         let place = fields.place(&format!("attributes/{name}"));
-        let source = id.as_u64().and_then(|id| u32::try_from(id).ok()).and_then(|id| mesh.attribute_by_unique_id(id));
-        let Some(source) = source else {
+        let source = known.and_then(|id| unpacked[wanted.binary_search(&id).ok()?].as_ref());
+        let Some(unpack::Attribute { component, dimensions, elements }) = source else {
             return Err(Fault::new(place, "an attribute of the Draco stream", id));
         };
-        let component = match source.data_type() {
-            DataType::Int8 => ComponentType::I8,
-            DataType::Uint8 => ComponentType::U8,
-            DataType::Int16 => ComponentType::I16,
-            DataType::Uint16 => ComponentType::U16,
-            DataType::Uint32 => ComponentType::U32,
-            DataType::Float32 => ComponentType::F32,
-            other => return Err(Fault::new(place, "a component type of glTF", format!("{other:?}"))),
-        };
-        let dimensions = usize::from(source.num_components());
-        let size = dimensions * component.size();
-        let stride = usize::try_from(source.byte_stride()).unwrap_or_default();
-        document.spend(&place, vertices, size)?;
-        let mut bytes = Vec::with_capacity(vertices * size);
-        for vertex in 0..vertices as u32 {
-            let start = (source.mapped_index(PointIndex(vertex)).0 as usize).checked_mul(stride);
-            let element = start.and_then(|start| source.buffer().data().get(start..start.checked_add(size)?));
-            bytes.extend_from_slice(element.ok_or_else(|| broken(format!("no value of {name} for vertex {vertex}")))?);
-        }
-        attributes.insert(name.clone(), Attribute { component, dimensions, bytes });
+        let component = component.clone().map_err(|name| Fault::new(&place, "a component type of glTF", name))?;
+        document.spend(&place, vertices, dimensions * component.size())?;
+        let bytes = elements.clone().map_err(|vertex| broken(format!("no value of {name} for vertex {vertex}")))?;
+        attributes.insert(name.clone(), Attribute { component, dimensions: *dimensions, bytes });
     }
     Ok(Some(Decoded { triangles, vertices, attributes }))
 }

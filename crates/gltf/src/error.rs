@@ -2,7 +2,6 @@
 //! found.
 
 use std::fmt::Display;
-use std::panic::AssertUnwindSafe;
 
 use lumistack_core::Cancelled;
 use lumistack_scene::SceneError;
@@ -81,13 +80,6 @@ impl Fault {
     }
 }
 
-/// Runs the decoder of a library. A panic of the library is reported as a defect of the file. Code
-/// of this crate never panics.
-pub(crate) fn contained<T>(place: &str, expected: &str, decode: impl FnOnce() -> Result<T, Fault>) -> Result<T, Fault> {
-    let broken = |_| Err(Fault::new(place, expected, "bytes that its decoder cannot handle"));
-    std::panic::catch_unwind(AssertUnwindSafe(decode)).unwrap_or_else(broken)
-}
-
 impl From<Cancelled> for Fault {
     fn from(cancelled: Cancelled) -> Self {
         Self::Cancelled(cancelled)
@@ -97,18 +89,5 @@ impl From<Cancelled> for Fault {
 impl From<SceneError> for Fault {
     fn from(SceneError { place, expected, found }: SceneError) -> Self {
         Self::Malformed { place, expected, found }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_decoder_that_panics_means_a_broken_file() {
-        let stopped = contained::<()>("/images/0", "a sound picture", || panic!("as a library might"));
-        let error = stopped.unwrap_err().in_file("a.glb").to_string();
-        assert_eq!(error, "a.glb: /images/0: expected a sound picture, found bytes that its decoder cannot handle");
-        assert!(matches!(contained("/images/0", "a sound picture", || Ok(3)), Ok(3)));
     }
 }

@@ -1,23 +1,13 @@
-//! Pictures: the images of textures, each read and decoded once, and the environment map.
-//!
-//! The content decides the format; names and MIME types are often wrong. Colour profiles and
-//! orientation tags are ignored, as glTF requires (2.0, section 3.8.3).
+//! Pictures: textures' images, each read and decoded once, and the environment map.
 
 use std::collections::HashMap;
-use std::io::Cursor;
 
 use gltf::json;
-use image::{DynamicImage, ImageDecoder, ImageError, ImageFormat, ImageReader, Limits};
 use lumistack_scene::{Image, Pixels};
 
 use crate::document::Document;
-use crate::error::{Fault, contained};
-use crate::ktx2;
-use crate::options::MAX_SIDE;
-
-/// Memory that a decoder may take in addition to the picture itself, for rows, tables, and a copy
-/// in another format.
-const DECODER_BYTES: u64 = 64 << 20;
+use crate::error::Fault;
+use crate::unpack::{Packed, Unpacked, Use};
 
 /// Images in the order of first use. Their headers are read at first use, and all pictures are
 /// decoded at the end. So a scene whose pictures are too large in sum is refused before the first
@@ -34,9 +24,9 @@ pub(crate) struct Images {
 
 /// The source of an image.
 enum Waiting {
-    /// A picture file.
-    Picture { content: Content, place: String, format: Format },
-    /// Roughness, 1 − `factor` · alpha of the image `from` in `decoded`, whose alpha is glossiness.
+    /// A picture.
+    Picture { content: Content, place: String, usage: Use },
+    /// Roughness from the alpha of the image at a position, which holds glossiness, times a factor.
     Roughness { from: usize, factor: f32 },
 }
 
@@ -44,13 +34,6 @@ enum Waiting {
 enum Content {
     Own(Vec<u8>),
     View(json::Index<json::buffer::View>),
-}
-
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Format {
-    Ktx2,
-    Codes,
-    Hdr,
 }
 
 impl Images {
@@ -80,12 +63,8 @@ impl Images {
         let name = uri.or(image.name.as_ref());
         let name = name.map_or(format!("/images/{number}"), |name| format!("/images/{number} ({name})"));
         let bytes = content.bytes(document, &place)?;
-        let (format, [width, height]) =
-            contained(&place, "a sound picture", || match bytes.starts_with(ktx2::MAGIC) {
-                true => Ok((Format::Ktx2, ktx2::size(document, bytes, &place)?)),
-                false => Ok((Format::Codes, codes_size(document, bytes, &place)?)),
-            })?;
-        self.push(name, [width, height], Waiting::Picture { content, place, format });
+        let size = size(document, Use::Texture, bytes, &place)?;
+        self.push(name, size, Waiting::Picture { content, place, usage: Use::Texture });
         self.position.insert(number, self.decoded.len() - 1);
         Ok(self.decoded.len() - 1)
     }
@@ -93,12 +72,10 @@ impl Images {
     /// Reads the header of the environment map at a URI, and returns its index.
     pub(crate) fn environment(&mut self, document: &Document<'_>, uri: &str, place: &str) -> Result<usize, Fault> {
         let bytes = read(document, uri, place)?;
-        let (_, decoder) = open(document, &bytes, place, &[ImageFormat::Hdr])?;
-        let (width, height) = decoder.dimensions();
-        drop(decoder);
-        spend(document, place, [width as usize, height as usize], size_of::<[f32; 3]>())?;
-        let waiting = Waiting::Picture { content: Content::Own(bytes), place: place.to_owned(), format: Format::Hdr };
-        self.push(place.to_owned(), [width as usize, height as usize], waiting);
+        let size = size(document, Use::Environment, &bytes, place)?;
+        let content = Content::Own(bytes);
+        let waiting = Waiting::Picture { content, place: place.to_owned(), usage: Use::Environment };
+        self.push(place.to_owned(), size, waiting);
         Ok(self.decoded.len() - 1)
     }
 
@@ -130,12 +107,11 @@ impl Images {
             let at = first + i;
             self.decoded[at].pixels = match waiting {
                 Waiting::Roughness { from, factor } => roughness(&self.decoded[from].pixels, factor),
-                Waiting::Picture { content, place, format } => {
+                Waiting::Picture { content, place, usage } => {
                     let bytes = content.bytes(document, &place)?;
-                    contained(&place, "a sound picture", || match format {
-                        Format::Ktx2 => ktx2::decode(bytes, &place),
-                        Format::Codes => codes(document, bytes, &place),
-                        Format::Hdr => radiance(document, bytes, &place),
+                    document.unpack(&place, &Packed::Picture(usage, bytes), |unpacked| match unpacked {
+                        Unpacked::Pixels(pixels) => Some(pixels),
+                        _ => None,
                     })?
                 }
             };
@@ -160,103 +136,23 @@ fn read(document: &Document<'_>, uri: &str, place: &str) -> Result<Vec<u8>, Faul
     Ok(bytes)
 }
 
-/// Adds the memory of a picture to the budget before it is decoded.
+/// Reads the size of a picture from its header, and counts its texels.
+fn size(document: &Document<'_>, usage: Use, bytes: &[u8], place: &str) -> Result<[usize; 2], Fault> {
+    document.task.cancel.check()?;
+    let header = document.unpack(place, &Packed::Size(usage, bytes), |unpacked| match unpacked {
+        Unpacked::Size { width, height, texel_bytes } => Some(([width as usize, height as usize], texel_bytes)),
+        _ => None,
+    });
+    let (size, texel_bytes) = header?;
+    spend(document, place, size, texel_bytes)?;
+    Ok(size)
+}
+
+/// Counts the memory of a picture before it is decoded.
 fn spend(document: &Document<'_>, place: &str, size: [usize; 2], texel_bytes: usize) -> Result<(), Fault> {
     let [width, height] = size;
     let bytes = width as u64 * height as u64 * texel_bytes as u64;
     document.spend_on_picture(place, bytes, &format!("{width} × {height} texels"))
-}
-
-const TEXTURE_FORMATS: [ImageFormat; 3] = [ImageFormat::Png, ImageFormat::Jpeg, ImageFormat::WebP];
-
-/// Opens a picture that must have one of the formats and keep within the limits.
-fn open<'b>(
-    document: &Document<'_>,
-    bytes: &'b [u8],
-    place: &str,
-    formats: &'static [ImageFormat],
-) -> Result<(ImageFormat, impl ImageDecoder + 'b), Fault> {
-    document.task.cancel.check()?;
-    let names: Vec<String> = formats.iter().map(|format| format!("{format:?}")).collect();
-    let expected = format!("a picture in the format {}", names.join(" or "));
-    let format = match image::guess_format(bytes) {
-        Ok(format) if formats.contains(&format) => format,
-        Ok(format) => return Err(Fault::new(place, expected, format!("{format:?}"))),
-        Err(_) => {
-            let start = bytes[..bytes.len().min(12)].escape_ascii();
-            return Err(Fault::new(place, expected, format!("{} bytes that start \"{start}\"", bytes.len())));
-        }
-    };
-    let mut limits = Limits::default();
-    limits.max_image_width = Some(MAX_SIDE);
-    limits.max_image_height = Some(MAX_SIDE);
-    let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
-    reader.limits(limits.clone());
-    let mut decoder = reader.into_decoder().map_err(|error| unreadable(place, format, error))?;
-    let (width, height) = decoder.dimensions();
-    if width > MAX_SIDE || height > MAX_SIDE {
-        let expected = format!("at most {MAX_SIDE} texels a side");
-        return Err(Fault::new(place, expected, format!("{width} × {height} texels of {:?}", decoder.color_type())));
-    }
-    // the picture itself was added to its budget before
-    limits.max_alloc = Some(decoder.total_bytes().saturating_mul(2).saturating_add(DECODER_BYTES));
-    decoder.set_limits(limits).map_err(|error| unreadable(place, format, error))?;
-    Ok((format, decoder))
-}
-
-fn unreadable(place: &str, format: ImageFormat, error: ImageError) -> Fault {
-    Fault::new(place, format!("a readable {format:?} picture of at most {MAX_SIDE} texels a side"), error)
-}
-
-/// True if the codes of the picture have 16 bits.
-fn is_deep(decoder: &impl ImageDecoder) -> bool {
-    let color = decoder.color_type();
-    color.bytes_per_pixel() / color.channel_count() > 1
-}
-
-/// Size of a picture of codes; its texels are added to the budget.
-fn codes_size(document: &Document<'_>, bytes: &[u8], place: &str) -> Result<[usize; 2], Fault> {
-    let (_, decoder) = open(document, bytes, place, &TEXTURE_FORMATS)?;
-    let (width, height) = decoder.dimensions();
-    let size = [width as usize, height as usize];
-    spend(document, place, size, if is_deep(&decoder) { 8 } else { 4 })?;
-    Ok(size)
-}
-
-/// Codes with four channels, of 16 bits if the file has them.
-fn codes(document: &Document<'_>, bytes: &[u8], place: &str) -> Result<Pixels, Fault> {
-    let (format, decoder) = open(document, bytes, place, &TEXTURE_FORMATS)?;
-    let (width, height) = decoder.dimensions();
-    let fault = |error| unreadable(place, format, error);
-    if is_deep(&decoder) {
-        let decoded = DynamicImage::from_decoder(decoder).map_err(fault)?;
-        return Ok(Pixels::Rgba16(decoded.into_rgba16().into_raw().as_chunks::<4>().0.to_vec()));
-    }
-    // A large picture must not be in memory twice. So it is decoded into the end of its texels, and
-    // spread from their start. The spread values never overtake the decoded ones.
-    let (count, channels) = (width as usize * height as usize, usize::from(decoder.color_type().channel_count()));
-    let mut texels = vec![[0; 4]; count];
-    let start = (4 - channels) * count;
-    decoder.read_image(&mut texels.as_flattened_mut()[start..]).map_err(fault)?;
-    let values = texels.as_flattened_mut();
-    for texel in 0..count {
-        let at = start + channels * texel;
-        let rgba = match values[at..at + channels] {
-            [grey] => [grey, grey, grey, 255],
-            [grey, alpha] => [grey, grey, grey, alpha],
-            [r, g, b] => [r, g, b, 255],
-            _ => break,
-        };
-        values[4 * texel..][..4].copy_from_slice(&rgba);
-    }
-    Ok(Pixels::Rgba8(texels))
-}
-
-/// The values of a Radiance picture.
-fn radiance(document: &Document<'_>, bytes: &[u8], place: &str) -> Result<Pixels, Fault> {
-    let (format, decoder) = open(document, bytes, place, &[ImageFormat::Hdr])?;
-    let decoded = DynamicImage::from_decoder(decoder).map_err(|error| unreadable(place, format, error))?;
-    Ok(Pixels::RgbF32(decoded.into_rgb32f().into_raw().as_chunks::<3>().0.to_vec()))
 }
 
 /// Pixels whose green channel is 1 − `factor` · alpha.

@@ -49,7 +49,6 @@ mod extensions;
 mod fields;
 mod glossiness;
 mod images;
-mod ktx2;
 mod lights_cameras;
 mod load;
 mod material;
@@ -62,6 +61,8 @@ mod quote;
 mod skin;
 mod splats;
 mod textures;
+mod typed;
+pub mod unpack;
 mod variants;
 mod view;
 
@@ -82,4 +83,12 @@ pub trait AssetResolver {
     /// The reason in a few words, for the user ("No such file"). A file larger than `max_bytes` is
     /// an error too, and must be found before the file is read.
     fn read(&self, uri: &str, max_bytes: u64) -> Result<Vec<u8>, String>;
+
+    /// Decodes packed content. A page whose decoders are another module passes it on.
+    ///
+    /// # Errors
+    /// When the content is broken.
+    fn unpack(&self, packed: &unpack::Packed<'_>) -> Result<unpack::Unpacked, unpack::Unsound> {
+        unpack::unpack(packed)
+    }
 }

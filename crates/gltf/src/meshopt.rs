@@ -5,25 +5,18 @@
 //! Attributes may also go through a filter after decompression. The view's own `buffer` is for
 //! readers without the extension.
 
-use gltf::json;
-use meshoptimizer_rs::codec::{
-    decode_filter_color, decode_filter_exp, decode_filter_oct, decode_filter_quat, decode_index_buffer,
-    decode_index_sequence, decode_vertex_buffer,
-};
-use meshoptimizer_rs::{Limits, Workspace};
-
 use crate::document::Document;
 use crate::error::Fault;
 use crate::fields::Fields;
+use crate::options::MAX_VIEW_BYTES;
+use crate::unpack::{self, Codec, Filter, Unpacked};
+use gltf::json;
 
 const NAMES: [&str; 2] = ["KHR_meshopt_compression", "EXT_meshopt_compression"];
 
 /// Largest ratio of compression: a block of 256 vertices takes at least a byte for every four
 /// columns of bytes.
 const MAX_RATIO: u64 = 1024;
-
-/// Size of the largest unpacked view, in bytes.
-const MAX_VIEW_BYTES: u64 = 2 << 30;
 
 /// A packed view.
 pub(crate) struct Packed<'d> {
@@ -72,42 +65,39 @@ impl<'d> Packed<'d> {
         }
         let (count, stride) = (count as usize, stride as usize);
         document.spend(&fields.place("count"), count, stride)?;
-        // memory for the packed and the unpacked data; limited to the addresses of a 32-bit machine
-        let most_held = usize::try_from(2 * MAX_VIEW_BYTES).unwrap_or(usize::MAX);
-        let mut workspace = Workspace::new(Limits { max_bytes: most_held, ..Limits::default() });
-        let broken = |error| Fault::new(fields.place("buffer"), "a sound meshopt stream", error);
-        // decode, then undo the filter
         let mode = fields.text("mode")?;
-        let decode = match mode {
-            Some("ATTRIBUTES") => decode_vertex_buffer,
-            Some("TRIANGLES") => decode_index_buffer,
-            Some("INDICES") => decode_index_sequence,
+        let codec = match mode {
+            Some("ATTRIBUTES") => Codec::Attributes,
+            Some("TRIANGLES") => Codec::Triangles,
+            Some("INDICES") => Codec::Indices,
             _ => {
                 let place = fields.place("mode");
                 let found = document.quote(&place);
                 return Err(Fault::new(place, "ATTRIBUTES, TRIANGLES or INDICES", found));
             }
         };
-        let mut bytes = decode(count, stride, source, &mut workspace).map_err(broken)?;
         let filter = match fields.text("filter")? {
-            None | Some("NONE") => return Ok(bytes),
-            Some("OCTAHEDRAL") => decode_filter_oct,
-            Some("QUATERNION") => decode_filter_quat,
-            Some("EXPONENTIAL") => decode_filter_exp,
-            Some("COLOR") => decode_filter_color,
+            None | Some("NONE") => Filter::None,
+            Some("OCTAHEDRAL") => Filter::Octahedral,
+            Some("QUATERNION") => Filter::Quaternion,
+            Some("EXPONENTIAL") => Filter::Exponential,
+            Some("COLOR") => Filter::Color,
             Some(other) => {
                 let expected = "NONE, OCTAHEDRAL, QUATERNION, EXPONENTIAL or COLOR";
                 return Err(Fault::new(fields.place("filter"), expected, other));
             }
         };
-        if mode != Some("ATTRIBUTES") {
+        if filter != Filter::None && codec != Codec::Attributes {
             return Err(Fault::new(
                 fields.place("filter"),
                 "none for indices",
                 document.quote(&fields.place("filter")),
             ));
         }
-        filter(&mut bytes, count, stride, &mut workspace).map_err(broken)?;
-        Ok(bytes)
+        let packed = unpack::Packed::Meshopt { bytes: source, codec, filter, count, stride };
+        document.unpack(&fields.place("buffer"), &packed, |unpacked| match unpacked {
+            Unpacked::Bytes(bytes) => Some(bytes),
+            _ => None,
+        })
     }
 }

@@ -5,8 +5,11 @@ use crate::error::Fault;
 /// Largest width or height of a picture, in texels.
 pub(crate) const MAX_SIDE: u32 = 1 << 15;
 
-/// Choices of [`load_with`](crate::load_with). By default animations have no effect, and the file's
-/// default materials are used.
+/// Largest unpacked view, bytes.
+pub(crate) const MAX_VIEW_BYTES: u64 = 2 << 30;
+
+/// Choices of [`load_with`](crate::load_with). The default is the scene as its nodes stand, with
+/// its default materials.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LoadOptions {
     /// Time at which animations are sampled, in seconds. Outside of their range animations keep

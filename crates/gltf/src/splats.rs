@@ -8,8 +8,9 @@ use lumistack_scene::{Cloud, Encoding};
 
 use crate::accessor::{Accessor, Format, Selection};
 use crate::document::Document;
-use crate::error::{Fault, contained};
+use crate::error::Fault;
 use crate::fields::Fields;
+use crate::unpack::{self, Unpacked};
 
 use ComponentType::{F32, I8, I16, U8, U16};
 
@@ -72,10 +73,10 @@ pub(crate) fn load(document: &Document<'_>, place: &str) -> Result<Splats, Fault
     }
     if let Some(packed) = Fields::at(document, format!("{here}/extensions/{SPZ}"))? {
         let view = document.view(packed.needed_index("bufferView")?, &packed.place("bufferView"))?;
-        let room = document.affordable_bytes();
-        let found = contained(&view.place, "a sound SPZ stream", || {
-            lumistack_splats::read::read_spz(view.bytes, room)
-                .map_err(|error| Fault::new(format!("{}: {}", view.place, error.place), error.expected, error.found))
+        let packed = unpack::Packed::Spz { bytes: view.bytes, max_bytes: document.affordable_bytes() };
+        let found = document.unpack(&view.place, &packed, |unpacked| match unpacked {
+            Unpacked::Splats(found) => Some(found),
+            _ => None,
         })?;
         document.spend(place, found.cloud.bytes(), 1)?;
         found.left_out.into_iter().for_each(|message| document.task.warn(place, message));

@@ -3,7 +3,7 @@
 use gltf::json;
 
 use crate::document::Document;
-use crate::error::{Fault, contained};
+use crate::error::Fault;
 use crate::meshopt::Packed;
 
 /// The bytes of a buffer view.
@@ -23,7 +23,7 @@ impl Document<'_> {
         let bytes = match (cell.get(), Packed::of(self, view, &place)?) {
             (Some(bytes), _) => bytes,
             (None, Some(packed)) => {
-                let bytes = contained(&place, "a sound meshopt stream", || packed.unpack(self))?;
+                let bytes = packed.unpack(self)?;
                 cell.get_or_init(|| bytes)
             }
             (None, None) => {

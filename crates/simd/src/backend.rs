@@ -4,6 +4,7 @@ use std::fmt;
 use std::sync::OnceLock;
 
 use crate::lanes::{Function, Kernel, Lanes};
+#[cfg(not(all(target_arch = "wasm32", target_feature = "simd128")))]
 use crate::portable::Portable;
 
 /// An instruction set that this machine has. Only detection makes values of this type.
@@ -12,7 +13,9 @@ pub struct Backend(Set);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Set {
-    /// Code for every machine of the target; eight lanes.
+    /// Every machine of the target; eight lanes. A module for the web that has vectors always runs
+    /// on them, and has no second copy of every kernel.
+    #[cfg(not(all(target_arch = "wasm32", target_feature = "simd128")))]
     Portable,
     /// AVX2 with FMA and F16C; eight lanes.
     #[cfg(target_arch = "x86_64")]
@@ -37,12 +40,13 @@ impl Backend {
 
     /// The best instruction set that this machine has.
     pub fn best() -> Self {
-        *Self::available().last().unwrap_or(&Self(Set::Portable))
+        Self::available()[Self::available().len() - 1]
     }
 
     /// Number of lanes of this instruction set's vectors.
     pub fn lanes(self) -> usize {
         match self.0 {
+            #[cfg(not(all(target_arch = "wasm32", target_feature = "simd128")))]
             Set::Portable => Portable::COUNT,
             #[cfg(target_arch = "x86_64")]
             Set::Avx2 => crate::x86::Avx2::COUNT,
@@ -59,6 +63,7 @@ impl Backend {
     /// unsafe only because of the kernel's own demands on its arguments.
     pub fn function<K: Kernel>(self) -> Function<K> {
         match self.0 {
+            #[cfg(not(all(target_arch = "wasm32", target_feature = "simd128")))]
             Set::Portable => crate::portable::run::<K>,
             #[cfg(target_arch = "x86_64")]
             Set::Avx2 => crate::x86::avx2::<K>,
@@ -82,6 +87,7 @@ impl Backend {
         // guarantees what the kernel demands
         unsafe {
             match self.0 {
+                #[cfg(not(all(target_arch = "wasm32", target_feature = "simd128")))]
                 Set::Portable => K::run::<Portable>(args),
                 #[cfg(target_arch = "x86_64")]
                 Set::Avx2 | Set::Avx512 => crate::x86::avx2::<K>(args),
@@ -97,6 +103,7 @@ impl Backend {
 impl fmt::Display for Backend {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self.0 {
+            #[cfg(not(all(target_arch = "wasm32", target_feature = "simd128")))]
             Set::Portable => "portable",
             #[cfg(target_arch = "x86_64")]
             Set::Avx2 => "AVX2",
@@ -110,16 +117,17 @@ impl fmt::Display for Backend {
     }
 }
 
+#[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
 fn detect() -> Vec<Backend> {
-    #[cfg_attr(
-        all(target_arch = "wasm32", not(target_feature = "simd128")),
-        allow(unused_mut, reason = "there is no other without vectors")
-    )]
+    vec![Backend(Set::Simd128)]
+}
+
+#[cfg(not(all(target_arch = "wasm32", target_feature = "simd128")))]
+fn detect() -> Vec<Backend> {
+    #[cfg_attr(target_arch = "wasm32", allow(unused_mut, reason = "there is no other without vectors"))]
     let mut found = vec![Backend(Set::Portable)];
     #[cfg(target_arch = "aarch64")]
     found.push(Backend(Set::Neon));
-    #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
-    found.push(Backend(Set::Simd128));
     #[cfg(target_arch = "x86_64")]
     if std::is_x86_feature_detected!("avx2")
         && std::is_x86_feature_detected!("fma")

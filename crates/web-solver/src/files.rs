@@ -3,9 +3,11 @@
 use std::collections::BTreeMap;
 
 use lumistack_core::Task;
+use lumistack_gltf::unpack::{Packed, Unpacked, Unsound};
 use lumistack_gltf::{AssetResolver, LoadOptions};
 use lumistack_scene::Scene;
 
+use crate::decoders;
 use crate::error::Error;
 
 /// Limits on the decoded bytes of a scene and of its pictures. A wasm module has at most 4 GiB in
@@ -44,8 +46,17 @@ impl Files {
             return Ok(lumistack_gltf::load_with(name, bytes, &beside, &options, task)?);
         }
         let failed = |error: String| Error(format!("{name}: {error}"));
-        let read = |uri: &str| beside.read(uri, MOST_DECODED);
-        let found = lumistack_splats::read::read(bytes, &read).map_err(|error| failed(error.to_string()))?;
+        // a description of a capture names its pictures; other files are whole
+        let near = self.0.iter().filter_map(|(path, bytes)| Some((beside.name(path)?, bytes.as_slice())));
+        let near = if extension == "json" { near.collect() } else { Vec::new() };
+        let found = match decoders::unpack(&Packed::Capture(bytes, near)) {
+            Ok(Unpacked::Splats(found)) => found,
+            Ok(_) => return Err(failed("expected splats, found other content".into())),
+            Err(Unsound { place, expected, found }) => {
+                let place = if place.is_empty() { String::new() } else { format!("{place}: ") };
+                return Err(failed(format!("{place}expected {expected}, found {found}")));
+            }
+        };
         found.left_out.iter().for_each(|message| task.warn(name, message.clone()));
         if found.cloud.is_empty() {
             return Err(failed("expected splats, found none".into()));
@@ -57,7 +68,18 @@ impl Files {
     }
 }
 
+impl<'a> Beside<'a> {
+    /// Name of a file, relative to the folder; `None` for files elsewhere.
+    fn name(&self, path: &'a str) -> Option<&'a str> {
+        if self.folder.is_empty() { Some(path) } else { path.strip_prefix(self.folder)?.strip_prefix('/') }
+    }
+}
+
 impl AssetResolver for Beside<'_> {
+    fn unpack(&self, packed: &Packed<'_>) -> Result<Unpacked, Unsound> {
+        decoders::unpack(packed)
+    }
+
     fn read(&self, uri: &str, max_bytes: u64) -> Result<Vec<u8>, String> {
         let plain = uri.strip_prefix("./").unwrap_or(uri);
         let path = if self.folder.is_empty() { plain.to_owned() } else { format!("{}/{plain}", self.folder) };

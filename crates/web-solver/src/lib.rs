@@ -10,6 +10,7 @@
 //! patterns of the views so far. The last views and patterns are those that the command computes
 //! for the same job. [`patterns`] encodes them for the viewer, and as a zip for the command.
 
+mod decoders;
 mod error;
 mod files;
 pub mod patterns;
@@ -22,5 +23,5 @@ mod work;
 
 pub use error::Error;
 pub use files::Files;
-pub use settings::Settings;
+pub use settings::{Preset, Settings, presets};
 pub use work::{Stage, Work};

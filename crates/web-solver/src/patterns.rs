@@ -1,13 +1,10 @@
 //! Encodings of patterns for the viewer and for the command.
 
-use std::io::{Cursor, Write};
-
 use lumistack_display::{Backlight, Display, LayerStack, Projection, StackIndex};
 use npyz::{DType, WriteOptions, WriterBuilder};
 use serde_json::{Value, json};
-use zip::ZipWriter;
-use zip::write::SimpleFileOptions;
 
+use crate::decoders;
 use crate::error::Error;
 
 /// Encodes all masks of a stack as `[row][col][rgb]` in the order of [`preview`]'s files: value =
@@ -88,27 +85,23 @@ pub fn preview(display: &Display, title: &str) -> Result<String, Error> {
 /// # Errors
 /// When the zip becomes too large.
 pub fn zip(display: &Display, stack: &LayerStack, job: &str) -> Result<Vec<u8>, Error> {
-    let written = || -> std::io::Result<Vec<u8>> {
-        let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
-        let mut file = |name: &str, bytes: &[u8]| -> std::io::Result<()> {
-            let options = SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
-            zip.start_file(name, options).map_err(std::io::Error::other)?;
-            zip.write_all(bytes)
-        };
-        let index = StackIndex::of(display, stack);
-        file("display.toml", display.to_toml().as_bytes())?;
-        file("job.toml", job.as_bytes())?;
-        for (entry, layer) in index.layers.iter().zip(&stack.layers) {
-            file(&format!("layers/{}", entry.file), &npy(&layer.shape(), layer.data())?)?;
-        }
-        if let Some(emission) = &stack.emission {
-            file(&format!("layers/{}", StackIndex::EMISSION), &npy(&emission.shape(), emission.data())?)?;
-        }
-        let text = serde_json::to_string_pretty(&index).map_err(std::io::Error::other)?;
-        file(&format!("layers/{}", StackIndex::FILE), text.as_bytes())?;
-        Ok(zip.finish().map_err(std::io::Error::other)?.into_inner())
+    let failed = |error: &dyn std::fmt::Display| Error(format!("zip: {error}"));
+    let index = StackIndex::of(display, stack);
+    let mut files = vec![("job.toml".to_owned(), job.as_bytes().to_vec())];
+    let mut array = |name: &str, shape: &[usize], data: &[f32]| -> Result<(), Error> {
+        files.push((format!("layers/{name}"), npy(shape, data).map_err(|error| failed(&error))?));
+        Ok(())
     };
-    written().map_err(|error| Error(format!("zip: {error}")))
+    for (entry, layer) in index.layers.iter().zip(&stack.layers) {
+        array(&entry.file, &layer.shape(), layer.data())?;
+    }
+    if let Some(emission) = &stack.emission {
+        array(StackIndex::EMISSION, &emission.shape(), emission.data())?;
+    }
+    let text = serde_json::to_string_pretty(&index).map_err(|error| failed(&error))?;
+    files.push((format!("layers/{}", StackIndex::FILE), text.into_bytes()));
+    let display = serde_json::to_string(display).map_err(|error| failed(&error))?;
+    decoders::pack(&display, &files).map_err(Error)
 }
 
 /// Writes a row-major array of `float32` as a NumPy file.

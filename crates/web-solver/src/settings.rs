@@ -1,10 +1,11 @@
 //! The page's choices: a display and its variation.
 
-use lumistack_display::{Display, PRESETS, Variation, Views};
+use lumistack_display::{Display, FieldGeometry, Variation, Views};
 use lumistack_factorizer::{ZONE_ITERATIONS, held_bytes};
 use lumistack_shot::{Denoise, RenderJob, ZoneSamples};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
+use crate::decoders::Wanted;
 use crate::error::Error;
 
 /// Memory of a light field's views, MiB. With all that is computed from them they stay well below
@@ -16,6 +17,24 @@ const MOST_SOLVING: u64 = 700 << 20;
 const ZONE_SAMPLES: u32 = 800;
 /// Allowed columns of a light field.
 const COLS: std::ops::RangeInclusive<usize> = 16..=640;
+
+/// A display that comes with the program.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Preset {
+    /// Its name.
+    pub name: String,
+    /// The display.
+    pub display: Display,
+}
+
+/// The displays that come with the program. They are JSON here, which the module reads anyway: a
+/// reader of TOML would be a tenth of it.
+///
+/// # Errors
+/// None: a test compares them with the files of the command.
+pub fn presets() -> Result<Vec<Preset>, Error> {
+    serde_json::from_str(include_str!("presets.json")).map_err(|error| Error(format!("presets: {error}")))
+}
 
 /// The page's choices, read from JSON. A missing key keeps the preset's value.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -69,12 +88,12 @@ impl Settings {
     /// When there is no such preset, a value is out of range, or the display needs more memory than
     /// a page has.
     pub fn display(&self) -> Result<Display, Error> {
-        let preset = PRESETS.iter().find(|(name, _)| *name == self.preset);
-        let (_, text) = preset.ok_or_else(|| Error::value("preset", "the name of a preset", &self.preset))?;
+        let preset = presets()?.into_iter().find(|preset| preset.name == self.preset);
+        let preset = preset.ok_or_else(|| Error::value("preset", "the name of a preset", &self.preset))?;
         if !COLS.contains(&self.cols) {
             return Err(Error::value("cols", "16 to 640 columns", self.cols));
         }
-        let base = Display::from_toml(text)?;
+        let base = preset.display;
         let [cols, rows] = base.field.resolution;
         let rows = ((self.cols * rows) as f64 / cols as f64).round().max(1.0) as usize;
         let Self { layers, frames, brightness, gap_mm, .. } = *self;
@@ -82,19 +101,35 @@ impl Settings {
         let display = variation.applied_to(&base.with_resolution([self.cols, rows]))?;
         let most = self.render().affordable_views(self.cols * rows);
         let display = display.with_views_chosen(most);
-        let bytes = held_bytes(&display, &display.geometry()?, 1);
-        if bytes > MOST_SOLVING {
-            let found = format!("{} MB for this display; take fewer columns or frames", bytes / 1_000_000);
-            return Err(Error::value("display", &format!("at most {} MB", MOST_SOLVING / 1_000_000), found));
-        }
+        affordable(&display)?;
         Ok(display)
     }
 
+    /// Makes the chosen display for a light field, as the command does.
+    ///
+    /// # Errors
+    /// When the two do not fit each other, or need more memory than a page has.
+    pub(crate) fn display_for(&self, geometry: &FieldGeometry) -> Result<Display, Error> {
+        let display = self.display()?.adapted_to(geometry)?;
+        affordable(&display)?;
+        Ok(display)
+    }
+
+    /// Values of a light field that its files need not state, as in the command, and the chosen
+    /// columns.
+    pub(crate) fn wanted(&self, display: &Display) -> Wanted {
+        Wanted { width_mm: display.field_pixels().size_mm()[0], fov_deg: display.field.fov_deg, cols: self.cols }
+    }
+
     /// Writes a job by which the command computes the same patterns, beside the scene's file and
-    /// `display.toml`.
-    pub fn job(&self, path: &str) -> String {
-        let mut text = format!("scene = {path:?}\n\n[display]\nfile = \"display.toml\"\n");
-        text += &format!("\n[render]\nzone_samples = {}\n", self.zone_samples);
+    /// `display.toml`. A light field has a `resolution`, [columns, rows].
+    pub fn job(&self, path: &str, resolution: Option<[usize; 2]>) -> String {
+        let input = if resolution.is_some() { "light_field" } else { "scene" };
+        let mut text = format!("{input} = {path:?}\n\n[display]\nfile = \"display.toml\"\n");
+        match resolution {
+            Some(resolution) => text += &format!("\n[geometry]\nresolution = {resolution:?}\n"),
+            None => text += &format!("\n[render]\nzone_samples = {}\n", self.zone_samples),
+        }
         if let Some(iterations) = self.iterations {
             text += &format!("\n[factorize]\niterations = {iterations}\n");
         }
@@ -111,10 +146,45 @@ impl Settings {
         if matches!(display.field.views, Views::Fixed(_)) { Denoise::Off } else { Denoise::Shared }
     }
 
-    /// Iterations of the last solve.
+    /// Iterations of the last solve. Views that were given are fixed.
     pub(crate) fn iterations(&self, display: &Display) -> u32 {
         let fixed = matches!(display.field.views, Views::Fixed(_));
         let default = if fixed { lumistack_factorizer::Settings::default().iterations } else { ZONE_ITERATIONS };
         self.iterations.unwrap_or(default)
+    }
+}
+
+/// Fails if a display needs more memory than a page has.
+fn affordable(display: &Display) -> Result<(), Error> {
+    let geometry = display.geometry()?;
+    let bytes = held_bytes(display, &geometry, 1);
+    if bytes > MOST_SOLVING {
+        let found = format!("{} MB for this display; take fewer columns or frames", bytes / 1_000_000);
+        return Err(Error::value("display", &format!("at most {} MB", MOST_SOLVING / 1_000_000), found));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use lumistack_display::PRESETS;
+
+    use super::*;
+
+    #[test]
+    fn presets_are_those_of_the_command() {
+        let preset = |(name, text): &(&str, &str)| Preset {
+            name: (*name).to_owned(),
+            display: Display::from_toml(text).unwrap(),
+        };
+        let expected: Vec<Preset> = PRESETS.iter().map(preset).collect();
+        if std::env::var_os("LUMISTACK_WRITE").is_some() {
+            let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src/presets.json");
+            let lines: Vec<String> = expected.iter().map(|preset| serde_json::to_string(preset).unwrap()).collect();
+            std::fs::write(path, format!("[\n{}\n]\n", lines.join(",\n"))).unwrap();
+            return;
+        }
+        let remedy = "LUMISTACK_WRITE=1 cargo test -p lumistack-web-solver presets writes presets.json";
+        assert_eq!(presets().unwrap(), expected, "{remedy}");
     }
 }

@@ -2,11 +2,11 @@
 //! is tested natively.
 
 use js_sys::Uint8Array;
-use lumistack_display::PRESETS;
 use serde_json::json;
 use wasm_bindgen::prelude::*;
 
-use crate::{Error, Files, Settings, Stage, Work, patterns};
+use crate::presets as presets_of_the_program;
+use crate::{Error, Files, Preset, Settings, Stage, Work, patterns};
 
 impl From<Error> for JsValue {
     fn from(error: Error) -> Self {
@@ -19,11 +19,8 @@ type Thrown<T> = Result<T, JsValue>;
 /// Names, titles and values of the presets, as JSON.
 #[wasm_bindgen]
 pub fn presets() -> String {
-    let about = |(name, text): &(&str, &str)| {
-        let display = lumistack_display::Display::from_toml(text).ok()?;
-        Some(json!({"name": name, "title": display.name, "about": patterns::about(&display)}))
-    };
-    json!(PRESETS.iter().filter_map(about).collect::<Vec<_>>()).to_string()
+    let about = |Preset { name, display }: Preset| json!({"name": name, "title": display.name, "about": patterns::about(&display)});
+    json!(presets_of_the_program().unwrap_or_default().into_iter().map(about).collect::<Vec<_>>()).to_string()
 }
 
 /// Dropped files to solve.
@@ -49,9 +46,6 @@ impl Dropped {
 #[wasm_bindgen]
 pub struct Solver {
     work: Work,
-    path: String,
-    /// The command's job for the same patterns.
-    job: String,
 }
 
 #[wasm_bindgen]
@@ -59,18 +53,17 @@ impl Solver {
     /// Solves one of the files, with settings as JSON.
     #[wasm_bindgen(constructor)]
     pub fn new(files: Dropped, path: &str, settings: &str) -> Thrown<Solver> {
-        let settings = Settings::from_json(settings)?;
-        let job = settings.job(path);
-        Ok(Self { work: Work::new(files.0, path, settings)?, path: path.into(), job })
+        Ok(Self { work: Work::new(files.0, path, Settings::from_json(settings)?)? })
+    }
+
+    /// Solves a light field that the module of decoders holds, with settings as JSON.
+    pub fn of_field(path: &str, settings: &str) -> Thrown<Solver> {
+        Ok(Self { work: Work::of_field(path, Settings::from_json(settings)?)? })
     }
 
     /// Restarts with other settings; the scene stays in memory.
     pub fn change(&mut self, settings: &str) -> Thrown<()> {
-        let settings = Settings::from_json(settings)?;
-        let job = settings.job(&self.path);
-        self.work.change(settings)?;
-        self.job = job;
-        Ok(())
+        Ok(self.work.change(Settings::from_json(settings)?)?)
     }
 
     /// Computes the next piece.
@@ -124,6 +117,6 @@ impl Solver {
     /// The current patterns as a zip.
     pub fn zip(&self) -> Thrown<Uint8Array> {
         let stack = self.work.stack().ok_or_else(|| Error::value("zip", "patterns", "none yet"))?;
-        Ok(Uint8Array::from(patterns::zip(self.work.display(), stack, &self.job)?.as_slice()))
+        Ok(Uint8Array::from(patterns::zip(self.work.display(), stack, &self.work.job())?.as_slice()))
     }
 }

@@ -8,6 +8,7 @@ use lumistack_factorizer::{Ongoing, Problem, has_levels, reoptimize_on_levels};
 use lumistack_scene::Scene;
 use lumistack_shot::{LightJob, light};
 
+use crate::decoders;
 use crate::error::Error;
 use crate::files::Files;
 use crate::settings::Settings;
@@ -15,9 +16,11 @@ use crate::subject::Held;
 use crate::views::{Picked, Views};
 
 /// Most rows and columns of views of the first patterns.
-const FIRST: usize = 5;
+const FIRST: usize = 3;
 /// Iterations on unfinished views: they start from the last patterns.
 const WARM: u32 = 3;
+/// Later patterns of a light field are shown after so many iterations each.
+const FIELD_SHOWS: u32 = 4;
 /// Views of splats per piece: one sort of the splats serves several views.
 const SPLAT_VIEWS: usize = 5;
 /// Number of updates of the patterns while views get all their samples.
@@ -28,7 +31,7 @@ const SEED: u64 = 1;
 /// Progress of the work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
-    /// Reads the file, lights the scene, places the display.
+    /// Reads the files; lights the scene and places the display.
     Scene,
     /// Renders views, and solves patterns of the views so far.
     Views,
@@ -40,6 +43,10 @@ pub enum Stage {
 
 /// A piece of work.
 enum Piece {
+    /// Reads a light field, for which the display is adapted.
+    ReadField,
+    /// Starts a fresh solve of the light field that was read.
+    BeginField,
     Read,
     Light,
     Place,
@@ -63,7 +70,8 @@ pub struct Work {
     settings: Settings,
     display: Display,
     path: String,
-    files: Files,
+    /// Files of a scene; nothing for a light field, whose readers have their own.
+    files: Option<Files>,
     scene: Option<Scene>,
     held: Option<Held>,
     views: Option<Views>,
@@ -80,11 +88,28 @@ pub struct Work {
 }
 
 impl Work {
-    /// Prepares the work on one of the files.
+    /// Prepares the work on a scene, which is one of the files.
     ///
     /// # Errors
     /// When the settings are invalid.
     pub fn new(files: Files, path: &str, settings: Settings) -> Result<Self, Error> {
+        Self::begin(Some(files), path, settings)
+    }
+
+    /// Prepares the work on a light field: a file or folder of any kind that the command reads. In
+    /// a page it is among the files that the module of decoders holds.
+    ///
+    /// # Errors
+    /// When the settings are invalid.
+    pub fn of_field(path: &str, settings: Settings) -> Result<Self, Error> {
+        Self::begin(None, path, settings)
+    }
+
+    fn begin(files: Option<Files>, path: &str, settings: Settings) -> Result<Self, Error> {
+        let pieces = match &files {
+            Some(_) => VecDeque::from([Piece::Read, Piece::Light, Piece::Place]),
+            None => VecDeque::from([Piece::ReadField]),
+        };
         Ok(Self {
             display: settings.display()?,
             settings,
@@ -93,7 +118,7 @@ impl Work {
             scene: None,
             held: None,
             views: None,
-            pieces: [Piece::Read, Piece::Light, Piece::Place].into(),
+            pieces,
             planned: 0,
             run: None,
             target: None,
@@ -116,17 +141,26 @@ impl Work {
         if let Some(views) = self.views.take() {
             self.held = Some(views.into_held());
         }
-        self.pieces = match (&self.held, &self.scene) {
-            (Some(_), _) => [Piece::Place].into(),
-            (None, Some(_)) => [Piece::Light, Piece::Place].into(),
-            (None, None) => [Piece::Read, Piece::Light, Piece::Place].into(),
+        self.pieces = match (&self.files, &self.held, &self.scene) {
+            // its geometry may follow from the display
+            (None, ..) => [Piece::ReadField].into(),
+            (_, Some(_), _) => [Piece::Place].into(),
+            (_, None, Some(_)) => [Piece::Light, Piece::Place].into(),
+            (_, None, None) => [Piece::Read, Piece::Light, Piece::Place].into(),
         };
         Ok(())
     }
 
-    /// The chosen display.
+    /// The chosen display; for a light field that was read, adapted to it.
     pub fn display(&self) -> &Display {
         &self.display
+    }
+
+    /// Writes the job by which the command computes the same patterns, beside the files and
+    /// `display.toml`.
+    pub fn job(&self) -> String {
+        let resolution = self.files.is_none().then_some(self.display.field.resolution);
+        self.settings.job(&self.path, resolution)
     }
 
     /// The patterns to show; `None` before the first ones.
@@ -157,10 +191,11 @@ impl Work {
 
     /// Progress of the work.
     pub fn stage(&self) -> Stage {
-        match (&self.views, self.pieces.is_empty()) {
-            (_, true) => Stage::Done,
-            (None, _) => Stage::Scene,
-            _ if self.pieces.iter().any(|piece| matches!(piece, Piece::BeginAnew)) => Stage::Views,
+        let waits = |wanted: fn(&Piece) -> bool| self.pieces.iter().any(wanted);
+        match &self.pieces {
+            none if none.is_empty() => Stage::Done,
+            _ if waits(|piece| matches!(piece, Piece::Place | Piece::ReadField)) => Stage::Scene,
+            _ if waits(|piece| matches!(piece, Piece::BeginAnew)) => Stage::Views,
             _ => Stage::Patterns,
         }
     }
@@ -182,9 +217,23 @@ impl Work {
         // Each arm moves its results into `self`, so the work can be dropped between two pieces.
         let task = Task::quiet(&self.warnings, &self.cancel);
         match piece {
+            Piece::ReadField => {
+                let display = self.settings.display()?;
+                let field = decoders::field(&self.path, &self.settings.wanted(&display), task)?;
+                self.display = self.settings.display_for(field.geometry())?;
+                self.target = Some(field);
+                self.pieces = plan_field(self.settings.iterations(&self.display));
+                self.planned = self.pieces.len();
+            }
+            Piece::BeginField => {
+                let Some(field) = &self.target else { return Ok(()) };
+                let iterations = self.settings.iterations(&self.display);
+                self.run = Some(begin(&self.display, field, iterations, None, task)?);
+            }
             Piece::Read => {
-                self.scene = Some(self.files.scene(&self.path, task)?);
-                self.files = Files::default();
+                let Some(files) = &mut self.files else { return Ok(()) };
+                self.scene = Some(files.scene(&self.path, task)?);
+                *files = Files::default();
             }
             Piece::Light => {
                 let Some(scene) = self.scene.take() else { return Ok(()) };
@@ -253,6 +302,20 @@ fn begin(
 ) -> Result<Ongoing, Error> {
     let settings = lumistack_factorizer::Settings { iterations, seed: SEED, ..Default::default() };
     Ok(Ongoing::begin(&Problem { display, target, weights: &Weights::Uniform }, &settings, warm, task)?)
+}
+
+/// Plans all pieces after a light field is read: one solve, whose patterns are shown often at
+/// first, when they change most.
+fn plan_field(iterations: u32) -> VecDeque<Piece> {
+    let mut pieces = VecDeque::from([Piece::BeginField]);
+    for iteration in 1..=iterations {
+        pieces.push_back(Piece::Step);
+        if iteration <= WARM || iteration.is_multiple_of(FIELD_SHOWS) {
+            pieces.push_back(Piece::Show);
+        }
+    }
+    pieces.push_back(Piece::Finish);
+    pieces
 }
 
 /// Plans all pieces after the scene is placed: noisy views of a few directions, noisy views of all,

@@ -45,19 +45,18 @@ fn unpacked(zip: Vec<u8>, folder: &Path) {
     }
 }
 
-/// Root mean square difference between the patterns of the page and of the command.
-fn difference(folder: &str, file: &str) -> f64 {
-    let settings = Settings::from_json(CHOICE).unwrap();
-    let mut work = Work::new(files(&scene(folder)), file, settings.clone()).unwrap();
+/// Root mean square difference between the patterns of the page and of the command, which finds
+/// the files of a folder beside the job.
+fn difference(folder: &Path, mut work: Work) -> f64 {
     let shown = finish(&mut work);
     assert!(shown > 1, "{shown} stacks are shown on the way");
     let (display, stack) = (work.display(), work.stack().unwrap());
     let run = tempfile::tempdir().unwrap();
-    unpacked(patterns::zip(display, stack, &settings.job(file)).unwrap(), run.path());
+    unpacked(patterns::zip(display, stack, &work.job()).unwrap(), run.path());
     let read = lumistack_field_io::read_stack(&run.path().join("layers")).unwrap();
     assert_eq!(&read, stack);
-    // its job, beside the scene's files
-    for entry in std::fs::read_dir(scene(folder)).unwrap() {
+    // its job, beside the files
+    for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
         if path.extension().is_none_or(|extension| extension != "toml") {
             std::fs::copy(&path, run.path().join(path.file_name().unwrap())).unwrap();
@@ -84,9 +83,47 @@ fn difference(folder: &str, file: &str) -> f64 {
 fn patterns_are_those_of_the_command() {
     // the command's cache rounds views, which leaves a difference
     for (folder, file) in [("letters", "letters.gltf"), ("dandelion", "dandelion.spz")] {
-        let difference = difference(folder, file);
+        let settings = Settings::from_json(CHOICE).unwrap();
+        let work = Work::new(files(&scene(folder)), file, settings).unwrap();
+        let difference = difference(&scene(folder), work);
         assert!(difference < 2e-3, "{folder}: {difference}");
     }
+}
+
+/// Two layers of stripes with parallax, as a quilt of 4 × 2 views.
+fn quilt(path: &Path) {
+    let [cols, rows] = [60, 40];
+    let picture = image::RgbImage::from_fn(4 * cols, 2 * rows, |x, y| {
+        let view = x / cols + 4 * (1 - y / rows);
+        let [col, row] = [x % cols, y % rows];
+        let near = (col + view) % 15 < 5 && row > 10;
+        let far = (col + 30 - view) % 10 < 5;
+        image::Rgb([if near { 220 } else { 30 }, if far { 180 } else { 60 }, if near || far { 90 } else { 10 }])
+    });
+    picture.save(path).unwrap();
+}
+
+#[test]
+fn a_light_field_is_solved_as_the_command_solves_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("stripes_qs4x2a1.5.png");
+    quilt(&path);
+    let settings = |more: &str| Settings::from_json(&format!(r#"{{"iterations": 5, "frames": 2, {more}}}"#)).unwrap();
+    // as it is, and reduced
+    for (cols, expected) in [(160, [60, 40]), (48, [48, 32])] {
+        let settings = settings(&format!(r#""cols": {cols}"#));
+        let work = Work::of_field(path.to_str().unwrap(), settings).unwrap();
+        let difference = difference(folder.path(), work);
+        assert!(difference < 1e-6, "{cols} columns: {difference}");
+        let mut work = Work::of_field(path.to_str().unwrap(), Settings::from_json(CHOICE).unwrap()).unwrap();
+        work.change(Settings::from_json(&format!(r#"{{"iterations": 1, "cols": {cols}}}"#)).unwrap()).unwrap();
+        assert_eq!(finish(&mut work), 2);
+        assert_eq!(work.display().field.resolution, expected);
+    }
+    // its errors are those of the command
+    let work = Work::of_field(folder.path().join("none.npy").to_str().unwrap(), settings(r#""cols": 48"#));
+    let error = work.unwrap().advance().unwrap_err().to_string();
+    assert!(error.ends_with("none.npy: cannot read: No such file or directory (os error 2)"), "{error}");
 }
 
 #[test]

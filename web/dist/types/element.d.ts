@@ -55,6 +55,10 @@ export declare class LumistackViewer extends HTMLElement {
     pixels(): Promise<ImageData>;
     /** The current picture as PNG. */
     screenshot(): Promise<Blob>;
+    /** Saves a quilt of 8 × 6 views for lenticular displays: a PNG whose name ends in `_qs8x6aASPECT`. */
+    saveQuilt(): Promise<void>;
+    /** Records one turn around the zone and saves it as a video. */
+    saveTurn(): Promise<void>;
     /** Shows the files (path → file): a preview, a quilt, or the views of a light field. */
     open(files: ReadonlyMap<string, File>): Promise<void>;
     /**

@@ -1,12 +1,13 @@
 // The page that solves: a model becomes patterns in another thread, and the viewer shows them as
 // they form.
 import type { LumistackViewer } from "../element.js";
-import { filesByName, filesOf, recognize } from "../drop.js";
+import { download, videoFormat } from "../capture.js";
+import { filesByName, filesOf } from "../drop.js";
 import { Problem, problemOf } from "../problem.js";
 import { Choice } from "./choice.js";
-import { builtIn, dropped, nothing, SCENES, type Input } from "./input.js";
+import { builtIn, dropped, droppedField, nothing, SCENES, type Input } from "./input.js";
 import { Solver } from "./solver.js";
-import type { State, SolverMessage } from "./worker.js";
+import type { State, SolverMessage, SolverRequest } from "./worker.js";
 
 /** Milliseconds without a change before a changed display is solved. */
 const SETTLE_MS = 300;
@@ -22,6 +23,8 @@ let settling: ReturnType<typeof setTimeout> | undefined;
 /** The newest patterns, which wait until the previous ones are shown. */
 let next: Extract<SolverMessage, { kind: "stack" }> | undefined;
 let showing = false;
+/** True while a quilt or a turn is made; new patterns wait for its end. */
+let saving = false;
 /** Number of the newest load. */
 let load = 0;
 
@@ -35,12 +38,16 @@ async function solve(get: () => Promise<Input | undefined>): Promise<void> {
     paused = false;
     document.title = `${found.title} – Lumistack`;
     performance.mark("lumistack-solve");
-    // The files are copied to the thread; the page keeps them in case the thread ends.
-    solver.ask({ kind: "solve", files: found.files, path: found.path, title: found.title, settings: choice.settings });
+    // The page keeps the files in case the thread ends.
+    solver.ask(request(found));
     buttons(true);
   } catch (error) {
     if (own === load) refuse(problemOf(error, ""));
   }
+}
+
+function request({ files, path, title, isField }: Input): SolverRequest {
+  return { kind: "solve", files, path, title, isField, settings: choice.settings };
 }
 
 function displayChanged(): void {
@@ -50,9 +57,7 @@ function displayChanged(): void {
     paused = false;
     const present = solver.runs;
     await solver.start();
-    const { files, path, title } = input;
-    const settings = choice.settings;
-    solver.ask(present ? { kind: "change", settings } : { kind: "solve", files, path, title, settings });
+    solver.ask(present ? { kind: "change", settings: choice.settings } : request(input));
     buttons(true);
   }, SETTLE_MS);
 }
@@ -67,7 +72,7 @@ function receive(what: SolverMessage): void {
       next = what;
       return void show();
     case "zip":
-      return download(`${input?.title ?? "patterns"}.zip`, new Blob([what.bytes], { type: "application/zip" }));
+      return download(new Blob([what.bytes], { type: "application/zip" }), `${input?.title ?? "patterns"}.zip`);
     case "error":
       return refuse(new Problem(what.message, "", false));
   }
@@ -75,15 +80,16 @@ function receive(what: SolverMessage): void {
 
 /** Shows patterns one after another, and skips all but the newest. */
 async function show(): Promise<void> {
-  if (showing) return;
+  if (showing || saving) return;
   showing = true;
   try {
-    for (let stack = next; stack; stack = next) {
+    for (let stack = next; stack && !saving; stack = next) {
       next = undefined;
       await customElements.whenDefined("lumistack-viewer");
       at("drop").classList.remove("idle");
       at("empty").hidden = true;
       await viewer.showStack(stack.json, stack.codes);
+      tell(JSON.parse(stack.json) as { title: string; caption: string });
       // The picture is visible only after it has been drawn.
       await viewer.ready;
       if (performance.getEntriesByName("lumistack-first-patterns").length === 0) performance.mark("lumistack-first-patterns");
@@ -94,14 +100,23 @@ async function show(): Promise<void> {
   showing = false;
 }
 
+/** Names what is on show. */
+function tell({ title, caption }: { title: string; caption: string }): void {
+  const name = document.createElement("strong");
+  name.textContent = title;
+  at("caption").replaceChildren(name, ` ${caption}`);
+  // Its own controls name it.
+  at("caption").hidden = !viewer.hasAttribute("plain");
+}
+
 function showState({ stage, share, psnr, warnings }: State): void {
   at<HTMLProgressElement>("bar").value = share;
   const quality = Number.isFinite(psnr) ? ` ${psnr.toFixed(1)} dB over its views.` : "";
-  const words = { scene: "Reading the scene…", views: `Rendering views, ${Math.floor(100 * share)} %.`, patterns: `Solving, ${Math.floor(100 * share)} %.`, done: "Finished." };
+  const words = { scene: input?.isField ? "Reading the light field…" : "Reading the scene…", views: `Rendering views, ${Math.floor(100 * share)} %.`, patterns: `Solving, ${Math.floor(100 * share)} %.`, done: "Finished." };
   const rest = paused && stage !== "done" ? "Stopped." : words[stage];
   say(`${rest}${quality}`);
   Object.assign(document.documentElement.dataset, { stage, psnr });
-  for (const id of ["save", "closer"]) at<HTMLButtonElement>(id).disabled = Number.isNaN(psnr);
+  for (const id of ["save", "closer", "quilt", "turn"]) at<HTMLButtonElement>(id).disabled = Number.isNaN(psnr) || saving;
   if (stage === "done") {
     performance.mark("lumistack-done");
     buttons(false);
@@ -135,25 +150,32 @@ function buttons(working: boolean): void {
   }
 }
 
-function download(name: string, bytes: Blob): void {
-  const link = document.createElement("a");
-  link.download = name;
-  link.href = URL.createObjectURL(bytes);
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+/** Saves something of the patterns on show, which stay the same meanwhile. */
+async function save(id: "quilt" | "turn", make: () => Promise<void>): Promise<void> {
+  const button = at<HTMLButtonElement>(id);
+  const { textContent: text } = button;
+  saving = true;
+  for (const other of ["quilt", "turn"]) at<HTMLButtonElement>(other).disabled = true;
+  button.textContent = "Saving…";
+  try {
+    await make();
+  } catch (error) {
+    refuse(problemOf(error, ""));
+  }
+  saving = false;
+  button.textContent = text;
+  for (const other of ["quilt", "turn"]) at<HTMLButtonElement>(other).disabled = false;
+  void show();
 }
 
 async function open(files: ReadonlyMap<string, File>): Promise<void> {
   await solve(async () => {
-    const found = await dropped(files);
+    const isPreview = [...files.keys()].some((path) => /(^|\/)preview\.json$/.test(path));
+    const found = dropped(files) ?? (isPreview ? undefined : droppedField(files));
     if (found) return found;
-    try {
-      recognize(files);
-    } catch {
-      throw nothing(files);
-    }
-    // Views or a finished preview need no solver.
-    at("empty").hidden = true;
+    if (!isPreview) throw nothing(files);
+    // A finished preview needs no solver.
+    at("empty").hidden = at("caption").hidden = true;
     at("drop").classList.remove("idle");
     say("Shown as it is.");
     await viewer.open(files);
@@ -188,9 +210,13 @@ at("save").addEventListener("click", () => {
   solver.ask({ kind: "zip" });
   at("saved").hidden = false;
 });
+at("quilt").addEventListener("click", () => void save("quilt", () => viewer.saveQuilt()));
+at("turn").addEventListener("click", () => void save("turn", () => viewer.saveTurn()));
+at("turn").hidden = videoFormat() === undefined;
 at("closer").addEventListener("click", () => {
   const closer = viewer.toggleAttribute("plain") === false;
   at("closer").setAttribute("aria-pressed", String(closer));
+  at("caption").hidden = closer;
 });
 at("link").addEventListener("click", async () => {
   const address = choice.address;

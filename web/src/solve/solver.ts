@@ -48,7 +48,7 @@ export class Solver {
         this.receive({ kind: "error", message: message || "The solver’s thread does not start." });
       };
     });
-    this.ask({ kind: "start", module });
+    this.ask({ kind: "start", module, decoders: new URL("lumistack_web_decoders_bg.wasm", import.meta.url).href });
     return this.ready;
   }
 

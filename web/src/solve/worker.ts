@@ -1,11 +1,12 @@
 // The thread that solves. It works for short turns and handles messages in between, so that it can
 // be stopped at any time.
+import * as decoders from "../../pkg/lumistack_web_decoders.js";
 import { Dropped, initSync, presets, Solver } from "../../pkg/lumistack_web_solver.js";
 
 /** Requests of the page. */
 export type SolverRequest =
-  | { kind: "start"; module: WebAssembly.Module }
-  | { kind: "solve"; files: [path: string, bytes: ArrayBuffer][]; path: string; title: string; settings: string }
+  | { kind: "start"; module: WebAssembly.Module; decoders: string }
+  | { kind: "solve"; files: [path: string, content: Blob][]; path: string; title: string; isField: boolean; settings: string }
   | { kind: "change"; settings: string }
   | { kind: "pause" | "resume" }
   | { kind: "zip" };
@@ -26,6 +27,56 @@ export type SolverMessage =
   | { kind: "zip"; bytes: Uint8Array<ArrayBuffer> }
   | { kind: "error"; message: string };
 
+/** Address of the module of decoders. */
+let address = "";
+let decoding = false;
+
+/** Loads the decoders at the first packed content. The solver waits for them in its call. */
+function ready(): typeof decoders {
+  if (decoding) return decoders;
+  const request = new XMLHttpRequest();
+  request.open("GET", address, false);
+  request.responseType = "arraybuffer";
+  request.send();
+  if (request.status !== 200) throw new Error(`the server answers ${request.status}`);
+  decoders.initSync({ module: new WebAssembly.Module(request.response) });
+  decoding = true;
+  return decoders;
+}
+
+/**
+ * True if a module stopped: out of memory, or a decoder on content that is broken in a way that it
+ * does not look for.
+ */
+function stopped(error: unknown): boolean {
+  return error instanceof WebAssembly.RuntimeError || error instanceof RangeError;
+}
+
+/** The solver's module imports these functions. */
+Object.assign(globalThis, {
+  lumistack_decoders: {
+    answer(request: Uint8Array): Uint8Array | undefined {
+      const { answer } = ready();
+      try {
+        return answer(request);
+      } catch (error) {
+        if (stopped(error)) return undefined;
+        throw error;
+      }
+    },
+    field(path: string, ...wanted: [widthMm: number, fovX: number, fovY: number, cols: number]): decoders.Field {
+      const { field } = ready();
+      try {
+        return field(path, ...wanted);
+      } catch (error) {
+        if (!stopped(error)) throw error;
+        throw new Error(`${path}: content: expected a sound light field, found bytes on which its reader stops`);
+      }
+    },
+    pack: (display: string, names: string[], contents: Uint8Array[]): Uint8Array => ready().pack(display, names, contents),
+  },
+});
+
 /** Milliseconds of a turn, and between two reports of progress. */
 const TURN_MS = 25;
 const REPORT_MS = 100;
@@ -33,6 +84,10 @@ const REPORT_MS = 100;
 let solver: Solver | undefined;
 let title = "";
 let running = false;
+let paused = false;
+/** Number of the newest solve, and its settings. */
+let newest = 0;
+let settings = "";
 let shown = 0;
 let reported = 0;
 let warnings: string[] = [];
@@ -64,9 +119,36 @@ function report(patterns: boolean): void {
   send({ kind: "stack", json: solver.preview(title), codes }, [codes.buffer]);
 }
 
+/** Reads the files of a solve, and starts it. */
+async function begin({ files, path, isField }: Extract<SolverRequest, { kind: "solve" }>): Promise<void> {
+  const own = ++newest;
+  const read = files.map(async ([name, content]): Promise<[string, ArrayBuffer]> => {
+    try {
+      return [name, await content.arrayBuffer()];
+    } catch (error) {
+      throw new Error(`${name}: expected a readable file, found an error: ${error instanceof Error ? error.message : error}`);
+    }
+  });
+  const contents = await Promise.all(read).catch((error: Error) => guarded(() => {
+    if (own === newest) throw error;
+  }));
+  if (own !== newest || !contents) return;
+  guarded(() => {
+    if (isField) {
+      ready().hold(contents.map(([name]) => name), contents.map(([, bytes]) => new Uint8Array(bytes)));
+      solver = Solver.of_field(path, settings);
+    } else {
+      const dropped = new Dropped();
+      for (const [name, bytes] of contents) dropped.add(name, new Uint8Array(bytes));
+      solver = new Solver(dropped, path, settings);
+    }
+    run();
+  });
+}
+
 function run(): void {
   shown = solver!.shown();
-  if (running) return;
+  if (running || paused) return;
   running = true;
   turns.port2.postMessage(undefined);
 }
@@ -81,7 +163,7 @@ function guarded(work: () => void): void {
     work();
   } catch (error) {
     running = false;
-    if (error instanceof WebAssembly.RuntimeError || error instanceof RangeError) {
+    if (stopped(error)) {
       solver = undefined;
       const why = "the solver stopped: most likely this takes more memory than a page can have";
       return send({ kind: "error", message: `${title}: ${why}. Take less detail or fewer frames, or solve it with “lumistack run”.` });
@@ -95,25 +177,27 @@ onmessage = ({ data }: MessageEvent<SolverRequest>) =>
     switch (data.kind) {
       case "start":
         initSync({ module: data.module });
+        address = data.decoders;
         return send({ kind: "presets", json: presets() });
-      case "solve": {
-        running = false;
+      case "solve":
+        running = paused = false;
         solver?.free();
         solver = undefined;
-        title = data.title;
-        const files = new Dropped();
-        for (const [path, bytes] of data.files) files.add(path, new Uint8Array(bytes));
-        solver = new Solver(files, data.path, data.settings);
-        return run();
-      }
+        ({ title, settings } = data);
+        return void begin(data);
       case "change":
+        // Settings that arrive while files are read are those of the solve to come.
+        ({ settings } = data);
+        paused = false;
         if (!solver) return;
-        solver.change(data.settings);
+        solver.change(settings);
         return run();
       case "pause":
         running = false;
+        paused = true;
         return report(false);
       case "resume":
+        paused = false;
         return solver && run();
       case "zip": {
         const bytes = solver!.zip() as Uint8Array<ArrayBuffer>;

@@ -1,6 +1,5 @@
 //! PNG, JPEG, WebP and Radiance HDR through the `image` crate.
 
-use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
@@ -33,7 +32,7 @@ pub(super) fn read(path: &Path) -> Result<Picture, FieldError> {
     Ok(from_decoded(decoded))
 }
 
-fn reader(path: &Path) -> Result<ImageReader<BufReader<File>>, FieldError> {
+fn reader(path: &Path) -> Result<ImageReader<BufReader<lumistack_files::File>>, FieldError> {
     let file = lumistack_files::open(path).map_err(FieldError::io(path, "read"))?;
     let mut reader = ImageReader::new(BufReader::new(file));
     // a format by the extension, for files without a signature
@@ -48,7 +47,7 @@ fn reader(path: &Path) -> Result<ImageReader<BufReader<File>>, FieldError> {
 fn check_jpeg_end(path: &Path) -> Result<(), FieldError> {
     let tail = || {
         let mut file = lumistack_files::open(path)?;
-        let length = file.metadata()?.len();
+        let length = lumistack_files::length(&file)?;
         file.seek(SeekFrom::Start(length.saturating_sub(JPEG_TAIL)))?;
         let mut tail = Vec::new();
         file.read_to_end(&mut tail)?;

@@ -201,7 +201,7 @@ impl MultiView {
 /// that its header declares.
 pub(super) fn size(path: &Path) -> Result<[usize; 2], FieldError> {
     let file = lumistack_files::open(path).map_err(FieldError::io(path, "read"))?;
-    let length = file.metadata().map_err(FieldError::io(path, "read"))?.len();
+    let length = lumistack_files::length(&file).map_err(FieldError::io(path, "read"))?;
     let meta = MetaData::read_from_buffered(BufReader::new(file), false).map_err(|error| damaged(path, &error))?;
     let header = meta
         .headers

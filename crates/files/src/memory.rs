@@ -1,0 +1,73 @@
+//! Files of a page: held in memory under relative paths.
+
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::io::{self, Cursor, ErrorKind};
+use std::path::{Component, Path, PathBuf};
+use std::sync::Arc;
+
+/// A file, open for reading.
+pub type File = Cursor<Arc<[u8]>>;
+
+thread_local! {
+    static FILES: RefCell<BTreeMap<PathBuf, Arc<[u8]>>> = const { RefCell::new(BTreeMap::new()) };
+}
+
+/// Replaces all files by these.
+pub fn hold(files: impl IntoIterator<Item = (String, Vec<u8>)>) {
+    let files = files.into_iter().map(|(path, bytes)| (plain(Path::new(&path)), bytes.into())).collect();
+    FILES.set(files);
+}
+
+/// The path without `.` and `..`. A path that leads out of all folders stays as it is.
+pub(crate) fn plain(path: &Path) -> PathBuf {
+    let mut plain = PathBuf::new();
+    for part in path.components() {
+        match part {
+            Component::CurDir => {}
+            Component::ParentDir if plain.pop() => {}
+            other => plain.push(other),
+        }
+    }
+    plain
+}
+
+fn missing() -> io::Error {
+    io::Error::new(ErrorKind::NotFound, "it is not among the files that were opened; open its folder")
+}
+
+pub(crate) fn open(path: &Path) -> io::Result<File> {
+    FILES.with_borrow(|files| files.get(&plain(path)).cloned()).map(Cursor::new).ok_or_else(missing)
+}
+
+pub(crate) fn length(file: &File) -> io::Result<u64> {
+    Ok(file.get_ref().len() as u64)
+}
+
+pub(crate) fn canonical(path: &Path) -> io::Result<PathBuf> {
+    if is_file(path) || is_folder(path)? { Ok(plain(path)) } else { Err(missing()) }
+}
+
+pub(crate) fn is_file(path: &Path) -> bool {
+    FILES.with_borrow(|files| files.contains_key(&plain(path)))
+}
+
+pub(crate) fn is_folder(path: &Path) -> io::Result<bool> {
+    let path = plain(path);
+    FILES.with_borrow(|files| match files.keys().any(|file| *file != path && file.starts_with(&path)) {
+        true => Ok(true),
+        false if files.contains_key(&path) => Ok(false),
+        false => Err(missing()),
+    })
+}
+
+pub(crate) fn list(folder: &Path) -> io::Result<Vec<PathBuf>> {
+    let within = plain(folder);
+    let mut names: Vec<PathBuf> = FILES.with_borrow(|files| {
+        let below = files.keys().filter_map(|file| file.strip_prefix(&within).ok());
+        below.filter_map(|rest| rest.components().next()).map(|name| folder.join(name)).collect()
+    });
+    // files of one folder follow each other
+    names.dedup();
+    Ok(names)
+}

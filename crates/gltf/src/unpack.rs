@@ -1,0 +1,83 @@
+//! Decoders of packed content, by libraries in pure Rust: pictures, Draco, meshopt, splats.
+//!
+//! The reader of glTF passes [`Packed`] content to
+//! [`AssetResolver::unpack`](crate::AssetResolver::unpack), whose default is [`unpack`] here. A page
+//! whose decoders are a second module passes it on as bytes: [`to_bytes`](Packed::to_bytes), there
+//! [`answer`], and [`answered`] again.
+
+mod draco;
+mod kinds;
+mod ktx2;
+mod meshopt;
+mod pictures;
+mod wire;
+
+pub use kinds::{Attribute, Codec, Filter, Mesh, Packed, Unpacked, Unsound, Use};
+pub use wire::answered;
+
+use std::panic::AssertUnwindSafe;
+
+use lumistack_splats::read;
+
+/// Decodes packed content, within the limits in it.
+///
+/// # Errors
+/// When the content is broken, or its library panics on it.
+pub fn unpack(packed: &Packed<'_>) -> Result<Unpacked, Unsound> {
+    let decode = || match *packed {
+        Packed::Size(usage, bytes) => pictures::size(usage, bytes),
+        Packed::Picture(usage, bytes) => pictures::decode(usage, bytes),
+        Packed::Draco { bytes, attributes, max_bytes } => draco::decode(bytes, attributes, max_bytes),
+        Packed::Meshopt { bytes, codec, filter, count, stride } => meshopt::decode(bytes, codec, filter, count, stride),
+        Packed::Spz { bytes, max_bytes } => splats(read::read_spz(bytes, max_bytes)),
+        Packed::Capture(bytes, ref beside) => splats(read::read(bytes, &|name: &str| {
+            let plain = name.strip_prefix("./").unwrap_or(name);
+            let found = beside.iter().find(|(name, _)| *name == plain);
+            let missing = "it is not among the files that were opened; open its folder";
+            found.map(|(_, bytes)| bytes.to_vec()).ok_or_else(|| missing.to_owned())
+        })),
+    };
+    contained(packed, decode)
+}
+
+/// Runs the decoder of a library. Its panic says that the content is broken in a way that the
+/// library does not look for; our own code has none.
+fn contained<T>(packed: &Packed<'_>, decode: impl FnOnce() -> Result<T, Unsound>) -> Result<T, Unsound> {
+    std::panic::catch_unwind(AssertUnwindSafe(decode)).unwrap_or_else(|_| Err(packed.stopped()))
+}
+
+fn splats(found: Result<read::Found, read::ReadError>) -> Result<Unpacked, Unsound> {
+    let unsound = |read::ReadError { place, expected, found }| Unsound { place, expected, found };
+    found.map(Unpacked::Splats).map_err(unsound)
+}
+
+/// Decodes packed content that came as bytes; the answer is bytes too. `None` if they are none of
+/// [`Packed::to_bytes`].
+pub fn answer(request: &[u8]) -> Option<Vec<u8>> {
+    wire::request(request, |packed| wire::answer(&unpack(packed)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_decoder_that_panics_means_broken_content() {
+        let packed = Packed::Size(Use::Texture, b"");
+        let stopped = contained::<()>(&packed, || panic!("as a library might")).unwrap_err();
+        assert_eq!((stopped.place.as_str(), stopped.expected.as_str()), ("", "a sound picture"));
+        assert_eq!(stopped.found, "bytes on which its decoder stops");
+        assert_eq!(contained(&packed, || Ok(3)), Ok(3));
+    }
+
+    #[test]
+    fn bytes_that_are_no_request_have_no_answer() {
+        let request = Packed::Size(Use::Texture, b"no picture").to_bytes();
+        let error = answered(&answer(&request).unwrap()).unwrap().unwrap_err();
+        assert_eq!(error, unpack(&Packed::Size(Use::Texture, b"no picture")).unwrap_err());
+        for end in 0..request.len() {
+            assert_eq!(answer(&request[..end]), None, "{end}");
+        }
+        assert_eq!(answered(b"\x07"), None);
+    }
+}

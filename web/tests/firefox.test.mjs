@@ -1,0 +1,83 @@
+// Firefox, driven by WebDriver BiDi: the page that solves makes there what it makes in Chromium, and the viewer shows it.
+import assert from "node:assert/strict";
+import { existsSync, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { after, before, test } from "node:test";
+import puppeteer from "puppeteer-core";
+import { DIST, launch, open, pixels, SHOTS } from "./browser.mjs";
+import { serve } from "./server.mjs";
+import { stripes } from "./stripes.mjs";
+
+const FIREFOX = [process.env.LUMISTACK_FIREFOX, "/usr/bin/firefox-esr", "/usr/bin/firefox"].find((path) => path && existsSync(path));
+const skip = !FIREFOX && "there is no Firefox: install it (Debian: apt-get install firefox-esr) or name one in LUMISTACK_FIREFOX";
+const HASH = "#scene=letters&preset=paper-three-layer&cols=96&frames=2&zone_samples=60&iterations=2";
+
+let server;
+let firefox;
+let chromium;
+before(async () => {
+  if (skip) return;
+  server = await serve({ "/": DIST });
+  firefox = await puppeteer.launch({ browser: "firefox", executablePath: FIREFOX, headless: true, args: ["--width=1440", "--height=900"] });
+  chromium = await launch();
+  mkdirSync(SHOTS, { recursive: true });
+});
+after(async () => {
+  await firefox?.close();
+  await chromium?.close();
+  await server?.close();
+});
+
+/** PSNR that the page computes, and a seen picture. */
+async function solved(page, wait) {
+  await wait(() => document.documentElement.dataset.stage === "done");
+  // The last patterns are shown after they are reported.
+  await page.evaluate(() => new Promise((resolve) => setTimeout(resolve, 1000)));
+  return { psnr: await page.evaluate(() => document.documentElement.dataset.psnr), seen: await pixels(page, [0.05, -0.03]) };
+}
+
+test("the page that solves makes in Firefox what it makes in Chromium", { skip }, async () => {
+  const page = await firefox.newPage();
+  page.setDefaultTimeout(120_000);
+  const trouble = [];
+  page.on("pageerror", (error) => trouble.push(error.message));
+  page.on("console", (message) => ["error", "warn"].includes(message.type()) && trouble.push(message.text()));
+  await page.setViewport({ width: 1440, height: 900 });
+  await page.goto(`${server.url}/solve.html${HASH}`);
+  const theirs = await solved(page, (done) => page.waitForFunction(done));
+  await page.screenshot({ path: join(SHOTS, "firefox-done.png") });
+  await page.click("#closer");
+  await page.setViewport({ width: 390, height: 844 });
+  await page.screenshot({ path: join(SHOTS, "firefox-phone.png") });
+  assert.deepEqual(trouble, []);
+  // the same module computes the same in any browser
+  const other = await open(chromium, `${server.url}/solve.html${HASH}`);
+  const ours = await solved(other, (done) => other.waitForFunction(done));
+  assert.equal(theirs.psnr, ours.psnr);
+  assert.ok(Number(theirs.psnr) > 20, theirs.psnr);
+  assert.deepEqual([theirs.seen.width, theirs.seen.height], [ours.seen.width, ours.seen.height]);
+  const far = theirs.seen.data.filter((code, i) => Math.abs(code - ours.seen.data[i]) > 1).length;
+  assert.equal(far, 0, `${far} values of the seen picture differ`);
+});
+
+test("Firefox solves a light field, and reports a broken one", { skip }, async () => {
+  const folder = mkdtempSync(join(tmpdir(), "lumistack-firefox-"));
+  try {
+    const page = await firefox.newPage();
+    page.setDefaultTimeout(120_000);
+    await page.goto(`${server.url}/solve.html#preset=paper-three-layer&cols=96&frames=2&iterations=2`);
+    await page.waitForFunction(() => document.querySelector("#preset").options.length > 0);
+    const files = await page.$("#files");
+    stripes(join(folder, "stripes.npy"));
+    await files.uploadFile(join(folder, "stripes.npy"));
+    const { psnr, seen } = await solved(page, (done) => page.waitForFunction(done));
+    assert.ok(Number(psnr) > 15, psnr);
+    assert.deepEqual([seen.width, seen.height], [64, 40]);
+    writeFileSync(join(folder, "cut.npy"), readFileSync(join(folder, "stripes.npy")).subarray(0, 5000));
+    await files.uploadFile(join(folder, "cut.npy"));
+    await page.waitForFunction(() => document.querySelector("#problem").textContent.includes("cut.npy: values of shape"));
+  } finally {
+    rmSync(folder, { recursive: true });
+  }
+});
