@@ -6,10 +6,9 @@ use lumistack_core::Task;
 use lumistack_display::{FieldGeometry, LightField};
 
 use crate::FieldError;
-use crate::assemble::{LeftOut, assemble, plan};
+use crate::assemble::{LeftOut, Reading, assemble, plan};
 use crate::detect::detect;
 use crate::geometry::{GeometryDefaults, GeometryFlags};
-use crate::prefilter::Footprint;
 
 /// Reads a light field of any kind.
 ///
@@ -26,26 +25,26 @@ pub fn open(
     defaults: &GeometryDefaults,
     task: Task<'_>,
 ) -> Result<LightField, FieldError> {
-    open_for(path, flags, defaults, None, 0, task).map(|(field, _)| field)
+    open_for(path, flags, defaults, Reading::default(), task).map(|(field, _)| field)
 }
 
 /// As [`open`], for a display. With [`GeometryFlags::prefilter`] every kept view is averaged with
-/// its neighbours over the display's footprint. Also returns at most `most_left_out` views between
-/// the kept ones.
+/// its neighbours over the display's footprint. Also returns views between the kept ones, at most
+/// [`Reading::most_left_out`].
 ///
 /// # Errors
-/// Those of [`open`], and if a prefilter is requested without a footprint.
+/// Those of [`open`], if a prefilter is requested without a footprint, and if the file of a large
+/// light field cannot be written.
 pub fn open_for(
     path: &Path,
     flags: &GeometryFlags,
     defaults: &GeometryDefaults,
-    footprint: Option<Footprint<'_>>,
-    most_left_out: usize,
+    reading: Reading<'_>,
     task: Task<'_>,
 ) -> Result<(LightField, Vec<LeftOut>), FieldError> {
     let mut source = detect(path, flags, task)?;
     source.mirror(flags.mirror);
-    assemble(&mut source, flags, defaults, footprint, most_left_out, task)
+    assemble(&mut source, flags, defaults, reading, task)
 }
 
 /// The geometry that [`open`] would return, without reading all pictures.

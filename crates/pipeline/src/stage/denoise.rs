@@ -23,7 +23,7 @@ use lumistack_shot::ToneMapping;
 use self::oidn::Oidn;
 use super::fields::{FieldJob, Shot};
 use crate::error::{PipelineError, render_error};
-use crate::job::Denoise;
+use crate::job::{Denoise, Job};
 use crate::store::files::{read_json, write_json};
 use crate::store::views::{read_split, read_view, split_path, view_path, write_view};
 
@@ -93,7 +93,7 @@ fn filter(field: &FieldJob, shot: Shot<'_>, task: Task<'_>) -> Result<(), Pipeli
     let folder = field.finished(kind);
     std::fs::create_dir_all(&folder).map_err(PipelineError::write(&folder))?;
     let filtered = match kind {
-        Denoise::Shared => shared(field, task)?,
+        Denoise::Shared => shared(field, shot.job, task)?,
         _ => by_guides(field, shot, &folder, task)?,
     };
     // Pixels of some views are rendered again, to measure noise and bias of the filter.
@@ -142,10 +142,15 @@ fn middle(geometry: &FieldGeometry) -> [usize; 2] {
 /// since all together are large.
 type Filtered<'a> = Box<dyn Fn(usize, [usize; 2]) -> Result<[Tensor<3>; 2], PipelineError> + 'a>;
 
-/// Averages the light that views share.
-fn shared<'a>(field: &'a FieldJob, task: Task<'_>) -> Result<Filtered<'a>, PipelineError> {
+/// Averages the light that views share, in memory or in files, by the size of the light field.
+fn shared<'a>(field: &'a FieldJob, job: &Job, task: Task<'_>) -> Result<Filtered<'a>, PipelineError> {
     let geometry = &field.traced;
-    let mut light = SharedLight::new(geometry);
+    let mut light = if job.render.is_held(geometry) {
+        SharedLight::new(geometry)
+    } else {
+        let storage = lumistack_field_io::storage(&field.folder, job.render.window_bytes());
+        SharedLight::in_storage(geometry, &storage).map_err(PipelineError::write(&field.folder))?
+    };
     task.progress.begin("share light", 3 * geometry.grid.iter().count() as u64, "views");
     let averaged = geometry.grid.iter().try_for_each(|view| -> Result<(), PipelineError> {
         light.add(&split(field, view)?);
@@ -157,7 +162,7 @@ fn shared<'a>(field: &'a FieldJob, task: Task<'_>) -> Result<Filtered<'a>, Pipel
     let averaged = averaged?;
     Ok(Box::new(move |number, view| {
         let split = split(field, view)?;
-        Ok([split.radiance(), averaged[number].on(&split)])
+        Ok([split.radiance(), averaged.on(number, &split)])
     }))
 }
 

@@ -57,7 +57,7 @@ impl Shared {
         for time in &times {
             for field in [Some(&time.target), time.held_out.as_ref()].into_iter().flatten() {
                 key.add("geometry", format!("{:?}", field.geometry()).as_bytes());
-                key.add_f32("radiance", field.radiance().data());
+                key.add_field("radiance", field);
             }
             add_weights(&mut key, &eye_weights(&job.factorize, time.target.geometry())?);
         }

@@ -247,7 +247,7 @@ fn render(shot: Shot<'_>, part: &Part, stream: [u64; 2], task: Task<'_>) -> Resu
     let mut field = LightField::black(part.geometry.clone())?;
     let mut is_surface = Vec::with_capacity(field.radiance().data().len() / 3);
     for ((number, view), split) in traced.grid.iter().enumerate().zip(&splits) {
-        let picture = light.as_ref().map_or_else(|| split.radiance(), |light| light[number].on(split));
+        let picture = light.as_ref().map_or_else(|| split.radiance(), |light| light.on(number, split));
         field.view_mut(view).copy_from_slice(picture.data());
         is_surface.extend(split.surfaces());
     }
