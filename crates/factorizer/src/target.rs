@@ -8,8 +8,8 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use lumistack_core::pages::{Array, Plain, prefer_large_pages};
 use lumistack_core::Tensor;
+use lumistack_core::pages::{Array, Plain, prefer_large_pages};
 use lumistack_display::{FieldGeometry, Weights};
 use lumistack_simd::{Backend, Kernel, Lanes};
 

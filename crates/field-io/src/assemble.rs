@@ -15,7 +15,7 @@ use crate::FieldError;
 use crate::disparity::{self, Motion};
 use crate::geometry::{self, GeometryDefaults, GeometryFlags, Pixels, pick};
 use crate::npy::reserved;
-use crate::paged::Paged;
+use crate::paged::FieldWriter;
 use crate::prefilter::{self, Footprint, Shares};
 use crate::resample::{Rect, area};
 use crate::source::Source;
@@ -54,47 +54,6 @@ pub struct Reading<'a> {
 
 /// Decides by geometry where a light field is kept; `None` keeps it in memory.
 pub type Paging<'a> = &'a dyn Fn(&FieldGeometry) -> Option<(&'a Path, usize)>;
-
-/// The views of a light field while they are read.
-enum Gathered {
-    Held(Vec<f32>),
-    Paged(Paged),
-}
-
-impl Gathered {
-    fn begin(
-        path: &Path,
-        geometry: &FieldGeometry,
-        count: usize,
-        paging: Option<Paging<'_>>,
-    ) -> Result<Self, FieldError> {
-        match paging.and_then(|paging| paging(geometry)) {
-            Some((folder, limit)) => Paged::begin(geometry.clone(), folder, limit).map(Self::Paged),
-            // memory is reserved here and touched later: a header may claim any size
-            None => reserved(path, count).map(Self::Held),
-        }
-    }
-
-    fn push(&mut self, view: &[f32]) -> Result<(), FieldError> {
-        match self {
-            Self::Held(all) => all.extend_from_slice(view),
-            Self::Paged(paged) => paged.write(view)?,
-        }
-        Ok(())
-    }
-
-    fn finish(self, path: &Path, geometry: FieldGeometry) -> Result<LightField, FieldError> {
-        let shape = LightField::shape_of(&geometry);
-        match self {
-            Self::Paged(paged) => paged.finish(),
-            Self::Held(all) => {
-                let radiance = Tensor::from_vec(LightField::AXES, shape, all)
-                    .map_err(|error| FieldError::malformed(path, "size", shape_text(shape), error.to_string()))?;
-                LightField::new(geometry, radiance).map_err(FieldError::geometry(path))
-            }
-        }
-    }
-}
 
 /// The parts of a source to read, and their geometry.
 pub(crate) struct Plan {
@@ -139,7 +98,12 @@ pub(crate) fn assemble(
     let count = Tensor::element_count(shape)
         .ok_or_else(|| FieldError::malformed(&path, "size", "an array that fits in memory", format!("{shape:?}")))?;
     // Reserve a place for the result, and read views one at a time.
-    let mut all = Gathered::begin(&path, &geometry, count, reading.paging)?;
+    let place = reading.paging.and_then(|paging| paging(&geometry));
+    let mut all = match place {
+        // memory is reserved here and touched later: a header may claim any size
+        None => FieldWriter::Held { geometry: geometry.clone(), values: reserved(&path, count)? },
+        Some(_) => FieldWriter::begin(geometry.clone(), place)?,
+    };
     let length = count / (shape[0] * shape[1]);
     let mut range = Range::default();
     let change = |view: &mut [f32]| reading.change.into_iter().for_each(|change| change(view));
@@ -165,7 +129,7 @@ pub(crate) fn assemble(
             part.iter_mut().zip(&one).for_each(|(sum, value)| *sum += share * value);
         }
         change(&mut part);
-        all.push(&part)?;
+        all.write(&part)?;
         task.progress.advance(1, "");
     }
     // Read the views between the kept ones in the same geometry.
@@ -182,7 +146,7 @@ pub(crate) fn assemble(
     }
     task.progress.end();
     range.warn(&path, task);
-    Ok((all.finish(&path, geometry)?, left_out))
+    Ok((all.finish(&path)?, left_out))
 }
 
 /// Views between the kept ones, with their slopes: at most `most`, evenly spread.
@@ -260,10 +224,6 @@ fn averaged(
         task.warn(geometry::place(&source.path), message);
     }
     Ok(shares)
-}
-
-fn shape_text(shape: [usize; 5]) -> String {
-    format!("{shape:?}")
 }
 
 fn picks(source: &Source, flags: &GeometryFlags) -> Result<[Vec<usize>; 2], FieldError> {

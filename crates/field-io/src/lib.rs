@@ -47,8 +47,8 @@ pub use folder::{
 };
 pub use geometry::{GeometryDefaults, GeometryFlags};
 pub use lumistack_display::{BacklightEntry, LayerEntry, StackIndex};
-pub use open::{geometry_of, open, open_for};
-pub use paged::{Paged, storage};
+pub use open::{geometry_of, open, open_for, picture_bytes};
+pub use paged::{FieldWriter, Paged, storage};
 pub use prefilter::Footprint;
 pub use source::Kind;
 pub use stack::{read_stack, read_stack_index, write_stack};

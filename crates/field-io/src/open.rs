@@ -9,6 +9,7 @@ use crate::FieldError;
 use crate::assemble::{LeftOut, Reading, assemble, plan};
 use crate::detect::detect;
 use crate::geometry::{GeometryDefaults, GeometryFlags};
+use crate::picture::{Picture, has_picture_extension};
 
 /// Reads a light field of any kind.
 ///
@@ -60,4 +61,14 @@ pub fn geometry_of(
     let mut source = detect(path, flags, task)?;
     source.mirror(flags.mirror);
     plan(&mut source, flags, defaults, task).map(|plan| plan.geometry)
+}
+
+/// Upper bound of the bytes that the decoded file of a light field takes while views are read from
+/// it: 0 unless all views are in one picture.
+pub fn picture_bytes(path: &Path) -> u64 {
+    // a picture has at most four floats a pixel, and half as much while it is decoded
+    const BYTES: u64 = 24;
+    let is_picture = path.is_file() && has_picture_extension(path);
+    let size = is_picture.then(|| Picture::size_of(path).ok()).flatten();
+    size.map_or(0, |[cols, rows]| BYTES * (cols * rows) as u64)
 }

@@ -18,6 +18,70 @@ use crate::FieldError;
 /// Number of values that are converted to bytes at a time.
 const PART: usize = 1 << 14;
 
+/// A light field that is written view by view, into memory or into a file.
+pub enum FieldWriter {
+    /// In memory.
+    Held {
+        /// Its geometry.
+        geometry: FieldGeometry,
+        /// The views so far.
+        values: Vec<f32>,
+    },
+    /// In a file.
+    Paged(Paged),
+}
+
+impl FieldWriter {
+    /// Begins in a file, if there is a folder for it and a number of bytes that may be in memory;
+    /// else in memory.
+    ///
+    /// # Errors
+    /// If the file cannot be created.
+    pub fn begin(geometry: FieldGeometry, place: Option<(&Path, usize)>) -> Result<Self, FieldError> {
+        match place {
+            Some((folder, limit)) => Paged::begin(geometry, folder, limit).map(Self::Paged),
+            None => {
+                let count = LightField::shape_of(&geometry).iter().product();
+                Ok(Self::Held { geometry, values: Vec::with_capacity(count) })
+            }
+        }
+    }
+
+    /// The geometry of the light field.
+    pub fn geometry(&self) -> &FieldGeometry {
+        match self {
+            Self::Held { geometry, .. } | Self::Paged(Paged { geometry, .. }) => geometry,
+        }
+    }
+
+    /// Writes the next view in the order of the grid, `[row][col][rgb]`.
+    ///
+    /// # Errors
+    /// If the disk is full.
+    pub fn write(&mut self, view: &[f32]) -> Result<(), FieldError> {
+        match self {
+            Self::Held { values, .. } => values.extend_from_slice(view),
+            Self::Paged(paged) => paged.write(view)?,
+        }
+        Ok(())
+    }
+
+    /// Returns the light field, once all views are written. `path` names it in errors.
+    ///
+    /// # Errors
+    /// Those of [`Paged::finish`].
+    pub fn finish(self, path: &Path) -> Result<LightField, FieldError> {
+        let (geometry, values) = match self {
+            Self::Paged(paged) => return paged.finish(),
+            Self::Held { geometry, values } => (geometry, values),
+        };
+        let shape = LightField::shape_of(&geometry);
+        let radiance = Tensor::from_vec(LightField::AXES, shape, values)
+            .map_err(|error| FieldError::malformed(path, "size", format!("{shape:?}"), error.to_string()))?;
+        LightField::new(geometry, radiance).map_err(FieldError::geometry(path))
+    }
+}
+
 /// A light field that is written view by view to a file.
 pub struct Paged {
     geometry: FieldGeometry,

@@ -54,9 +54,25 @@ pub(crate) struct Denoised {
     filtered: Vec<f32>,
 }
 
-/// Checks before any rendering that the filter is available.
-pub(crate) fn check(kind: Denoise) -> Result<(), PipelineError> {
-    if kind == Denoise::Oidn { Oidn::find().map(drop) } else { Ok(()) }
+/// Bytes of a ray while the guided filter works, which needs all views at once.
+pub(crate) const GUIDED_BYTES: u64 = 192;
+
+/// Checks before any rendering that the filter is available, and that its memory is.
+///
+/// # Errors
+/// If Open Image Denoise is not installed, or the guided filter needs more memory than the job
+/// allows.
+pub(crate) fn check(kind: Denoise, job: &Job, geometry: &FieldGeometry) -> Result<(), PipelineError> {
+    let rays = (geometry.grid.iter().count() * geometry.rows * geometry.cols) as u64;
+    let mib = (GUIDED_BYTES * rays).div_ceil(1 << 20);
+    match kind {
+        Denoise::Oidn => Oidn::find().map(drop),
+        Denoise::Guided if mib > job.render.field_mib => {
+            let expected = format!("`field_mib` of {mib} or more, since it holds all views; `shared` needs less");
+            Err(PipelineError::job("render.denoise", expected, format!("`guided` and {}", job.render.field_mib)))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Filters all views that are not filtered yet. Returns true if all were.
@@ -94,7 +110,8 @@ fn filter(field: &FieldJob, shot: Shot<'_>, task: Task<'_>) -> Result<(), Pipeli
     std::fs::create_dir_all(&folder).map_err(PipelineError::write(&folder))?;
     let filtered = match kind {
         Denoise::Shared => shared(field, shot.job, task)?,
-        _ => by_guides(field, shot, &folder, task)?,
+        Denoise::Oidn => by_oidn(field, shot, &folder, task)?,
+        _ => by_guides(field, shot, task)?,
     };
     // Pixels of some views are rendered again, to measure noise and bias of the filter.
     let settings = field.seeded(&[]);
@@ -172,27 +189,50 @@ fn split(field: &FieldJob, view: [usize; 2]) -> Result<SplitView, PipelineError>
     read_split(&path, &field.traced).ok_or_else(PipelineError::replaced(&path, "cached view"))
 }
 
-/// Filters two halves of every view, guided by features of the first hits.
-fn by_guides<'a>(
-    field: &FieldJob,
-    shot: Shot<'_>,
-    folder: &Path,
-    task: Task<'_>,
-) -> Result<Filtered<'a>, PipelineError> {
+/// Filters two halves of every view, guided by features of the first hits, all views together.
+fn by_guides<'a>(field: &FieldJob, shot: Shot<'_>, task: Task<'_>) -> Result<Filtered<'a>, PipelineError> {
     let geometry = &field.traced;
-    let noisy = |view| -> Result<NoisyView, PipelineError> {
-        let halves = [half(field, view, 0)?, half(field, view, 1)?];
-        let noisy = NoisyView { halves, features: field.guides(view, shot, task)? };
-        task.progress.advance(1, "");
-        Ok(noisy)
-    };
     let count = geometry.grid.iter().count() as u64;
     task.progress.begin("guides of the denoiser", count, "views");
-    let views: Result<Vec<NoisyView>, _> = geometry.grid.iter().map(noisy).collect();
+    let views = geometry.grid.iter().map(|view| {
+        let noisy = noisy(field, view, shot, task);
+        task.progress.advance(1, "");
+        noisy
+    });
+    let views: Result<Vec<NoisyView>, _> = views.collect();
     task.progress.end();
     let views = views?;
-    let filtered = run_filter(shot.denoise(), geometry, &views, folder, task)?;
+    task.progress.begin("denoise", denoise::steps(geometry), "bands");
+    let filtered = denoise::denoise(geometry, &views, Around::default(), task);
+    task.progress.end();
+    let filtered = filtered?;
     Ok(Box::new(move |number, _| Ok([views[number].mean(), filtered[number].clone()])))
+}
+
+/// Filters one view at a time by Open Image Denoise, through files in a temporary folder.
+fn by_oidn<'a>(
+    field: &'a FieldJob,
+    shot: Shot<'a>,
+    folder: &Path,
+    task: Task<'a>,
+) -> Result<Filtered<'a>, PipelineError> {
+    let oidn = Oidn::find()?;
+    let exchange = tempfile::tempdir_in(folder).map_err(PipelineError::write(folder))?;
+    Ok(Box::new(move |_, view| {
+        task.cancel.check()?;
+        let noisy = noisy(field, view, shot, task)?;
+        let before = noisy.mean();
+        let mut picture = before.clone();
+        let values = oidn.denoise(before.data(), &noisy.features, exchange.path())?;
+        picture.data_mut().copy_from_slice(&values);
+        Ok([before, picture])
+    }))
+}
+
+/// Reads the halves of a view, and its guides.
+fn noisy(field: &FieldJob, view: [usize; 2], shot: Shot<'_>, task: Task<'_>) -> Result<NoisyView, PipelineError> {
+    let halves = [half(field, view, 0)?, half(field, view, 1)?];
+    Ok(NoisyView { halves, features: field.guides(view, shot, task)? })
 }
 
 /// Reads a traced half of a view.
@@ -277,45 +317,6 @@ impl Denoised {
             views: self.figures.iter().map(view).collect(),
             unbiased: &self.unbiased,
             filtered: &self.filtered,
-        }
-    }
-}
-
-fn run_filter(
-    kind: Denoise,
-    geometry: &FieldGeometry,
-    views: &[NoisyView],
-    folder: &Path,
-    task: Task<'_>,
-) -> Result<Vec<Tensor<3>>, PipelineError> {
-    match kind {
-        Denoise::Auto | Denoise::Off | Denoise::Shared => Ok(views.iter().map(NoisyView::mean).collect()),
-        // Our filter works on all views together.
-        Denoise::Guided => {
-            task.progress.begin("denoise", denoise::steps(geometry), "bands");
-            let filtered = denoise::denoise(geometry, views, Around::default(), task);
-            task.progress.end();
-            Ok(filtered?)
-        }
-        // The external program works on one view at a time, by files in a temporary folder.
-        Denoise::Oidn => {
-            let oidn = Oidn::find()?;
-            let exchange = folder.join("exchange");
-            std::fs::create_dir_all(&exchange).map_err(PipelineError::write(&exchange))?;
-            task.progress.begin("denoise", views.len() as u64, "views");
-            let one = |view: &NoisyView| -> Result<Tensor<3>, PipelineError> {
-                task.cancel.check()?;
-                let mut picture = view.mean();
-                let values = oidn.denoise(picture.data(), &view.features, &exchange)?;
-                picture.data_mut().copy_from_slice(&values);
-                task.progress.advance(1, &oidn.version);
-                Ok(picture)
-            };
-            let filtered: Result<Vec<_>, PipelineError> = views.iter().map(one).collect();
-            task.progress.end();
-            let removed = std::fs::remove_dir_all(&exchange).map_err(PipelineError::write(&exchange));
-            let filtered = filtered?;
-            removed.map(|()| filtered)
         }
     }
 }
