@@ -184,7 +184,7 @@ fn advise(address: usize, length: usize) {
 /// Releases all pages of a shared mapping of a file, which keeps their values.
 fn release(start: usize, length: usize) {
     const MADV_DONTNEED: i32 = 4;
-    // SAFETY: whoever made the window has promised a shared mapping
+    // SAFETY: the caller of `Window::new` has promised a shared mapping
     unsafe { madvise(start, length, MADV_DONTNEED) };
 }
 

@@ -1,7 +1,7 @@
 //! Light fields larger than memory, in an unnamed file of which few pages are in memory.
 //!
-//! Views are written one by one, and read like memory. Whoever derives arrays of similar size from
-//! such a light field finds a place for them beside it ([`Tensor::storage`]).
+//! Views are written one by one, and read like memory. Arrays of similar size that follow from such
+//! a light field have a place beside it ([`Tensor::storage`]).
 
 use std::fs::File;
 use std::io::{self, BufWriter, Read, Write};

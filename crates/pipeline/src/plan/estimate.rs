@@ -338,7 +338,7 @@ impl Memory {
         };
         let is_held = render.is_held(geometry);
         let others = others.iter().flatten().map(|grid| geometry.with_grid(grid.clone()));
-        // Values of pictures with codes are no half floats, so the solver's copy takes twice as much.
+        // Values of pictures with codes are no half floats: the solver's copy takes twice as much.
         let wider = if job.light_field.is_some() { 8.0 * rays(geometry) } else { 0.0 };
         let solving = match (Tiles::of(&job.factorize, display, geometry), is_held) {
             (Some(tiles), _) => tiles.bytes(display, geometry) as f64 + wider / tiles.count() as f64,

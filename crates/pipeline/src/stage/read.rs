@@ -13,9 +13,9 @@ use super::field::field_defaults;
 use crate::error::{PipelineError, field_error};
 use crate::job::Job;
 
-/// Reads the light field at `path` for a display, into memory, or into an
-/// unnamed file in a folder if it is larger than the job allows. Also returns views that the display does not use,
-/// as many as the report scores.
+/// Reads the light field at `path` for a display, into memory, or into an unnamed file in a folder
+/// if it is larger than the job allows. Also returns views that the display does not use, as many
+/// as the report scores.
 ///
 /// # Errors
 /// If it cannot be read, or its geometry is incomplete.

@@ -23,8 +23,8 @@ pub struct RenderJob {
     /// Paths per pixel of all views together. The solver averages all rays through a layer's pixel,
     /// so more views need fewer paths each.
     pub zone_samples: ZoneSamples,
-    /// Memory of the light field while it is rendered, read and solved, MiB. A larger one is kept in
-    /// files, of which parts are in memory.
+    /// Memory of the light field while it is rendered, read and solved, MiB. A larger one is kept
+    /// in files, of which parts are in memory.
     pub field_mib: u64,
     /// Bounces after the first hit.
     pub max_bounces: u32,
