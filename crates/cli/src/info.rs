@@ -7,7 +7,7 @@ use lumistack_core::config::nearest;
 use lumistack_display::{Backlight, Display};
 use lumistack_pipeline::{
     ImporterJob, Job, LightJob, PipelineError, PoseJob, Prediction, Registry, SceneContents, describe_light_field,
-    is_blend, is_usd, load_scene, plugin_list, plugin_text, predict, presets, refused_outputs,
+    is_blend, is_usd, load_scene, memory_of, plugin_list, plugin_text, predict, presets, refused_outputs,
 };
 use lumistack_scene::{Bounds, Cloud, Scene};
 use lumistack_usd::VariantSet;
@@ -19,6 +19,7 @@ use crate::groups::{
     DisplayArgs, FileArgs, GeometryArgs, RenderArgs, change_display, change_importer, change_render, geometry,
     job_or_scene,
 };
+use crate::values::size_text;
 
 pub(crate) fn print(args: &Info, registry: &Registry, as_json: bool, task: Task<'_>) -> Result<(), PipelineError> {
     let mut value = describe(args, registry, task)?;
@@ -227,6 +228,9 @@ fn toml(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, Pipel
     };
     let mut value =
         json!({ "job": serde_json::to_value(&job).expect("jobs serialize"), "display": display(&resolved)["display"] });
+    if let Some(bytes) = memory_of(&job) {
+        value["memory of a run"] = format!("at most {}", size_text(bytes)).into();
+    }
     if !refused.is_empty() {
         value["outputs that a run would refuse"] = refused.into();
     }

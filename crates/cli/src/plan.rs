@@ -46,7 +46,7 @@ fn table(plan: &Plan) -> Vec<String> {
     let cached = plan.steps.iter().filter(|step| step.cached == Some(true)).count();
     let (count, time, memory) = (plan.steps.len(), duration_text(seconds), size_text(most));
     lines.push(format!(
-        "{count} steps in {}, {cached} of them cached; estimated {time} and {memory} of memory",
+        "{count} steps in {}, {cached} of them cached; estimated {time}, at most {memory} of memory",
         plan.folder.display()
     ));
     lines

@@ -14,7 +14,7 @@ mod tensor;
 pub mod tone;
 
 pub use task::{Cancel, Cancelled, Collector, NoProgress, Progress, Task, Warning, Warnings};
-pub use tensor::{Lender, ShapeError, Tensor};
+pub use tensor::{Lend, Lender, ShapeError, Tensor};
 
 /// Hash of this crate's sources, computed at build. It is part of the key of every cached result
 /// that depends on this code.

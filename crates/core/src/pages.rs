@@ -1,7 +1,12 @@
-//! Large pages for large arrays. With small pages, random reads also wait for address translation,
-//! and new memory takes longer to map.
+//! Pages of large arrays: large pages, and arrays in files of which few pages are in memory.
+//!
+//! With small pages random reads also wait for address translation, and new memory takes longer to
+//! map.
 
+use std::io;
 use std::mem::MaybeUninit;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Size of a large page on most machines, bytes. Arrays smaller than two large pages are left
 /// alone.
@@ -27,24 +32,179 @@ pub fn in_large_pages<T: Copy>(values: Vec<T>) -> Vec<T> {
     moved
 }
 
-#[cfg(target_os = "linux")]
+/// Limits how much of a mapped file is in memory.
+///
+/// Users announce the bytes that they use next. After `limit` bytes all pages are released: the
+/// system keeps them in its cache if it has room, and maps them again at their next use.
+///
+/// So the pages in memory are at most the limit, and what each thread uses at a time. The system
+/// maps up to [`NEIGHBOURS`](Self::NEIGHBOURS) bytes around a byte that is read. Systems other than
+/// Linux decide themselves which pages are in memory.
+#[derive(Debug)]
+pub struct Window {
+    start: usize,
+    length: usize,
+    limit: usize,
+    announced: AtomicUsize,
+}
+
+impl Window {
+    /// Bytes that the system may map together with a byte that is read.
+    pub const NEIGHBOURS: usize = 64 << 10;
+
+    /// Limits a mapping to `limit` bytes.
+    ///
+    /// # Safety
+    /// `memory` is a whole mapping of a file that is shared with the file. Released pages then
+    /// have the same values when they are mapped again. It exists as long as the window.
+    pub unsafe fn new(memory: &[u8], limit: usize) -> Self {
+        Self { start: memory.as_ptr() as usize, length: memory.len(), limit, announced: AtomicUsize::new(0) }
+    }
+
+    /// Announces that `bytes` are used next.
+    #[inline]
+    pub fn announce(&self, bytes: usize) {
+        if self.announced.fetch_add(bytes, Ordering::Relaxed) + bytes > self.limit {
+            self.announced.store(bytes, Ordering::Relaxed);
+            release(self.start, self.length);
+        }
+    }
+}
+
+/// A place for arrays that exceed memory. It creates arrays of a number of bytes, all of them zero.
+pub type Storage = Arc<dyn Fn(usize) -> io::Result<Pages> + Send + Sync>;
+
+/// Bytes in a file, of which few are in memory at a time.
+pub struct Pages {
+    mapped: Box<dyn MappedBytes>,
+    window: Window,
+}
+
+/// A mapping that can be read and written.
+pub trait MappedBytes: AsRef<[u8]> + AsMut<[u8]> + Send + Sync {}
+
+impl<T: AsRef<[u8]> + AsMut<[u8]> + Send + Sync> MappedBytes for T {}
+
+impl Pages {
+    /// Takes a mapping of which about `limit` bytes may be in memory.
+    ///
+    /// # Safety
+    /// As [`Window::new`]. The mapping begins at a page.
+    pub unsafe fn new(mapped: Box<dyn MappedBytes>, limit: usize) -> Self {
+        // SAFETY: guaranteed by the caller; the box does not move the mapping
+        let window = unsafe { Window::new((*mapped).as_ref(), limit) };
+        Self { mapped, window }
+    }
+}
+
+/// Types whose values are bytes without gaps, and for which all bytes are valid.
+///
+/// # Safety
+/// The type has no padding, no invalid bit patterns, and an alignment of at most a page.
+pub unsafe trait Plain: Copy + Default + Send + Sync {}
+
+// SAFETY: numbers
+unsafe impl Plain for u16 {}
+// SAFETY: numbers
+unsafe impl Plain for f32 {}
+// SAFETY: arrays have no gaps
+unsafe impl<T: Plain, const N: usize> Plain for [T; N] where [T; N]: Default {}
+
+/// A large array, in memory or in a file.
+pub enum Array<T> {
+    /// In memory.
+    Held(Vec<T>),
+    /// In a file; pages that are used are in memory.
+    Paged(Pages),
+}
+
+impl<T: Plain> Array<T> {
+    /// Makes `count` zeros, in memory without a storage.
+    ///
+    /// # Errors
+    /// If the storage is full.
+    pub fn zeros(count: usize, storage: Option<&Storage>) -> io::Result<Self> {
+        let Some(storage) = storage else {
+            let values = vec![T::default(); count];
+            prefer_large_pages(&values);
+            return Ok(Self::Held(values));
+        };
+        storage(count * size_of::<T>()).map(Self::Paged)
+    }
+
+    /// All values, and the window to announce those that are used next.
+    #[inline(always)]
+    pub fn all(&self) -> (&[T], Option<&Window>) {
+        match self {
+            Self::Held(values) => (values, None),
+            // SAFETY: pages begin at a multiple of the alignment, and all bytes are valid
+            Self::Paged(pages) => (unsafe { (*pages.mapped).as_ref().align_to().1 }, Some(&pages.window)),
+        }
+    }
+
+    /// As [`all`](Self::all), writable.
+    pub fn all_mut(&mut self) -> (&mut [T], Option<&Window>) {
+        match self {
+            Self::Held(values) => (values, None),
+            // SAFETY: as in `all`
+            Self::Paged(pages) => (unsafe { (*pages.mapped).as_mut().align_to_mut().1 }, Some(&pages.window)),
+        }
+    }
+
+    /// Some values, which are announced.
+    #[inline(always)]
+    pub fn part(&self, range: std::ops::Range<usize>) -> &[T] {
+        let (values, window) = self.all();
+        if let Some(window) = window {
+            window.announce(range.len() * size_of::<T>());
+        }
+        &values[range]
+    }
+}
+
+impl<T> std::fmt::Debug for Array<T> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Held(values) => write!(f, "Held({} values)", values.len()),
+            Self::Paged(pages) => write!(f, "Paged({} bytes)", (*pages.mapped).as_ref().len()),
+        }
+    }
+}
+
 fn advise(address: usize, length: usize) {
+    let start = address.next_multiple_of(LARGE_PAGE);
+    let end = (address + length) / LARGE_PAGE * LARGE_PAGE;
+    if start < end {
+        const MADV_HUGEPAGE: i32 = 14;
+        // SAFETY: the range lies within memory that the caller has borrowed, and the advice changes
+        // no values
+        unsafe { madvise(start, end - start, MADV_HUGEPAGE) };
+    }
+}
+
+/// Releases all pages of a shared mapping of a file, which keeps their values.
+fn release(start: usize, length: usize) {
+    const MADV_DONTNEED: i32 = 4;
+    // SAFETY: the caller of `Window::new` has promised a shared mapping
+    unsafe { madvise(start, length, MADV_DONTNEED) };
+}
+
+/// Gives the system advice about pages. A refusal changes nothing.
+///
+/// # Safety
+/// The advice is harmless for this memory.
+#[cfg(target_os = "linux")]
+unsafe fn madvise(start: usize, length: usize, advice: i32) {
     use std::ffi::{c_int, c_void};
     unsafe extern "C" {
         fn madvise(address: *mut c_void, length: usize, advice: c_int) -> c_int;
     }
-    const MADV_HUGEPAGE: c_int = 14;
-    let start = address.next_multiple_of(LARGE_PAGE);
-    let end = (address + length) / LARGE_PAGE * LARGE_PAGE;
-    if start < end {
-        // SAFETY: the range lies within memory that the caller has borrowed, and the advice changes
-        // no values. A refusal of the advice changes nothing.
-        unsafe { madvise(start as *mut c_void, end - start, MADV_HUGEPAGE) };
-    }
+    // SAFETY: guaranteed by the caller
+    unsafe { madvise(start as *mut c_void, length, advice) };
 }
 
 #[cfg(not(target_os = "linux"))]
-fn advise(_address: usize, _length: usize) {}
+unsafe fn madvise(_start: usize, _length: usize, _advice: i32) {}
 
 #[cfg(test)]
 mod tests {

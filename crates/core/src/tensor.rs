@@ -7,6 +7,8 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
+use crate::pages::{Storage, Window};
+
 /// Dense row-major tensor of order `N`; the last axis is contiguous. It owns its values, or they
 /// are [lent](Tensor::lent) by their owner.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,7 +19,29 @@ pub struct Tensor<const N: usize> {
 }
 
 /// Values of a tensor that another part of the program owns, such as an array of Python.
-pub type Lender = Arc<dyn AsRef<[f32]> + Send + Sync>;
+pub type Lender = Arc<dyn Lend>;
+
+/// The owner of lent values.
+pub trait Lend: Send + Sync {
+    /// All values, row-major.
+    fn values(&self) -> &[f32];
+
+    /// The limit of what is in memory, if the values are in a file.
+    fn window(&self) -> Option<&Window> {
+        None
+    }
+
+    /// A place for arrays of similar size, if the values are in a file.
+    fn storage(&self) -> Option<&Storage> {
+        None
+    }
+}
+
+impl<T: AsRef<[f32]> + Send + Sync> Lend for T {
+    fn values(&self) -> &[f32] {
+        self.as_ref()
+    }
+}
 
 #[derive(Clone)]
 enum Values {
@@ -30,7 +54,7 @@ impl Values {
     fn as_slice(&self) -> &[f32] {
         match self {
             Self::Own(values) => values,
-            Self::Lent(lender) => (**lender).as_ref(),
+            Self::Lent(lender) => lender.values(),
         }
     }
 }
@@ -125,10 +149,33 @@ impl<const N: usize> Tensor<N> {
         self.data.as_slice()
     }
 
+    /// Some values, row-major. Values in a file are in memory only in parts, so large tensors are
+    /// read in parts.
+    #[inline]
+    pub fn part(&self, range: std::ops::Range<usize>) -> &[f32] {
+        if let Some(window) = self.lender().and_then(|lender| lender.window()) {
+            window.announce(size_of_val(&self.data()[range.clone()]));
+        }
+        &self.data()[range]
+    }
+
+    /// A place for arrays of similar size, if the values are in a file.
+    pub fn storage(&self) -> Option<&Storage> {
+        self.lender()?.storage()
+    }
+
+    #[inline]
+    fn lender(&self) -> Option<&Lender> {
+        match &self.data {
+            Values::Own(_) => None,
+            Values::Lent(lender) => Some(lender),
+        }
+    }
+
     /// All values, row-major, writable.
     pub fn data_mut(&mut self) -> &mut [f32] {
         if let Values::Lent(lender) = &self.data {
-            self.data = Values::Own((**lender).as_ref().to_vec());
+            self.data = Values::Own(lender.values().to_vec());
         }
         match &mut self.data {
             Values::Own(values) => values,
@@ -140,7 +187,7 @@ impl<const N: usize> Tensor<N> {
     pub fn into_data(self) -> Vec<f32> {
         match self.data {
             Values::Own(values) => values,
-            Values::Lent(lender) => (*lender).as_ref().to_vec(),
+            Values::Lent(lender) => lender.values().to_vec(),
         }
     }
 
@@ -171,7 +218,7 @@ impl<const N: usize> Tensor<N> {
     /// The contiguous block under the first `K` indices: `tensor.block([m, n])` of a tensor of
     /// order 5 is a slice that holds the last three axes.
     pub fn block<const K: usize>(&self, outer: [usize; K]) -> &[f32] {
-        &self.data()[self.block_range(outer)]
+        self.part(self.block_range(outer))
     }
 
     /// Writable form of [`block`](Self::block).
@@ -208,11 +255,11 @@ mod tests {
     fn lent_values_are_copied_before_they_are_written() {
         let lender: Lender = Arc::new(vec![1.0, 2.0, 3.0, 4.0]);
         let mut t = Tensor::lent(["row", "col"], [2, 2], lender.clone()).unwrap();
-        assert_eq!(t.data().as_ptr(), (*lender).as_ref().as_ptr());
+        assert_eq!(t.data().as_ptr(), lender.values().as_ptr());
         assert_eq!((t.get([1, 0]), t.block([1])), (3.0, &[3.0, 4.0][..]));
         assert_eq!(t, Tensor::from_vec(["row", "col"], [2, 2], vec![1.0, 2.0, 3.0, 4.0]).unwrap());
         *t.at_mut([0, 0]) = 9.0;
-        assert_eq!((t.get([0, 0]), (*lender).as_ref()[0]), (9.0, 1.0));
+        assert_eq!((t.get([0, 0]), lender.values()[0]), (9.0, 1.0));
         assert!(Tensor::lent(["row", "col"], [2, 3], lender.clone()).is_err());
         assert_eq!(Tensor::lent(["row"], [4], lender).unwrap().into_data(), [1.0, 2.0, 3.0, 4.0]);
     }

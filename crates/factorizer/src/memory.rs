@@ -1,5 +1,6 @@
 //! The memory that a factorization takes, estimated before it begins.
 
+use lumistack_core::pages::Window;
 use lumistack_display::{Backlight, Display, FieldGeometry, Sampling};
 
 use crate::factor::PAD;
@@ -25,11 +26,40 @@ const SMALL: u64 = 1 << 20;
 /// It does not include the caller's own target, which may be in a mapped file, nor the weights. A
 /// target whose values half floats cannot hold exactly is kept in f32, which takes twice as much.
 pub fn held_bytes(display: &Display, geometry: &FieldGeometry, threads: usize) -> u64 {
+    4 * target_bytes(geometry) / 3 + bytes_beside_target(display, geometry, threads)
+}
+
+/// As [`held_bytes`], if the caller's target is in a file. Then the factorizer's copy is in a file,
+/// too, of which about `window` bytes may be in memory.
+pub fn paged_bytes(display: &Display, geometry: &FieldGeometry, threads: usize, window: u64) -> u64 {
+    /// Bytes of a small page.
+    const PAGE: u64 = 4096;
+    /// References to the rows of a line while they are sorted.
+    const PLACES: u64 = 96;
+    let [view_rows, view_cols] = geometry.grid.views().map(|count| count as u64);
+    let (views, rows, threads) = (view_rows * view_cols, geometry.rows as u64, threads as u64);
+    let file = 2 * target_bytes(geometry);
+    // each thread reads the rays of one line at a time, or writes rows of a view
+    let row = 4 * (geometry.cols as u64 + 2 * PAD as u64);
+    let reading = views * row + view_rows * 2 * Window::NEIGHBOURS as u64;
+    let writing = 3 * rows * (row + 2 * PAGE);
+    let in_memory = (window + threads * reading.max(writing)).min(file);
+    in_memory
+        + PLACES * views * rows
+        + target_bytes(geometry) / 3
+        + bytes_beside_target(display, geometry, threads as usize)
+}
+
+/// Bytes of the factorizer's own copy of the target: half floats in padded rows.
+fn target_bytes(geometry: &FieldGeometry) -> u64 {
+    let [view_rows, view_cols] = geometry.grid.views().map(|count| count as u64);
+    2 * 3 * view_rows * view_cols * geometry.rows as u64 * (geometry.cols as u64 + 2 * PAD as u64)
+}
+
+fn bytes_beside_target(display: &Display, geometry: &FieldGeometry, threads: usize) -> u64 {
     let [view_rows, view_cols] = geometry.grid.views().map(|count| count as u64);
     let (rows, cols, threads) = (geometry.rows as u64, geometry.cols as u64, threads as u64);
     let (frames, pad) = (display.frames as u64, PAD as u64);
-    // the factorizer's own copy of the target is half floats in padded rows
-    let target = 2 * 3 * view_rows * view_cols * rows * (cols + 2 * pad);
     let factors = factors(display, geometry);
     // factors are f32 in padded lines, with one line more than the layer has
     let padded = |[factor_cols, factor_rows]: [u64; 2], reach: u64| {
@@ -56,10 +86,10 @@ pub fn held_bytes(display: &Display, geometry: &FieldGeometry, threads: usize) -
         (Backlight::Uniform, _) => lines * 2 * factors.len() as u64,
         (Backlight::Lenslets(_), _) => lines * (2 * factors.len() as u64 + view_cols * (factors.len() as u64 - 1)),
     };
-    // A coarser level has a quarter of the pixels, so all levels take 4/3 of the finest. Factors
-    // are held four times: the values that rays read, those before an extrapolation, the stored
-    // ones and a spare. The patterns are held as tensors before and after the run.
-    4 * (target + 4 * patterns + sums + tables) / 3 + 2 * patterns + threads * expanded + SMALL
+    // A coarser level has a quarter of the pixels, so all levels take 4/3 of the finest. The four
+    // times of the factors are: the values that rays read, those before an extrapolation, the
+    // stored ones and a spare. The patterns are held as tensors before and after the run.
+    4 * (4 * patterns + sums + tables) / 3 + 2 * patterns + threads * expanded + SMALL
 }
 
 /// Columns and rows of every layer and the backlight, and the number of columns past their edges

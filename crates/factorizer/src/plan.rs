@@ -76,7 +76,7 @@ impl Plan {
     /// Builds the tables, and checks the problem.
     pub(crate) fn new(problem: &Problem) -> Result<Self, FactorizeError> {
         problem.check_all_but_target()?;
-        let target = Target::new(problem);
+        let target = Target::new(problem)?;
         if target.may_be_infinite() {
             problem.check_target()?;
         }
@@ -86,7 +86,7 @@ impl Plan {
     /// As [`Self::new`] for a tile; `map` maps the tile's rays to its pixels.
     pub(crate) fn of_tile(problem: &Problem, map: &RayMap, tile: TilePlace) -> Result<Self, FactorizeError> {
         problem.check_all_but_target()?;
-        let target = Target::new(problem);
+        let target = Target::new(problem)?;
         if target.may_be_infinite() {
             problem.check_target()?;
         }

@@ -41,21 +41,19 @@ impl Problem<'_> {
 
     /// Checks that every value of the target is finite.
     pub(crate) fn check_target(&self) -> Result<(), FactorizeError> {
-        let radiance = self.target.radiance();
-        if bands::all(radiance.data(), |part| part.iter().all(|value| value.is_finite())) {
-            return Ok(());
+        let geometry = self.target.geometry();
+        // view by view, since the target may be in a file
+        for view in geometry.grid.iter() {
+            let values = self.target.view(view);
+            if bands::all(values, |part| part.iter().all(|value| value.is_finite())) {
+                continue;
+            }
+            let at = values.iter().position(|value| !value.is_finite()).unwrap_or(0);
+            let (pixel, channel) = (at / 3, ["red", "green", "blue"][at % 3]);
+            let (row, col) = (pixel / geometry.cols, pixel % geometry.cols);
+            return Err(FactorizeError::Target { view, row, col, channel, found: values[at] });
         }
-        let at = radiance.data().iter().position(|value| !value.is_finite()).unwrap_or(0);
-        let [_, view_cols, rows, cols, channels] = radiance.shape();
-        let (pixel, channel) = (at / channels, at % channels);
-        let view = pixel / (rows * cols);
-        Err(FactorizeError::Target {
-            view: [view / view_cols, view % view_cols],
-            row: pixel / cols % rows,
-            col: pixel % cols,
-            channel: ["red", "green", "blue"][channel],
-            found: radiance.data()[at],
-        })
+        Ok(())
     }
 
     fn check_size(&self) -> Result<(), FactorizeError> {
@@ -127,6 +125,12 @@ pub enum FactorizeError {
         /// Name of the device.
         device: String,
         /// The reason.
+        why: String,
+    },
+    /// The file for the solver's copy of a target that is in a file cannot be written.
+    #[error("the solver's copy of the light field, in a file: {why}")]
+    Storage {
+        /// The system's reason.
         why: String,
     },
     /// The caller cancelled the task.

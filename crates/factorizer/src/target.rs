@@ -1,17 +1,21 @@
-//! The target and the weights in the order of the inner loops: `[channel][view][row][x]`, rows
-//! padded on both sides.
+//! The target and the weights in the order of the inner loops, rows padded on both sides.
+//!
+//! The target is `[channel][row][view][x]`: the rays through a line of a layer lie in a band of
+//! rows. So updates go through the target from one end to the other. A target in a file is then in
+//! memory only band by band.
 
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use lumistack_core::pages::prefer_large_pages;
+use lumistack_core::Tensor;
+use lumistack_core::pages::{Array, Plain, prefer_large_pages};
 use lumistack_display::{FieldGeometry, Weights};
 use lumistack_simd::{Backend, Kernel, Lanes};
 
 use crate::bands;
 use crate::factor::PAD;
-use crate::problem::Problem;
+use crate::problem::{FactorizeError, Problem};
 use crate::row::{Cover, Row, RowMut};
 use crate::rows::RowFunctions;
 
@@ -37,8 +41,8 @@ pub(crate) struct Target {
 /// L, in 16 bits if half floats hold it exactly: the inner loops wait for memory.
 #[derive(Clone, Debug)]
 enum Radiance {
-    Half(Vec<u16>),
-    Float(Vec<f32>),
+    Half(Arc<Array<u16>>),
+    Float(Arc<Array<f32>>),
     Lent(Lent),
 }
 
@@ -69,25 +73,28 @@ enum RayWeights {
 }
 
 impl Target {
-    /// Copies the problem's target and weights.
-    pub(crate) fn new(problem: &Problem) -> Self {
+    /// Copies the problem's target and weights. The copy of a target in a file is in a file, too.
+    ///
+    /// # Errors
+    /// If that file cannot be written.
+    pub(crate) fn new(problem: &Problem) -> Result<Self, FactorizeError> {
         let geometry = problem.target.geometry();
         let (rows, cols) = (geometry.rows, geometry.cols);
         let [view_rows, view_cols] = geometry.grid.views();
         let views = view_rows * view_cols;
         let stride = PAD + cols + PAD;
-        let radiance = problem.target.radiance().data();
-        // use half floats if they hold all values exactly, otherwise f32
+        let radiance = problem.target.radiance();
+        // half floats if they hold all values exactly, else f32
         let halve = Backend::best().function::<Halve>();
         // SAFETY: the kernel has no requirements
-        let halves = rows_of(radiance, cols, stride, |from, to| unsafe { halve((from, to)) });
+        let halves = rows_of(radiance, stride, |from, to| unsafe { halve((from, to)) })?;
         let values = match halves {
-            Some(halves) => Radiance::Half(halves),
-            None => Radiance::Float(rows_of(radiance, cols, stride, apart).unwrap_or_default()),
+            Some(halves) => Radiance::Half(Arc::new(halves)),
+            None => Radiance::Float(Arc::new(rows_of(radiance, stride, apart)?.unwrap_or(Array::Held(Vec::new())))),
         };
         let (weights, weight_scale) = ray_weights(problem.weights, [views, rows, cols], stride);
         let brightness = problem.display.brightness as f32;
-        Self { stride, rows, views, channels: 3, values, brightness, weights, weight_scale }
+        Ok(Self { stride, rows, views, channels: 3, values, brightness, weights, weight_scale })
     }
 
     /// One channel of half floats that stay where they are; all weights are 1.
@@ -124,8 +131,8 @@ impl Target {
         let (stride, fine_cols) = (PAD + cols.len() + PAD, self.stride - 2 * PAD);
         // compute one coarse row: mix three fine rows, then three columns of the mixture
         let mix = |mixed: &mut Vec<f32>, index: usize, to: RowMut| {
-            let (picture, (first, shares)) = (index / rows.len(), rows[index % rows.len()]);
-            let (channel, view) = (picture / views.len(), views[picture % views.len()]);
+            let (line, view) = (index / views.len(), views[index % views.len()]);
+            let (channel, (first, shares)) = (line / rows.len(), rows[line % rows.len()]);
             let fine = shares.iter().enumerate().filter(|(_, share)| **share > 0.0);
             let fine = fine.map(|(k, &share)| (self.row(channel, view, first + k).part(0..fine_cols), share));
             functions.average(&fine.collect::<Vec<_>>(), cols, mixed, to);
@@ -140,14 +147,14 @@ impl Target {
             bands::for_each_chunk(&mut values, stride, scratch, |mixed, index, row| {
                 mix(mixed, index, RowMut::Float(&mut row[inner.clone()]));
             });
-            Radiance::Float(values)
+            Radiance::Float(Arc::new(Array::Held(values)))
         } else {
             let mut values = vec![0u16; len];
             prefer_large_pages(&values);
             bands::for_each_chunk(&mut values, stride, scratch, |mixed, index, row| {
                 mix(mixed, index, RowMut::Half(&mut row[inner.clone()]));
             });
-            Radiance::Half(values)
+            Radiance::Half(Arc::new(Array::Held(values)))
         };
         // weights w are averaged, not their roots
         let weights = match &self.weights {
@@ -189,17 +196,18 @@ impl Target {
     /// One padded row of L; column c is at [`PAD`] + c.
     #[inline(always)]
     pub(crate) fn row(&self, channel: usize, view: usize, row: usize) -> Row<'_> {
-        let index = (channel * self.views + view) * self.rows + row;
-        let at = index * self.stride;
+        let at = ((channel * self.rows + row) * self.views + view) * self.stride;
         match &self.values {
-            Radiance::Half(values) => Row::Half(&values[at..at + self.stride]),
-            Radiance::Float(values) => Row::Float(&values[at..at + self.stride]),
-            Radiance::Lent(lent) if index == 0 => Row::Half(&lent.first),
-            Radiance::Lent(lent) if index + 1 == self.views * self.rows => Row::Half(&lent.last),
-            Radiance::Lent(lent) => {
-                let at = index * (self.stride - 2 * PAD) - PAD;
-                Row::Half(&(*lent.values).as_ref()[at..at + self.stride])
-            }
+            Radiance::Half(values) => Row::Half(values.part(at..at + self.stride)),
+            Radiance::Float(values) => Row::Float(values.part(at..at + self.stride)),
+            Radiance::Lent(lent) => match view * self.rows + row {
+                0 => Row::Half(&lent.first),
+                index if index + 1 == self.views * self.rows => Row::Half(&lent.last),
+                index => {
+                    let at = index * (self.stride - 2 * PAD) - PAD;
+                    Row::Half(&(*lent.values).as_ref()[at..at + self.stride])
+                }
+            },
         }
     }
 
@@ -225,39 +233,45 @@ impl Target {
     }
 }
 
-/// Sorts `[view][row][col][rgb]` into padded rows `[channel][view][row][x]`.
+/// Sorts `[view_y][view_x][row][col][rgb]` into padded rows `[channel][row][view][x]`.
 ///
 /// `convert` fills one row per channel. It returns false if T cannot hold a value; then the result
 /// is `None`.
-fn rows_of<T: Copy + Default + Send>(
-    radiance: &[f32],
-    cols: usize,
+fn rows_of<T: Plain>(
+    radiance: &Tensor<5>,
     stride: usize,
     convert: impl Fn(&[f32], [&mut [T]; 3]) -> bool + Sync + Send,
-) -> Option<Vec<T>> {
-    let lines = radiance.len() / (3 * cols);
-    let mut values = vec![T::default(); 3 * lines * stride];
-    prefer_large_pages(&values);
+) -> Result<Option<Array<T>>, FactorizeError> {
+    let [view_rows, view_cols, rows, cols, _] = radiance.shape();
+    let views = view_rows * view_cols;
+    let lines = views * rows;
+    let mut array = Array::zeros(3 * lines * stride, radiance.storage())
+        .map_err(|error| FactorizeError::Storage { why: error.to_string() })?;
+    let (values, window) = array.all_mut();
     let (red, rest) = values.split_at_mut(lines * stride);
     let (green, blue) = rest.split_at_mut(lines * stride);
     let channels = red.chunks_exact_mut(stride).zip(green.chunks_exact_mut(stride)).zip(blue.chunks_exact_mut(stride));
-    let mut rows: Vec<_> = channels.map(|((red, green), blue)| [red, green, blue]).collect();
+    let mut places: Vec<_> = channels.map(|((red, green), blue)| [red, green, blue]).collect();
+    // in the order of the given values, since those may be in a file as well
+    let place = |line: usize| std::mem::take(&mut places[line % rows * views + line / rows]);
+    let mut places: Vec<_> = (0..lines).map(place).collect();
     let complete = AtomicBool::new(true);
     bands::for_each_chunk(
-        &mut rows,
+        &mut places,
         1,
         || (),
-        |(), line, rows| {
+        |(), line, places| {
             if !complete.load(Ordering::Relaxed) {
                 return;
             }
-            let rows = rows[0].each_mut().map(|row| &mut row[PAD..PAD + cols]);
-            if !convert(&radiance[line * cols * 3..][..cols * 3], rows) {
+            window.into_iter().for_each(|window| window.announce(3 * stride * size_of::<T>()));
+            let places = places[0].each_mut().map(|row| &mut row[PAD..PAD + cols]);
+            if !convert(radiance.part(line * cols * 3..(line + 1) * cols * 3), places) {
                 complete.store(false, Ordering::Relaxed);
             }
         },
     );
-    complete.into_inner().then_some(values)
+    Ok(complete.into_inner().then_some(array))
 }
 
 /// Splits pixels into one row per channel.

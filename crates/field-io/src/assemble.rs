@@ -1,5 +1,5 @@
-//! Assembles a light field in memory from a source: selects views, focuses them, crops and reduces
-//! their pixels, and checks values.
+//! Assembles a light field in memory or in a file from a source: selects views, focuses, crops and
+//! reduces, checks values.
 //!
 //! A camera at position p (in steps, right and up) sees content of disparity k (pixels per step)
 //! shifted by k·p pixels. The shift is to the left and downwards, relative to the central camera.
@@ -15,6 +15,7 @@ use crate::FieldError;
 use crate::disparity::{self, Motion};
 use crate::geometry::{self, GeometryDefaults, GeometryFlags, Pixels, pick};
 use crate::npy::reserved;
+use crate::paged::FieldWriter;
 use crate::prefilter::{self, Footprint, Shares};
 use crate::resample::{Rect, area};
 use crate::source::Source;
@@ -38,7 +39,24 @@ pub struct LeftOut {
     pub radiance: Vec<f32>,
 }
 
-/// The views and pixels of a source that are read, and the geometry of the result.
+/// How a light field is read.
+#[derive(Clone, Copy, Default)]
+pub struct Reading<'a> {
+    /// The display's footprint, for [`GeometryFlags::prefilter`].
+    pub footprint: Option<Footprint<'a>>,
+    /// Greatest number of views between the kept ones that are read too.
+    pub most_left_out: usize,
+    /// For light fields that memory shall not hold: a folder for the file, and the bytes that may
+    /// be in memory.
+    pub paging: Option<Paging<'a>>,
+    /// Changes every view, `[row][col][rgb]`, after it is read.
+    pub change: Option<&'a dyn Fn(&mut [f32])>,
+}
+
+/// Decides by geometry where a light field is kept; `None` keeps it in memory.
+pub type Paging<'a> = &'a dyn Fn(&FieldGeometry) -> Option<(&'a Path, usize)>;
+
+/// The parts of a source to read, and their geometry.
 pub(crate) struct Plan {
     /// Kept views: [view rows, view columns].
     picks: [Vec<usize>; 2],
@@ -71,42 +89,48 @@ pub(crate) fn assemble(
     source: &mut Source,
     flags: &GeometryFlags,
     defaults: &GeometryDefaults,
-    footprint: Option<Footprint<'_>>,
-    most_left_out: usize,
+    reading: Reading<'_>,
     task: Task<'_>,
 ) -> Result<(LightField, Vec<LeftOut>), FieldError> {
     let path = source.path.clone();
     let Plan { picks, window, geometry } = plan(source, flags, defaults, task)?;
-    let averaged = averaged(source, flags, footprint, &picks, &window, &geometry, task)?;
+    let averaged = averaged(source, flags, reading.footprint, &picks, &window, &geometry, task)?;
     let shape = LightField::shape_of(&geometry);
     let count = Tensor::element_count(shape)
         .ok_or_else(|| FieldError::malformed(&path, "size", "an array that fits in memory", format!("{shape:?}")))?;
-    // Reserve memory for the result, and read views one at a time.
-    let mut data = reserved(&path, count)?;
+    // Reserve a place for the result, and read views one at a time.
+    let place = reading.paging.and_then(|paging| paging(&geometry));
+    let mut all = match place {
+        // memory is reserved here and touched later: a header may claim any size
+        None => FieldWriter::Held { geometry: geometry.clone(), values: reserved(&path, count)? },
+        Some(_) => FieldWriter::begin(geometry.clone(), place)?,
+    };
     let length = count / (shape[0] * shape[1]);
     let mut range = Range::default();
-    let mut one = Vec::new();
-    let others = left_out(source, &picks, &geometry, most_left_out);
+    let change = |view: &mut [f32]| reading.change.into_iter().for_each(|change| change(view));
+    let (mut part, mut one) = (Vec::new(), Vec::new());
+    let others = left_out(source, &picks, &geometry, reading.most_left_out);
     task.progress.begin("read views", (shape[0] * shape[1] + others.len()) as u64, "views");
     for index in 0..shape[0] * shape[1] {
         task.cancel.check()?;
+        part.clear();
         let [of_row, of_col] = [&averaged[0][index / shape[1]], &averaged[1][index % shape[1]]];
         let views: Vec<([usize; 2], f32)> =
             of_row.iter().flat_map(|y| of_col.iter().map(move |x| ([y.0, x.0], y.1 * x.1))).collect();
         for (view, share) in &views {
             let mut values = source.reader.load(*view)?;
             check_values(source, *view, &mut values, &mut range)?;
-            // memory is touched only after the view is read, since a header may claim any size
-            data.resize((index + 1) * length, 0.0);
-            let part = &mut data[index * length..];
+            part.resize(length, 0.0);
             if views.len() == 1 {
-                area(&values, source.size, window.rect(*view), window.out_size, part);
+                area(&values, source.size, window.rect(*view), window.out_size, &mut part);
                 continue;
             }
             one.resize(length, 0.0);
             area(&values, source.size, window.rect(*view), window.out_size, &mut one);
             part.iter_mut().zip(&one).for_each(|(sum, value)| *sum += share * value);
         }
+        change(&mut part);
+        all.write(&part)?;
         task.progress.advance(1, "");
     }
     // Read the views between the kept ones in the same geometry.
@@ -117,15 +141,13 @@ pub(crate) fn assemble(
         check_values(source, view, &mut values, &mut range)?;
         let mut radiance = vec![0.0; length];
         area(&values, source.size, window.rect(view), window.out_size, &mut radiance);
+        change(&mut radiance);
         left_out.push(LeftOut { grid, radiance });
         task.progress.advance(1, "");
     }
     task.progress.end();
     range.warn(&path, task);
-    let radiance = Tensor::from_vec(LightField::AXES, shape, data)
-        .map_err(|error| FieldError::malformed(&path, "size", shape_text(shape), error.to_string()))?;
-    let field = LightField::new(geometry, radiance).map_err(FieldError::geometry(&path))?;
-    Ok((field, left_out))
+    Ok((all.finish(&path)?, left_out))
 }
 
 /// Up to `most` views between the kept ones, with their slopes, evenly spread.
@@ -209,10 +231,6 @@ fn averaged(
         task.warn(geometry::place(&source.path), message);
     }
     Ok(shares)
-}
-
-fn shape_text(shape: [usize; 5]) -> String {
-    format!("{shape:?}")
 }
 
 fn picks(source: &Source, flags: &GeometryFlags) -> Result<[Vec<usize>; 2], FieldError> {

@@ -26,7 +26,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use crate::assemble::{LARGEST, assemble};
+use crate::assemble::{LARGEST, Reading, assemble};
 use crate::cameras::PictureGrid;
 use crate::geometry::{GeometryDefaults, GeometryFlags, GeometryJson};
 use crate::index::{check_schema, parse_json, read_index, write_json};
@@ -251,7 +251,8 @@ pub fn read_field_folder(folder: &Path) -> Result<(LightField, Map<String, Value
     let info = std::mem::take(&mut source.info);
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
-    let (field, _) = assemble(&mut source, &GeometryFlags::default(), &GeometryDefaults::default(), None, 0, task)?;
+    let (flags, defaults) = (GeometryFlags::default(), GeometryDefaults::default());
+    let (field, _) = assemble(&mut source, &flags, &defaults, Reading::default(), task)?;
     Ok((field, info))
 }
 

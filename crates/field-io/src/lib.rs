@@ -29,6 +29,7 @@ mod mapped;
 pub mod npy;
 pub mod npz;
 mod open;
+mod paged;
 pub mod picture;
 mod prefilter;
 mod quilt;
@@ -37,7 +38,7 @@ mod source;
 mod stack;
 mod stack_writer;
 
-pub use assemble::LeftOut;
+pub use assemble::{LeftOut, Paging, Reading};
 pub use describe::{Description, describe};
 pub use error::FieldError;
 pub use folder::{
@@ -46,7 +47,8 @@ pub use folder::{
 };
 pub use geometry::{GeometryDefaults, GeometryFlags};
 pub use lumistack_display::{BacklightEntry, LayerEntry, StackIndex};
-pub use open::{geometry_of, open, open_for};
+pub use open::{geometry_of, open, open_for, picture_bytes};
+pub use paged::{FieldWriter, Paged, storage};
 pub use prefilter::Footprint;
 pub use source::Kind;
 pub use stack::{read_stack, read_stack_index, write_stack};

@@ -6,10 +6,10 @@ use lumistack_core::Task;
 use lumistack_display::{FieldGeometry, LightField};
 
 use crate::FieldError;
-use crate::assemble::{LeftOut, assemble, plan};
+use crate::assemble::{LeftOut, Reading, assemble, plan};
 use crate::detect::detect;
 use crate::geometry::{GeometryDefaults, GeometryFlags};
-use crate::prefilter::Footprint;
+use crate::picture::{Picture, has_picture_extension};
 
 /// Reads a light field of any kind.
 ///
@@ -27,26 +27,26 @@ pub fn open(
     defaults: &GeometryDefaults,
     task: Task<'_>,
 ) -> Result<LightField, FieldError> {
-    open_for(path, flags, defaults, None, 0, task).map(|(field, _)| field)
+    open_for(path, flags, defaults, Reading::default(), task).map(|(field, _)| field)
 }
 
-/// Reads a light field as [`open`] does, for a display. With [`GeometryFlags::prefilter`] every
-/// kept view is averaged with its neighbours over the display's footprint. Also returns up to
-/// `most_left_out` views between the kept ones.
+/// As [`open`], for a display. With [`GeometryFlags::prefilter`] every kept view is averaged with
+/// its neighbours over the display's footprint. Also returns views between the kept ones, at most
+/// [`Reading::most_left_out`].
 ///
 /// # Errors
-/// The errors of [`open`], and if a prefilter is requested without a footprint.
+/// Those of [`open`], if a prefilter is requested without a footprint, and if the file of a large
+/// light field cannot be written.
 pub fn open_for(
     path: &Path,
     flags: &GeometryFlags,
     defaults: &GeometryDefaults,
-    footprint: Option<Footprint<'_>>,
-    most_left_out: usize,
+    reading: Reading<'_>,
     task: Task<'_>,
 ) -> Result<(LightField, Vec<LeftOut>), FieldError> {
     let mut source = detect(path, flags, task)?;
     source.mirror(flags.mirror);
-    assemble(&mut source, flags, defaults, footprint, most_left_out, task)
+    assemble(&mut source, flags, defaults, reading, task)
 }
 
 /// The geometry of the light field that [`open`] would return, without reading all pictures.
@@ -62,4 +62,14 @@ pub fn geometry_of(
     let mut source = detect(path, flags, task)?;
     source.mirror(flags.mirror);
     plan(&mut source, flags, defaults, task).map(|plan| plan.geometry)
+}
+
+/// Upper bound of the bytes that the decoded file of a light field takes while views are read from
+/// it: 0 unless all views are in one picture.
+pub fn picture_bytes(path: &Path) -> u64 {
+    // a picture has at most four floats a pixel, and half as much while it is decoded
+    const BYTES: u64 = 24;
+    let is_picture = path.is_file() && has_picture_extension(path);
+    let size = is_picture.then(|| Picture::size_of(path).ok()).flatten();
+    size.map_or(0, |[cols, rows]| BYTES * (cols * rows) as u64)
 }

@@ -259,7 +259,7 @@ impl Job {
         own.into_iter().chain(of_nodes).flatten()
     }
 
-    /// Returns the display of the job. Automatic views are chosen within the job's memory limit.
+    /// Returns the display of the job, with automatic views chosen.
     ///
     /// # Errors
     /// If the preset is unknown, the file does not parse, or a changed value is out of range.
@@ -269,12 +269,12 @@ impl Job {
         Ok(display.with_views_chosen(most))
     }
 
-    /// Maximum number of views of a display: limited by the job's memory, and by time if Blender
-    /// may render them.
+    /// Maximum number of views that a display chooses: limited by time. If Blender may render them,
+    /// that is minutes a view.
     pub(crate) fn most_views(&self, display: &Display) -> usize {
         let [cols, rows] = display.field.resolution;
-        let affordable = self.render.affordable_views(cols * rows);
-        if self.may_render_in_blender() { affordable.min(MOST_OF_BLENDER) } else { affordable }
+        let most = RenderJob::most_chosen_views(cols * rows);
+        if self.may_render_in_blender() { most.min(MOST_OF_BLENDER) } else { most }
     }
 
     /// The job, with values for those automatic settings that depend on the display's views.

@@ -6,7 +6,7 @@ use lumistack_core::tone::ToneCurve;
 use lumistack_core::{Task, Warning};
 use lumistack_display::{Display, FieldGeometry, LEAST_DIRECTIONS, LayerStack, LightField, Weights};
 use lumistack_factorizer::{Factorization, Iteration, Problem};
-use lumistack_field_io::{GeometryDefaults, GeometryFlags};
+use lumistack_field_io::{GeometryDefaults, GeometryFlags, Reading};
 use lumistack_plugin_host::{OutputContext, OutputData, Registry, Time};
 use lumistack_report::{DepthBudget, ReportInput, Solution};
 use lumistack_shot::ToneMapping;
@@ -97,7 +97,8 @@ pub fn open_field(
     let footprint = display.map(|display| move |geometry: &FieldGeometry| read::adapted_footprint(display, geometry));
     let footprint = footprint.as_ref().map(|footprint| footprint as lumistack_field_io::Footprint<'_>);
     let most = if flags.views.is_some() { LEAST_DIRECTIONS } else { 0 };
-    let read = lumistack_field_io::open_for(path, flags, &defaults, footprint, most, task);
+    let reading = Reading { footprint, most_left_out: most, ..Reading::default() };
+    let read = lumistack_field_io::open_for(path, flags, &defaults, reading, task);
     let (field, left_out) = read.map_err(field_error)?;
     let references = References::left_out(field.geometry(), left_out);
     Ok((field, references))

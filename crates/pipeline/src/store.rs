@@ -8,7 +8,7 @@
 //! folder     takes a folder for a job            left_overs     files of killed runs
 //! used       files that the last run used        clean          removes the other ones
 //! handover   scenes that Blender exported        plugin_files   files in parameters of plugins
-//! paged      light fields larger than memory     farm           finished units of work
+//! farm       finished units of work
 //! ```
 
 pub(crate) mod clean;
@@ -21,7 +21,6 @@ pub(crate) mod key;
 pub(crate) mod left_overs;
 pub(crate) mod lock;
 pub(crate) mod names;
-pub(crate) mod paged;
 pub(crate) mod plugin_files;
 pub(crate) mod settings;
 pub(crate) mod stamps;

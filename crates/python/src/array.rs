@@ -85,7 +85,7 @@ impl Values {
     pub(crate) fn into_parts(self) -> (Vec<usize>, Vec<f32>) {
         let data = match self.data {
             Data::Own(data) => data,
-            Data::Lent(lender) => (*lender).as_ref().to_vec(),
+            Data::Lent(lender) => lender.values().to_vec(),
         };
         (self.shape, data)
     }

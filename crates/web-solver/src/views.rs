@@ -190,7 +190,7 @@ impl Views {
             };
             for (number, (&place, split)) in places.iter().zip(&splits).enumerate() {
                 let radiance = match &shared {
-                    Some(shared) => shared[number].on(split),
+                    Some(shared) => shared.on(number, split),
                     None => split.radiance(),
                 };
                 field.view_mut(place).copy_from_slice(radiance.data());

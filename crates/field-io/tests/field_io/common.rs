@@ -37,7 +37,10 @@ pub fn open(
 pub fn open_for(path: &Path, flags: &GeometryFlags, width: [f64; 2]) -> (Result<LightField, FieldError>, Vec<String>) {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
-    let result = lumistack_field_io::open_for(path, flags, &defaults(), Some(&|_| width), 0, task);
+    let result = {
+        let reading = lumistack_field_io::Reading { footprint: Some(&|_| width), ..Default::default() };
+        lumistack_field_io::open_for(path, flags, &defaults(), reading, task)
+    };
     (result.map(|(field, _)| field), warnings.take().iter().map(ToString::to_string).collect())
 }
 

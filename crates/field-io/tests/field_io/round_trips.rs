@@ -182,7 +182,8 @@ fn views_between_those_that_are_kept_are_given_when_wanted() {
         let (warnings, cancel) = (lumistack_core::Collector::default(), lumistack_core::Cancel::default());
         let open = |most| {
             let task = lumistack_core::Task::quiet(&warnings, &cancel);
-            lumistack_field_io::open_for(folder.path(), &flags, &defaults(), None, most, task).unwrap()
+            let reading = lumistack_field_io::Reading { most_left_out: most, ..Default::default() };
+            lumistack_field_io::open_for(folder.path(), &flags, &defaults(), reading, task).unwrap()
         };
         let (kept, others) = open(100);
         // columns 0, 3, 6 and rows 0, 4 of 7 × 5 are kept

@@ -47,19 +47,10 @@ struct Header {
     channels: Channels,
 }
 
-<<<<<<< HEAD:crates/gltf/src/ktx2.rs
-/// Width and height of the largest level; its texels are added to the budget.
-pub(crate) fn size(document: &Document<'_>, bytes: &[u8], place: &str) -> Result<[usize; 2], Fault> {
-    let Header { width, height, .. } = Header::read(bytes, place)?;
-    let texels = format!("{width} × {height} texels");
-    document.spend_on_picture(place, u64::from(width) * u64::from(height) * 4, &texels)?;
-    Ok([width as usize, height as usize])
-=======
 /// Width and height of the largest level.
 pub(super) fn size(bytes: &[u8]) -> Result<[u32; 2], Unsound> {
     let Header { width, height, .. } = Header::read(bytes)?;
     Ok([width, height])
->>>>>>> s-page:crates/gltf/src/unpack/ktx2.rs
 }
 
 /// Refuses the picture, since this build has no decoder.
@@ -71,19 +62,11 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Pixels, Unsound> {
 
 /// Decodes the largest level.
 #[cfg(feature = "ktx2")]
-<<<<<<< HEAD:crates/gltf/src/ktx2.rs
-pub(crate) fn decode(bytes: &[u8], place: &str) -> Result<Pixels, Fault> {
-    let Header { width, height, channels } = Header::read(bytes, place)?;
-    let broken = |error| Fault::new(place, "a sound Basis Universal picture", format!("{error:?}"));
-    // the key/value data is irrelevant for texels, and the decoder trusts the length of its last
-    // entry
-=======
 pub(super) fn decode(bytes: &[u8]) -> Result<Pixels, Unsound> {
     let Header { width, height, channels } = Header::read(bytes)?;
     let broken = |error| Unsound::new("a sound Basis Universal picture", format!("{error:?}"));
     // notes on the file say nothing about its texels, and the decoder trusts the length of the last
     // one
->>>>>>> s-page:crates/gltf/src/unpack/ktx2.rs
     let mut noteless = bytes.to_vec();
     noteless[NOTES].fill(0);
     let transcoder = Transcoder::new(&noteless).map_err(broken)?;
@@ -101,20 +84,11 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Pixels, Unsound> {
 }
 
 impl Header {
-<<<<<<< HEAD:crates/gltf/src/ktx2.rs
-    /// Reads the fields of the header that are used, and checks every range in it.
-    fn read(bytes: &[u8], place: &str) -> Result<Self, Fault> {
-        let fault =
-            |expected: &str, found: String| Err(Fault::new(place, format!("a KTX2 picture with {expected}"), found));
-        let truncated = || Fault::new(place, "a whole KTX2 file", format!("{} bytes", bytes.len()));
-        let word = |at: usize| -> Result<u32, Fault> {
-=======
     /// Reads the header's fields that matter and checks every range in it.
     fn read(bytes: &[u8]) -> Result<Self, Unsound> {
         let fault = |expected: &str, found: String| Err(Unsound::new(format!("a KTX2 picture with {expected}"), found));
         let truncated = || Unsound::new("a whole KTX2 file", format!("{} bytes", bytes.len()));
         let word = |at: usize| -> Result<u32, Unsound> {
->>>>>>> s-page:crates/gltf/src/unpack/ktx2.rs
             let found = bytes.get(at..).and_then(|tail| tail.first_chunk());
             found.map(|&word| u32::from_le_bytes(word)).ok_or_else(truncated)
         };
@@ -159,13 +133,8 @@ impl Header {
                 return fault(&format!("{needed} bytes in level {level}"), unpacked.to_string());
             }
         }
-<<<<<<< HEAD:crates/gltf/src/ktx2.rs
-        // channel numbers of the samples in the data format descriptor
-        let sample = |at: usize| -> Result<u32, Fault> { Ok((word(at)? >> 24) & 15) };
-=======
         // channel ids of the samples in the data format descriptor
         let sample = |at: usize| -> Result<u32, Unsound> { Ok((word(at)? >> 24) & 15) };
->>>>>>> s-page:crates/gltf/src/unpack/ktx2.rs
         let first = sample(descriptor + 28)?;
         let two_samples = word(52)? >= 60;
         let channels = match (model, first) {

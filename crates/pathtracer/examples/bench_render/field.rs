@@ -131,7 +131,8 @@ impl Kind {
                 let splits: Vec<_> = geometry.grid.iter().map(split).collect::<Result<_, _>>()?;
                 let mut light = SharedLight::new(geometry);
                 splits.iter().for_each(|split| light.add(split));
-                Ok(light.averaged(task)?.iter().zip(&splits).map(|(light, split)| light.on(split)).collect())
+                let mean = light.averaged(task)?;
+                Ok(splits.iter().enumerate().map(|(number, split)| mean.on(number, split)).collect())
             }
             Self::Guided => {
                 let half = |view, half: u64| {

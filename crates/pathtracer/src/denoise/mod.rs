@@ -54,7 +54,7 @@ use rayon::prelude::*;
 
 pub use figures::{Estimate, ViewFigures, figures};
 use frame::Frame;
-pub use shared::{SharedLight, ViewLight};
+pub use shared::{MeanLight, SharedLight};
 pub use view::{NoisyView, Window};
 
 /// Rows that are filtered together: the unit of work, of progress and of cancellation.

@@ -17,7 +17,10 @@
 //! one comparison. Averaging first over rows and then over columns takes as many steps as there are
 //! rows and columns. One average over all views would take the product of these numbers.
 
+use std::io;
+
 use glam::{DVec2, Vec3};
+use lumistack_core::pages::{Array, Plain, Storage, Window};
 use lumistack_core::{Cancelled, Task, Tensor};
 use lumistack_display::{FieldGeometry, Projection};
 #[cfg(feature = "parallel")]
@@ -34,41 +37,77 @@ const LEAST_COSINE: f32 = 0.8;
 /// be shared.
 const LEAST_REFLECTANCE: f32 = 0.02;
 
-/// Data of a pixel for the filter: 20 bytes, since the pixels of all views are in memory.
-#[derive(Clone, Copy)]
+/// Data of a pixel for the filter: 20 bytes, since it needs the pixels of all views.
+#[derive(Clone, Copy, Default)]
+#[repr(C)]
 struct Point {
     /// E from the pixel's own samples.
     light: [f32; 3],
     z_mm: f32,
     /// Unit normal, times 127.
     normal: [i8; 3],
-    /// True if the surface scatters light by Lambert's law.
-    is_lit: bool,
+    /// 1 if it scatters light by Lambert's law, else 0.
+    lit: u8,
 }
 
-/// Collects the light of a light field and averages it; needs 32 bytes for every ray meanwhile.
+// SAFETY: sixteen bytes of floats and four single bytes, without gaps
+unsafe impl Plain for Point {}
+
+/// The light of a light field that is to be shared, 32 bytes for every ray while it is.
 pub struct SharedLight<'a> {
     geometry: &'a FieldGeometry,
-    points: Vec<Vec<Point>>,
+    /// Number of views added.
+    added: usize,
+    /// `[view][row][col]`.
+    points: Array<Point>,
+    /// Mean E, `[view][row][col]`, once it is computed.
+    light: Array<[f32; 3]>,
 }
 
-/// E of every pixel of one view.
-pub struct ViewLight(Vec<[f32; 3]>);
+/// The mean light of every view.
+pub struct MeanLight {
+    /// E, `[view][row][col]`.
+    light: Array<[f32; 3]>,
+}
 
 impl<'a> SharedLight<'a> {
-    /// A collection without any view.
+    /// Bytes of a ray.
+    pub const BYTES_PER_RAY: u64 = (size_of::<Point>() + size_of::<[f32; 3]>()) as u64;
+
+    /// Starts without any view, in memory.
     pub fn new(geometry: &'a FieldGeometry) -> Self {
-        Self { geometry, points: Vec::new() }
+        Self { geometry, added: 0, points: Array::Held(Vec::new()), light: Array::Held(Vec::new()) }
+    }
+
+    /// Starts without any view, in two arrays of a storage. While light is averaged, each thread
+    /// also uses the points of one view.
+    ///
+    /// # Errors
+    /// If the storage is full.
+    pub fn in_storage(geometry: &'a FieldGeometry, storage: &Storage) -> io::Result<Self> {
+        let rays = geometry.grid.iter().count() * geometry.rows * geometry.cols;
+        let (points, light) = (Array::zeros(rays, Some(storage))?, Array::zeros(rays, Some(storage))?);
+        Ok(Self { geometry, added: 0, points, light })
     }
 
     /// Adds the next view of the grid.
     ///
     /// # Panics
-    /// If the view is not of the geometry's size.
+    /// If it is not of the geometry's size, or there are more views than the grid has.
     pub fn add(&mut self, view: &SplitView) {
         let [rows, cols] = view.size();
         assert_eq!([rows, cols], [self.geometry.rows, self.geometry.cols], "views of the geometry's size");
-        self.points.push((0..rows * cols).map(|i| Point::of(view, i / cols, i % cols)).collect());
+        let of_view = (0..rows * cols).map(|i| Point::of(view, i / cols, i % cols));
+        match &mut self.points {
+            Array::Held(points) => points.extend(of_view),
+            paged @ Array::Paged(_) => {
+                let (points, window) = paged.all_mut();
+                let place = &mut points[self.added * rows * cols..][..rows * cols];
+                announce(window, size_of_val(place));
+                place.iter_mut().zip(of_view).for_each(|(place, point)| *place = point);
+            }
+        }
+        self.added += 1;
     }
 
     /// The mean light of every view of the grid. Advances the progress twice for each view.
@@ -78,30 +117,44 @@ impl<'a> SharedLight<'a> {
     ///
     /// # Panics
     /// If not every view of the grid was added.
-    pub fn averaged(mut self, task: Task<'_>) -> Result<Vec<ViewLight>, Cancelled> {
+    pub fn averaged(mut self, task: Task<'_>) -> Result<MeanLight, Cancelled> {
         let [view_rows, view_cols] = self.geometry.grid.views();
-        assert_eq!(self.points.len(), view_rows * view_cols, "every view of the grid");
+        assert_eq!(self.added, view_rows * view_cols, "every view of the grid");
+        if let Array::Held(light) = &mut self.light {
+            *light = vec![[0.0; 3]; self.added * self.geometry.rows * self.geometry.cols];
+        }
         let of_row = |index: usize| (0..view_cols).map(|x| index / view_cols * view_cols + x).collect::<Vec<usize>>();
         let of_col = |index: usize| (0..view_rows).map(|y| y * view_cols + index % view_cols).collect::<Vec<usize>>();
-        let shared = pass(self.geometry, &self.points, of_row, task)?;
-        for (points, light) in self.points.iter_mut().zip(shared) {
-            points.iter_mut().zip(light.0).for_each(|(point, light)| point.light = light);
+        pass(self.geometry, &self.points, of_row, &mut self.light, task)?;
+        let ((points, of_points), (light, of_light)) = (self.points.all_mut(), self.light.all());
+        let cols = self.geometry.cols;
+        for (points, light) in points.chunks_mut(cols).zip(light.chunks(cols)) {
+            announce(of_points, size_of_val(points));
+            announce(of_light, size_of_val(light));
+            points.iter_mut().zip(light).for_each(|(point, light)| point.light = *light);
         }
-        pass(self.geometry, &self.points, of_col, task)
+        pass(self.geometry, &self.points, of_col, &mut self.light, task)?;
+        Ok(MeanLight { light: self.light })
     }
 }
 
-impl ViewLight {
-    /// The view with this light in place of its view-independent light, `[row][col][rgb]`.
-    pub fn on(&self, view: &SplitView) -> Tensor<3> {
+impl MeanLight {
+    /// A view of this number in the grid with the mean light instead of its own,
+    /// `[row][col][rgb]`.
+    pub fn on(&self, number: usize, view: &SplitView) -> Tensor<3> {
         let [rows, cols] = view.size();
         let mut radiance = Tensor::zeros(["row", "col", "rgb"], [rows, cols, 3]);
-        for (i, (rgb, light)) in radiance.data_mut().chunks_exact_mut(3).zip(&self.0).enumerate() {
+        let light = self.light.part(number * rows * cols..(number + 1) * rows * cols);
+        for (i, (rgb, light)) in radiance.data_mut().chunks_exact_mut(3).zip(light).enumerate() {
             let pixel = view.at(i / cols, i % cols);
             rgb.copy_from_slice(&(pixel.other + divisor(pixel.reflectance) * Vec3::from_array(*light)).to_array());
         }
         radiance
     }
+}
+
+fn announce(window: Option<&Window>, bytes: usize) {
+    window.into_iter().for_each(|window| window.announce(bytes));
 }
 
 impl Point {
@@ -111,8 +164,12 @@ impl Point {
             light: (pixel.diffuse / divisor(pixel.reflectance)).to_array(),
             z_mm: pixel.z_mm,
             normal: pixel.normal.to_array().map(|n| (127.0 * n).round() as i8),
-            is_lit: pixel.reflectance.max_element() > 0.0,
+            lit: u8::from(pixel.reflectance.max_element() > 0.0),
         }
+    }
+
+    fn is_lit(&self) -> bool {
+        self.lit != 0
     }
 
     fn normal(&self) -> Vec3 {
@@ -124,35 +181,55 @@ fn divisor(reflectance: Vec3) -> Vec3 {
     reflectance.max(Vec3::splat(LEAST_REFLECTANCE))
 }
 
-/// The mean of every pixel's light over the views of each list.
+/// Computes the mean of every pixel's light over the views of one list.
 fn pass(
     geometry: &FieldGeometry,
-    points: &[Vec<Point>],
+    points: &Array<Point>,
     partners: impl Fn(usize) -> Vec<usize> + Sync,
+    light: &mut Array<[f32; 3]>,
     task: Task<'_>,
-) -> Result<Vec<ViewLight>, Cancelled> {
-    let one = |index: usize| {
+) -> Result<(), Cancelled> {
+    let (light, of_light) = light.all_mut();
+    let one = |(index, light): (usize, &mut [[f32; 3]])| {
         task.cancel.check()?;
-        let light = of_view(geometry, points, index, &partners(index));
+        announce(of_light, size_of_val(light));
+        match points.all() {
+            (points, None) => of_view(geometry, points, &|_| {}, index, &partners(index), light),
+            (points, Some(window)) => {
+                let announce = |points: usize| window.announce(points * size_of::<Point>());
+                of_view(geometry, points, &announce, index, &partners(index), light);
+            }
+        }
         task.progress.advance(1, "");
-        Ok(light)
+        Ok(())
     };
+    let pixels = geometry.rows * geometry.cols;
     #[cfg(feature = "parallel")]
-    return (0..points.len()).into_par_iter().map(one).collect();
+    return light.par_chunks_mut(pixels).enumerate().try_for_each(one);
     #[cfg(not(feature = "parallel"))]
-    (0..points.len()).map(one).collect()
+    light.chunks_mut(pixels).enumerate().try_for_each(one)
 }
 
-fn of_view(geometry: &FieldGeometry, points: &[Vec<Point>], index: usize, partners: &[usize]) -> ViewLight {
+/// Computes the mean light of one view over its partners. `announce` receives the number of points
+/// that were used.
+fn of_view(
+    geometry: &FieldGeometry,
+    points: &[Point],
+    announce: &impl Fn(usize),
+    index: usize,
+    partners: &[usize],
+    light: &mut [[f32; 3]],
+) {
     let (rows, cols, pitch) = (geometry.rows, geometry.cols, geometry.pitch_mm);
     let grid = &geometry.grid;
     let view_cols = grid.slope_x.len();
     let slope_of = |view: usize| DVec2::new(grid.slope_x[view % view_cols], grid.slope_y[view / view_cols]);
-    let own = &points[index];
-    let mut light = Vec::with_capacity(own.len());
+    let of_view = |view: usize| &points[view * rows * cols..][..rows * cols];
+    let own = of_view(index);
     let (mut sums, mut weights) = (vec![Vec3::ZERO; cols], vec![0.0f32; cols]);
-    for row in 0..rows {
+    for (row, light) in light.chunks_exact_mut(cols).enumerate() {
         let line = &own[row * cols..][..cols];
+        announce(cols);
         // begin with the view's own light
         for ((sum, weight), point) in sums.iter_mut().zip(&mut weights).zip(line) {
             (*sum, *weight) = (Vec3::from_array(point.light), 1.0);
@@ -161,9 +238,10 @@ fn of_view(geometry: &FieldGeometry, points: &[Vec<Point>], index: usize, partne
             // add the light of every other view that sees the same point
             let turn = (slope_of(index) - slope_of(other)) / pitch;
             let (turn_x, turn_y) = (turn.x as f32, turn.y as f32);
-            let seen = &points[other];
+            let seen = of_view(other);
+            let (mut first, mut last) = (usize::MAX, 0);
             for (col, point) in line.iter().enumerate() {
-                if !point.is_lit {
+                if !point.is_lit() {
                     continue;
                 }
                 let normal = point.normal();
@@ -177,8 +255,10 @@ fn of_view(geometry: &FieldGeometry, points: &[Vec<Point>], index: usize, partne
                 if !(x >= 0.0 && y >= 0.0 && x < cols as f32 && y < rows as f32) {
                     continue;
                 }
-                let there = &seen[y as usize * cols + x as usize];
-                if !there.is_lit || normal.dot(there.normal()) < LEAST_COSINE {
+                let at = y as usize * cols + x as usize;
+                (first, last) = (first.min(at), last.max(at));
+                let there = &seen[at];
+                if !there.is_lit() || normal.dot(there.normal()) < LEAST_COSINE {
                     continue;
                 }
                 // up to a pixel's rounding both points are on the ray of p, so they differ only in
@@ -189,8 +269,10 @@ fn of_view(geometry: &FieldGeometry, points: &[Vec<Point>], index: usize, partne
                 sums[col] += weight * Vec3::from_array(there.light);
                 weights[col] += weight;
             }
+            announce((last + 1).saturating_sub(first));
         }
-        light.extend(sums.iter().zip(&weights).map(|(sum, weight)| (*sum / *weight).to_array()));
+        for ((light, sum), weight) in light.iter_mut().zip(&sums).zip(&weights) {
+            *light = (*sum / *weight).to_array();
+        }
     }
-    ViewLight(light)
 }

@@ -153,7 +153,8 @@ fn shared_light_has_the_samples_of_all_views() {
     let share = |geometry: &FieldGeometry, splits: &[SplitView]| -> Vec<Tensor<3>> {
         let mut light = SharedLight::new(geometry);
         splits.iter().for_each(|split| light.add(split));
-        light.averaged(task).unwrap().iter().zip(splits).map(|(light, split)| light.on(split)).collect()
+        let mean = light.averaged(task).unwrap();
+        splits.iter().enumerate().map(|(number, split)| mean.on(number, split)).collect()
     };
     let shared = share(&geometry, &splits);
     let (mut before, mut after) = (0.0, 0.0);

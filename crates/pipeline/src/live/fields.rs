@@ -121,7 +121,7 @@ impl LiveFields {
         self.shown = Some(key);
         // Omit the views of the zone score, which only reports need.
         let report = ReportJob { zone_directions: 0, ..self.job.report.clone() };
-        let (field, _) = read::run(path, &Job { report, ..self.job.clone() }, &self.display, task)?;
+        let (field, _) = read::run(path, &Job { report, ..self.job.clone() }, &self.display, None, task)?;
         let adapted = self.display.adapted_to(field.geometry());
         let adapted = adapted.map_err(|source| display_error(source, &path.display().to_string()))?;
         adapted.check().map_err(|source| display_error(source, "light field"))?;
@@ -252,7 +252,8 @@ fn display_of(job: &Job) -> Result<Display, PipelineError> {
         return Err(PipelineError::job(key, expected, format!("`{key}`")));
     }
     let display = job.display.resolve()?;
-    let most = job.most_views(&display).min(MOST_VIEWS);
+    let [cols, rows] = display.field.resolution;
+    let most = job.most_views(&display).min(MOST_VIEWS).min(job.render.affordable_views(cols * rows));
     let display = display.with_views_chosen(most);
     let _: FieldGeometry = display.geometry().map_err(|source| display_error(source, "field"))?;
     Ok(display)

@@ -121,7 +121,7 @@ impl Progressive {
         for (number, view) in self.views.iter().enumerate() {
             let to = field.view_mut(view.place);
             if let Some(split) = &view.split {
-                let picture = shared.as_ref().map_or_else(|| split.radiance(), |light| light[number].on(split));
+                let picture = shared.as_ref().map_or_else(|| split.radiance(), |light| light.on(number, split));
                 to.copy_from_slice(picture.data());
             }
             if let (false, Some(space)) = (view.splats.is_empty(), Space::of(&shot.ingested.scene)) {

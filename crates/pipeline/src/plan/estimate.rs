@@ -16,19 +16,26 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use lumistack_display::{Display, FieldGeometry};
+use lumistack_core::{Cancel, Collector, Task};
+use lumistack_display::{Display, FieldGeometry, ViewGrid};
+use lumistack_factorizer::{held_bytes, paged_bytes};
+use lumistack_pathtracer::denoise::SharedLight;
 use lumistack_plugin_host::Registry;
+use lumistack_shot::Depths;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 use super::steps::{PartKind, Plan, StepKind};
 use crate::error::PipelineError;
-use crate::job::Job;
+use crate::job::{Denoise, Job};
 use crate::reader::is_capture;
+use crate::stage::denoise::GUIDED_BYTES;
+use crate::stage::field::field_defaults;
 use crate::stage::fields::held_out_grid;
 use crate::stage::node::is_factorized;
 use crate::stage::output::stage_name;
+use crate::stage::samples;
 use crate::stage::tiles::Tiles;
 use crate::store::files::{read_json, write_json};
 use crate::store::key::{KeyBuilder, content_hash};
@@ -79,14 +86,15 @@ pub(crate) fn note(plan: &Plan, registry: &Registry, new: Records) -> Result<(),
     if new.is_empty() || !plan.folder.join("cache").is_dir() {
         return Ok(());
     }
-    // Records of steps that the plan does not have are removed.
+    let sizes = sizes(plan);
+    // Steps of an older plan are dropped.
     let mut records: Records = read_json(&path).unwrap_or_default();
     let ids = plan.indices();
     records.retain(|id, _| ids.contains_key(id.as_str()));
     for (id, mut record) in new {
         let Some(&index) = ids.get(id.as_str()) else { continue };
-        record.work = work(plan, index);
-        // A cached result keeps the time that the run took which made it.
+        record.work = work(plan, index, &sizes);
+        // A cached result keeps the time of the run that made it.
         if let Some(old) = records.get(&id).filter(|_| record.seconds.is_none()) {
             (record.seconds, record.work) = (old.seconds, old.work);
         }
@@ -104,7 +112,7 @@ pub(crate) fn note(plan: &Plan, registry: &Registry, new: Records) -> Result<(),
 pub(crate) fn fill(plan: &mut Plan, registry: &Registry) {
     let records: Records = read_json(&plan.folder.join(FILE)).unwrap_or_default();
     let keys = keys(plan, &records, registry);
-    let machine = multiply_adds_per_second();
+    let (machine, sizes) = (multiply_adds_per_second(), sizes(plan));
     for (index, key) in keys.into_iter().enumerate() {
         let record = records.get(&plan.steps[index].id);
         // Without a record a result is not cached. Without a key, only a run can find out.
@@ -113,9 +121,8 @@ pub(crate) fn fill(plan: &mut Plan, registry: &Registry) {
             (None, Some(_)) => None,
             (Some(key), Some(record)) => Some(record.key.as_ref() == Some(key) && is_there(plan, index)),
         };
-        let (work, memory_bytes) = (work(plan, index), memory(plan, index));
-        // The rate comes from the last execution of this step, or else of another step of the same
-        // stage.
+        let (work, memory_bytes) = (work(plan, index, &sizes), memory(plan, index, &sizes));
+        // The rate comes from this step's last execution, else from another step of the stage.
         let own = record.filter(|record| record.seconds.is_some());
         let stage = plan.steps[index].stage;
         let alike = || {
@@ -258,35 +265,55 @@ struct Sizes {
     /// Values of the patterns of all frames.
     values: f64,
     frames: f64,
-    /// Bytes of the light fields in memory: of the target, and of those for the report.
-    held: f64,
-    /// Bytes that the solver needs in addition.
+    memory: Memory,
+}
+
+/// Bytes that are in memory at a time. A light field in a file counts by its window.
+struct Memory {
+    /// The light fields: the target and those for the report.
+    fields: f64,
+    /// The solver besides.
     solving: f64,
+    /// The denoiser.
+    denoising: f64,
+    /// The measurement of the number of paths.
+    measuring: f64,
+    /// Depths of the target's views.
+    depths: f64,
+    /// Views that a given light field has besides, for its score.
+    left_out: f64,
+    /// The file of a given light field that is one picture.
+    picture: f64,
 }
 
 impl Sizes {
     fn of(job: &Job) -> Option<Self> {
-        let display: Display = job.resolve_display().ok()?;
-        let geometry = display.geometry().ok()?;
-        let count = |grid: Option<lumistack_display::ViewGrid>| grid.map_or(0, |grid| grid.iter().count()) as f64;
+        let own: Display = job.resolve_display().ok()?;
+        let (display, geometry) = match &job.light_field {
+            // A given light field has views and pixels of its own.
+            Some(path) => {
+                let (warnings, cancel) = (Collector::default(), Cancel::default());
+                let task = Task::quiet(&warnings, &cancel);
+                let given = lumistack_field_io::geometry_of(path, &job.geometry, &field_defaults(&own), task).ok()?;
+                (own.adapted_to(&given).ok()?, given)
+            }
+            None => {
+                let geometry = own.geometry().ok()?;
+                (own, geometry)
+            }
+        };
+        let count = |grid: &Option<ViewGrid>| grid.as_ref().map_or(0, |grid| grid.iter().count());
         let area = |[cols, rows]: [usize; 2]| (cols * rows) as f64;
         let frames = display.frames as f64;
-        // Larger light fields are in mapped files, which take no memory.
-        let others = [held_out_grid(&geometry.grid, job.render.held_out), geometry.grid.outside(job.render.outside)];
-        let fields = others.into_iter().chain([Some(geometry.grid.clone())]).flatten();
-        let held = fields.map(|grid| geometry.with_grid(grid)).filter(|geometry| job.render.is_held(geometry));
-        let bytes =
-            |geometry: FieldGeometry| (12 * geometry.grid.iter().count() * geometry.rows * geometry.cols) as f64;
+        let others = match &job.light_field {
+            Some(_) => [None, None],
+            None => [held_out_grid(&geometry.grid, job.render.held_out), geometry.grid.outside(job.render.outside)],
+        };
         Some(Self {
-            held: held.map(bytes).sum(),
-            solving: match Tiles::of(&job.factorize, &display, &geometry) {
-                Some(tiles) => tiles.bytes(&display, &geometry),
-                None => lumistack_factorizer::held_bytes(&display, &geometry, rayon::current_num_threads()),
-            } as f64,
+            memory: Memory::of(job, &display, &geometry, &others),
             pixels: (geometry.rows * geometry.cols) as f64,
             views: geometry.grid.iter().count() as f64,
-            others: count(held_out_grid(&geometry.grid, job.render.held_out))
-                + count(geometry.grid.outside(job.render.outside)),
+            others: (count(&others[0]) + count(&others[1])) as f64,
             layers: display.layers.len() as f64,
             values: 3.0 * frames * display.layers.iter().map(|layer| area(layer.resolution)).sum::<f64>(),
             frames,
@@ -298,12 +325,57 @@ impl Sizes {
     }
 }
 
+impl Memory {
+    fn of(job: &Job, display: &Display, geometry: &FieldGeometry, others: &[Option<ViewGrid>; 2]) -> Self {
+        let (render, threads) = (&job.render, rayon::current_num_threads());
+        let rays = |geometry: &FieldGeometry| (geometry.grid.iter().count() * geometry.rows * geometry.cols) as f64;
+        let (view, window) = (RGB * (geometry.rows * geometry.cols) as f64, render.window_bytes() as f64);
+        // Each thread may use a view of a light field in a file.
+        let in_use = |bytes: f64, of_thread: f64| bytes.min(window + threads as f64 * of_thread);
+        let of_field = |geometry: &FieldGeometry| match render.is_held(geometry) {
+            true => RGB * rays(geometry),
+            false => in_use(RGB * rays(geometry), view),
+        };
+        let is_held = render.is_held(geometry);
+        let others = others.iter().flatten().map(|grid| geometry.with_grid(grid.clone()));
+        // Values of pictures with codes are no half floats: the solver's copy takes twice as much.
+        let wider = if job.light_field.is_some() { 8.0 * rays(geometry) } else { 0.0 };
+        let solving = match (Tiles::of(&job.factorize, display, geometry), is_held) {
+            (Some(tiles), _) => tiles.bytes(display, geometry) as f64 + wider / tiles.count() as f64,
+            (None, true) => held_bytes(display, geometry, threads) as f64 + wider,
+            (None, false) => paged_bytes(display, geometry, threads, window as u64) as f64 + wider / 4.0,
+        };
+        let (denoise, shared) = (job.denoise_for(display), SharedLight::BYTES_PER_RAY as f64);
+        let denoising = match denoise {
+            Denoise::Auto | Denoise::Off => 0.0,
+            Denoise::Guided => GUIDED_BYTES as f64 * rays(geometry),
+            Denoise::Oidn => GUIDED_BYTES as f64 / RGB * view,
+            Denoise::Shared if is_held => shared * rays(geometry),
+            Denoise::Shared => 2.0 * in_use(0.5 * shared * rays(geometry), shared / RGB * view),
+        };
+        let depths = Depths::coarse(geometry);
+        let kept = match &job.light_field {
+            Some(_) => job.report.zone_directions as f64 * view,
+            None => 0.0,
+        };
+        Self {
+            fields: of_field(geometry) + others.map(|geometry| of_field(&geometry)).sum::<f64>(),
+            solving,
+            denoising,
+            measuring: if job.scene.is_some() { samples::bytes(job, display, geometry, threads) as f64 } else { 0.0 },
+            depths: if job.scene.is_some() { 8.0 * rays(&depths) } else { 0.0 },
+            left_out: kept,
+            picture: job.light_field.as_deref().map_or(0.0, |path| lumistack_field_io::picture_bytes(path) as f64),
+        }
+    }
+}
+
 /// Returns the work of a step, in the unit of its stage: paths, multiply-adds per ray, or rays.
-fn work(plan: &Plan, index: usize) -> f64 {
+fn work(plan: &Plan, index: usize, sizes: &[Option<Sizes>]) -> f64 {
     let step = &plan.steps[index];
     let job = &plan.parts[step.part].job;
-    let Some(sizes) = Sizes::of(job) else { return 0.0 };
-    // Splats are rendered without noise, by one ray per pixel.
+    let Some(sizes) = &sizes[step.part] else { return 0.0 };
+    // Splats are rendered without noise, by one ray.
     let is_capture = job.scene.as_deref().is_some_and(is_capture);
     let samples = if is_capture { 1.0 } else { f64::from(job.render.samples_of_view(sizes.views as usize)) };
     match step.kind {
@@ -352,28 +424,66 @@ fn cost(stage: &str) -> f64 {
     }
 }
 
-/// Estimates the memory of a step, bytes.
-fn memory(plan: &Plan, index: usize) -> u64 {
+/// Bytes of a pixel.
+const RGB: f64 = 12.0;
+/// Bytes of the rays that choose an exposure, twice.
+const EXPOSURE: f64 = (64 << 20) as f64;
+/// Bytes of the program itself, with its libraries and threads.
+const PROGRAM: f64 = (48 << 20) as f64;
+/// Views in work at a time, of one thread.
+const VIEWS_IN_WORK: f64 = 8.0;
+
+/// Returns an upper bound of the memory of a job's run, bytes; `None` if its display or its light
+/// field cannot be read. See [`Step::memory_bytes`](super::steps::Step::memory_bytes).
+pub fn memory_of(job: &Job) -> Option<u64> {
+    let job = job.with_automatic_settings();
+    let sizes = Sizes::of(&job)?;
+    let made = match (&job.scene, &job.light_field) {
+        (Some(_), _) => [StepKind::Place, StepKind::Trace, StepKind::Denoise, StepKind::Expose].as_slice(),
+        (None, Some(_)) => &[StepKind::Read],
+        (None, None) => &[StepKind::Source],
+    };
+    let kinds = made.iter().chain(&[StepKind::Patterns, StepKind::Report]);
+    kinds.map(|kind| bytes(*kind, &job, &sizes)).max()
+}
+
+fn sizes(plan: &Plan) -> Vec<Option<Sizes>> {
+    plan.parts.iter().map(|part| Sizes::of(&part.job)).collect()
+}
+
+fn memory(plan: &Plan, index: usize, sizes: &[Option<Sizes>]) -> u64 {
     let step = &plan.steps[index];
     let job = &plan.parts[step.part].job;
-    let Some(sizes) = Sizes::of(job) else { return 0 };
-    const RGB: f64 = 12.0;
-    let field = RGB * sizes.rays();
-    // Memory divided by the file's size. A scene needs a tree over triangles, and textures.
-    // Captures need more, since files pack splats more tightly.
+    sizes[step.part].as_ref().map_or(0, |sizes| bytes(step.kind, job, sizes))
+}
+
+/// Returns an upper bound of the memory of a step, bytes. The tree over a scene, a plugin's own
+/// memory and pictures of an output are estimates.
+fn bytes(kind: StepKind, job: &Job, sizes: &Sizes) -> u64 {
+    let (memory, threads) = (&sizes.memory, rayon::current_num_threads() as f64);
+    // Factors on the file's size: a tree over triangles and textures, or splats, which files pack
+    // more tightly.
     let packed = if job.scene.as_deref().is_some_and(is_capture) { 16.0 } else { 4.0 };
     let scene =
         packed * job.scene.as_ref().and_then(|path| std::fs::metadata(path).ok()).map_or(0.0, |data| data.len() as f64);
-    let bytes = match step.kind {
-        StepKind::Ingest | StepKind::Place => scene,
-        StepKind::Trace | StepKind::Score => scene + 4.0 * RGB * sizes.pixels,
-        StepKind::Denoise => scene + 3.0 * field,
-        StepKind::Expose => scene + sizes.held + RGB * sizes.pixels,
-        StepKind::Patterns | StepKind::Design(_) | StepKind::Search => sizes.held + sizes.solving,
-        StepKind::Measure => 2.0 * (sizes.held + 4.0 * sizes.values),
-        _ => sizes.held + 4.0 * sizes.values,
+    let (view, patterns) = (RGB * sizes.pixels, 4.0 * sizes.values);
+    let views = VIEWS_IN_WORK * threads * view;
+    // The scene, depths and views left out of a file stay in memory until the report.
+    let kept = PROGRAM + scene + memory.depths + memory.left_out;
+    let of_step = match kind {
+        StepKind::Ingest => 0.0,
+        StepKind::Place => memory.measuring,
+        // A view has several times the values of its radiance until it is denoised.
+        StepKind::Trace => 3.0 * VIEWS_IN_WORK * view,
+        StepKind::Denoise => memory.denoising + 3.0 * VIEWS_IN_WORK * view,
+        StepKind::Expose => memory.fields + views + EXPOSURE,
+        StepKind::Read => memory.fields + views + memory.picture,
+        StepKind::Source => RGB * sizes.rays() + views,
+        StepKind::Patterns | StepKind::Design(_) | StepKind::Search => memory.fields + memory.solving,
+        StepKind::Measure => 2.0 * (memory.fields + patterns) + views,
+        _ => memory.fields + 3.0 * patterns + 2.0 * views,
     };
-    bytes as u64
+    (kept + of_step) as u64
 }
 
 /// Measures the rate of multiply-adds of all threads in a few milliseconds.

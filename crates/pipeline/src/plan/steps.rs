@@ -44,7 +44,8 @@ pub struct Step {
     pub key: Option<String>,
     /// True if the run folder has the result; `None` if only a run can find out.
     pub cached: Option<bool>,
-    /// Estimated memory, bytes, from the sizes of arrays.
+    /// Upper bound of the memory, bytes, from the sizes of arrays. A light field larger
+    /// than the job's `render.field_mib` counts by the parts of it that are in memory.
     pub memory_bytes: u64,
     /// Estimated time on this machine, seconds; 0 if cached.
     pub seconds: f64,

@@ -19,7 +19,7 @@ mod search;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Mutex, PoisonError};
 
 use lumistack_core::Task;
 use lumistack_design::table::{self, Row};
@@ -100,8 +100,13 @@ pub(crate) fn execute_design(
 /// Takes the light fields of parts from an executor's memory; `None` if there are none.
 fn shared(executor: &mut Executor<'_>, parts: &[usize], job: &Job) -> Result<Option<Shared>, PipelineError> {
     let states = &mut executor.context.states;
-    let times = parts.iter().filter_map(|part| states[*part].field.take()).collect::<Vec<Arc<_>>>();
-    let references = parts.first().and_then(|part| states[*part].references.take());
+    let (mut times, mut references) = (Vec::new(), Vec::new());
+    for &part in parts {
+        if let Some(field) = states[part].field.take() {
+            times.push(field);
+            references.push(states[part].references.take());
+        }
+    }
     if times.is_empty() { Ok(None) } else { Shared::new(times, references, job).map(Some) }
 }
 
@@ -138,9 +143,9 @@ pub(crate) fn add(plan: &mut Plan, job: &Job, sweep: &SweepJob) -> Result<Design
                 if is_sequence { add_times(plan, part, true)? } else { vec![add_field(plan, part, Before::default())] };
             let steps = plan.steps.iter().filter(|step| ids.contains(&step.id));
             parts = steps.map(|step| step.part).collect();
-            if !is_sequence {
-                ids.extend(add_score(plan, part, &ids[0]));
-            }
+            // Designs are scored over the viewing zone at every time step.
+            let of_fields = parts.iter().copied().zip(ids.clone()).collect::<Vec<(usize, String)>>();
+            ids.extend(of_fields.into_iter().flat_map(|(part, id)| add_score(plan, part, &id)));
         }
         fields.push(parts);
         inputs.push(ids);

@@ -23,7 +23,7 @@ use lumistack_shot::ToneMapping;
 use self::oidn::Oidn;
 use super::fields::{FieldJob, Shot};
 use crate::error::{PipelineError, render_error};
-use crate::job::Denoise;
+use crate::job::{Denoise, Job};
 use crate::store::files::{read_json, write_json};
 use crate::store::views::{read_split, read_view, split_path, view_path, write_view};
 
@@ -55,9 +55,25 @@ pub(crate) struct Denoised {
     filtered: Vec<f32>,
 }
 
-/// Checks before any rendering that the denoiser is available.
-pub(crate) fn check(kind: Denoise) -> Result<(), PipelineError> {
-    if kind == Denoise::Oidn { Oidn::find().map(drop) } else { Ok(()) }
+/// Bytes of a ray while the guided filter works, which needs all views at once.
+pub(crate) const GUIDED_BYTES: u64 = 192;
+
+/// Checks before any rendering that the filter is available, and that its memory is.
+///
+/// # Errors
+/// If Open Image Denoise is not installed, or the guided filter needs more memory than the job
+/// allows.
+pub(crate) fn check(kind: Denoise, job: &Job, geometry: &FieldGeometry) -> Result<(), PipelineError> {
+    let rays = (geometry.grid.iter().count() * geometry.rows * geometry.cols) as u64;
+    let mib = (GUIDED_BYTES * rays).div_ceil(1 << 20);
+    match kind {
+        Denoise::Oidn => Oidn::find().map(drop),
+        Denoise::Guided if mib > job.render.field_mib => {
+            let expected = format!("`field_mib` of {mib} or more, since it holds all views; `shared` needs less");
+            Err(PipelineError::job("render.denoise", expected, format!("`guided` and {}", job.render.field_mib)))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Filters all views that are not filtered yet. Returns true if all views were filtered already.
@@ -94,8 +110,9 @@ fn filter(field: &FieldJob, shot: Shot<'_>, task: Task<'_>) -> Result<(), Pipeli
     let folder = field.finished(kind);
     std::fs::create_dir_all(&folder).map_err(PipelineError::write(&folder))?;
     let filtered = match kind {
-        Denoise::Shared => shared(field, task)?,
-        _ => by_guides(field, shot, &folder, task)?,
+        Denoise::Shared => shared(field, shot.job, task)?,
+        Denoise::Oidn => by_oidn(field, shot, &folder, task)?,
+        _ => by_guides(field, shot, task)?,
     };
     // Render some pixels of the views again, to measure noise and bias of the filter.
     let settings = field.seeded(&[]);
@@ -143,10 +160,15 @@ fn middle(geometry: &FieldGeometry) -> [usize; 2] {
 /// view is in memory at a time, since all together are large.
 type Filtered<'a> = Box<dyn Fn(usize, [usize; 2]) -> Result<[Tensor<3>; 2], PipelineError> + 'a>;
 
-/// Averages the light that views share.
-fn shared<'a>(field: &'a FieldJob, task: Task<'_>) -> Result<Filtered<'a>, PipelineError> {
+/// Averages the light that views share, in memory or in files, by the size of the light field.
+fn shared<'a>(field: &'a FieldJob, job: &Job, task: Task<'_>) -> Result<Filtered<'a>, PipelineError> {
     let geometry = &field.traced;
-    let mut light = SharedLight::new(geometry);
+    let mut light = if job.render.is_held(geometry) {
+        SharedLight::new(geometry)
+    } else {
+        let storage = lumistack_field_io::storage(&field.folder, job.render.window_bytes());
+        SharedLight::in_storage(geometry, &storage).map_err(PipelineError::write(&field.folder))?
+    };
     task.progress.begin("share light", 3 * geometry.grid.iter().count() as u64, "views");
     let averaged = geometry.grid.iter().try_for_each(|view| -> Result<(), PipelineError> {
         light.add(&split(field, view)?);
@@ -158,7 +180,7 @@ fn shared<'a>(field: &'a FieldJob, task: Task<'_>) -> Result<Filtered<'a>, Pipel
     let averaged = averaged?;
     Ok(Box::new(move |number, view| {
         let split = split(field, view)?;
-        Ok([split.radiance(), averaged[number].on(&split)])
+        Ok([split.radiance(), averaged.on(number, &split)])
     }))
 }
 
@@ -168,31 +190,53 @@ fn split(field: &FieldJob, view: [usize; 2]) -> Result<SplitView, PipelineError>
     read_split(&path, &field.traced).ok_or_else(PipelineError::replaced(&path, "cached view"))
 }
 
-/// Filters all views from two halves of each, guided by normals, albedo and depth of the first
-/// hits.
-fn by_guides<'a>(
-    field: &FieldJob,
-    shot: Shot<'_>,
-    folder: &Path,
-    task: Task<'_>,
-) -> Result<Filtered<'a>, PipelineError> {
+/// Filters two halves of every view, guided by features of the first hits, all views together.
+fn by_guides<'a>(field: &FieldJob, shot: Shot<'_>, task: Task<'_>) -> Result<Filtered<'a>, PipelineError> {
     let geometry = &field.traced;
-    let noisy = |view| -> Result<NoisyView, PipelineError> {
-        let halves = [half(field, view, 0)?, half(field, view, 1)?];
-        let noisy = NoisyView { halves, features: field.guides(view, shot, task)? };
-        task.progress.advance(1, "");
-        Ok(noisy)
-    };
     let count = geometry.grid.iter().count() as u64;
     task.progress.begin("guides of the denoiser", count, "views");
-    let views: Result<Vec<NoisyView>, _> = geometry.grid.iter().map(noisy).collect();
+    let views = geometry.grid.iter().map(|view| {
+        let noisy = noisy(field, view, shot, task);
+        task.progress.advance(1, "");
+        noisy
+    });
+    let views: Result<Vec<NoisyView>, _> = views.collect();
     task.progress.end();
     let views = views?;
-    let filtered = run_filter(shot.denoise(), geometry, &views, folder, task)?;
+    task.progress.begin("denoise", denoise::steps(geometry), "bands");
+    let filtered = denoise::denoise(geometry, &views, Around::default(), task);
+    task.progress.end();
+    let filtered = filtered?;
     Ok(Box::new(move |number, _| Ok([views[number].mean(), filtered[number].clone()])))
 }
 
-/// Reads one of the two traced halves of a view.
+/// Filters one view at a time by Open Image Denoise, through files in a temporary folder.
+fn by_oidn<'a>(
+    field: &'a FieldJob,
+    shot: Shot<'a>,
+    folder: &Path,
+    task: Task<'a>,
+) -> Result<Filtered<'a>, PipelineError> {
+    let oidn = Oidn::find()?;
+    let exchange = tempfile::tempdir_in(folder).map_err(PipelineError::write(folder))?;
+    Ok(Box::new(move |_, view| {
+        task.cancel.check()?;
+        let noisy = noisy(field, view, shot, task)?;
+        let before = noisy.mean();
+        let mut picture = before.clone();
+        let values = oidn.denoise(before.data(), &noisy.features, exchange.path())?;
+        picture.data_mut().copy_from_slice(&values);
+        Ok([before, picture])
+    }))
+}
+
+/// Reads the halves of a view, and its guides.
+fn noisy(field: &FieldJob, view: [usize; 2], shot: Shot<'_>, task: Task<'_>) -> Result<NoisyView, PipelineError> {
+    let halves = [half(field, view, 0)?, half(field, view, 1)?];
+    Ok(NoisyView { halves, features: field.guides(view, shot, task)? })
+}
+
+/// Reads a traced half of a view.
 fn half(field: &FieldJob, view: [usize; 2], half: usize) -> Result<Tensor<3>, PipelineError> {
     let path = view_path(&field.folder, view, Some(half));
     read_view(&path, &field.traced)
@@ -275,46 +319,6 @@ impl Denoised {
             views: self.figures.iter().map(view).collect(),
             unbiased: &self.unbiased,
             filtered: &self.filtered,
-        }
-    }
-}
-
-fn run_filter(
-    kind: Denoise,
-    geometry: &FieldGeometry,
-    views: &[NoisyView],
-    folder: &Path,
-    task: Task<'_>,
-) -> Result<Vec<Tensor<3>>, PipelineError> {
-    match kind {
-        Denoise::Auto | Denoise::Off | Denoise::Shared => Ok(views.iter().map(NoisyView::mean).collect()),
-        // Our filter works on all views together.
-        Denoise::Guided => {
-            task.progress.begin("denoise", denoise::steps(geometry), "bands");
-            let filtered = denoise::denoise(geometry, views, Around::default(), task);
-            task.progress.end();
-            Ok(filtered?)
-        }
-        // The external program works on one view at a time, and exchanges files in a temporary
-        // folder.
-        Denoise::Oidn => {
-            let oidn = Oidn::find()?;
-            let exchange = folder.join("exchange");
-            std::fs::create_dir_all(&exchange).map_err(PipelineError::write(&exchange))?;
-            task.progress.begin("denoise", views.len() as u64, "views");
-            let one = |view: &NoisyView| -> Result<Tensor<3>, PipelineError> {
-                task.cancel.check()?;
-                let mut picture = view.mean();
-                let values = oidn.denoise(picture.data(), &view.features, &exchange)?;
-                picture.data_mut().copy_from_slice(&values);
-                task.progress.advance(1, &oidn.version);
-                Ok(picture)
-            };
-            let filtered: Result<Vec<_>, PipelineError> = views.iter().map(one).collect();
-            task.progress.end();
-            let removed = std::fs::remove_dir_all(&exchange).map_err(PipelineError::write(&exchange));
-            let filtered = filtered?;
-            removed.map(|()| filtered)
         }
     }
 }

@@ -39,9 +39,9 @@ pub(crate) struct Candidate {
 /// Light fields that several designs share, one per time step.
 pub(crate) struct Shared {
     times: Vec<Arc<Field>>,
-    /// The scene's pictures over the viewing zone, if the job is a still.
-    references: Option<Arc<References>>,
-    /// Hash of all light fields, weights and pictures of the viewing zone.
+    /// The scene's pictures over the viewing zone, of each time step that has them.
+    references: Vec<Option<Arc<References>>>,
+    /// Hash of all light fields, weights and references.
     key: String,
 }
 
@@ -52,18 +52,18 @@ impl Shared {
     /// If expected eye positions are invalid.
     pub(crate) fn new(
         times: Vec<Arc<Field>>,
-        references: Option<Arc<References>>,
+        references: Vec<Option<Arc<References>>>,
         job: &Job,
     ) -> Result<Self, PipelineError> {
         let mut key = KeyBuilder::new("sweep field", code::FIELDS);
         for time in &times {
             for field in [Some(&time.target), time.held_out.as_ref()].into_iter().flatten() {
                 key.add("geometry", format!("{:?}", field.geometry()).as_bytes());
-                key.add_f32("radiance", field.radiance().data());
+                key.add_field("radiance", field);
             }
             add_weights(&mut key, &eye_weights(&job.factorize, time.target.geometry())?);
         }
-        if let Some(references) = &references {
+        for references in references.iter().flatten() {
             key.add("references", references.key.as_bytes());
         }
         Ok(Self { times, references, key: key.finish() })
@@ -200,8 +200,8 @@ impl Solver<'_> {
         let first = FactorizeJob { iterations: Some(iterations), ..factorize.clone() };
         let mut before: Option<LayerStack> = None;
         let mut all = Vec::new();
-        // A node may have another display, which is adapted to the geometry of the light field.
-        for field in &shared.times {
+        // A node may have a display of its own, which the light field's geometry adapts.
+        for (field, references) in shared.times.iter().zip(&shared.references) {
             let target = &field.target;
             let display = match (of_node, &own) {
                 (Some(of_node), Some(own)) => node::display(of_node, own, design, target.geometry())?.0,
@@ -240,8 +240,7 @@ impl Solver<'_> {
                 views.fold(SquaredError::default(), |sum, view| sum.merged(view.error))
             };
             let between = field.held_out.as_ref().map(|field| error(field, &Weights::Uniform));
-            let zone =
-                shared.references.as_ref().map(|references| references.score(&display, &stack, task)).transpose()?;
+            let zone = references.as_ref().map(|references| references.score(&display, &stack, task)).transpose()?;
             all.push(Errors { target: error(target, &weights), zone, between, brightness: stack.brightness });
             before = Some(stack);
         }
@@ -255,12 +254,13 @@ fn node_row(id: &str, times: &[Errors]) -> NodeRow {
     let brightness = times.last().map_or(1.0, |time| time.brightness);
     let between = times.iter().filter_map(|time| time.between).reduce(SquaredError::merged).map(SquaredError::psnr);
     let worst = times.iter().map(|time| time.target.psnr()).fold(f64::INFINITY, f64::min);
-    // only stills have references
-    let zone = times.first().and_then(|time| time.zone.as_ref());
+    // the directions of all time steps count alike
+    let directions = times.iter().filter_map(|time| time.zone.as_ref()).flat_map(|zone| &zone.directions);
+    let zone = ZoneScore { directions: directions.cloned().collect() };
     NodeRow {
         id: id.into(),
-        psnr_zone_db: zone.and_then(ZoneScore::psnr).map(cut),
-        psnr_zone_worst_tenth_db: zone.and_then(ZoneScore::worst_tenth).map(cut),
+        psnr_zone_db: zone.psnr().map(cut),
+        psnr_zone_worst_tenth_db: zone.worst_tenth().map(cut),
         psnr_view_db: cut(all),
         psnr_raw_db: cut(all - 20.0 * brightness.log10()),
         psnr_between_db: between.filter(|psnr| !psnr.is_nan()).map(cut),

@@ -15,15 +15,15 @@ use std::borrow::Cow;
 use lumistack_core::Task;
 use lumistack_core::tone::ToneCurve;
 use lumistack_display::LightField;
+use lumistack_field_io::Paged;
 use lumistack_shot::{ToneMapping, brightest, expose_over};
 use lumistack_splats::Space;
 
 use super::denoise::{self, Denoised};
 use super::fields::{FieldJob, Shot};
 use super::trace::Traced;
-use crate::error::PipelineError;
+use crate::error::{PipelineError, field_error};
 use crate::job::Background;
-use crate::store::paged::Paged;
 
 /// Display-referred light fields of a shot.
 pub(crate) struct Exposed {
@@ -109,18 +109,19 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
                 held
             }
             None => {
-                let mut paged = Paged::begin(field.geometry.clone(), &field.folder)?;
+                let paged = Paged::begin(field.geometry.clone(), &field.folder, job.render.window_bytes());
+                let mut paged = paged.map_err(field_error)?;
                 let black = vec![0.0; 3 * field.geometry.rows * field.geometry.cols];
                 for view in grid.iter() {
                     if wanted.contains(&view) {
                         let mut picture = read(field, view)?;
                         expose_view(field, view, &mut picture)?;
-                        paged.write(&picture)?;
+                        paged.write(&picture).map_err(field_error)?;
                     } else {
-                        paged.write(&black)?;
+                        paged.write(&black).map_err(field_error)?;
                     }
                 }
-                paged.finish()?
+                paged.finish().map_err(field_error)?
             }
         };
         task.progress.advance(grid.iter().count() as u64, "");

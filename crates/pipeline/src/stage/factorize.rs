@@ -44,7 +44,7 @@ impl Solve<'_> {
         let mut key = KeyBuilder::new("factorize", code::PATTERNS);
         key.add("display", display.without_panels().to_toml().as_bytes())
             .add("geometry", format!("{:?}", target.geometry()).as_bytes())
-            .add_f32("target", target.radiance().data())
+            .add_field("target", target)
             .add_json("settings", &(&job.solver, job.iterations(), &job.start, seed))
             .add_json("coarse and levels", &(job.coarse_levels, job.coarse_iterations, job.levels));
         add_weights(&mut key, weights);
@@ -256,7 +256,7 @@ pub(crate) fn prefers_fresh(
         .add_json("settings", &(&fresh.solver, &fresh.start, &job.solver, seed))
         .add_json("coarse", &(fresh.coarse_levels, fresh.coarse_iterations))
         .add("geometry", format!("{:?}", target.geometry()).as_bytes())
-        .add_f32("target", target.radiance().data());
+        .add_field("target", target);
     add_weights(&mut key, weights);
     add_stack(&mut key, warm);
     let key = key.finish();

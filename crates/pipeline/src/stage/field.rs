@@ -171,7 +171,8 @@ fn about_scene(path: &Path, shot: Shot<'_>, traced: &Traced, exposed: &Exposed) 
     let Shot { ingested, placement, geometry, .. } = shot;
     let scene = &ingested.scene;
     let pose = serde_json::to_value(&ingested.pose).expect("poses serialize");
-    let [low, high] = percentiles_of_halves(exposed.target.radiance().data(), [0.01, 0.99]).map(f64::from);
+    let views = exposed.target.geometry().grid.iter().map(|view| exposed.target.view(view));
+    let [low, high] = percentiles_of_halves(views, [0.01, 0.99]).map(f64::from);
     let span = high - low;
     let map = placement.window.scene_from_display;
     // Make the names and values of a table in the report.
@@ -201,15 +202,19 @@ fn about_scene(path: &Path, shot: Shot<'_>, traced: &Traced, exposed: &Exposed) 
     })
 }
 
-/// Returns percentiles of values that are half floats. Counting them by their 65536 bit patterns
-/// avoids a sorted copy.
-fn percentiles_of_halves(values: &[f32], shares: [f64; 2]) -> [f32; 2] {
-    // Map bits to the order of the values: for negative halves, the bits fall as the values rise.
+/// Returns percentiles of values that are half floats, given in parts. Counts per bit pattern avoid
+/// a sorted copy.
+fn percentiles_of_halves<'a>(parts: impl Iterator<Item = &'a [f32]>, shares: [f64; 2]) -> [f32; 2] {
+    // Map bits to the order of the values: negative halves have falling bits.
     let turn = |bits: u16| if bits & 0x8000 == 0 { bits | 0x8000 } else { !bits };
     let mut counts = vec![0usize; 1 << 16];
-    values.iter().for_each(|&value| counts[usize::from(turn(nearest_half(value)))] += 1);
+    let mut all = 0usize;
+    for values in parts {
+        values.iter().for_each(|&value| counts[usize::from(turn(nearest_half(value)))] += 1);
+        all += values.len();
+    }
     shares.map(|share| {
-        let mut rank = (share * values.len().saturating_sub(1) as f64).round() as usize;
+        let mut rank = (share * all.saturating_sub(1) as f64).round() as usize;
         let found = counts.iter().position(|&count| {
             let is_here = rank < count;
             rank -= if is_here { 0 } else { count };
@@ -253,7 +258,7 @@ fn write_if_changed(
 /// Returns a hash of the content that a light field's folder has.
 pub(crate) fn field_key(name: &str, field: &LightField, info: &Map<String, Value>) -> String {
     let mut key = KeyBuilder::new(name, code::FIELDS);
-    key.add("geometry", format!("{:?}", field.geometry()).as_bytes()).add_f32("radiance", field.radiance().data());
+    key.add("geometry", format!("{:?}", field.geometry()).as_bytes()).add_field("radiance", field);
     key.add_json("info", info).finish()
 }
 
@@ -331,8 +336,8 @@ mod tests {
             (0..5000).map(|i| float_from_half(nearest_half(((i * 7919) % 5003) as f32 / 3000.0 - 0.2))).collect();
         for shares in [[0.01, 0.99], [0.0, 1.0], [0.12, 0.121]] {
             let expected = shares.map(|share| lumistack_core::metrics::percentile(&mut values.clone(), share));
-            assert_eq!(percentiles_of_halves(&values, shares), expected);
+            assert_eq!(percentiles_of_halves(values.chunks(999), shares), expected);
         }
-        assert_eq!(percentiles_of_halves(&[], [0.01, 0.99]), [0.0, 0.0]);
+        assert_eq!(percentiles_of_halves(std::iter::empty(), [0.01, 0.99]), [0.0, 0.0]);
     }
 }

@@ -41,7 +41,7 @@ pub(crate) fn run(
     key.add("display", display.without_panels().to_toml().as_bytes());
     add_weights(&mut key, weights);
     for shown in before.into_iter().chain([now]) {
-        key.add_f32("target", shown.target.radiance().data());
+        key.add_field("target", shown.target);
         add_stack(&mut key, shown.stack);
     }
     let (key, file) = (key.finish(), Path::new("cache/measure-figures.json"));

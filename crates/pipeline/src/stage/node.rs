@@ -82,7 +82,7 @@ pub(crate) fn run(
     key.add("plugin", plugin_key(registry, &node.plugin, &node.params)?.as_bytes())
         .add("display", display.to_toml().as_bytes())
         .add("geometry", format!("{:?}", target.geometry()).as_bytes())
-        .add_f32("target", target.radiance().data())
+        .add_field("target", target)
         .add_json("seed", &seed);
     add_weights(&mut key, weights);
     reuse_or_make("node", &key.finish(), display, stamps, || make(given, registry, task))

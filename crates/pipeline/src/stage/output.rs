@@ -67,7 +67,7 @@ pub(crate) fn failed(outputs: &[Output], prefix: &Path) -> Vec<FailedOutput> {
 
 /// Adds a light field and the depth of its central view to a key, since outputs receive both.
 fn add_field(key: &mut KeyBuilder, label: &str, field: &LightField) {
-    key.add("geometry", format!("{:?}", field.geometry()).as_bytes()).add_f32(label, field.radiance().data());
+    key.add("geometry", format!("{:?}", field.geometry()).as_bytes()).add_field(label, field);
     if let Some(depth) = field.depth() {
         let z_mm: Vec<f32> = depth.z_mm.iter().map(|z| z.unwrap_or(f32::NAN)).collect();
         key.add_json("depth", &(depth.rows, depth.cols)).add_f32("z", &z_mm);

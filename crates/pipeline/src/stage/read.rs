@@ -5,7 +5,7 @@ use std::path::Path;
 
 use lumistack_core::Task;
 use lumistack_display::{Display, FieldGeometry, LightField};
-use lumistack_field_io::LeftOut;
+use lumistack_field_io::{LeftOut, Reading};
 use lumistack_shot::ToneMapping;
 use rayon::prelude::*;
 
@@ -13,8 +13,9 @@ use super::field::field_defaults;
 use crate::error::{PipelineError, field_error};
 use crate::job::Job;
 
-/// Reads the light field at `path` for a display. Also returns as many views that the display does
-/// not use as the report scores.
+/// Reads the light field at `path` for a display, into memory, or into an unnamed file in a folder
+/// if it is larger than the job allows. Also returns views that the display does not use, as many
+/// as the report scores.
 ///
 /// # Errors
 /// If the light field cannot be read, or its geometry is incomplete.
@@ -22,19 +23,25 @@ pub(crate) fn run(
     path: &Path,
     job: &Job,
     display: &Display,
+    folder: Option<&Path>,
     task: Task<'_>,
 ) -> Result<(LightField, Vec<LeftOut>), PipelineError> {
     let footprint = |geometry: &FieldGeometry| adapted_footprint(display, geometry);
     let defaults = field_defaults(display);
-    let most = job.report.zone_directions;
-    let read = lumistack_field_io::open_for(path, &job.geometry, &defaults, Some(&footprint), most, task);
-    // Values are not rounded to half floats, as in `target/`, since the report compares with those
-    // of the file.
-    let (mut field, mut left_out) = read.map_err(field_error)?;
-    if let Some(tone_mapping) = ToneMapping::of_given(&job.light) {
-        tone_mapping.apply(&mut field);
-        left_out.iter_mut().for_each(|view| tone_mapping.apply_to(&mut view.radiance));
-    }
+    // Values are not rounded as in `target/`: the report compares with the values of the file.
+    let tone_mapping = ToneMapping::of_given(&job.light);
+    let change = |view: &mut [f32]| tone_mapping.iter().for_each(|tone_mapping| tone_mapping.apply_to(view));
+    let paging = |geometry: &FieldGeometry| {
+        folder.filter(|_| !job.render.is_held(geometry)).map(|folder| (folder, job.render.window_bytes()))
+    };
+    let reading = Reading {
+        footprint: Some(&footprint),
+        most_left_out: job.report.zone_directions,
+        paging: Some(&paging),
+        change: Some(&change),
+    };
+    let read = lumistack_field_io::open_for(path, &job.geometry, &defaults, reading, task);
+    let (field, left_out) = read.map_err(field_error)?;
     if let Some(out_of_range) = OutOfRange::of(&field) {
         task.warn(path.display().to_string(), out_of_range.message(REMEDY_IN_COMMAND));
     }
@@ -68,7 +75,9 @@ pub(crate) struct OutOfRange {
 impl OutOfRange {
     /// Counts the values outside 0..1; `None` if there are none.
     pub(crate) fn of(field: &LightField) -> Option<Self> {
-        let parts = field.radiance().data().par_chunks(1 << 16).map(|values| {
+        let views: Vec<[usize; 2]> = field.geometry().grid.iter().collect();
+        let parts = views.par_iter().map(|&view| {
+            let values = field.view(view);
             let mut part = Self { values: values.len() as u64, ..Self::default() };
             for &value in values.iter().filter(|value| !(0.0..=1.0).contains(*value)) {
                 part.above += u64::from(value.is_finite() && value > 1.0);

@@ -20,14 +20,17 @@
 
 use std::path::Path;
 
-use glam::DVec3;
-use lumistack_core::{NoProgress, Task, seed};
+use glam::{DQuat, DVec3};
+use lumistack_core::pages::Array;
+use lumistack_core::{NoProgress, Task, Tensor, seed};
 use lumistack_display::{
     Backlight, Display, FieldGeometry, LightField, Projection, Simulator, ViewGrid, Views, Weights,
 };
+use lumistack_factorizer::{held_bytes, paged_bytes};
+use lumistack_field_io::FieldWriter;
 use lumistack_pathtracer::denoise::SharedLight;
 use lumistack_pathtracer::{AngularFilter, Settings, SplitView};
-use lumistack_scene::Window;
+use lumistack_scene::{Similarity, Window};
 use lumistack_shot::{Placement, ToneMapping};
 use rayon::prelude::*;
 
@@ -36,7 +39,7 @@ use super::factorize::Solve;
 use super::fields::Shot;
 use super::paths::Samples;
 use super::score;
-use crate::error::{PipelineError, display_error, render_error};
+use crate::error::{PipelineError, display_error, field_error, render_error};
 use crate::job::{Background, Denoise, Engine, FactorizeJob, Job};
 use crate::stage::ingest::Ingested;
 use crate::store::code;
@@ -57,7 +60,9 @@ const DIRECTIONS: usize = 4;
 const REFERENCE_PATHS: u32 = 4;
 /// A pixel is included if at least this fraction of its area is seen.
 const WHOLE: f32 = 0.999;
-/// Number of a stream of random numbers that no view uses.
+/// Most rays that choose the exposure.
+const MOST_RAYS: usize = 4_000_000;
+/// Stream of random numbers that no view uses.
 const STREAM: u64 = 0x5a3b_0001;
 
 /// Returns the number of paths per pixel and view, if the job sets none. It is measured once, and
@@ -91,7 +96,7 @@ pub(crate) fn measured(
         .add("traced", format!("{geometry:?} {}", placement.depth_scale).as_bytes())
         .add_json("solver", &code::PATTERNS);
     let file = format!("samples-{}.json", &key.finish()[..16]);
-    remembered(Some(cache_dir), &file, || measure(shot, display, task)).map(Some)
+    remembered(Some(cache_dir), &file, || measure(shot, display, cache_dir, task)).map(Some)
 }
 
 /// A section of the picture: a small display, and its window in the scene.
@@ -107,31 +112,46 @@ struct Part {
 /// One of the two renders of a section.
 struct Half {
     field: LightField,
-    /// True for pixels that show a surface, in the order of the radiance.
-    is_surface: Vec<bool>,
+    /// The brightest channel of evenly spread rays, and whether they hit a surface.
+    brightest: Vec<(f32, bool)>,
 }
 
-fn measure(shot: Shot<'_>, display: &Display, task: Task<'_>) -> Result<Samples, PipelineError> {
+/// Place of light fields that are not kept in memory: a folder, and the bytes of each that may be
+/// in memory.
+type Place<'a> = Option<(&'a Path, usize)>;
+
+fn measure(shot: Shot<'_>, display: &Display, cache_dir: &Path, task: Task<'_>) -> Result<Samples, PipelineError> {
     let Shot { job, ingested, geometry, .. } = shot;
     let parts = parts(display, geometry, shot.window());
+    std::fs::create_dir_all(cache_dir).map_err(PipelineError::write(cache_dir))?;
+    let place: Place<'_> = (!job.render.is_held(geometry)).then(|| (cache_dir, window_bytes(job)));
+    // Evenly spread rays of all parts choose the exposure.
+    let rays: usize = parts.iter().map(Part::rays).sum();
+    let every = rays.div_ceil(MOST_RAYS);
     let quiet = Task { progress: &NoProgress, ..task };
     task.progress.begin("choose samples", 2 * parts.len() as u64, "parts");
 
     // Make both renders of every section, linear.
     let mut halves: Vec<[Half; 2]> = Vec::with_capacity(parts.len());
     for (number, part) in parts.iter().enumerate() {
-        let [a, b] = [0, 1].map(|half| render(shot, part, [number as u64, half], quiet));
+        let [a, b] = [0, 1].map(|half| render(shot, part, [number as u64, half], every, place, quiet));
         halves.push([a?, b?]);
         task.progress.advance(1, "");
     }
 
-    // Choose one exposure and one tone curve, as for the whole picture.
-    let brightest = halves.iter().flat_map(|[half, _]| {
-        let pixels = half.field.radiance().data().chunks_exact(3).zip(&half.is_surface);
-        pixels.map(|(rgb, &is_surface)| (rgb[0].max(rgb[1]).max(rgb[2]), is_surface))
-    });
-    let tone_mapping = ToneMapping::choose(&job.light, &ingested.scene, &brightest.collect::<Vec<_>>());
-    halves.iter_mut().flatten().for_each(|half| tone_mapping.apply(&mut half.field));
+    // One exposure and one tone curve, chosen as for the whole picture.
+    let brightest: Vec<(f32, bool)> =
+        halves.iter_mut().flat_map(|[half, _]| std::mem::take(&mut half.brightest)).collect();
+    let tone_mapping = ToneMapping::choose(&job.light, &ingested.scene, &brightest);
+    drop(brightest);
+    for half in halves.iter_mut().flatten() {
+        let exposed = FieldWriter::begin(half.field.geometry().clone(), place).map_err(field_error)?;
+        half.field = by_views(exposed, |view| {
+            let mut picture = half.field.view(view).to_vec();
+            tone_mapping.apply_to(&mut picture);
+            Ok(picture)
+        })?;
+    }
 
     // Distribute the directions of the zone score over the sections.
     let zone = score::zone_of(job, display, geometry);
@@ -225,33 +245,108 @@ fn compare(
     Ok(sums)
 }
 
-/// Renders a section with one path per pixel and view. If the job averages light that views share,
-/// it is averaged here too.
-fn render(shot: Shot<'_>, part: &Part, stream: [u64; 2], task: Task<'_>) -> Result<Half, PipelineError> {
+/// Renders a part with one path per pixel and view. Light that views share is averaged if the job
+/// does so.
+fn render(
+    shot: Shot<'_>,
+    part: &Part,
+    stream: [u64; 2],
+    every: usize,
+    place: Place<'_>,
+    task: Task<'_>,
+) -> Result<Half, PipelineError> {
     let Shot { job, ingested, placement, .. } = shot;
     let traced = part.geometry.with_grid(part.traced_grid(&shot.geometry.grid, placement.depth_scale));
     let seed = seed::derive(job.seed, &[STREAM, stream[0], stream[1]]);
     let settings = Settings { samples: 1, seed, ..settings(shot) };
     let tracer = &ingested.renderer(task)?.tracer;
-    let splits: Result<Vec<SplitView>, _> =
-        traced.grid.iter().map(|view| tracer.render_split(&part.window, &traced, view, &settings, task)).collect();
-    let splits = splits.map_err(render_error)?;
-    // Averaged light has less noise, so the measurement must average if the job does.
-    let light = if shot.denoise() == Denoise::Shared {
-        let mut light = SharedLight::new(&traced);
-        splits.iter().for_each(|split| light.add(split));
-        Some(light.averaged(task)?)
-    } else {
-        None
+    let storage = place.map(|(folder, limit)| lumistack_field_io::storage(folder, limit));
+    let [rows, cols] = [traced.rows, traced.cols];
+    let size = rows * cols * SplitView::VALUES;
+    // Averaged light has less noise, so the measurement must average as the job does.
+    let of_file = |error| PipelineError::write(place.map_or(Path::new(""), |(folder, _)| folder))(error);
+    let mut light = match &storage {
+        _ if shot.denoise() != Denoise::Shared => None,
+        Some(storage) => Some(SharedLight::in_storage(&traced, storage).map_err(of_file)?),
+        None => Some(SharedLight::new(&traced)),
     };
-    let mut field = LightField::black(part.geometry.clone())?;
-    let mut is_surface = Vec::with_capacity(field.radiance().data().len() / 3);
-    for ((number, view), split) in traced.grid.iter().enumerate().zip(&splits) {
-        let picture = light.as_ref().map_or_else(|| split.radiance(), |light| light[number].on(split));
-        field.view_mut(view).copy_from_slice(picture.data());
-        is_surface.extend(split.surfaces());
+    let mut splits = Array::zeros(size * traced.grid.iter().count(), storage.as_ref()).map_err(of_file)?;
+    for (number, view) in traced.grid.iter().enumerate() {
+        let split = tracer.render_split(&part.window, &traced, view, &settings, task).map_err(render_error)?;
+        if let Some(light) = &mut light {
+            light.add(&split);
+        }
+        let (values, window) = splits.all_mut();
+        window.into_iter().for_each(|window| window.announce(size * size_of::<f32>()));
+        values[number * size..][..size].copy_from_slice(split.values().data());
     }
-    Ok(Half { field, is_surface })
+    let light = light.map(|light| light.averaged(task)).transpose()?;
+    // The views in order, and rays for the exposure from all of them.
+    let mut brightest = Vec::with_capacity(part.rays() / every + 1);
+    let (mut number, view_cols) = (0, traced.grid.views()[1]);
+    let writer = FieldWriter::begin(part.geometry.clone(), place).map_err(field_error)?;
+    let field = by_views(writer, |[view_y, view_x]| {
+        let at = view_y * view_cols + view_x;
+        let values = splits.part(at * size..(at + 1) * size).to_vec();
+        let values = Tensor::from_vec(["row", "col", "part"], [rows, cols, SplitView::VALUES], values);
+        let split = values.ok().and_then(SplitView::from_values);
+        let split = split.ok_or_else(|| PipelineError::value("samples", "view", "its values", "others"))?;
+        let picture = light.as_ref().map_or_else(|| split.radiance(), |light| light.on(at, &split)).into_data();
+        for (rgb, is_surface) in picture.as_chunks::<3>().0.iter().zip(split.surfaces()) {
+            if number % every == 0 {
+                brightest.push((rgb[0].max(rgb[1]).max(rgb[2]), is_surface));
+            }
+            number += 1;
+        }
+        Ok(picture)
+    })?;
+    Ok(Half { field, brightest })
+}
+
+/// Writes a light field whose views `picture` returns, one after another.
+fn by_views(
+    mut writer: FieldWriter,
+    mut picture: impl FnMut([usize; 2]) -> Result<Vec<f32>, PipelineError>,
+) -> Result<LightField, PipelineError> {
+    for view in writer.geometry().grid.iter() {
+        writer.write(&picture(view)?).map_err(field_error)?;
+    }
+    writer.finish(Path::new("samples")).map_err(field_error)
+}
+
+/// Returns an upper bound of the memory of the measurement, bytes; 0 if a job has none.
+pub(crate) fn bytes(job: &Job, display: &Display, geometry: &FieldGeometry, threads: usize) -> u64 {
+    let is_chosen = !matches!(display.field.views, Views::Fixed(_));
+    if !(job.render.samples_are_measured() && is_chosen) {
+        return 0;
+    }
+    // Only the sizes of the parts count, so any place in a scene will do.
+    let scene_from_display = Similarity { rotation: DQuat::IDENTITY, scale: 1.0, translation: DVec3::ZERO };
+    let window = Window { scene_from_display, size_mm: geometry.size_mm(), near_mm: None };
+    let parts = parts(display, geometry, &window);
+    let (count, at_once) = (parts.len() as u64, parts.len().min(threads) as u64);
+    let Some(part) = parts.first() else { return 0 };
+    let rays = part.rays() as u64;
+    let exposure = 2 * size_of::<(f32, bool)>() as u64 * (count * rays).min(MOST_RAYS as u64);
+    // One part is rendered at a time, and all are solved at once.
+    const SPLIT: u64 = size_of::<f32>() as u64 * SplitView::VALUES as u64;
+    const FIELD: u64 = 12;
+    let (rendering, solving) = if job.render.is_held(geometry) {
+        let rendering = rays * (SPLIT + SharedLight::BYTES_PER_RAY) + 2 * count * rays * FIELD;
+        let solving = at_once * held_bytes(&part.display, &part.geometry, threads) + (2 * count + 1) * rays * FIELD;
+        (rendering, solving)
+    } else {
+        let (window, view) = (window_bytes(job) as u64, 4 * SPLIT * (part.geometry.rows * part.geometry.cols) as u64);
+        let in_memory = |of_thread: u64| window + threads as u64 * of_thread;
+        let solving = paged_bytes(&part.display, &part.geometry, threads, window) + in_memory(view);
+        (4 * in_memory(view), at_once * solving)
+    };
+    exposure + rendering.max(solving)
+}
+
+/// Returns the bytes of a part's files that may be in memory. All parts are compared at once.
+fn window_bytes(job: &Job) -> usize {
+    job.render.window_bytes() / 8
 }
 
 /// Returns the settings of the views, except the number of paths.
@@ -330,11 +425,7 @@ fn part(
     let map = window.scene_from_display;
     let translation = map.point(DVec3::new(centre_mm[0], centre_mm[1], 0.0));
     let size_mm = [cols, rows].map(|count| count as f64 * geometry.pitch_mm);
-    let window = Window {
-        scene_from_display: lumistack_scene::Similarity { translation, ..map },
-        size_mm,
-        near_mm: window.near_mm,
-    };
+    let window = Window { scene_from_display: Similarity { translation, ..map }, size_mm, near_mm: window.near_mm };
     let mut part =
         Part { display: small, geometry: FieldGeometry { rows, cols, ..geometry.clone() }, window, centre_mm, margin };
     part.geometry.grid = part.moved(&geometry.grid);
@@ -342,8 +433,13 @@ fn part(
 }
 
 impl Part {
-    /// Returns the views with slopes relative to the centre of the section: for perspective views
-    /// from the same eyes, and unchanged for parallel ones.
+    /// Returns the number of rays.
+    fn rays(&self) -> usize {
+        self.geometry.rows * self.geometry.cols * self.geometry.grid.iter().count()
+    }
+
+    /// Returns the views with slopes relative to the part's centre: the same eyes, or parallel
+    /// views.
     fn moved(&self, grid: &ViewGrid) -> ViewGrid {
         let Projection::Perspective { distance_mm } = grid.projection else { return grid.clone() };
         let moved = |slopes: &[f64], axis: usize| {
@@ -372,8 +468,6 @@ impl Part {
 
 #[cfg(test)]
 mod tests {
-    use glam::DQuat;
-    use lumistack_scene::Similarity;
 
     use super::*;
 

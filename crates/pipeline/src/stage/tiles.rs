@@ -255,7 +255,7 @@ impl Work<'_> {
             .add("tile", format!("{tile:?}, {round}").as_bytes())
             .add("settings", format!("{settings:?}").as_bytes())
             .add_json("counts", &weights.is_some())
-            .add_f32("target", target.radiance().data());
+            .add_field("target", &target);
         add_weights(&mut key, weights.as_ref().unwrap_or(&Weights::Uniform));
         if let Some(start) = &start {
             add_stack(&mut key, start);

@@ -135,8 +135,8 @@ fn trace_views(
     let splats = missing_splats(ingested, &fields, &views, block, task);
     let cached = todo.is_empty() && splats.iter().all(Vec::is_empty);
     if !(cached && fields.iter().all(|field| denoise::is_finished(field, kind))) {
-        // Check the denoiser before the rendering, which may take hours.
-        denoise::check(kind)?;
+        // Check the denoiser before the first hour of rendering.
+        denoise::check(kind, job, shot.geometry)?;
     }
     if engine == Engine::Blender {
         for (number, field) in fields.iter().enumerate() {

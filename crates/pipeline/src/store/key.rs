@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use lumistack_display::LightField;
 use serde::Serialize;
 
 use super::code::Code;
@@ -52,9 +53,26 @@ impl KeyBuilder {
 
     /// Adds values bit by bit.
     pub(crate) fn add_f32(&mut self, label: &str, values: &[f32]) -> &mut Self {
+        self.add_count(label, values.len()).add_values(values)
+    }
+
+    /// Adds the values of a light field, view by view, since it may be in a file.
+    pub(crate) fn add_field(&mut self, label: &str, field: &LightField) -> &mut Self {
+        self.add_count(label, field.radiance().data().len());
+        for view in field.geometry().grid.iter() {
+            self.add_values(field.view(view));
+        }
+        self
+    }
+
+    fn add_count(&mut self, label: &str, count: usize) -> &mut Self {
         self.0.update(&(label.len() as u64).to_le_bytes());
         self.0.update(label.as_bytes());
-        self.0.update(&(values.len() as u64).to_le_bytes());
+        self.0.update(&(count as u64).to_le_bytes());
+        self
+    }
+
+    fn add_values(&mut self, values: &[f32]) -> &mut Self {
         let mut buffer = Vec::with_capacity(4 * 4096);
         for chunk in values.chunks(4096) {
             buffer.clear();

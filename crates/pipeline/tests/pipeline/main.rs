@@ -6,6 +6,8 @@ mod captures;
 mod compose;
 mod farm;
 mod live;
+#[cfg(target_os = "linux")]
+mod memory;
 mod splats;
 mod tiles;
 mod usd;

@@ -23,9 +23,8 @@ pub struct RenderJob {
     /// Paths per pixel, summed over all views. The solver averages all rays through a layer's
     /// pixel, so more views need fewer paths each.
     pub zone_samples: ZoneSamples,
-    /// Largest memory of the light field while it is rendered and solved, MiB. `views = "auto"`
-    /// chooses no more views than fit. A larger light field of a given number of views is kept in a
-    /// file.
+    /// Memory of the light field while it is rendered, read and solved, MiB. A larger one is kept
+    /// in files, of which parts are in memory.
     pub field_mib: u64,
     /// Largest number of bounces after the first hit.
     pub max_bounces: u32,
@@ -254,16 +253,28 @@ impl Default for RenderJob {
 }
 
 impl RenderJob {
-    /// Memory per ray while views are rendered, bytes: shared light and the view that receives it.
+    /// Largest memory of a ray, bytes: shared light while views are denoised, or three channels as
+    /// `f32` twice while patterns are solved.
     pub const BYTES_PER_RAY: u64 = 32;
-    /// Memory per ray while patterns are solved, bytes: three channels as `f32`, and again as half
-    /// floats in the solver's own order.
-    const BYTES_WHILE_SOLVING: u64 = 18;
+    /// Greatest number of rays for which a display chooses its views: 625 views of 840 × 525
+    /// pixels. More would take hours.
+    const MOST_RAYS: usize = 625 * 840 * 525;
 
-    /// Returns whether a light field is kept in memory; a larger one is kept in a file.
+    /// Returns whether a light field is kept in memory; a larger one is kept in files.
     pub fn is_held(&self, geometry: &FieldGeometry) -> bool {
         let rays = geometry.grid.iter().count() * geometry.rows * geometry.cols;
-        Self::BYTES_WHILE_SOLVING * rays as u64 <= self.field_mib << 20
+        Self::BYTES_PER_RAY * rays as u64 <= self.field_mib << 20
+    }
+
+    /// Bytes of each of the files of a light field that may be in memory. At most two are in use
+    /// at a time; the other half is for views and rows in work.
+    pub fn window_bytes(&self) -> usize {
+        (self.field_mib << 18) as usize
+    }
+
+    /// Greatest number of views of `pixels` pixels that a display chooses.
+    pub fn most_chosen_views(pixels: usize) -> usize {
+        Self::MOST_RAYS.div_ceil(pixels)
     }
 
     /// Paths per pixel of each of `views` views if the number is not measured.
@@ -279,7 +290,7 @@ impl RenderJob {
         self.samples.is_none() && self.zone_samples == ZoneSamples::Auto && !self.denoise.takes_halves()
     }
 
-    /// Largest number of views, each of `pixels` pixels, that fit the memory of a light field.
+    /// Number of views of `pixels` pixels that memory can hold.
     pub fn affordable_views(&self, pixels: usize) -> usize {
         (self.field_mib << 20).div_ceil(Self::BYTES_PER_RAY * pixels as u64) as usize
     }

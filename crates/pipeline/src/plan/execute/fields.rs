@@ -116,7 +116,7 @@ impl Context<'_> {
         let job = self.job(part);
         let path = job.light_field.clone().unwrap_or_default();
         let display = job.resolve_display()?;
-        let (target, left_out) = read::run(&path, &job, &display, task)?;
+        let (target, left_out) = read::run(&path, &job, &display, Some(&self.dir(part)), task)?;
         self.check_geometry(part, &path, target.geometry())?;
         self.states[part].references = References::left_out(target.geometry(), left_out).map(Arc::new);
         let about = json!({ "light field": path.display().to_string() });

@@ -51,6 +51,8 @@ pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Jo
                     if of.window.fit_depth == FitDepth::Auto {
                         of.window.fit_depth = FitDepth::Off;
                     }
+                    // The zone score needs the pictures that reports of the time steps would need.
+                    of.sequence.iter_mut().for_each(|sequence| sequence.reports = true);
                     fields.push((display.clone(), of));
                     fields.len() - 1
                 }

@@ -1,0 +1,221 @@
+//! Light fields larger than memory, in an unnamed file of which few pages are in memory.
+//!
+//! Views are written one by one, and read like memory. Arrays of similar size that follow from such
+//! a light field have a place beside it ([`Tensor::storage`]).
+
+use std::fs::File;
+use std::io::{self, BufWriter, Read, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use lumistack_core::pages::{Pages, Storage, Window};
+use lumistack_core::{Lend, Tensor};
+use lumistack_display::{FieldGeometry, LightField};
+use memmap2::{Mmap, MmapMut};
+
+use crate::FieldError;
+
+/// Number of values that are converted to bytes at a time.
+const PART: usize = 1 << 14;
+
+/// A light field that is written view by view, into memory or into a file.
+pub enum FieldWriter {
+    /// In memory.
+    Held {
+        /// Its geometry.
+        geometry: FieldGeometry,
+        /// The views so far.
+        values: Vec<f32>,
+    },
+    /// In a file.
+    Paged(Paged),
+}
+
+impl FieldWriter {
+    /// Begins in a file, if there is a folder for it and a number of bytes that may be in memory;
+    /// else in memory.
+    ///
+    /// # Errors
+    /// If the file cannot be created.
+    pub fn begin(geometry: FieldGeometry, place: Option<(&Path, usize)>) -> Result<Self, FieldError> {
+        match place {
+            Some((folder, limit)) => Paged::begin(geometry, folder, limit).map(Self::Paged),
+            None => {
+                let count = LightField::shape_of(&geometry).iter().product();
+                Ok(Self::Held { geometry, values: Vec::with_capacity(count) })
+            }
+        }
+    }
+
+    /// The geometry of the light field.
+    pub fn geometry(&self) -> &FieldGeometry {
+        match self {
+            Self::Held { geometry, .. } | Self::Paged(Paged { geometry, .. }) => geometry,
+        }
+    }
+
+    /// Writes the next view in the order of the grid, `[row][col][rgb]`.
+    ///
+    /// # Errors
+    /// If the disk is full.
+    pub fn write(&mut self, view: &[f32]) -> Result<(), FieldError> {
+        match self {
+            Self::Held { values, .. } => values.extend_from_slice(view),
+            Self::Paged(paged) => paged.write(view)?,
+        }
+        Ok(())
+    }
+
+    /// Returns the light field, once all views are written. `path` names it in errors.
+    ///
+    /// # Errors
+    /// Those of [`Paged::finish`].
+    pub fn finish(self, path: &Path) -> Result<LightField, FieldError> {
+        let (geometry, values) = match self {
+            Self::Paged(paged) => return paged.finish(),
+            Self::Held { geometry, values } => (geometry, values),
+        };
+        let shape = LightField::shape_of(&geometry);
+        let radiance = Tensor::from_vec(LightField::AXES, shape, values)
+            .map_err(|error| FieldError::malformed(path, "size", format!("{shape:?}"), error.to_string()))?;
+        LightField::new(geometry, radiance).map_err(FieldError::geometry(path))
+    }
+}
+
+/// A light field that is written view by view to a file.
+pub struct Paged {
+    geometry: FieldGeometry,
+    file: BufWriter<File>,
+    /// Folder of the file.
+    folder: PathBuf,
+    /// Bytes that may be in memory.
+    limit: usize,
+    bytes: Vec<u8>,
+}
+
+impl Paged {
+    /// Creates the file on the disk of a folder. Later, `limit` bytes of the light field may be in
+    /// memory, and as much of every array beside it.
+    ///
+    /// # Errors
+    /// If the file cannot be created.
+    pub fn begin(geometry: FieldGeometry, folder: &Path, limit: usize) -> Result<Self, FieldError> {
+        let file = tempfile::tempfile_in(folder).map_err(FieldError::io(folder, "write"))?;
+        let bytes = Vec::with_capacity(4 * PART);
+        Ok(Self { geometry, file: BufWriter::new(file), folder: folder.to_owned(), limit, bytes })
+    }
+
+    /// Writes the next view in the order of the grid, `[row][col][rgb]`.
+    ///
+    /// # Errors
+    /// If the disk is full.
+    pub fn write(&mut self, view: &[f32]) -> Result<(), FieldError> {
+        for part in view.chunks(PART) {
+            self.bytes.clear();
+            self.bytes.extend(part.iter().flat_map(|value| value.to_ne_bytes()));
+            self.file.write_all(&self.bytes).map_err(FieldError::io(&self.folder, "write"))?;
+        }
+        Ok(())
+    }
+
+    /// Returns the light field, once all views are written.
+    ///
+    /// # Errors
+    /// If the disk is full, the file cannot be mapped, or views are missing.
+    pub fn finish(self) -> Result<LightField, FieldError> {
+        let Self { geometry, file, folder, limit, .. } = self;
+        let failed = |error| FieldError::io(&folder, "write")(error);
+        let file = file.into_inner().map_err(|error| failed(error.into_error()))?;
+        // SAFETY: the file has no name, so no other process writes it
+        let map = unsafe { Mmap::map(&file) }.map_err(failed)?;
+        // SAFETY: the mapping is whole and shared, and lives as long as the window
+        let window = unsafe { Window::new(&map, limit) };
+        let values = Mapped { map, window, storage: storage(&folder, limit) };
+        let radiance = Tensor::lent(LightField::AXES, LightField::shape_of(&geometry), Arc::new(values));
+        let radiance = radiance
+            .map_err(|error| FieldError::malformed(&folder, "light field", "all of its views", error.to_string()))?;
+        LightField::new(geometry, radiance).map_err(FieldError::geometry(&folder))
+    }
+}
+
+/// Returns a place for arrays on the disk of a folder, of which `limit` bytes each may be in
+/// memory.
+pub fn storage(folder: &Path, limit: usize) -> Storage {
+    let folder = folder.to_owned();
+    Arc::new(move |bytes| {
+        let mut file = tempfile::tempfile_in(&folder)?;
+        // writing zeros takes the room now: a full disk is an error here, and a crash later
+        io::copy(&mut io::repeat(0).take(bytes as u64), &mut file)?;
+        // SAFETY: the file has no name, so no other process writes it
+        let map = unsafe { MmapMut::map_mut(&file) }?;
+        // SAFETY: the mapping is whole and shared
+        Ok(unsafe { Pages::new(Box::new(map), limit) })
+    })
+}
+
+/// Values in a mapped file.
+struct Mapped {
+    map: Mmap,
+    window: Window,
+    storage: Storage,
+}
+
+impl Lend for Mapped {
+    fn values(&self) -> &[f32] {
+        // SAFETY: a map begins at a page, and all bit patterns are valid numbers
+        unsafe { self.map.align_to::<f32>().1 }
+    }
+
+    fn window(&self) -> Option<&Window> {
+        Some(&self.window)
+    }
+
+    fn storage(&self) -> Option<&Storage> {
+        Some(&self.storage)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use lumistack_core::pages::Array;
+    use lumistack_display::{Projection, ViewGrid};
+
+    #[test]
+    fn views_are_found_as_they_were_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let grid = ViewGrid::uniform(Projection::Oblique, [3, 2], [20.0, 20.0]).unwrap();
+        let geometry = FieldGeometry { rows: 70, cols: 90, pitch_mm: 1.0, grid };
+        // a limit below one view, so that pages are released between views
+        let mut paged = Paged::begin(geometry.clone(), folder.path(), 1 << 14).unwrap();
+        let value = |view: [usize; 2], i: usize| (i + 7919 * view[0] + 104_729 * view[1]) as f32;
+        for view in geometry.grid.iter() {
+            let picture: Vec<f32> = (0..70 * 90 * 3).map(|i| value(view, i)).collect();
+            paged.write(&picture).unwrap();
+        }
+        let field = paged.finish().unwrap();
+        for view in geometry.grid.iter() {
+            assert!(field.view(view).iter().enumerate().all(|(i, found)| *found == value(view, i)), "{view:?}");
+        }
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "the file has no name");
+        let unfinished = Paged::begin(geometry, folder.path(), 1 << 14).unwrap();
+        assert!(unfinished.finish().is_err(), "no views");
+    }
+
+    #[test]
+    fn released_pages_keep_their_values() {
+        let folder = tempfile::tempdir().unwrap();
+        let (count, part) = (1 << 20, 1 << 12);
+        let mut array = Array::<f32>::zeros(count, Some(&storage(folder.path(), 1 << 16))).unwrap();
+        let (values, window) = array.all_mut();
+        assert!(values.len() == count && values.iter().all(|value| *value == 0.0));
+        for (number, values) in values.chunks_mut(part).enumerate() {
+            window.unwrap().announce(size_of_val(values));
+            values.fill(number as f32);
+        }
+        for number in 0..count / part {
+            let values = array.part(number * part..(number + 1) * part);
+            assert!(values.iter().all(|value| *value == number as f32), "part {number}");
+        }
+    }
+}
