@@ -1,8 +1,9 @@
 //! The target and the weights in the order of the inner loops, rows padded on both sides.
 //!
-//! The target is `[channel][row][view][x]`: the rays through a line of a layer lie in a band of
-//! rows. So updates go through the target from one end to the other. A target in a file is then in
-//! memory only band by band.
+//! A target in memory is `[channel][view][row][x]`. A target in a file is
+//! `[channel][row][view][x]`: the rays through a line of a layer are in a band of rows, so updates
+//! read the file from one end to the other, and only a band is in memory. In memory that order took
+//! 1.3 times as long for 13 × 13 views.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -25,6 +26,7 @@ pub(crate) struct Target {
     stride: usize,
     rows: usize,
     views: usize,
+    order: Order,
     /// Number of colour channels.
     pub(crate) channels: usize,
     /// L, not yet scaled by β.
@@ -36,6 +38,31 @@ pub(crate) struct Target {
     /// The largest weight. Kept weights are divided by it, since only their ratios matter to a
     /// step.
     pub(crate) weight_scale: f64,
+}
+
+/// Order of the rows of a channel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Order {
+    /// `[view][row]`.
+    Views,
+    /// `[row][view]`.
+    Rows,
+}
+
+impl Order {
+    /// Order of a target that is a copy of `radiance`.
+    fn of(radiance: &Tensor<5>) -> Self {
+        if radiance.storage().is_some() { Self::Rows } else { Self::Views }
+    }
+
+    /// Position of a row, where a channel has this number of views and of rows per view.
+    #[inline(always)]
+    fn index(self, [views, rows]: [usize; 2], view: usize, row: usize) -> usize {
+        match self {
+            Self::Views => view * rows + row,
+            Self::Rows => row * views + view,
+        }
+    }
 }
 
 /// L, in 16 bits if half floats hold it exactly: the inner loops wait for memory.
@@ -94,7 +121,8 @@ impl Target {
         };
         let (weights, weight_scale) = ray_weights(problem.weights, [views, rows, cols], stride);
         let brightness = problem.display.brightness as f32;
-        Ok(Self { stride, rows, views, channels: 3, values, brightness, weights, weight_scale })
+        let order = Order::of(radiance);
+        Ok(Self { stride, rows, views, order, channels: 3, values, brightness, weights, weight_scale })
     }
 
     /// One channel of half floats that stay where they are; all weights are 1.
@@ -114,6 +142,7 @@ impl Target {
             stride: PAD + cols + PAD,
             rows: geometry.rows,
             views,
+            order: Order::Views,
             channels: 1,
             values: Radiance::Lent(Lent { values: lent, first, last }),
             brightness: brightness as f32,
@@ -131,8 +160,8 @@ impl Target {
         let (stride, fine_cols) = (PAD + cols.len() + PAD, self.stride - 2 * PAD);
         // compute one coarse row: mix three fine rows, then three columns of the mixture
         let mix = |mixed: &mut Vec<f32>, index: usize, to: RowMut| {
-            let (line, view) = (index / views.len(), views[index % views.len()]);
-            let (channel, (first, shares)) = (line / rows.len(), rows[line % rows.len()]);
+            let (picture, (first, shares)) = (index / rows.len(), rows[index % rows.len()]);
+            let (channel, view) = (picture / views.len(), views[picture % views.len()]);
             let fine = shares.iter().enumerate().filter(|(_, share)| **share > 0.0);
             let fine = fine.map(|(k, &share)| (self.row(channel, view, first + k).part(0..fine_cols), share));
             functions.average(&fine.collect::<Vec<_>>(), cols, mixed, to);
@@ -180,7 +209,7 @@ impl Target {
                 RayWeights::PerRay(roots)
             }
         };
-        Self { stride, rows: rows.len(), views: views.len(), values, weights, ..*self }
+        Self { stride, rows: rows.len(), views: views.len(), order: Order::Views, values, weights, ..*self }
     }
 
     /// True if all rays have weight 1.
@@ -196,11 +225,12 @@ impl Target {
     /// One padded row of L; column c is at [`PAD`] + c.
     #[inline(always)]
     pub(crate) fn row(&self, channel: usize, view: usize, row: usize) -> Row<'_> {
-        let at = ((channel * self.rows + row) * self.views + view) * self.stride;
+        let index = self.order.index([self.views, self.rows], view, row);
+        let at = (channel * self.views * self.rows + index) * self.stride;
         match &self.values {
             Radiance::Half(values) => Row::Half(values.part(at..at + self.stride)),
             Radiance::Float(values) => Row::Float(values.part(at..at + self.stride)),
-            Radiance::Lent(lent) => match view * self.rows + row {
+            Radiance::Lent(lent) => match index {
                 0 => Row::Half(&lent.first),
                 index if index + 1 == self.views * self.rows => Row::Half(&lent.last),
                 index => {
@@ -233,7 +263,7 @@ impl Target {
     }
 }
 
-/// Sorts `[view_y][view_x][row][col][rgb]` into padded rows `[channel][row][view][x]`.
+/// Sorts `[view_y][view_x][row][col][rgb]` into padded rows, in the order of [`Order::of`].
 ///
 /// `convert` fills one row per channel. It returns false if T cannot hold a value; then the result
 /// is `None`.
@@ -253,7 +283,8 @@ fn rows_of<T: Plain>(
     let channels = red.chunks_exact_mut(stride).zip(green.chunks_exact_mut(stride)).zip(blue.chunks_exact_mut(stride));
     let mut places: Vec<_> = channels.map(|((red, green), blue)| [red, green, blue]).collect();
     // in the order of the given values, since those may be in a file as well
-    let place = |line: usize| std::mem::take(&mut places[line % rows * views + line / rows]);
+    let order = Order::of(radiance);
+    let place = |line| std::mem::take(&mut places[order.index([views, rows], line / rows, line % rows)]);
     let mut places: Vec<_> = (0..lines).map(place).collect();
     let complete = AtomicBool::new(true);
     bands::for_each_chunk(
