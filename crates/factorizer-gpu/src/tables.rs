@@ -9,18 +9,20 @@ const MISSED: u32 = u32::MAX;
 /// All tables, and the offset of each.
 pub(crate) struct Tables {
     pub(crate) words: Vec<u32>,
-    /// `[view row][field row]`: 1 if the rays are valid, otherwise 0.
+    /// Offset in `words` of the table `[view row][field row]`: 1 if the rays are valid, otherwise
+    /// 0.
     pub(crate) counted_rows: u32,
-    /// `[view column][field column]`: 1 if the rays are valid, otherwise 0.
+    /// Offset in `words` of the table `[view column][field column]`: 1 if the rays are valid,
+    /// otherwise 0.
     pub(crate) counted_cols: u32,
     pub(crate) factors: Vec<FactorTables>,
 }
 
 /// Offsets and ranges of one factor's tables.
 pub(crate) struct FactorTables {
-    /// `[view row][field row]`: the lines that rays read; the offset is in taps.
+    /// Offset, in taps, of the table `[view row][field row]`: the lines that rays read.
     pub(crate) y: u32,
-    /// `[view column][field column]`: the columns that rays read; the offset is in taps.
+    /// Offset, in taps, of the table `[view column][field column]`: the columns that rays read.
     pub(crate) x: u32,
     /// `[view row][line]`: the offset of the list of field rows that read the line. The list ends
     /// at the next entry's offset.

@@ -1,4 +1,5 @@
-//! Sums of one block through buffers, for any number of frames and factors.
+//! Sums of one block of a line, with the terms of each view in buffers, for any number of frames
+//! and factors. [`step`](crate::step) defines the terms a_m and e and the sums n, d, r and G.
 //!
 //! [`registers`](crate::registers) has faster functions for common cases and shares the types here.
 
@@ -174,7 +175,7 @@ pub(crate) unsafe fn buffered<V: Lanes, const OWN: bool>(
                 emitted
             }
         };
-        // the residual; the ratio rule sums βL instead
+        // the error e; the paper's rule sums βL instead
         let wanted = wanted::<V>(&rays.targets[view], x, params).mul(weight);
         let error = wanted.sub(emitted);
         store(if params.sums == Sums::Ratio { wanted } else { error }, &mut buffers.errors, to * V::COUNT);

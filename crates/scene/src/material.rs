@@ -49,8 +49,8 @@ pub struct Material {
     pub specular_color: Vec3,
     /// Texture of `specular_color`: RGB is sRGB-encoded.
     pub specular_color_texture: Option<TextureUse>,
-    /// Fraction of the light that a dielectric does not reflect and that passes through it
-    /// (`KHR_materials_transmission`), 0..1.
+    /// Fraction of a dielectric's unreflected light that passes through it instead of being
+    /// scattered (`KHR_materials_transmission`), 0..1.
     pub transmission: f32,
     /// Texture of `transmission`, in the red channel; linear.
     pub transmission_texture: Option<TextureUse>,
