@@ -4,8 +4,8 @@ use crate::{
     Backlight, Display, DisplayError, FieldGeometry, LensletBacklight, OutsideBins, Projection, ProjectionKind, Views,
 };
 
-/// Relative difference up to which angles and lengths are equal. So a display keeps its own numbers
-/// for its own light field.
+/// Relative difference up to which angles and lengths are taken as equal. So rounding changes
+/// nothing if a display is adapted to its own light field.
 const SAME: f64 = 1e-9;
 /// Largest number of angular bins per axis of a backlight that follows a light field. It may have
 /// more bins if there are at most two per view.
@@ -104,8 +104,8 @@ impl Display {
             Views::Auto | Views::Step(_) => own_bins,
         };
         let (own_reach, bins_reach) = (half(self.field.fov_deg[axis]), half(own.fov_deg[axis]));
-        // bins per view, and the reach of the bins relative to the views' reach, both as in the
-        // display
+        // keep the display's number of bins per view, and the ratio of its bins' reach to its
+        // views' reach
         let (fineness, spread) = if own_reach > 0.0 {
             (own_reach / own_views * own_bins / bins_reach, bins_reach / own_reach)
         } else {

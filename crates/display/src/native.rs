@@ -19,7 +19,7 @@ const VIEWS_PER_BIN: f64 = 3.0;
 /// Suppose that all layers have one pitch, and distances that are multiples of one distance. At
 /// multiples of this step, every layer is then shifted by whole pixels. There one ray per pixel is
 /// exact for the pixel's area. Between two neighbouring multiples, the seen picture is a mixture of
-/// the same pixel products as at those two.
+/// the same products of layer pixels as at those two.
 pub fn native_step(display: &Display) -> [Option<f64>; 2] {
     let against_field = display.layers.iter().map(|layer| (layer.d_mm.abs(), layer.pitch_mm));
     let gaps =

@@ -24,11 +24,11 @@ pub(crate) struct FactorTables {
     pub(crate) y: u32,
     /// Offset, in taps, of the table `[view column][field column]`: the columns that rays read.
     pub(crate) x: u32,
-    /// `[view row][line]`: the offset of the list of field rows that read the line. The list ends
-    /// at the next entry's offset.
+    /// Offset in `words` of the table `[view row][line]` of the offsets of lists: the field rows
+    /// that read the line. A list ends at the next entry's offset.
     pub(crate) own_lines: u32,
-    /// `[view column][column]`: the offset of the list of field columns that read the column. The
-    /// list ends at the next entry's offset.
+    /// Offset in `words` of the table `[view column][column]` of the offsets of lists: the field
+    /// columns that read the column. A list ends at the next entry's offset.
     pub(crate) own_columns: u32,
     /// Per line, the first and last field row that read it from any view.
     pub(crate) rows_of_line: Vec<Option<[usize; 2]>>,

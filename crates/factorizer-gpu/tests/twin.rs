@@ -140,8 +140,8 @@ fn are_near(a: f64, b: f64, sum: f64, values: usize) -> bool {
     (a - b).abs() <= OBJECTIVE_TOLERANCE * sum + OBJECTIVE_PER_VALUE * values as f64
 }
 
-/// Compares every update alone. It starts from the processor's patterns before the update, so that
-/// rounding does not accumulate.
+/// Compares updates one by one. On both devices, each starts from the processor's patterns before
+/// it, so that rounding does not accumulate.
 #[test]
 fn one_update_equals_the_processors() {
     let Some(device) = device() else { return };

@@ -14,8 +14,8 @@ use crate::vector::{Vector, load, store};
 /// 10 % slower, with four it is no faster.
 pub(crate) const AHEAD: usize = 2;
 /// Number of values by which the target's rows are prefetched ahead, into the second-level cache.
-///
-/// The target is read once, and the first-level cache is full of the factors' rows.
+/// They do not go to the first-level cache, since it is full of the factors' rows, and the target
+/// is read only once.
 const TARGET_AHEAD: usize = 64;
 
 /// Number of views that are buffered before their sums are added up. The buffers of 169 views
@@ -266,7 +266,7 @@ pub(crate) struct Group {
     pub(crate) add: bool,
 }
 
-/// Adds up a group of views; with `SHARED` each view is weighted by its share.
+/// Adds up a group of views. With `SHARED` each view is multiplied by its share in the line.
 ///
 /// # Safety
 /// The machine has V, and the buffers hold as many views as the group.

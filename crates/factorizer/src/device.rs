@@ -41,8 +41,8 @@ pub struct Begin {
     pub ranges: Vec<[f32; 2]>,
     /// Layers rear to front, then the directional backlight; values within their boxes.
     pub factors: Vec<Factor>,
-    /// True if updates try the curvature at the current point before the bound that holds
-    /// everywhere. This matters only if L̃ is not linear in a factor.
+    /// True if an update first takes the curvature at the current point, and an upper bound of the
+    /// curvature only if the objective rises. This matters only if L̃ is not linear in a factor.
     pub tries_local: bool,
 }
 
@@ -114,8 +114,8 @@ pub trait Updater {
 
     /// Runs [`apply`](Self::apply) with the better curvature.
     ///
-    /// The local curvature usually gains more, but may raise the objective. If so, the update is
-    /// undone and repeated with the bound.
+    /// The curvature at the current point usually gains more than its upper bound. But it may raise
+    /// the objective. If so, the update is undone and repeated with the bound.
     fn update(&mut self, n: usize, rule: Rule, extrapolation: Option<f32>) {
         if !self.tries_local() || self.plan().is_bounded(n) || rule == Rule::KktResidual {
             return self.apply(n, rule, extrapolation, false);

@@ -94,7 +94,7 @@ impl LineStep<'_> {
     pub(crate) fn finish_block(&mut self, functions: &StepFunctions, block: &mut Block, x: usize) {
         let lanes = functions.lanes;
         // Lanes past the last column are padding, to which rays that miss the layer add their sums.
-        // Only the lanes in front of it are written.
+        // So only the first `room` lanes get new values.
         let room = (self.columns.end - x).min(lanes);
         if let Some(sums) = &mut self.sums {
             block.gain = Vector::default();

@@ -36,8 +36,8 @@ impl Scene {
     }
 
     /// Bounds of everything that the viewer sees: of all objects except [unseen
-    /// lamps](Lamp::Unseen) and floating splats. They are the bounds of all objects if the scene
-    /// has no others.
+    /// lamps](Lamp::Unseen) and floating splats. If the viewer sees nothing, they are the bounds of
+    /// all objects.
     pub fn seen_bounds(&self) -> Bounds {
         self.seen_bounds
     }

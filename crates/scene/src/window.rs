@@ -160,8 +160,8 @@ impl Window {
         Self { scene_from_display, size_mm: self.size_mm, near_mm: self.near_mm.map(|near| (near + by_mm) / factor) }
     }
 
-    /// Frames points as seen along `forward`: the plane passes through the centre of their extents,
-    /// and the window just holds their width and height.
+    /// Frames points as seen along `forward`. The plane passes through the centre of their extents,
+    /// and the window holds their width and height with a small margin.
     ///
     /// # Errors
     /// If there are no points, if all points are equal, or if the directions are zero or parallel.
@@ -185,7 +185,7 @@ impl Window {
     }
 
     /// Frames the bounds from the front, seen along −z (glTF assets face +z). The plane passes
-    /// through their centre, and the window just holds their width and height.
+    /// through their centre, and the window holds their width and height with a small margin.
     ///
     /// # Errors
     /// If the bounds are empty or a single point.
