@@ -47,8 +47,8 @@ impl Zone {
     }
 
     /// `count` directions, each as a grid of one view. An additive recurrence of low discrepancy
-    /// spreads them over the zone: Roberts' R₂, whose ratio is the real root of x³ = x + 1. The same
-    /// zone and count always give the same directions.
+    /// spreads them over the zone: Roberts' R₂, whose ratio is the real root of x³ = x + 1. The
+    /// same zone and count always give the same directions.
     pub fn directions(&self, count: usize) -> Vec<ViewGrid> {
         const RATIO: f64 = 1.324_717_957_244_746;
         let point = |i: usize| [1.0, 2.0].map(|power| (0.5 + (i + 1) as f64 * RATIO.powf(-power)).fract());
