@@ -128,7 +128,7 @@ fn errors_name_types_and_places_as_the_file_does() {
             "line 2, column 11: expected a table of keys and values, [display], found the text",
         ),
         (format!("{display}frames = 2.5"), "line 4, column 10: expected a whole number, 0 or more, found 2.5"),
-        (format!("{display}resolution = [420]"), "expected a list of 2 values, found 1 of them"),
+        (format!("{display}resolution = [420]"), "expected a list of 2 values, found a list of length 1"),
         (format!("{display}[render]\nlens_deg = \"wide\""), "expected a number in degrees, found the text \"wide\""),
         (format!("{display}[render]\nsamples = 0"), "a.toml: render.samples: expected 1 to 65536, found 0"),
         (format!("{display}[light]\nbackground = \"blue\""), "expected `environment`, a colour such as `#202028`"),

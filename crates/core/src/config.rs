@@ -68,7 +68,7 @@ pub fn plain(message: &str, key: &str) -> String {
         },
     };
     let found = match found.split_once(' ') {
-        _ if kind == "invalid length " => format!("{found} of them"),
+        _ if kind == "invalid length " => format!("a list of length {found}"),
         Some(("string", text)) => format!("the text {text}"),
         Some(("integer" | "boolean", value)) => value.replace('`', ""),
         Some(("floating", value)) => value.trim_start_matches("point ").replace('`', ""),
@@ -167,7 +167,7 @@ mod tests {
             (
                 "invalid length 1, expected an array of length 2",
                 "size_mm",
-                "expected a list of 2 values in millimetres, found 1 of them",
+                "expected a list of 2 values in millimetres, found a list of length 1",
             ),
             (
                 "invalid type: string \"a\", expected struct DisplayJob",

@@ -4,8 +4,8 @@ use crate::{
     Backlight, Display, DisplayError, FieldGeometry, LensletBacklight, OutsideBins, Projection, ProjectionKind, Views,
 };
 
-/// Relative difference up to which angles and lengths are equal. So a display keeps its own numbers
-/// for its own light field.
+/// Relative difference up to which angles and lengths are taken as equal. So rounding changes
+/// nothing if a display is adapted to its own light field.
 const SAME: f64 = 1e-9;
 /// Largest number of angular bins per axis of a backlight that follows a light field. It may have
 /// more bins if there are at most two per view.
@@ -47,8 +47,9 @@ impl Display {
     }
 
     /// The same display for a light field that already exists. Masks take the light field's
-    /// resolution and size. The view grid takes the full angle whose bins are as wide as the light
-    /// field's. Lenslets scale with the masks. Distances and frames stay the same.
+    /// resolution and size. The field of view becomes the angle at which the views' bins are as
+    /// wide as the light field's. Lenslets scale with the masks. Distances and frames stay the
+    /// same.
     ///
     /// The backlight's bins follow the views per axis: the number of bins per view stays the same.
     /// So a backlight that was made for the display's views has one bin for each view of the light
@@ -103,8 +104,8 @@ impl Display {
             Views::Auto | Views::Step(_) => own_bins,
         };
         let (own_reach, bins_reach) = (half(self.field.fov_deg[axis]), half(own.fov_deg[axis]));
-        // bins per view, and the reach of the bins relative to the views' reach, both as in the
-        // display
+        // keep the display's number of bins per view, and the ratio of its bins' reach to its
+        // views' reach
         let (fineness, spread) = if own_reach > 0.0 {
             (own_reach / own_views * own_bins / bins_reach, bins_reach / own_reach)
         } else {
@@ -112,8 +113,8 @@ impl Display {
         };
         let slopes = if axis == 0 { &geometry.grid.slope_x } else { &geometry.grid.slope_y };
         let outermost = slopes.iter().fold(0.0f64, |most, slope| most.max(slope.abs()));
-        // pinholes see the field's edges under other slopes than its centre; a real lens array
-        // repeats its bins there
+        // A pinhole sees the field's edges under other slopes than its centre, so the bins must
+        // reach farther by this difference. A lens array that repeats its bins needs no more.
         let fan = match (geometry.grid.projection, own.outside_bins) {
             (Projection::Perspective { distance_mm }, OutsideBins::Dark) => {
                 0.5 * geometry.size_mm()[axis] / distance_mm

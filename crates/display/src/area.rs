@@ -11,8 +11,8 @@
 use crate::raymap::{Axis, AxisRay};
 use crate::{Backlight, Display, FieldGeometry, RayMap, Sampling};
 
-/// Parts narrower than this fraction of a pixel come from rounding, if an edge coincides with the
-/// pixel's own border.
+/// Parts narrower than this fraction of a pixel are left out. They come from rounding, if an edge
+/// coincides with the pixel's own border.
 const SLIVER: f64 = 1e-9;
 
 /// The tables of one view, with one ray for every part of a pixel.

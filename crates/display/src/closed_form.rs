@@ -200,7 +200,8 @@ mod tests {
         let form = display.closed_form(0).unwrap();
         let excess = display.spatial_cutoff_along(0, 100.0) / form.cutoff(100.0) - 1.0;
         assert!((0.55..0.65).contains(&excess), "{excess}");
-        // with the lenslets so far behind, only the layer's own plane has the frequencies of both
+        // the lenslets are behind the layer, so their frequencies add up as in (26) only in the
+        // layer's own plane
         assert!((display.spatial_cutoff_along(0, 0.0) / form.cutoff(0.0) - 1.0).abs() < 0.2);
     }
 }

@@ -254,7 +254,7 @@ impl FieldGeometry {
 }
 
 /// Evenly spread indices below `count`, at most `most` ≥ 2 of them. They include the first and the
-/// last index, and an odd number of them includes the middle index of an odd `count`.
+/// last index. If `count` and `most` are odd, they also include the middle index.
 pub fn spread(count: usize, most: usize) -> Vec<usize> {
     if count <= most {
         return (0..count).collect();

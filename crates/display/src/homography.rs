@@ -33,8 +33,9 @@ impl Homography {
     }
 
     /// The map that takes the corners (0,0), (1,0), (1,1), (0,1) of the unit square to four points.
-    /// `None` if the points span no area, or if the horizon touches or crosses the square. Source:
-    /// Heckbert, "Fundamentals of Texture Mapping and Image Warping" (1989), section 2.2.3.
+    /// `None` if the points span no area, or if the map would take a point of the square to
+    /// infinity. Source: Heckbert, "Fundamentals of Texture Mapping and Image Warping" (1989),
+    /// section 2.2.3.
     pub fn of_unit_square([a, b, c, d]: [[f64; 2]; 4]) -> Option<Self> {
         let (dx1, dx2, sx) = (b[0] - c[0], d[0] - c[0], a[0] - b[0] + c[0] - d[0]);
         let (dy1, dy2, sy) = (b[1] - c[1], d[1] - c[1], a[1] - b[1] + c[1] - d[1]);

@@ -170,7 +170,8 @@ mod tests {
                 let layer = Layer { bits: Some(bits), transfer: transfer.clone(), ..limited() };
                 let levels = layer.levels().unwrap();
                 assert_eq!(levels.len(), 1 << bits);
-                // above black, steps of 16 bits are finer than single precision
+                // gamma 2.2: the first of 2¹⁶ steps above black are smaller than the spacing of f32
+                // there
                 let rise = |pair: &[f32]| if bits < 16 { pair[0] < pair[1] } else { pair[0] <= pair[1] };
                 assert!(levels.windows(2).all(rise), "{transfer:?}, {bits} bits");
                 assert_eq!([levels[0], levels[levels.len() - 1]], layer.range());

@@ -19,7 +19,7 @@ const VIEWS_PER_BIN: f64 = 3.0;
 /// Suppose that all layers have one pitch, and distances that are multiples of one distance. At
 /// multiples of this step, every layer is then shifted by whole pixels. There one ray per pixel is
 /// exact for the pixel's area. Between two neighbouring multiples, the seen picture is a mixture of
-/// the same pixel products as at those two.
+/// the same products of layer pixels as at those two.
 pub fn native_step(display: &Display) -> [Option<f64>; 2] {
     let against_field = display.layers.iter().map(|layer| (layer.d_mm.abs(), layer.pitch_mm));
     let gaps =
@@ -145,11 +145,12 @@ mod tests {
             assert_eq!(display.clone().with_views_chosen(most).views(), [views, views], "{most}");
         }
         let fixed = Display::uniform([16, 10], 1.0, [5, 3], [20.0, 20.0], &[-12.0, 12.0], 1);
-        assert_eq!(fixed.clone().with_views_chosen(1), fixed, "views that were asked for stay");
+        assert_eq!(fixed.clone().with_views_chosen(1), fixed, "a given number of views stays");
     }
 
-    /// Displays with coarse pixels, whose native step is wider than the zone, and displays that
-    /// show one direction.
+    /// An axis with parallax has at least three views, even if pixels are so coarse that the native
+    /// step is wider than the zone. An axis without field of view has one view. So has a display
+    /// whose only layer is in the display plane.
     #[test]
     fn what_shows_parallax_has_three_views_and_the_rest_one() {
         let mut coarse = stack(20);

@@ -106,7 +106,7 @@ impl Weights {
             return Err(WeightError { expected: "finite values ≥ 0".into(), found: found.to_string() });
         }
         if data.iter().all(|w| *w == 0.0) {
-            let found = format!("{} weights, all of them 0", data.len());
+            let found = format!("0 everywhere (number of weights: {})", data.len());
             return Err(WeightError { expected: "at least one weight above 0".into(), found });
         }
         Ok(())

@@ -34,7 +34,7 @@ pub enum Zone {
 impl Zone {
     /// The zone of a light field's views. Per axis it reaches half a spacing past the outermost
     /// views, or is as wide as `fov_deg` if that is known. An axis with one view has no width,
-    /// since a display for one view promises nothing for other directions.
+    /// since a display that is solved for one direction is right in no other.
     pub fn of_grid(grid: &ViewGrid, fov_deg: Option<[f64; 2]>) -> Self {
         let slopes = [&grid.slope_x, &grid.slope_y];
         let spacing = grid.bin_width();
@@ -46,9 +46,9 @@ impl Zone {
         Self::Slopes { projection: grid.projection, half_width }
     }
 
-    /// `count` directions, each as a grid of one view. An additive recurrence of low discrepancy in
-    /// two dimensions spreads them over the zone (Roberts' R₂, whose ratio is the real root of x³ =
-    /// x + 1). The same zone and count always give the same directions.
+    /// `count` directions, each as a grid of one view. An additive recurrence of low discrepancy
+    /// spreads them over the zone: Roberts' R₂, whose ratio is the real root of x³ = x + 1. The
+    /// same zone and count always give the same directions.
     pub fn directions(&self, count: usize) -> Vec<ViewGrid> {
         const RATIO: f64 = 1.324_717_957_244_746;
         let point = |i: usize| [1.0, 2.0].map(|power| (0.5 + (i + 1) as f64 * RATIO.powf(-power)).fract());

@@ -25,8 +25,7 @@ pub fn adapters() -> Vec<Adapter> {
 }
 
 fn found() -> Vec<(Adapter, wgpu::Adapter)> {
-    // use interfaces with compute shaders alone: without a session, OpenGL's driver writes to
-    // standard error
+    // leave out OpenGL: without a graphical session its driver writes to standard error
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle_from_env();
     descriptor.backends = Backends::PRIMARY;
     let instance = wgpu::Instance::new(descriptor);

@@ -54,8 +54,7 @@ impl State {
         // refuse displays outside the device's limits with a clear message, before any allocation
         let (plan, n_factors) = (begin.plan.clone(), begin.plan.factor_count());
         if begin.display.layers.iter().any(|layer| layer.response().is_some()) {
-            let why =
-                "layers with blur, crosstalk, colour filters or one value for all channels are solved on the processor";
+            let why = "layers with blur, crosstalk, colour filters or one value for all channels need the processor (--device cpu)";
             return Err(gpu.error(why.into()));
         }
         let limits = &gpu.limits;

@@ -9,24 +9,26 @@ const MISSED: u32 = u32::MAX;
 /// All tables, and the offset of each.
 pub(crate) struct Tables {
     pub(crate) words: Vec<u32>,
-    /// `[view row][field row]`: 1 if the rays are valid, otherwise 0.
+    /// Offset in `words` of the table `[view row][field row]`: 1 if the rays are valid, otherwise
+    /// 0.
     pub(crate) counted_rows: u32,
-    /// `[view column][field column]`: 1 if the rays are valid, otherwise 0.
+    /// Offset in `words` of the table `[view column][field column]`: 1 if the rays are valid,
+    /// otherwise 0.
     pub(crate) counted_cols: u32,
     pub(crate) factors: Vec<FactorTables>,
 }
 
 /// Offsets and ranges of one factor's tables.
 pub(crate) struct FactorTables {
-    /// `[view row][field row]`: the lines that rays read; the offset is in taps.
+    /// Offset, in taps, of the table `[view row][field row]`: the lines that rays read.
     pub(crate) y: u32,
-    /// `[view column][field column]`: the columns that rays read; the offset is in taps.
+    /// Offset, in taps, of the table `[view column][field column]`: the columns that rays read.
     pub(crate) x: u32,
-    /// `[view row][line]`: the offset of the list of field rows that read the line. The list ends
-    /// at the next entry's offset.
+    /// Offset in `words` of the table `[view row][line]` of the offsets of lists: the field rows
+    /// that read the line. A list ends at the next entry's offset.
     pub(crate) own_lines: u32,
-    /// `[view column][column]`: the offset of the list of field columns that read the column. The
-    /// list ends at the next entry's offset.
+    /// Offset in `words` of the table `[view column][column]` of the offsets of lists: the field
+    /// columns that read the column. A list ends at the next entry's offset.
     pub(crate) own_columns: u32,
     /// Per line, the first and last field row that read it from any view.
     pub(crate) rows_of_line: Vec<Option<[usize; 2]>>,

@@ -38,7 +38,7 @@ const SEED: u64 = 4;
 const OWN_ROUNDING: f32 = 4.0;
 /// Number of runs by which the processor's own difference is measured.
 const NUDGES: u32 = 4;
-/// Largest number of runs that may need that tolerance.
+/// Largest number of runs that may need the tolerance [`OWN_ROUNDING`].
 const MOST_LED_ELSEWHERE: usize = 8;
 
 /// The adapter of the tests: the one that `LUMISTACK_GPU` names, otherwise a graphics processor,
@@ -140,8 +140,8 @@ fn are_near(a: f64, b: f64, sum: f64, values: usize) -> bool {
     (a - b).abs() <= OBJECTIVE_TOLERANCE * sum + OBJECTIVE_PER_VALUE * values as f64
 }
 
-/// Compares every update alone. It starts from the processor's patterns before the update, so that
-/// rounding does not accumulate.
+/// Compares updates one by one. On both devices, each starts from the processor's patterns before
+/// it, so that rounding does not accumulate.
 #[test]
 fn one_update_equals_the_processors() {
     let Some(device) = device() else { return };
@@ -338,7 +338,7 @@ fn what_a_device_cannot_do_is_one_clear_message() {
         begun.err().unwrap().to_string()
     };
     let refused = message(&device, &owned);
-    assert!(refused.ends_with("are solved on the processor"), "{refused}");
+    assert!(refused.ends_with("need the processor (--device cpu)"), "{refused}");
     owned.display.layers[0].blur_px = 0.0;
     let small = message(&device.with_binding_bytes(16).unwrap(), &owned);
     assert!(small.contains("too little memory"), "{small}");

@@ -209,10 +209,10 @@ struct Row {
     update_ms: f64,
 }
 
-/// Iterates, and evaluates the objective at the given iterations alone.
+/// Iterates, and returns PSNR after the given numbers of iterations.
 ///
-/// If a display allows no coarser level, the start equals that of the previous row, whose values
-/// are then repeated.
+/// A display may allow no coarser level. The start then equals that of the row `before`, so its
+/// values are repeated without a new run.
 fn curve(group: &Group, settings: Settings, iterations: &[u32], before: Option<&Row>) -> Outcome<Row> {
     let problem = Problem { display: &group.display, target: &group.target, weights: &Weights::Uniform };
     let (warnings, cancel) = (Collector::default(), Cancel::default());

@@ -51,7 +51,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         gib(estimate.patterns),
         gib(estimate.working),
     );
-    // write the target first, so that it is mapped instead of held
+    // write the target to a file, which is then mapped, so that memory never holds all of it
     std::fs::create_dir_all(&folder)?;
     let path = folder.join("target.f16");
     let begin = Instant::now();

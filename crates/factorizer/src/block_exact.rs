@@ -14,8 +14,8 @@
 //! * Under bilinear sampling an update is exact for a separable quadratic that bounds the objective
 //!   from above. In both cases the objective never rises.
 //! * If layers rotate polarization, L̃ is not linear. A step then takes the curvature at the
-//!   current point. If the objective rises, the step is repeated with a bound that holds
-//!   everywhere.
+//!   current point. If the objective rises, the step is repeated with an upper bound of the
+//!   curvature.
 //!
 //! Between iterations the patterns are extrapolated along their last step. A rise of the objective
 //! causes a restart. Source: Ang and Gillis, "Accelerating nonnegative matrix factorization
@@ -139,8 +139,8 @@ struct BlockExactRun {
 
 impl BlockExactRun {
     fn new(prepared: Prepared, extrapolation: Option<Extrapolation>) -> Result<Self, FactorizeError> {
-        // sin² is too curved for extrapolation, and so curved that a try of the local curvature
-        // pays
+        // The curvature of sin² varies strongly. So extrapolation does not help, and a step by the
+        // curvature at the current point often gains more than one by the bound.
         let tries_local = prepared.display.formation == Formation::Polarization;
         let state = prepared.begin(0.0, tries_local)?;
         Ok(Self { state, extrapolation: extrapolation.filter(|_| !tries_local), known: None })

@@ -1,4 +1,5 @@
-//! Sums of one block through buffers, for any number of frames and factors.
+//! Sums of one block of a line, with the terms of each view in buffers, for any number of frames
+//! and factors. [`step`](crate::step) defines the terms a_m and e and the sums n, d, r and G.
 //!
 //! [`registers`](crate::registers) has faster functions for common cases and shares the types here.
 
@@ -13,8 +14,8 @@ use crate::vector::{Vector, load, store};
 /// 10 % slower, with four it is no faster.
 pub(crate) const AHEAD: usize = 2;
 /// Number of values by which the target's rows are prefetched ahead, into the second-level cache.
-///
-/// The target is read once, and the first-level cache is full of the factors' rows.
+/// They do not go to the first-level cache, since it is full of the factors' rows, and the target
+/// is read only once.
 const TARGET_AHEAD: usize = 64;
 
 /// Number of views that are buffered before their sums are added up. The buffers of 169 views
@@ -174,7 +175,7 @@ pub(crate) unsafe fn buffered<V: Lanes, const OWN: bool>(
                 emitted
             }
         };
-        // the residual; the ratio rule sums βL instead
+        // the error e; the paper's rule sums βL instead
         let wanted = wanted::<V>(&rays.targets[view], x, params).mul(weight);
         let error = wanted.sub(emitted);
         store(if params.sums == Sums::Ratio { wanted } else { error }, &mut buffers.errors, to * V::COUNT);
@@ -265,7 +266,7 @@ pub(crate) struct Group {
     pub(crate) add: bool,
 }
 
-/// Adds up a group of views; with `SHARED` each view is weighted by its share.
+/// Adds up a group of views. With `SHARED` each view is multiplied by its share in the line.
 ///
 /// # Safety
 /// The machine has V, and the buffers hold as many views as the group.

@@ -1,8 +1,8 @@
 //! A problem at half the resolution, whose solution is a start for the whole problem.
 //!
 //! Low frequencies converge there at a quarter of the cost. Field and layers keep half their pixels
-//! per axis. If there are many views, every second one is kept, since the parallax between views
-//! halves too. Lenslets, angular bins and frames stay the same.
+//! per axis. If there are many views, every second one is kept, since the parallax between views is
+//! half as many pixels too. Lenslets, angular bins and frames stay the same.
 //!
 //! A coarse pixel is the area-weighted mean of the fine pixels that it covers. A coarse solution is
 //! interpolated linearly at the centres of the fine pixels. All values stay in the layout of the

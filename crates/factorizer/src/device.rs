@@ -41,13 +41,13 @@ pub struct Begin {
     pub ranges: Vec<[f32; 2]>,
     /// Layers rear to front, then the directional backlight; values within their boxes.
     pub factors: Vec<Factor>,
-    /// True if updates try the curvature at the current point before the bound that holds
-    /// everywhere. This matters only if L̃ is not linear in a factor.
+    /// True if an update first takes the curvature at the current point, and an upper bound of the
+    /// curvature only if the objective rises. This matters only if L̃ is not linear in a factor.
     pub tries_local: bool,
 }
 
-/// Smallest fraction of the error that must remain after an update, so that the remainder can be
-/// computed from the gain. The gain's terms are f32.
+/// Smallest fraction of the error that an update must leave, if the remaining error is computed as
+/// error − gain. The gain's terms are f32, so a smaller remainder would be only rounding.
 const LEAST_LEFT: f64 = 0.01;
 
 /// The patterns of a run, on any device.
@@ -114,8 +114,8 @@ pub trait Updater {
 
     /// Runs [`apply`](Self::apply) with the better curvature.
     ///
-    /// The local curvature usually gains more, but may raise the objective. If so, the update is
-    /// undone and repeated with the bound.
+    /// The curvature at the current point usually gains more than its upper bound. But it may raise
+    /// the objective. If so, the update is undone and repeated with the bound.
     fn update(&mut self, n: usize, rule: Rule, extrapolation: Option<f32>) {
         if !self.tries_local() || self.plan().is_bounded(n) || rule == Rule::KktResidual {
             return self.apply(n, rule, extrapolation, false);
@@ -142,7 +142,7 @@ pub trait Updater {
     fn objective_after(&self, n: usize, outcome: Outcome) -> Option<Objective> {
         let (plan, map) = (self.plan(), &self.plan().maps[n]);
         let stored_is_read = self.display().layers.get(n).is_none_or(|layer| layer.response().is_none());
-        // fixed pixels of a tile keep their error
+        // in a tile with fixed pixels, not every ray reads a pixel that has made a step
         let all_step = map.complete && plan.free(n).is_none();
         let exact = plan.is_product() && map.nearest && all_step && stored_is_read;
         // a remainder much smaller than the error is only rounding
@@ -254,7 +254,7 @@ impl Plan {
     /// if they miss it.
     pub fn column(&self, n: usize, view_x: usize, col: usize) -> Option<Tap> {
         let (x, pad) = (&self.maps[n].x[view_x], self.maps[n].layout.pad as u32);
-        // a miss reads the first value of the padding
+        // a miss has the index 0, which is in the padding
         let own = |at: u32| at.checked_sub(pad);
         Some(Tap { first: own(x.first[col])?, second: own(x.second[col])?, t: x.t[col] })
     }

@@ -41,8 +41,9 @@ pub struct Settings {
     /// Number of iterations between evaluations of the objective, at least 1; the last iteration
     /// always has an evaluation.
     ///
-    /// Block-exact solvers compute the objective on their way if all rays have one weight and read
-    /// one pixel per layer. Otherwise an evaluation costs about a third of an iteration.
+    /// Block-exact solvers obtain the objective from the sums of an iteration if all rays have one
+    /// weight and read one pixel per layer. Otherwise an evaluation costs about a third of an
+    /// iteration.
     pub report_every: u32,
     /// Re-optimizes patterns of layers with few bits on their panels' levels; otherwise the
     /// patterns stay continuous.
@@ -215,8 +216,8 @@ fn solve(
                 task.cancel.check()?;
             }
             let mut note = String::new();
-            // the last step may have found the objective already; the last value must belong to the
-            // iterate
+            // The last step may have found an objective already. It may be that of the extrapolated
+            // patterns, so after the last iteration the returned patterns are evaluated.
             if iteration == settings.iterations || iteration % settings.report_every.max(1) == 0 {
                 let known = run.known_objective().filter(|_| iteration < settings.iterations);
                 let objective = known.unwrap_or_else(|| run.objective());
@@ -309,8 +310,8 @@ impl Ongoing {
         self.0.step(cancel)
     }
 
-    /// Returns the objective that the last step found on its way, otherwise the objective of the
-    /// current patterns.
+    /// Returns the objective that the last step obtained from its own sums. If it obtained none,
+    /// computes the objective of the current patterns.
     pub fn objective(&mut self) -> Objective {
         self.0.known_objective().unwrap_or_else(|| self.0.objective())
     }

@@ -93,7 +93,8 @@ impl LineStep<'_> {
     /// the block. x + lanes must be within the padded rows.
     pub(crate) fn finish_block(&mut self, functions: &StepFunctions, block: &mut Block, x: usize) {
         let lanes = functions.lanes;
-        // lanes past the last column are padding, to which rays that miss the layer add their sums
+        // Lanes past the last column are padding, to which rays that miss the layer add their sums.
+        // So only the first `room` lanes get new values.
         let room = (self.columns.end - x).min(lanes);
         if let Some(sums) = &mut self.sums {
             block.gain = Vector::default();

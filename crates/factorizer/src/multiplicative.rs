@@ -11,8 +11,8 @@
 //!
 //! Layers are updated in sequence, rear to front, then the directional backlight by the same rule.
 //! Each step minimizes a separable quadratic majorizer over the box, so the objective never rises.
-//! This holds for all weights w ≥ 0, and under bilinear sampling, where each sum carries the weight
-//! of the sample.
+//! This holds for all weights w ≥ 0. It also holds under bilinear sampling, where each term of the
+//! sums is multiplied by the pixel's share in the ray.
 //!
 //! The lower end of the box is at least [`FLOOR`], since a value of 0 would stay 0. A pixel keeps
 //! its value if no weighted ray hits it or if its denominator is below f32's normal range.

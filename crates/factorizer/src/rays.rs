@@ -115,8 +115,8 @@ pub(crate) struct LineRays<'a> {
     pub(crate) own: Vec<Place<'a, f32>>,
     pub(crate) own_stride: usize,
     /// Rows to prefetch, as pointers to x = 0: the line's own rows, and the other factors' rows.
-    /// The latter are at the largest address that a view reads, so that one view prefetches for
-    /// all.
+    /// Views of a view row read the same rows at neighbouring columns, so only the pointer of the
+    /// view that is farthest ahead is listed.
     ahead: Vec<*const f32>,
 }
 
@@ -185,8 +185,8 @@ pub(crate) fn expanded_stride(plan: &Plan) -> usize {
     (PAD + plan.cols + PAD).next_multiple_of(PAD)
 }
 
-/// Storage of one thread for values along rays that a factor does not hold in the form in which
-/// they are read.
+/// Storage of one thread for values that rays read and that no factor holds: mixtures of two lines,
+/// and values expanded along rays.
 #[derive(Default)]
 pub(crate) struct Spare {
     /// Mixtures of two neighbouring lines of a factor, for all frames, one after another.
@@ -406,8 +406,8 @@ pub(crate) fn rays_through<'a>(
                 rays.others.push(left.place(plan, lines[k], k, &part, is_there(k), offset));
             }
         }
-        // all views of a view row read the same lines at neighbouring columns, so the view at the
-        // largest address prefetches for all
+        // All views of a view row read the same lines at neighbouring columns. So a prefetch at the
+        // largest of their addresses serves them all.
         for (k, &stride) in rays.strides.iter().enumerate() {
             let of_factor = rays.others[before..].iter().skip(k).step_by(rays.others_per_view);
             if let Some(lead) = of_factor.map(|other| other.zero).max() {
@@ -415,7 +415,7 @@ pub(crate) fn rays_through<'a>(
             }
         }
     }
-    // every view prefetches the same number of rows
+    // repeat the last row, so that every view prefetches the same number of rows
     let last = rays.ahead.last().copied().unwrap_or(std::ptr::null());
     rays.ahead.resize(rays.ahead.len().max(PREFETCHED * rays.views.len()), last);
     rays

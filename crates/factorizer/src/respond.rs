@@ -39,7 +39,7 @@ impl AdjointSums {
         let filters: Vec<[f32; 3]> = (0..cols).map(|col| response.filter(col)).collect();
         let mix = response.mix();
         let mut scratch = Vec::new();
-        // blur(filter_c')[i], the same in every row: its mixture over channels is ρ
+        // blur the filter of each channel, the same in every row; mixed over channels it gives ρ
         let passed = [0, 1, 2].map(|c: usize| {
             let filter: Vec<f32> = filters.iter().map(|filter| filter[c]).collect();
             let mut blurred = vec![0.0; cols];

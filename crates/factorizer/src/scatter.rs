@@ -3,8 +3,9 @@
 //!
 //! A ray reads the factor between lines j and j + 1, and there between columns i and i + 1. So it
 //! adds the sums of [`gather`](crate::gather) to four pixels, by the shares (1 − t_y, t_y) and (1 −
-//! t_x, t_x). Ray by ray, these additions take most of the time, nine times that of a constant
-//! shift. But all views of a view column have the same t_x and read the same columns, so that
+//! t_x, t_x). Done ray by ray, these additions would take most of the time, nine times that of a
+//! constant shift. But all views of a view column have the same t_x and read the same columns. So
+//! their sums are added up first, and distributed to the columns once:
 //!
 //! ```text
 //! for every line j, for every view column:
@@ -41,8 +42,8 @@ use crate::vector;
 /// of the next.
 pub(crate) const BAND: usize = 16;
 
-/// Number of rows of rays that are summed in f32 before they go into f64 sums. Pixels with very
-/// many rays need them, since f32 loses digits.
+/// Number of rows of rays that are summed in f32 before these sums are added to f64 sums. Pixels
+/// with very many rays need f64, since f32 loses digits.
 const SHORT_ROWS: usize = 7;
 
 /// The functions of an update, for one instruction set and rule.
@@ -271,7 +272,7 @@ impl Kernel for Apart {
                     }
                 }
             }
-            // a closure would not be inlined
+            // two calls, since a closure in `squares.map` would not be inlined
             [vector::sum(squares[0]), vector::sum(squares[1])]
         }
     }

@@ -36,10 +36,11 @@ pub trait Run {
     /// Computes the objective of the current patterns.
     fn objective(&mut self) -> Objective;
 
-    /// The objective that the last step found on its way; it may belong to the extrapolated
-    /// patterns.
+    /// The objective that the last step obtained from its own sums; it may be that of the
+    /// extrapolated patterns.
     ///
-    /// `None` if only [`Self::objective`] can compute it, or after a restart.
+    /// `None` if the sums do not contain it, or after a restart. [`Self::objective`] computes it in
+    /// any case.
     fn known_objective(&self) -> Option<Objective>;
 
     /// Computes the KKT residual: the distance of the patterns from the first-order conditions.

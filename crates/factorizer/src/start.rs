@@ -1,5 +1,7 @@
-//! Starting patterns. Frames that start equal stay equal, and a multiplicative rule never changes
-//! an exact 0.
+//! Starting patterns.
+//!
+//! Frames that start equal stay equal, and a multiplicative rule never changes an exact 0. So every
+//! kind of start has noise of its own in each frame, and no value below [`FLOOR`].
 
 use lumistack_core::seed::{Stream, derive};
 use lumistack_display::{Display, Formation, Layer, LayerStack};

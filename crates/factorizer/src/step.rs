@@ -32,8 +32,8 @@ pub enum Rule {
         /// Number of sweeps over the M frames.
         sweeps: u32,
     },
-    /// Changes nothing. The gain is the squared change of the emission, Σ_m G_mm δ_m², over the
-    /// coordinate steps δ_m that are still possible.
+    /// Changes nothing. The gain is Σ_m G_mm δ_m², the squared change of the emission that exact
+    /// coordinate steps δ_m within the box would cause.
     KktResidual,
     /// As [`Self::KktResidual`], and sets unlit values to the darkest value; see
     /// [`crate::Run::darken_unlit`].

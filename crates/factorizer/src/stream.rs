@@ -40,7 +40,7 @@ impl Estimate {
         let (views, frames) = ((view_rows * view_cols) as u64, display.frames as u64);
         let (rows, cols) = (geometry.rows as u64, geometry.cols as u64);
         let layer = |[layer_cols, layer_rows]: [usize; 2]| {
-            // padding is the largest shift and two vectors per line
+            // padding per line: an eighth of the columns for the largest shift, and four vectors
             4 * frames * (layer_rows as u64 + 1) * (layer_cols as u64 + cols / 8 + 4 * PAD as u64)
         };
         let mut patterns: u64 = display.layers.iter().map(|l| layer(l.resolution)).sum();
@@ -70,7 +70,8 @@ impl ChannelRun {
         target: LentTarget,
         seed: u64,
     ) -> Result<Self, FactorizeError> {
-        // refuse displays and targets that one channel alone cannot be solved with
+        // refuse targets of another size or with invalid values, and displays whose channels
+        // depend on one another
         display.check()?;
         let [view_rows, view_cols] = geometry.grid.views();
         let count = view_rows * view_cols * geometry.rows * geometry.cols;

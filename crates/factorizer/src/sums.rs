@@ -24,8 +24,8 @@ pub(crate) struct SumLine<'a, 'b> {
     /// The line's own factor is read too, if layers are mixed with their neighbours.
     pub(crate) factors: &'a [Factor],
     pub(crate) at: LineOf,
-    /// True for the curvature at the current point instead of the bound that holds everywhere. This
-    /// matters only if L̃ is not linear in the values.
+    /// True for the curvature at the current point instead of its upper bound. This matters only if
+    /// L̃ is not linear in the values.
     pub(crate) local: bool,
     pub(crate) functions: &'a StepFunctions,
     pub(crate) step: LineStep<'b>,

@@ -65,7 +65,7 @@ impl Order {
     }
 }
 
-/// L, in 16 bits if half floats hold it exactly: the inner loops wait for memory.
+/// L, in 16 bits if half floats hold it exactly, since the inner loops wait for memory.
 #[derive(Clone, Debug)]
 enum Radiance {
     Half(Arc<Array<u16>>),
@@ -76,7 +76,8 @@ enum Radiance {
 /// Half floats `[view_y][view_x][row][col]` in the caller's memory, for example a mapped file.
 pub type LentTarget = Arc<dyn AsRef<[u16]> + Send + Sync>;
 
-/// Rows without padding: a row is padded by its neighbours, except at the ends.
+/// Rows without padding. Reads past a row's ends get values of its neighbours, which are then
+/// ignored. The first and the last row have no neighbour, so padded copies of them are read.
 #[derive(Clone)]
 struct Lent {
     values: LentTarget,

@@ -20,8 +20,8 @@ use crate::plan::Plan;
 /// of an 8-bit sRGB picture.
 const UNLIT: f64 = 1e-4;
 
-/// Smallest value of a warm start. Exact steps have no scale, so any number whose square is a
-/// normal f32 suffices.
+/// Smallest value of a warm start. An exact step moves a value to its minimum however small a_m is,
+/// so any number whose square is a normal f32 suffices.
 const LIFTED: f32 = 1e-4;
 
 /// Per pixel of factor `n`, the largest Σ w a_m² of an unlit pixel: (UNLIT β)² Σ w over its rays.

@@ -84,7 +84,7 @@ def test_wrong_arrays_are_reported(change: dict[str, Any], part: str) -> None:
 def test_splats_that_are_no_gaussians_are_gone() -> None:
     given = cloud()
     given["opacities"][0] = numpy.nan
-    with pytest.warns(lumistack.LumistackWarning, match="1 of 300 splats are left out"):
+    with pytest.warns(lumistack.LumistackWarning, match="splats left out: 1 of 300"):
         assert len(Scene.from_splats(given).splats[0]["opacities"]) == 299
     with pytest.raises(lumistack.SceneError, match="at least one splat"):
         Scene.from_splats({key: given[key][:0] for key in KEYS})

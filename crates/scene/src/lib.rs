@@ -1,5 +1,5 @@
-//! The scene, as all stages after ingest read it; and the window, the rectangle of the scene that a
-//! display shows.
+//! The scene in the form that all stages after the import read, and the window: the rectangle of
+//! the scene that a display shows.
 //!
 //! Importers fill [`SceneParts`] and call [`SceneParts::validate`], which returns a [`Scene`]. Its
 //! indices, numbers and transforms are valid, so renderers need no checks. Lengths are in scene

@@ -22,8 +22,8 @@ pub struct Material {
     pub normal_texture: Option<TextureUse>,
     /// Factor on the x and y of the normal map.
     pub normal_scale: f32,
-    /// Linear RGB radiance (W/(sr·m²) up to the file's unit), with the factor of
-    /// `KHR_materials_emissive_strength`.
+    /// Linear RGB radiance in the file's unit, which is W/(sr·m²) up to a factor. It includes the
+    /// factor of `KHR_materials_emissive_strength`.
     pub emission: Vec3,
     /// Texture of the emission: RGB is sRGB-encoded.
     pub emission_texture: Option<TextureUse>,
@@ -49,8 +49,8 @@ pub struct Material {
     pub specular_color: Vec3,
     /// Texture of `specular_color`: RGB is sRGB-encoded.
     pub specular_color_texture: Option<TextureUse>,
-    /// Fraction of the light that a dielectric does not reflect and that passes through it
-    /// (`KHR_materials_transmission`), 0..1.
+    /// Fraction of a dielectric's unreflected light that passes through it instead of being
+    /// scattered (`KHR_materials_transmission`), 0..1.
     pub transmission: f32,
     /// Texture of `transmission`, in the red channel; linear.
     pub transmission_texture: Option<TextureUse>,
@@ -149,8 +149,8 @@ pub enum Lamp {
     /// An ordinary surface.
     #[default]
     No,
-    /// A light source that the viewer does not see: first hits pass through it. Mirrors, panes and
-    /// shadows still show it.
+    /// A light source that the viewer does not see: camera rays pass through it. It is still seen
+    /// in mirrors and through panes, and casts shadows.
     Unseen,
     /// A light source that the viewer sees.
     Seen,

@@ -147,7 +147,8 @@ impl Cloud {
             ("harmonics", self.harmonics.len(), 3 * self.coefficients() * count),
         ];
         if let Some((name, found, expected)) = lengths.into_iter().find(|(_, found, expected)| found != expected) {
-            return Err(SceneError::new(&self.place, format!("{expected} values of {name}"), found.to_string()));
+            let expected = format!("a list `{name}` of length {expected}");
+            return Err(SceneError::new(&self.place, expected, found.to_string()));
         }
         // leave out splats that are not Gaussians, with one warning for all
         let mut first_fault = None;
@@ -163,7 +164,7 @@ impl Cloud {
         if let Some((i, fault)) = first_fault {
             self.keep(&kept);
             let dropped = count - self.len();
-            let message = format!("{dropped} of {count} splats are left out; the first is splat {i}: {fault}");
+            let message = format!("splats left out: {dropped} of {count}; the first is splat {i}: {fault}");
             task.warn(&self.place, message);
         }
         self.rotations.iter_mut().for_each(|rotation| *rotation = rotation.normalize());
@@ -250,7 +251,7 @@ impl Cloud {
             }
         }
         if bounds.is_empty() {
-            // all splats near the bulk are faint
+            // if all splats near the bulk are faint, use them in spite of their opacity
             points.iter().filter(|point| fence.contains(**point)).for_each(|point| bounds.include(*point));
         }
         bounds
@@ -299,11 +300,11 @@ mod tests {
         assert_eq!((scene.splat_count(), scene.bounds().max.x), (2, 1.0));
         assert_eq!(scene.clouds[0].rotations, [Quat::IDENTITY; 2]);
         assert_eq!(warnings.len(), 1, "{warnings:?}");
-        assert!(warnings[0].contains("5 of 7 splats are left out; the first is splat 2: a position"), "{warnings:?}");
+        assert!(warnings[0].contains("splats left out: 5 of 7; the first is splat 2: a position"), "{warnings:?}");
         let (none, _) = validated(cloud(&[f32::NAN]), &[Affine3A::IDENTITY]);
         assert!(none.unwrap_err().to_string().contains("at least one splat that is a Gaussian"));
         let short = Cloud { opacities: vec![], ..cloud(&[0.0]) };
-        assert!(validated(short, &[]).0.unwrap_err().to_string().contains("1 values of opacities"));
+        assert!(validated(short, &[]).0.unwrap_err().to_string().contains("`opacities` of length 1"));
         let high = Cloud { degree: 4, ..cloud(&[0.0]) };
         assert!(validated(high, &[]).0.unwrap_err().to_string().contains("harmonics up to 3"));
     }

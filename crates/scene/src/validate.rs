@@ -36,13 +36,13 @@ impl Scene {
     }
 
     /// Bounds of everything that the viewer sees: of all objects except [unseen
-    /// lamps](Lamp::Unseen) and floating splats. They are the bounds of all objects if the scene
-    /// has no others.
+    /// lamps](Lamp::Unseen) and floating splats. If the viewer sees nothing, they are the bounds of
+    /// all objects.
     pub fn seen_bounds(&self) -> Bounds {
         self.seen_bounds
     }
 
-    /// True if the viewer can see an instance, which is not an [unseen lamp](Lamp::Unseen).
+    /// True if the viewer can see an instance: unless it is an [unseen lamp](Lamp::Unseen).
     pub fn is_seen(&self, instance: &crate::Instance) -> bool {
         self.materials[self.meshes[instance.mesh].material].lamp != Lamp::Unseen
     }
@@ -122,12 +122,12 @@ impl SceneParts {
         match flat.as_slice() {
             [] => {}
             [(place, dropped, before)] => {
-                task.warn(place, format!("{dropped} of {before} triangles have no area and are left out"));
+                task.warn(place, format!("triangles without area: {dropped} of {before}; they are left out"));
             }
             // files from CAD often have such triangles in many meshes, so they share one warning
             many => {
                 let dropped: usize = many.iter().map(|(_, dropped, _)| dropped).sum();
-                let message = format!("{dropped} triangles in {} meshes have no area and are left out", many.len());
+                let message = format!("triangles without area: {dropped} in {} meshes; they are left out", many.len());
                 task.warn("/meshes", message);
             }
         }
@@ -463,7 +463,10 @@ fn mend_normals(mesh: &mut Mesh, task: Task<'_>) {
     }
     task.warn(
         &mesh.place,
-        format!("{} normals have no direction and are taken from the faces around them", broken.len()),
+        format!(
+            "normals without a direction: {}; each is replaced by the mean normal of the faces around its vertex",
+            broken.len()
+        ),
     );
 }
 

@@ -43,7 +43,7 @@ pub struct Window {
     pub scene_from_display: Similarity,
     /// Width and height of the light field's rectangle in millimetres, both > 0.
     pub size_mm: [f64; 2],
-    /// Near plane: z in display space, in millimetres, at which first rays start, so that objects
+    /// Near plane: z in display space, in millimetres, at which camera rays start, so that objects
     /// in front of it are not seen. With `None` all objects in front of the window are seen.
     pub near_mm: Option<f64>,
 }
@@ -160,8 +160,8 @@ impl Window {
         Self { scene_from_display, size_mm: self.size_mm, near_mm: self.near_mm.map(|near| (near + by_mm) / factor) }
     }
 
-    /// Frames points as seen along `forward`: the plane passes through the centre of their extents,
-    /// and the window just holds their width and height.
+    /// Frames points as seen along `forward`. The plane passes through the centre of their extents,
+    /// and the window holds their width and height with a small margin.
     ///
     /// # Errors
     /// If there are no points, if all points are equal, or if the directions are zero or parallel.
@@ -185,7 +185,7 @@ impl Window {
     }
 
     /// Frames the bounds from the front, seen along −z (glTF assets face +z). The plane passes
-    /// through their centre, and the window just holds their width and height.
+    /// through their centre, and the window holds their width and height with a small margin.
     ///
     /// # Errors
     /// If the bounds are empty or a single point.

@@ -41,8 +41,8 @@ const AS_GOOD: f64 = 0.01;
 const ROUNDED: f64 = 1e-6;
 /// Number of window positions to compare.
 const TRIED: usize = 2001;
-/// Smallest fraction of a pixel's detail that the display must still show. Content farther in front
-/// of a window given by numbers is cut off.
+/// Smallest fraction of a pixel's detail that the display must still show in front of a window that
+/// is given by numbers. Content so near to the viewer that less is shown is cut off.
 const LEAST_DETAIL: f64 = 0.125;
 /// Smallest factor on depth.
 const LEAST_SCALE: f64 = 0.01;
@@ -92,7 +92,8 @@ impl Means {
 /// Places the display in the scene and fits the scene's depth as the job says.
 ///
 /// # Errors
-/// Those of [`find_window`]; a display without depth of field, where the job compresses depth.
+/// Those of [`find_window`]. Also if the job demands compression, and the display's depth of field
+/// does not lie on both sides of z = 0.
 pub fn place<S: Subject>(
     subject: &S,
     job: &WindowJob,
@@ -100,7 +101,8 @@ pub fn place<S: Subject>(
     geometry: &FieldGeometry,
     task: Task<'_>,
 ) -> Result<Placement, S::Error> {
-    // Find the window, and the nearest depth that the display can show in front of it.
+    // Find the window. If numbers place it, its near plane is where the display stops showing
+    // detail.
     let Found { mut window, chosen, looked_from_deg } = find_window(subject, job, geometry, task)?;
     if job.near == Near::Auto && job.from == WindowFrom::Given {
         window.near_mm = farthest_shown(display, geometry.pitch_mm).map(|z| z / job.depth_scale);
@@ -147,7 +149,7 @@ pub fn place<S: Subject>(
 }
 
 /// Returns the z in front of the window up to which the display shows [`LEAST_DETAIL`] of its
-/// pixels' detail, mm. Returns `None` if it shows detail on its plane alone.
+/// pixels' detail, mm. Returns `None` if it shows detail on its plane alone, or at any z.
 fn farthest_shown(display: &Display, pitch_mm: f64) -> Option<f64> {
     let [_, far] = display.depths_shown(LEAST_DETAIL * 0.5 / pitch_mm)?;
     (far > 0.0 && far.is_finite()).then_some(far)

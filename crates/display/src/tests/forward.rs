@@ -143,7 +143,7 @@ fn seen_pictures_are_exact_means_over_pixels() {
             let mut display = Display {
                 formation,
                 missing,
-                // an eye sees squares, with any sampling of the solver
+                // seen pictures take pixels as squares, also if the solver reads them bilinearly
                 sampling: Sampling::Bilinear,
                 ..Display::uniform([8, 6], 1.0, [1, 1], [30.0, 30.0], &[-3.0, 0.0, 2.0], 2)
             };

@@ -38,8 +38,8 @@ pub struct Case {
 
 /// The paper's number of views per axis.
 pub const PAPER_VIEWS: usize = 5;
-/// Number of views per axis with which three layers of 420 × 262 pixels are right between the views
-/// too: all their shifts are whole pixels.
+/// Number of views per axis at which layers of 420 × 262 pixels shift by whole pixels from view to
+/// view. Patterns that are right at these views are right between them too.
 pub const NATIVE_VIEWS: usize = 13;
 
 /// The paper's main case with `views` views per axis: three layers, nearest sampling.

@@ -1,9 +1,10 @@
 //! A light field in closed form, the same on every machine. It resembles a rendering of a small
 //! scene, so timings and PSNR are meaningful.
 //!
-//! Units are millimetres of display space, for a display 473.76 mm wide. A wall stands at z = −170,
-//! and a checkerboard rises through the display plane to z = 100. On it are three balls (plastic,
-//! brushed, mirror) whose highlights move with the view, and thin posts in front.
+//! Units are millimetres of display space, for a display 473.76 mm wide. A wall stands at z = −170.
+//! A checkerboard slopes down from it to the viewer, through the display plane to z = 100. On it
+//! are three balls (plastic, brushed, mirror) whose highlights move with the view, and thin posts
+//! in front.
 //!
 //! A ray is (x, y, 0) + z (s_x, s_y, 1); the viewer sees the hit of largest z. There are no
 //! transcendental functions, since their last bits differ between machines.
@@ -13,7 +14,7 @@ use rayon::prelude::*;
 
 type Vector = [f64; 3];
 
-/// Positions of the samples along each pixel's edges, in pixels from its centre.
+/// Positions of the samples within a pixel, along each axis, in pixels from its centre.
 const SAMPLES: [f64; 3] = [-1.0 / 3.0, 0.0, 1.0 / 3.0];
 
 /// z of the wall behind the scene.

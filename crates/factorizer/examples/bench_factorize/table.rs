@@ -96,7 +96,7 @@ impl Report {
         let (display, field) = (&case.display, &case.display.field);
         Self {
             case: format!(
-                "{}×{} pixels, {}×{} views, RGB, {} layers, {} frames, β = {}, nearest, rays that leave a layer dropped",
+                "{}×{} pixels, {}×{} views, RGB, {} layers, {} frames, β = {}, nearest sampling, without rays that miss a layer",
                 field.resolution[0],
                 field.resolution[1],
                 display.views()[0],

@@ -66,7 +66,7 @@ fn no_counted_ray_is_an_error_and_no_figure() {
     let views = owned.target.geometry().grid.views();
     owned.weights = Weights::PerView(Tensor::zeros(["view_y", "view_x"], views));
     let error = solve(&owned, &iterations(3), None).unwrap_err().to_string();
-    let found = format!("{} weights, all of them 0", views[0] * views[1]);
+    let found = format!("0 everywhere (number of weights: {})", views[0] * views[1]);
     assert_eq!(error, format!("weights: expected at least one weight above 0, found {found}"));
     for sampling in [Sampling::Nearest, Sampling::Bilinear] {
         let mut beside = display([9, 6], [3, 3], &[-5.0, 0.3, 5.0], 3);

@@ -124,8 +124,8 @@ impl Oracle {
     /// Updates factor n by the paper's rule (without `sweeps`), or by sweeps of coordinate steps on
     /// the bounding quadratic.
     ///
-    /// Returns the influence of every value on the emission. It is the root of the sum of squares,
-    /// over its rays, of their change per change of the value.
+    /// Returns the influence of every value f on the emission. It is an upper bound of
+    /// √Σ w (∂L̃/∂f)², summed over the rays that read f.
     pub(crate) fn update(&mut self, n: usize, sweeps: Option<u32>) -> Vec<f64> {
         let frames = self.frames;
         let size = self.factors[n].len() / frames;
@@ -185,7 +185,7 @@ impl Oracle {
         let influence = |m: usize, at: usize| gram[at][m][m].sqrt() / frames as f64;
         let mut influences: Vec<f64> = (0..frames * size).map(|i| influence(i / size, i % size)).collect();
         if self.tied[n] {
-            // entries name the red value alone
+            // the sums above changed the red value alone; copy it to green and blue
             for values in [&mut self.factors[n], &mut influences] {
                 values.chunks_exact_mut(3).for_each(|pixel| pixel.copy_from_slice(&[pixel[0]; 3]));
             }

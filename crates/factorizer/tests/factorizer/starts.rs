@@ -7,8 +7,8 @@ use lumistack_display::{LightField, Weights};
 use crate::problems::{Owned, display};
 use lumistack_factorizer::{Settings, factorize, warm_start_pays};
 
-/// A wall of waves behind the display, and in front of it a striped card that moved by `shift`
-/// pixels. Another `scene` changes everything.
+/// A wall of waves behind the display, and a striped card in front of it, both moved by `shift`
+/// pixels. Another `scene` changes waves and stripes.
 fn card(shift: f64, scene: f64) -> Owned {
     let display = display([64, 40], [5, 3], &[-8.0, 0.0, 8.0], 4);
     let geometry = display.geometry().unwrap();

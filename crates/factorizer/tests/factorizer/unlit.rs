@@ -11,12 +11,12 @@ use lumistack_factorizer::{Settings, StartKind, factorize, random_start};
 
 /// Largest loss by the end of a run, dB.
 const COST_DB: f64 = 1e-3;
-/// Transmittance of the other layer below which a test takes a pixel as unlit: a tenth of the
-/// solver's own limit.
+/// Transmittance of the other layer below which a test takes a pixel as unlit. It is far below the
+/// solver's own limit, 10⁻⁴ of the brightness.
 const UNLIT: f32 = 1e-6;
 
-/// Largest value of an unlit pixel whose other layer was darkened at the end: the solver's own
-/// limit.
+/// Largest allowed value of an unlit pixel. It is not 0 if the other layer is dark only because it
+/// was darkened later; this pixel was then below the solver's limit.
 const BLACK: f32 = 1e-4;
 
 /// Two layers of three frames. The left half of the target is black; its right half has waves.

@@ -17,7 +17,7 @@ const MASK_TOLERANCE: f64 = 1e-5;
 const RISE_RELATIVE: f64 = 1e-6;
 /// Tolerated rise of an objective near 0, per ray and channel.
 const RISE_PER_VALUE: f64 = 1e-13;
-/// Tolerance of the objective that an update computes on its way, relative.
+/// Relative tolerance of the objective that an update obtains from its own sums.
 const ERROR_SEEN: f64 = 1e-5;
 /// Tolerance of such an objective near 0, per ray and channel.
 const ERROR_SEEN_PER_VALUE: f64 = 1e-11;

@@ -229,7 +229,7 @@ fn scenes_with_nothing_to_see() {
         result.unwrap_err().to_string(),
         format!("test.gltf: /scenes/0: {nothing}: the one triangle has no area")
     );
-    assert_eq!(warnings, ["test.gltf: /meshes/0/primitives/0: 1 of 1 triangles have no area and are left out"]);
+    assert_eq!(warnings, ["test.gltf: /meshes/0/primitives/0: triangles without area: 1 of 1; they are left out"]);
 }
 
 #[test]

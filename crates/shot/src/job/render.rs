@@ -360,8 +360,10 @@ impl RenderJob {
     }
 }
 
-/// Returns the settings with a seed for one of a job's light fields (`stream` 0 is the target), and
-/// one `part` of it.
+/// Returns the settings with their seed replaced by one derived from it.
+///
+/// `stream` numbers the job's light fields; 0 is the target. `part` numbers a part of the light
+/// field's work, such as a half of its samples; it is empty for all of the work.
 pub fn seeded(settings: Settings, stream: u64, part: &[u64]) -> Settings {
     Settings { seed: lumistack_core::seed::derive(settings.seed, &[&[stream], part].concat()), ..settings }
 }

@@ -29,10 +29,12 @@ const ELEVATIONS: [f64; 7] = [0.0, 20.0, 40.0, 55.0, -20.0, -40.0, -55.0];
 /// The front stays if it shows this fraction of the largest area.
 const FRONT_SHARE: f64 = 0.125;
 /// The same for captures. Their axes come from training, so +z is not preferred. A guitar on its
-/// stand shows its edge to +z (0.69 of the largest area), a person in profile shows 0.79.
+/// stand shows its edge to +z, 0.69 of the largest area, and is seen from another side. A person in
+/// profile shows 0.79 and is not.
 const CAPTURE_SHARE: f64 = ENOUGH;
-/// Another direction is good enough if it shows this fraction of the largest area. A board is seen
-/// from 40° (sin 40° / sin 55° = 0.78), and a card is seen face on instead of from 45° (0.71).
+/// Another direction is good enough if it shows this fraction of the largest area. So an elevation
+/// of 40° suffices for a flat board, which shows most at 55° (sin 40° / sin 55° = 0.78). A card is
+/// seen face on, since it shows only 0.71 from 45°.
 const ENOUGH: f64 = 0.745;
 /// Columns and rows of the rays along a candidate direction.
 const PROBE: [usize; 2] = [96, 60];

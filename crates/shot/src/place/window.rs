@@ -185,7 +185,7 @@ fn find_camera<'a>(scene: &'a Scene, wanted: &str) -> Result<&'a Camera, ShotErr
     let by_number = || wanted.parse::<usize>().ok().and_then(|number| scene.cameras.get(number));
     by_name.or_else(by_number).ok_or_else(|| {
         let names: Vec<&str> = scene.cameras.iter().map(|camera| camera.name.as_str()).collect();
-        let expected = format!("one of {} cameras: {}", names.len(), names.join(", "));
+        let expected = format!("one of the scene's cameras ({}): {}", names.len(), names.join(", "));
         ShotError::value(&scene.name, "window.camera", expected, wanted)
     })
 }
