@@ -78,7 +78,8 @@ struct Record {
     /// Texture coordinates of set 0; zeros where the mesh has none.
     uvs: [Vec2; 3],
     geometric_normal: Vec3,
-    /// Length in texture space (set 0) per length in the space of the corners: √(area / area).
+    /// Length in texture space (set 0) per length in the space of the corners: the root of the
+    /// ratio of the areas.
     uv_per_length: f32,
     material: u32,
     /// Index of the instance; for shared triangles the first instance of their mesh.
@@ -185,7 +186,8 @@ impl Geometry {
             if !shares[instance.mesh] {
                 continue;
             }
-            // the first instance of a shared mesh stores its triangles around the mesh's centre
+            // the first instance of a shared mesh stores the mesh's triangles, moved so that the
+            // mesh's centre is the origin
             let (shared, scale, centre) = *trees[instance.mesh].get_or_insert_with(|| {
                 let mesh = &scene.meshes[instance.mesh];
                 let mut bounds = Bounds::EMPTY;
@@ -362,8 +364,8 @@ fn linear(instance: &Instance) -> DMat3 {
     DMat3::from_cols(m.x_axis.as_dvec3(), m.y_axis.as_dvec3(), m.z_axis.as_dvec3())
 }
 
-/// Which meshes are kept once for any number of placements. Emitting meshes are not shared, since
-/// every placed triangle that emits is a separate light.
+/// Returns true for each mesh that is kept once for any number of placements. Emitting meshes are
+/// not shared, since every placed triangle that emits is a separate light.
 fn shared_meshes(scene: &Scene, sharing: Sharing) -> Vec<bool> {
     if sharing == Sharing::Auto && scene.triangle_count() <= FLATTENED {
         return vec![false; scene.meshes.len()];

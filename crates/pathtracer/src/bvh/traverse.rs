@@ -18,12 +18,13 @@
 //!   notable part of the time. The inputs of blocks stay scalars. Trees without instances have a
 //!   loop of their own, whose rays never change. Together this gives a fifth to a third more rays
 //!   per second.
-//! * A block is tested to its end even if no triangle is across the ray. A branch there would be
-//!   unpredictable; without it 4 to 9 % more scattered and shadow rays are traced.
+//! * A block's test runs to its end even if the edge functions already exclude all of its triangles.
+//!   A branch there would be unpredictable; without it 4 to 9 % more scattered and shadow rays are
+//!   traced.
 //! * A hit becomes a [`Hit`] once, at the end (4 to 12 % more rays).
 //!
-//! Tried on FlightHelmet, on 15 copies of it (1.4 million triangles) and on still-life, on Zen 4,
-//! one pinned thread, fastest of rounds in turn:
+//! These variants were tried on FlightHelmet, on 15 copies of it (1.4 million triangles) and on
+//! still-life (Zen 4, one pinned thread, the fastest of several rounds):
 //!
 //! * No branch on the number of children entered (none, one or two): 5 % slower, since a predicted
 //!   branch waits for no data.
@@ -583,7 +584,7 @@ impl Shear {
     pub(super) fn has_axes_of(&self, ray: &Ray) -> bool {
         let direction = ray.direction.to_array();
         let [x, y, z] = self.axes.map(|row| direction[row / WIDTH]);
-        // Shear::new prefers a later axis of the same length
+        // strictly longer, since of two equally long axes Shear::new chooses the later one
         z.abs() > x.abs().max(y.abs()) && (z < 0.0) == (self.shear[2] < 0.0)
     }
 

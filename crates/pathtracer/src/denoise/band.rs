@@ -1,9 +1,8 @@
 //! The filter of a few rows of one view.
 //!
-//! Neighbouring views are first resampled into the view's own frame, pixel by pixel. Then every
-//! window, in the view itself or in a neighbour, is a set of shifts of whole pictures. The
-//! distances for a shift are a map, a patch's sum is a box over that map, and all loops run along
-//! rows.
+//! Neighbouring views are first resampled into the view's own frame, pixel by pixel. Then each
+//! shift of a window is computed for all pixels together. It gives a picture of distances, and sums
+//! over 3 × 3 pixels of it are the distances of patches. So all loops run along rows.
 
 use std::ops::Range;
 
@@ -21,9 +20,9 @@ const PLANE_SCALE: f32 = 1.5;
 const ALBEDO_SCALE: f32 = 0.2;
 const GLOSS_SCALE: f32 = 0.2;
 const COVERED_SCALE: f32 = 0.2;
-/// Filtered answers per pixel. The first uses colours and guides, with weights from the other half.
-/// The second uses guides alone. The third uses colours and guides with weights from the half
-/// itself, and serves only to estimate errors.
+/// Filtered answers per pixel, each for both halves of the samples. The first uses colours and
+/// guides, with weights from the other half. The second uses guides alone. The third uses colours
+/// and guides, with weights from the half itself; it serves only to estimate errors.
 pub(super) const ANSWERS: usize = 3;
 
 /// Filtered demodulated radiance of a band, per answer and half: `[row][col][rgb]`.
@@ -99,8 +98,9 @@ impl Block {
         Self { planes, width }
     }
 
-    /// Fraction of a pixel's light that is the same in another view. That is all light except
-    /// mirrored light, whose lobe turns by half the angle between the views.
+    /// Fraction of a pixel's light that is the same in another view. Diffuse light is the same.
+    /// Mirrored light is, while half the angle between the views is small against the lobe's width
+    /// α.
     fn steady(&self, slope: f32, height: usize, cols: usize, margin: usize) -> Vec<f32> {
         let mut steady = Vec::with_capacity(height * cols);
         for y in 0..height {
@@ -189,7 +189,8 @@ impl Scratch {
                 let other = 1 - half;
                 let [r, g, b] = [0, 1, 2].map(|c| values(other, c));
                 let [with_colour, guides_alone, own_weights] = &mut *sums;
-                // distances in this half give the weights of the other half
+                // colour distances in this half weight the radiance of the other half, so that the
+                // noise of weights and radiance is independent
                 let weights = &mut with_colour.weights[other][range.clone()];
                 let [sum_r, sum_g, sum_b] = &mut with_colour.values[other];
                 let [sum_r, sum_g, sum_b] = [sum_r, sum_g, sum_b].map(|sum| &mut sum[range.clone()]);
@@ -202,7 +203,7 @@ impl Scratch {
                     sum_g[x] += w * g[x];
                     sum_b[x] += w * b[x];
                 }
-                // the same weights for their own half, to estimate the error
+                // the same weights for the half from which they come, to estimate the error
                 let [own_r, own_g, own_b] = [0, 1, 2].map(|c| values(half, c));
                 let weights = &mut own_weights.weights[half][range.clone()];
                 let [sum_r, sum_g, sum_b] = &mut own_weights.values[half];

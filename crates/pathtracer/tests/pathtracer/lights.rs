@@ -54,8 +54,8 @@ fn assert_pixels(radiance: &Tensor<3>, expected: &[f64], relative: f64) {
     }
 }
 
-/// Relative error of a pixel with 64 stratified samples, since the samples also sample the light's
-/// gradient within the pixel.
+/// Relative tolerance for a pixel with 64 stratified samples, since the light varies within the
+/// pixel.
 const PIXEL_AREA: f64 = 1e-2;
 
 #[test]
