@@ -257,7 +257,7 @@ impl<'a> Elements<'a> {
             let needed = (count as u64 - 1).saturating_mul(stride as u64).saturating_add(size as u64);
             let followed = stride > size && needed <= room;
             let message = if followed {
-                format!("expected no stride, found {stride}, which {place} follows")
+                format!("expected no stride, found {stride}; {place} is read with it")
             } else {
                 format!("expected no stride, found {stride}; {place} is read without one")
             };

@@ -128,7 +128,7 @@ fn from_accessors(document: &Document<'_>, place: &str, encoding: Encoding) -> R
             0 if degree > 0 => break,
             found if found == 2 * degree + 1 => harmonics.extend(of_degree),
             found => {
-                let expected = format!("{} coefficients of degree {degree}", 2 * degree + 1);
+                let expected = format!("every coefficient of degree {degree} ({} in all)", 2 * degree + 1);
                 return Err(Fault::new(format!("{place}/attributes"), expected, found));
             }
         }

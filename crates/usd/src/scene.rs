@@ -258,7 +258,7 @@ impl<'a> Assembly<'a> {
             }
         });
         if left_out > 0 {
-            self.task.warn(place, format!("{left_out} copies have a placement that is not finite and are left out"));
+            self.task.warn(place, format!("copies with a placement that is not finite are left out: {left_out}"));
         }
         Ok(())
     }
