@@ -18,11 +18,11 @@ use lumistack_simd::prefetch;
 
 use crate::bvh::{Hit, NO_INSTANCE, Placement};
 
-/// Rays start off a surface by this fraction of the largest coordinate of its triangle. It is about
-/// 16 times the rounding error of a point interpolated from three vertices.
+/// Rays start off a surface by this fraction of the largest coordinate of its triangle. The
+/// distance is about 16 times the rounding error of a point interpolated from three vertices.
 const OFFSET_SHARE: f32 = 4e-6;
 /// Scenes of up to this number of triangles, with all instances included, share no meshes (see
-/// [`Sharing::Auto`]). They need some 150 MB.
+/// [`Sharing::Auto`]). Such scenes need at most some 150 MB.
 const FLATTENED: usize = 1 << 20;
 /// Meshes of fewer triangles than this get no separate tree.
 const LEAST_SHARED: usize = 16;
@@ -319,7 +319,8 @@ impl Geometry {
         let record = &self.records[hit.triangle as usize];
         let instance = &self.instances[hit.instance as usize];
         let placement = &self.placements[instance.placement as usize];
-        // positions are rounded as sums of these corners and the instance's translation
+        // a position is a sum of turned corners and the instance's translation; the offset covers
+        // the rounding of the terms and of the sum
         let turned = record.corners.map(|corner| placement.render_from_tree * corner);
         let corners = turned.map(|corner| corner + placement.translation);
         let (normal, doubled_area) = normal_and_doubled_area(corners);

@@ -274,7 +274,7 @@ impl Renderer {
             let all = settings.samples as usize * geometry.rows * geometry.cols;
             task.warn(
                 format!("view {},{}", view[0], view[1]),
-                format!("{lost} of {all} samples are not finite numbers and are left out"),
+                format!("samples that are not finite numbers are left out: {lost} of {all}"),
             );
         }
         if let Some(message) = clamped.message(settings, filled.data().chunks_exact(K).map(radiance)) {

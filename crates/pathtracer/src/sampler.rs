@@ -107,7 +107,7 @@ impl Pair<'_> {
     /// draws.
     #[inline]
     pub(crate) fn of(&self, sample: usize) -> [f32; 2] {
-        // the length of the sequence is a power of two
+        // the length of the sequence is a power of two, so the mask keeps the index in range
         let [x, y] = self.points[(sample as u32 ^ self.flip) as usize & (self.points.len() - 1)];
         [unit(x ^ self.flips[0]), unit(y ^ self.flips[1])]
     }

@@ -240,7 +240,7 @@ impl<'a> Assembly<'a> {
         let there = self.parts.instances.len() + self.parts.placed_clouds.len();
         let total = copies.and_then(|copies| copies.checked_mul(shown.len())?.checked_add(there));
         if total.is_none_or(|total| total > MOST_INSTANCES) {
-            let found = format!("more, by {} levels of copies; use fewer or less nested instancers", links.len());
+            let found = format!("more (levels of nested copies: {}); use fewer or less nested instancers", links.len());
             return Err(Fault::new(place, format!("at most {MOST_INSTANCES} instances and splat clouds"), found));
         }
         // Add an instance per product of matrices.
@@ -283,7 +283,7 @@ impl<'a> Assembly<'a> {
             let Some(array) = array else { return Ok(None) };
             let values = self.package.integers(array, place)?;
             if values.len() != matrices.len() {
-                return Err(Fault::new(place, format!("{} entries, one per copy", matrices.len()), values.len()));
+                return Err(Fault::new(place, format!("one entry per copy ({})", matrices.len()), values.len()));
             }
             Ok(Some(values))
         };

@@ -290,12 +290,16 @@ fn broken_animations_are_named() {
         (
             "samplers/0/interpolation",
             json!("CUBICSPLINE"),
-            "/output: expected 2 × 3 elements, as the input has 2 keys, found 2",
+            "/output: expected 2 × 3 elements (keys of the input × elements per key), found 2",
         ),
         ("samplers/0/input", json!(99), "/samplers/0/input: expected an index below"),
         ("samplers/0/input", sampler["output"].clone(), "/samplers/0/input: expected SCALAR of FLOAT"),
         ("samplers/0/output", sampler["input"].clone(), "/samplers/0/output: expected VEC3 of FLOAT"),
-        ("samplers/0/output", json!(1), "/output: expected 2 × 1 elements, as the input has 2 keys, found 3"),
+        (
+            "samplers/0/output",
+            json!(1),
+            "/output: expected 2 × 1 elements (keys of the input × elements per key), found 3",
+        ),
         ("samplers/0/input", json!(count), "/input: expected times that increase, found 2 before 2"),
     ];
     for (field, value, expected) in cases {

@@ -112,7 +112,7 @@ fn accessors_that_reach_past_their_bytes() {
     // 2³² becomes 0 in the typed reader
     let b = triangle_with(|b| _ = b.set("/bufferViews/0/buffer", json!(1u64 << 32)));
     assert_error(&b, "/bufferViews/0/buffer: expected an index below 1, found 4294967296");
-    // zeros that take no space in the file
+    // an accessor without a buffer view: zeros, which take no space in the file
     let b = triangle_with(|b| {
         b.remove("/accessors/0/bufferView").set("/accessors/0/count", json!(4_000_000_000u64));
     });

@@ -15,7 +15,8 @@ const PATCH: usize = 1;
 const COLOUR_SCALE: f32 = 0.8;
 /// Differences of guides, each of which lowers a weight to about a third.
 const NORMAL_SCALE: f32 = 0.2;
-/// Distance of a point from the plane of another point, in pixels, for the same.
+/// Distance of a point from the plane of another point, in pixels, that lowers a weight to about a
+/// third.
 const PLANE_SCALE: f32 = 1.5;
 const ALBEDO_SCALE: f32 = 0.2;
 const GLOSS_SCALE: f32 = 0.2;
@@ -283,7 +284,8 @@ impl Sums {
                 .map(|i| {
                     let at = (i / cols + margin) * centre.width + margin + i % cols;
                     let weight = self.weights[half][i];
-                    // the sky has no noise, and a pixel without any weight stays as it is
+                    // the sky has no noise, so it stays as it is, and so does a pixel without any
+                    // weight
                     let as_is = centre.planes[COVERED][at] <= 0.0 || weight <= 0.0;
                     [0, 1, 2].map(|c| {
                         if as_is { centre.planes[HALVES[half] + c][at] } else { self.values[half][c][i] / weight }

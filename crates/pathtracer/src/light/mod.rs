@@ -338,7 +338,8 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
         };
         let area = geometry.area(triangle);
         let strength = area * magnitude(mean);
-        // scattering still finds light that cannot be sampled
+        // a triangle whose strength or area is no normal number is left out here; scattered rays
+        // still find its light
         if strength > 0.0 && strength.is_finite() && area.is_normal() {
             // two halves of a parallelogram become one light
             let corners @ [a, b, c] = geometry.corners(triangle);

@@ -41,8 +41,8 @@ pub(crate) struct Receiver {
     /// Unit normal of an opaque surface, which receives light from its side only. `None` for
     /// surfaces that light passes through.
     pub(crate) normal: Option<Vec3>,
-    /// Cosine and sine of the angle by which light may come from below the horizon. It is not zero
-    /// for triangles that approximate a smooth surface.
+    /// Cosine and sine of the angle by which light may come from below the horizon. The angle is
+    /// not zero for triangles that approximate a smooth surface.
     pub(crate) tilt: [f32; 2],
 }
 
