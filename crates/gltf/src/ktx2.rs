@@ -69,7 +69,7 @@ pub(crate) fn decode(bytes: &[u8], place: &str) -> Result<Pixels, Fault> {
     let Header { width, height, channels } = Header::read(bytes, place)?;
     let broken = |error| Fault::new(place, "a sound Basis Universal picture", format!("{error:?}"));
     // the key/value data is irrelevant for texels, and the decoder trusts the length of its last
-    // entry
+    // entry, so the data is hidden
     let mut noteless = bytes.to_vec();
     noteless[NOTES].fill(0);
     let transcoder = Transcoder::new(&noteless).map_err(broken)?;

@@ -443,7 +443,8 @@ impl Renderer {
         let fill = |tile: usize| -> Result<Vec<[f32; K]>, Cancelled> {
             let mut stack = self.bvh.stack();
             let one = |(row, col)| {
-                // checked per pixel, since a pixel of very many samples takes long enough
+                // checked per pixel, not per tile, since a pixel of very many samples may take
+                // seconds
                 task.cancel.check()?;
                 Ok(pixel(row, col, &mut stack))
             };

@@ -344,7 +344,7 @@ impl<'a> Assembly<'a> {
                 let task = self.task;
                 let mut warn = |message: String| task.warn(&entry.place, message);
                 let polygons = polygons::read(self.package, entry, names, &mut warn)?;
-                // a bilinear surface consists of the polygons themselves
+                // a bilinear surface consists of the polygons themselves, so it is not refined
                 let smooth = entry.subdivision.as_ref().filter(|subdivision| subdivision.scheme != "bilinear");
                 let (polygons, parents) = match smooth {
                     Some(subdivision) => {

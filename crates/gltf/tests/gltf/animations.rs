@@ -103,7 +103,7 @@ fn at_scale(b: &Builder, time_s: f64) -> Vec3 {
 #[test]
 fn rotations_take_the_shorter_arc_at_constant_speed() {
     let quarter = Quat::from_rotation_z(std::f32::consts::FRAC_PI_2);
-    // two quaternions, of any length, represent the same rotation
+    // the quaternions q and −q, of any length, represent the same rotation
     for sign in [1.0, -1.0] {
         let b = animated(|b| {
             let input = b.floats("SCALAR", &[0.0, 2.0]);

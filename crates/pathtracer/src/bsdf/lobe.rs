@@ -195,7 +195,8 @@ impl Surface<'_> {
         below * (1.0 - self.metallic) * (1.0 - self.glass_share)
     }
 
-    /// Part of that light which the dielectric does not reflect, so it reaches the diffuse lobe.
+    /// Part of [`layered`](Self::layered) that the dielectric does not reflect, so it reaches the
+    /// diffuse lobe.
     #[inline]
     pub(crate) fn passed(&self, below: f32) -> f32 {
         self.layered(below) * (1.0 - self.dielectric_albedo.max_element())

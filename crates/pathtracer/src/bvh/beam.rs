@@ -352,7 +352,7 @@ impl<V: Lanes> Sheared<V> {
         }
     }
 
-    /// The farthest of the nearest hits.
+    /// Distance of the farthest of the rays' nearest hits.
     #[inline(always)]
     unsafe fn farthest(&self) -> f32 {
         let mut farthest = self.t[0];

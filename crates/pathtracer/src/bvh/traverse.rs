@@ -464,7 +464,7 @@ impl<F: FnMut(&Hit) -> Vec3> Kernel for Transmittance<F> {
 }
 
 impl Placed {
-    /// The same points at the same t, in the space of the tree.
+    /// The ray in the tree's space, with the same points at the same t.
     #[inline(always)]
     fn tree_ray(&self, ray: &Ray) -> Ray {
         // subtract first: the difference is exact close to the instance, where rounding would hurt
