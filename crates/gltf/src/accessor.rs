@@ -257,7 +257,7 @@ impl<'a> Elements<'a> {
             let needed = (count as u64 - 1).saturating_mul(stride as u64).saturating_add(size as u64);
             let followed = stride > size && needed <= room;
             let message = if followed {
-                format!("expected no stride, found {stride}, which {place} follows")
+                format!("expected no stride, found {stride}; {place} is read with it")
             } else {
                 format!("expected no stride, found {stride}; {place} is read without one")
             };
@@ -268,7 +268,7 @@ impl<'a> Elements<'a> {
             let expected = format!("at least {size}, an element of {place}");
             return Err(Fault::new(format!("{}/byteStride", view.place), expected, stride));
         }
-        // all elements are within the view
+        // check that all elements are within the view
         let Some(bytes) = usize::try_from(offset).ok().and_then(|offset| view.bytes.get(offset..)) else {
             let expected = format!("at most {length}, the length of {}", view.place);
             return Err(Fault::new(format!("{place}/byteOffset"), expected, offset));

@@ -262,7 +262,7 @@ fn values<const N: usize>(
     let is_cubic = channel.interpolation == Interpolation::CubicSpline;
     let per_key = if is_cubic { 3 * group } else { group };
     if times.len().checked_mul(per_key) != Some(accessor.count) {
-        let expected = format!("{} × {per_key} elements, as the input has {} keys", times.len(), times.len());
+        let expected = format!("{} × {per_key} elements (keys of the input × elements per key)", times.len());
         return Err(Fault::new(place, expected, accessor.count));
     }
     // step `part` of the values at a key; for a cubic spline these are in-tangent, value and

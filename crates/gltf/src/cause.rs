@@ -60,11 +60,11 @@ pub(crate) fn no_area(document: &Document<'_>, found: &str, triangles: usize) ->
     }
 }
 
-/// The first primitive that was left out, with the number of the others.
+/// The first primitive that was left out, with its reason, and the number of all that were.
 fn left_out(document: &Document<'_>) -> Option<String> {
     let (first, count) = &*document.left_out.borrow();
     let first = first.as_ref()?;
-    Some(if *count > 1 { format!("{first} (and {} more are left out)", count - 1) } else { first.clone() })
+    Some(if *count > 1 { format!("{first} (primitives left out in all: {count})") } else { first.clone() })
 }
 
 /// The reason why the structure of the scene shows no mesh.
@@ -84,14 +84,14 @@ fn structure(document: &Document<'_>, nodes: &Nodes) -> String {
         return format!("the file has no nodes, and {unseen}");
     }
     if listed == 0 {
-        return format!("the scene lists none of the file's {} nodes, and {unseen}", root.nodes.len());
+        return format!("the scene lists none of the file's nodes ({}), and {unseen}", root.nodes.len());
     }
     if nodes.shown.is_empty() {
         return format!("every node that the scene lists is hidden (KHR_node_visibility), and {unseen}");
     }
     let mut shown = nodes.shown.iter().filter_map(|&node| root.nodes[node].mesh).peekable();
     if shown.peek().is_none() {
-        return format!("of {} nodes none has a mesh, and {unseen}", nodes.shown.len());
+        return format!("none of the scene's visible nodes ({}) has a mesh, and {unseen}", nodes.shown.len());
     }
     if let Some(mesh) = shown.find(|mesh| root.get(*mesh).is_some_and(|mesh| mesh.primitives.is_empty())) {
         return format!("/meshes/{} has no primitives", mesh.value());

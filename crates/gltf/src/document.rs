@@ -199,7 +199,8 @@ impl<'a> Document<'a> {
                 return Err(Fault::new(format!("{place}/uri"), expected, "none"));
             }
         };
-        // the binary chunk is padded, and files may be longer
+        // the binary chunk is padded, and files may be longer, so only the buffer's own length is
+        // used
         usize::try_from(buffer.byte_length.0).ok().and_then(|length| bytes.get(..length)).ok_or_else(|| {
             let expected = format!("at most {} bytes, which the buffer's data has", bytes.len());
             Fault::new(format!("{place}/byteLength"), expected, buffer.byte_length.0)

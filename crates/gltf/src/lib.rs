@@ -80,8 +80,8 @@ pub trait AssetResolver {
     /// percent-decoded. The glTF file is not trusted: `uri` may name any file (`../../secret`,
     /// `/dev/zero`), so the resolver decides which ones it reads.
     ///
-    /// The reason in a few words, for the user ("No such file"). A file larger than `max_bytes` is
-    /// an error too, and must be found before the file is read.
+    /// An error is the reason in a few words, for the user ("No such file"). A file larger than
+    /// `max_bytes` is an error too, and must be found before the file is read.
     fn read(&self, uri: &str, max_bytes: u64) -> Result<Vec<u8>, String>;
 
     /// Decodes packed content. A page whose decoders are another module passes it on.

@@ -150,7 +150,8 @@ pub(crate) fn projection(document: &Document<'_>, source: &json::Camera, place: 
     }
 }
 
-/// The environment in the scene's extras:
+/// The environment in the scene's extras: the picture `image`; a factor `strength`, one number or
+/// three; and a quaternion `rotation`.
 pub(crate) fn environment(
     document: &Document<'_>,
     nodes: &Nodes,

@@ -126,8 +126,8 @@ fn load_scene(
     task.cancel.check()?;
     let triangles: usize = parts.meshes.iter().map(|mesh| mesh.triangles.len()).sum();
     parts.validate(task).map_err(|mut error| {
-        // at an error of the whole scene, the validator names the file, with which the message
-        // begins anyway
+        // at an error of the whole scene, the validator's place is the file's name, with which the
+        // message begins anyway; the list of nodes is more exact
         if error.place == name {
             error.place = nodes.place();
             error.found = cause::no_area(&document, &error.found, triangles);
@@ -164,7 +164,7 @@ fn place_meshes(
     materials: &mut Materials,
     parts: &mut SceneParts,
 ) -> Result<(), Fault> {
-    // a skin, or a node's weights, give a mesh another shape
+    // by mesh; also by node, if the node's skin or weights give the mesh a shape of its own
     let mut loaded: HashMap<(usize, Option<usize>), Range<usize>> = HashMap::new();
     let mut loaded_splats: HashMap<usize, Vec<(usize, DAffine3)>> = HashMap::new();
     let mut default_material = None;

@@ -146,7 +146,9 @@ fn fit_uv_sets(material: &mut Material, place: &str, task: Task<'_>) -> [u32; 2]
     }
     if used.len() > 2 {
         let message = format!(
-            "more than two sets of texture coordinates ({used:?}) are not supported; the first is used instead"
+            "expected at most two sets of texture coordinates, found {used:?}; textures that use another than the \
+             first two get set {}",
+            used[0]
         );
         task.warn(place, message);
     }

@@ -103,7 +103,7 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
         }
     };
     if left_over > 0 {
-        document.task.warn(place, format!("{left_over} vertices at the end make no triangle and are left out"));
+        document.task.warn(place, format!("vertices at the end that make no triangle are left out: {left_over}"));
     }
     // read the attributes of used vertices only
     let selection = select_used_vertices(&mut triangles, count);

@@ -249,7 +249,7 @@ pub(crate) fn copies(document: &Document<'_>, node: usize) -> Result<Option<Vec<
         let index = index.ok_or_else(|| Fault::new(&place, "an accessor's index", quote(Some(value))))?;
         Accessor::open(document, json::Index::new(index), &place, format).map(Some)
     };
-    // absent attributes have their defaults, and all others the same count
+    // absent attributes have their defaults; all others must have the same count
     let translations = open("TRANSLATION", &TRANSLATION)?;
     let rotations = open("ROTATION", &ROTATION)?.map(Accessor::assume_normalized);
     let scales = open("SCALE", &TRANSLATION)?;

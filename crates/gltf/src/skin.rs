@@ -50,7 +50,7 @@ impl Pose {
             let place = format!("{place}/inverseBindMatrices");
             let accessor = Accessor::open(document, index, &place, &INVERSE_BIND)?;
             if accessor.count < scene_from_bind.len() {
-                let expected = format!("at least {} matrices, one per joint", scene_from_bind.len());
+                let expected = format!("at least one matrix per joint ({})", scene_from_bind.len());
                 return Err(Fault::new(place, expected, accessor.count));
             }
             let matrices = accessor.finite::<16>(document, &Selection::All, 0.0)?;

@@ -115,7 +115,7 @@ fn from_accessors(document: &Document<'_>, place: &str, encoding: Encoding) -> R
     let rotations = needed(&own("ROTATION"), &ROTATION, count)?.assume_normalized().floats::<4>(document, all, 0.0)?;
     let scales = needed(&own("SCALE"), &SCALE, count)?.floats::<3>(document, all, 0.0)?;
     let opacities = needed(&own("OPACITY"), &OPACITY, count)?.assume_normalized().floats::<1>(document, all, 0.0)?;
-    // harmonics up to the first absent degree; each degree has all of its coefficients
+    // harmonics up to the first absent degree; each degree must have all of its coefficients
     let mut harmonics = Vec::new();
     for degree in 0..=lumistack_scene::MAX_DEGREE {
         let mut of_degree = Vec::new();
@@ -129,7 +129,7 @@ fn from_accessors(document: &Document<'_>, place: &str, encoding: Encoding) -> R
             0 if degree > 0 => break,
             found if found == 2 * degree + 1 => harmonics.extend(of_degree),
             found => {
-                let expected = format!("{} coefficients of degree {degree}", 2 * degree + 1);
+                let expected = format!("every coefficient of degree {degree} ({} in all)", 2 * degree + 1);
                 return Err(Fault::new(format!("{place}/attributes"), expected, found));
             }
         }

@@ -46,7 +46,7 @@ impl Clamped {
         let kept: f64 = pixels.map(|rgb| f64::from(luminance(rgb))).sum();
         let kept = kept * f64::from(settings.samples);
         Some(format!(
-            "{samples} of {all} samples are dimmed to the limit {limit}, which removes {:.3} % of the light",
+            "the limit {limit} dims {samples} of {all} samples, which removes {:.3} % of the light",
             100.0 * removed / (removed + kept)
         ))
     }

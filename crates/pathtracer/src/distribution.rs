@@ -45,7 +45,7 @@ impl Distribution {
         let last = self.cumulative.len() - 1;
         let part = (u * self.cumulative.len() as f32) as usize;
         let mut index = self.guide[part.min(last)] as usize;
-        // rounding may start the search one entry too far
+        // rounding may start the search one entry too far, so first step back
         while index > 0 && self.cumulative[index - 1] > u {
             index -= 1;
         }

@@ -18,11 +18,11 @@ use lumistack_simd::prefetch;
 
 use crate::bvh::{Hit, NO_INSTANCE, Placement};
 
-/// Rays start off a surface by this fraction of the largest coordinate of its triangle. It is about
-/// 16 times the rounding error of a point interpolated from three vertices.
+/// Rays start off a surface by this fraction of the largest coordinate of its triangle. The
+/// distance is about 16 times the rounding error of a point interpolated from three vertices.
 const OFFSET_SHARE: f32 = 4e-6;
 /// Scenes of up to this number of triangles, with all instances included, share no meshes (see
-/// [`Sharing::Auto`]). They need some 150 MB.
+/// [`Sharing::Auto`]). Such scenes need at most some 150 MB.
 const FLATTENED: usize = 1 << 20;
 /// Meshes of fewer triangles than this get no separate tree.
 const LEAST_SHARED: usize = 16;
@@ -78,7 +78,8 @@ struct Record {
     /// Texture coordinates of set 0; zeros where the mesh has none.
     uvs: [Vec2; 3],
     geometric_normal: Vec3,
-    /// Length in texture space (set 0) per length in the space of the corners: √(area / area).
+    /// Length in texture space (set 0) per length in the space of the corners: the root of the
+    /// ratio of the areas.
     uv_per_length: f32,
     material: u32,
     /// Index of the instance; for shared triangles the first instance of their mesh.
@@ -185,7 +186,8 @@ impl Geometry {
             if !shares[instance.mesh] {
                 continue;
             }
-            // the first instance of a shared mesh stores its triangles around the mesh's centre
+            // the first instance of a shared mesh stores the mesh's triangles, moved so that the
+            // mesh's centre is the origin
             let (shared, scale, centre) = *trees[instance.mesh].get_or_insert_with(|| {
                 let mesh = &scene.meshes[instance.mesh];
                 let mut bounds = Bounds::EMPTY;
@@ -317,7 +319,8 @@ impl Geometry {
         let record = &self.records[hit.triangle as usize];
         let instance = &self.instances[hit.instance as usize];
         let placement = &self.placements[instance.placement as usize];
-        // positions are rounded as sums of these corners and the instance's translation
+        // a position is a sum of turned corners and the instance's translation; the offset covers
+        // the rounding of the terms and of the sum
         let turned = record.corners.map(|corner| placement.render_from_tree * corner);
         let corners = turned.map(|corner| corner + placement.translation);
         let (normal, doubled_area) = normal_and_doubled_area(corners);
@@ -362,8 +365,8 @@ fn linear(instance: &Instance) -> DMat3 {
     DMat3::from_cols(m.x_axis.as_dvec3(), m.y_axis.as_dvec3(), m.z_axis.as_dvec3())
 }
 
-/// Which meshes are kept once for any number of placements. Emitting meshes are not shared, since
-/// every placed triangle that emits is a separate light.
+/// Returns true for each mesh that is kept once for any number of placements. Emitting meshes are
+/// not shared, since every placed triangle that emits is a separate light.
 fn shared_meshes(scene: &Scene, sharing: Sharing) -> Vec<bool> {
     if sharing == Sharing::Auto && scene.triangle_count() <= FLATTENED {
         return vec![false; scene.meshes.len()];

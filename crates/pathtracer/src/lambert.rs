@@ -42,7 +42,7 @@ impl Lambert {
         self.normals.mapped
     }
 
-    /// The same point with `horizon` in place of its geometric normal.
+    /// The same point, with the normal `horizon` instead of its geometric normal.
     #[inline]
     pub(crate) fn above(&self, horizon: Vec3) -> Self {
         Self { geometric: horizon, ..*self }

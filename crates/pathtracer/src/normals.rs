@@ -46,9 +46,9 @@ impl Normals {
     ///
     /// This is Smith's shadowing of a GGX surface of the same roughness. With only the cosine to
     /// the mapped normal, light would end in a hard edge where the smooth surface turns away. It
-    /// would also light slopes through their neighbours. Source: Estevez, Lecocq, Stein 2019, "A
-    /// microfacet-based shadowing function to solve the bump terminator problem", Ray Tracing Gems;
-    /// Cycles uses it too.
+    /// would also reach slopes that neighbouring bumps hide. Source: Estevez, Lecocq, Stein 2019,
+    /// "A microfacet-based shadowing function to solve the bump terminator problem", Ray Tracing
+    /// Gems; Cycles uses it too.
     #[inline]
     pub(crate) fn unshadowed(&self, direction: Vec3) -> f32 {
         if self.alpha2 == 0.0 {

@@ -61,8 +61,8 @@ pub(crate) struct PixelRays {
     direction: Vec3,
     /// Vectors of one pixel to the right and one pixel up, on the plane z = 0.
     pixel: [Vec3; 2],
-    /// Unit vectors to the right and up, and τ₀ in render space, by which a change of slope moves
-    /// the start along them.
+    /// Unit vectors to the right and up, and τ₀ in render space. A change of slope moves the start
+    /// along these vectors, in proportion to τ₀.
     axes: [Vec3; 2],
     start: f32,
     /// Change of the slope across the pixel, and full width of the range of slopes.

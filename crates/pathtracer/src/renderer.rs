@@ -274,7 +274,7 @@ impl Renderer {
             let all = settings.samples as usize * geometry.rows * geometry.cols;
             task.warn(
                 format!("view {},{}", view[0], view[1]),
-                format!("{lost} of {all} samples are not finite numbers and are left out"),
+                format!("samples that are not finite numbers are left out: {lost} of {all}"),
             );
         }
         if let Some(message) = clamped.message(settings, filled.data().chunks_exact(K).map(radiance)) {
@@ -443,7 +443,8 @@ impl Renderer {
         let fill = |tile: usize| -> Result<Vec<[f32; K]>, Cancelled> {
             let mut stack = self.bvh.stack();
             let one = |(row, col)| {
-                // checked per pixel, since a pixel of very many samples takes long enough
+                // checked per pixel, not per tile, since a pixel of very many samples may take
+                // seconds
                 task.cancel.check()?;
                 Ok(pixel(row, col, &mut stack))
             };

@@ -68,9 +68,9 @@ impl SampleBank {
         Self { points, length, parts }
     }
 
-    /// The numbers for sample `first` and the following samples of the pixel with this hash. The
-    /// samples of one object must be within one run of the longest sequence. They are if `first` is
-    /// a multiple of a power of two and no more samples than that follow.
+    /// The numbers for sample `first` and the following samples of the pixel with this hash. All
+    /// samples of one [`Draws`] must be within one pass of the bank's sequence. They are if `first`
+    /// is a multiple of a power of two, and no more samples than that power follow.
     pub(crate) fn draws(&self, pixel: u64, first: u32) -> Draws<'_> {
         let pixel = if first < self.length { pixel } else { seed::derive(pixel, &[u64::from(first / self.length)]) };
         Draws { bank: self, pixel, first: first & (self.length - 1) }
@@ -90,7 +90,7 @@ impl<'a> Draws<'a> {
     #[inline]
     pub(crate) fn pair(&self, pair: u64) -> Pair<'a> {
         let hash = seed::mix(self.pixel.wrapping_add(pair.wrapping_mul(PAIR_STEP)));
-        // a different pattern for each of 64 successive pairs, from a random one on
+        // any 64 successive pairs use all 64 patterns; the pixel's hash selects the first
         let pattern = (self.pixel.wrapping_add(pair.wrapping_mul(37)) as usize) % PATTERNS;
         let length = self.bank.length as usize;
         let flip = (hash ^ (hash >> 27)) as u32 ^ self.first;
@@ -107,7 +107,7 @@ impl Pair<'_> {
     /// draws.
     #[inline]
     pub(crate) fn of(&self, sample: usize) -> [f32; 2] {
-        // the length of the sequence is a power of two
+        // the length of the sequence is a power of two, so the mask keeps the index in range
         let [x, y] = self.points[(sample as u32 ^ self.flip) as usize & (self.points.len() - 1)];
         [unit(x ^ self.flips[0]), unit(y ^ self.flips[1])]
     }

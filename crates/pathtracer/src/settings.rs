@@ -7,8 +7,9 @@ use thiserror::Error;
 pub struct Settings {
     /// Paths per pixel and view, 1..=65536. Powers of two stratify best. Default 32.
     pub samples: u32,
-    /// Largest number of scattering events after the first hit, 0..=1024; 0 shows emission only.
-    /// Longer paths are cut off, which is the renderer's only systematic error. Default 8.
+    /// Largest number of scattering events of a path, 0..=1024. The event at the first hit counts,
+    /// so 0 shows emission only. Longer paths are cut off, which is the renderer's only systematic
+    /// error. Default 8.
     pub max_bounces: u32,
     /// Bounce after which Russian roulette may end a path, 0..=1024; the estimate stays unbiased.
     /// Default 3.

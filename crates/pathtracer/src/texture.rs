@@ -173,8 +173,8 @@ fn interpolate(
     fetch(left, top).lerp(fetch(right, top), fx).lerp(fetch(left, bottom).lerp(fetch(right, bottom), fx), fy)
 }
 
-/// The two texels next to `coordinate` (0..1 over the texture, then moved back by `shift` texels),
-/// and the weight of the second.
+/// The two texels on either side of a position, and the weight of the second. The position is
+/// `coordinate` (0..1 over the texture) times `size`, less `shift`, in texels.
 #[inline]
 fn neighbours(coordinate: f32, size: usize, wrap: Wrap, shift: f32) -> (usize, usize, f32) {
     // folded into one period (two if mirrored) before scaling, so that comparisons replace

@@ -6,8 +6,8 @@
 //! ```
 //!
 //! Lengths are in millimetres of display space. `apart` has few wide splats behind one another:
-//! every order of distance is the same, and no splat is narrower than a pixel. `capture` has
-//! thousands of overlapping splats, as captures do.
+//! every way to measure their distance gives the same order, and no splat is narrower than a pixel.
+//! `capture` has thousands of overlapping splats, as captures do.
 
 use std::path::Path;
 use std::sync::Arc;

@@ -21,7 +21,8 @@ def main():
     folder = sys.argv[sys.argv.index("--") + 1]
     with open(os.path.join(folder, "request.json"), encoding="utf-8") as file:
         request = json.load(file)
-    # Report every failure in answer.json. Its kind states if another Blender may read the file.
+    # Report every failure in answer.json. The failure's kind states if another Blender may read the
+    # file.
     answer = {"warnings": [], "files": []}
     try:
         import bpy

@@ -270,8 +270,8 @@ class Graph:
         found = self.get(shader, "in")
         if found is None or "texture" not in found:
             return None
-        # A decoded vector in tangent space is the result of decoding "in object space", so
-        # UsdPreviewSurface accepts both.
+        # With the space "object" the node only decodes the picture. UsdPreviewSurface expects that
+        # decoded vector in tangent space, so for it both spaces mean the same.
         if self.text(shader, "space", "tangent") != "tangent" and self.model != "UsdPreviewSurface":
             self.writer.warn(shader.GetPath(), "normal maps in object space are not supported; this one is left out")
             return None
@@ -291,7 +291,8 @@ class Graph:
             found = self.get(shader, "value") if name == "constant" else self.get(shader, "in")
             return found
         if name in FRAME:
-            # These are the surface's own frame, to which normals are relative anyway.
+            # These nodes return vectors of the surface's own frame. Normals are relative to that
+            # frame anyway, so nothing is lost.
             return None
         if name in OPERATIONS:
             count = SIZES.get(parts[1].replace("FA", ""), 3)

@@ -29,7 +29,8 @@ def is_shown(prim, writer):
     causes a warning."""
     purpose = prim.GetAttribute("purpose")
     if purpose and purpose.Get() in ("proxy", "guide"):
-        # An older OpenUSD does not compute the purpose of unknown types.
+        # An older OpenUSD does not compute the purpose of unknown types, so the prim's own value
+        # decides.
         return False
     kernels = [kernel for kernel in schemas(prim) if "Kernel" in kernel and not kernel.endswith("BaseAPI")]
     if str(prim.GetTypeName()) == SPLAT or ELLIPSOID in kernels or SURFLET in kernels:

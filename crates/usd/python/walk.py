@@ -16,7 +16,8 @@ from lumistack_usd.writer import Refused, Writer
 
 IDENTITY = Gf.Matrix4d(1)
 SHOWN = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
-# Prototypes may be inside an `over` or a `class`, which hides them where they are defined.
+# Prototypes may be inside an `over` or a `class`, which hides them where they are defined. So this
+# predicate also accepts prims that are abstract, or whose ancestors are not defined.
 IN_PROTOTYPE = Usd.TraverseInstanceProxies(Usd.PrimIsActive & Usd.PrimIsLoaded & Usd.PrimHasDefiningSpecifier)
 ANYWHERE = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
 INHERITED_PRIMVARS = ("primvars:displayColor", "primvars:displayOpacity")
@@ -38,7 +39,7 @@ def open_stage(path):
 def errors(error):
     """The messages of an exception of pxr, without positions in the source code of pxr."""
     texts = [getattr(part, "commentary", None) or str(part) for part in error.args] or [str(error)]
-    # The last message repeats the first.
+    # OpenUSD adds "Failed to open layer", which repeats the first message.
     texts = [text for text in texts if not text.startswith("Failed to open layer")] or texts
     return "; ".join(dict.fromkeys(" ".join(text.split()) for text in texts))
 
@@ -98,8 +99,8 @@ def warn_of_composition(stage, writer):
     if without_materialx:
         writer.warn(
             "/",
-            "%d references to MaterialX files (.mtlx) are left out, since this OpenUSD has no MaterialX plugin. The Python package usd-exchange"
-            " has one: `lumistack setup usd --materialx`, or `pip install usd-exchange` in place of usd-core" % without_materialx,
+            "references to MaterialX files (.mtlx) are left out (%d), since this OpenUSD has no MaterialX plugin. The Python package usd-exchange"
+            " has one: `lumistack setup usd --materialx`, or `pip install usd-exchange` instead of usd-core" % without_materialx,
         )
 
 

@@ -350,7 +350,7 @@ mod tests {
 
     use super::*;
 
-    /// A script in place of Blender.
+    /// Writes a script that is run instead of Blender.
     fn fake(folder: &Path, name: &str, script: &str) -> Candidate {
         let program = folder.join(name);
         std::fs::write(&program, format!("#!/bin/sh\nfor last; do :; done\n{script}\n")).unwrap();

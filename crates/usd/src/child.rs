@@ -172,7 +172,7 @@ pub(crate) fn wait(child: &mut Child, cancel: &Cancel, meanwhile: &mut dyn FnMut
             return Ok(status);
         }
         if cancel.is_cancelled() {
-            // a child that has just ended cannot be killed
+            // a child that has just ended cannot be killed, which is no error
             let _ = child.kill();
             let _ = child.wait();
             return Err(Cancelled);
@@ -236,7 +236,7 @@ mod tests {
 
     const REQUEST: Request<'static> = Request { path: "scene.usda", time_s: None, variants: &[], contents_only: false };
 
-    /// A script in place of Python.
+    /// Writes a script that is run instead of Python.
     fn fake(folder: &Path, name: &str, script: &str) -> Candidate {
         let program = folder.join(name);
         std::fs::write(&program, format!("#!/bin/sh\n{script}\n")).unwrap();

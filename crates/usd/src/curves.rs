@@ -84,8 +84,8 @@ const MOST_TRIANGLES: usize = 2_000_000;
 /// Samples per segment and sides per tube, the finest first.
 const DETAIL: [(usize, usize); 4] = [(8, 12), (6, 8), (4, 5), (2, 3)];
 
-/// A curve that is shorter than this fraction of its coordinates is a single point, whose copies
-/// differ by rounding.
+/// A curve that is shorter than this fraction of its largest coordinate is treated as a single
+/// point: its samples differ only by rounding.
 const ROUNDING: f32 = 1e-5;
 
 /// Control points of one sample, with their weights.

@@ -106,7 +106,7 @@ fn arc(radius: f32, z: f32, [from, to]: [f32; 2], [from_v, to_v]: [f32; 2]) -> V
         .map(|i| {
             let share = i as f32 / parts as f32;
             let angle = from + (to - from) * share;
-            // poles are exactly on the spine
+            // poles are exactly on the spine, but the sine of π is not exactly 0 in f32
             let sine = if angle == 0.0 || angle == 2.0 * FRAC_PI_2 { 0.0 } else { angle.sin() };
             let normal = Vec2::new(sine, angle.cos());
             (radius * normal + Vec2::new(0.0, z), normal, from_v + (to_v - from_v) * share)

@@ -87,7 +87,7 @@ pub(crate) fn load<'a>(entry: &serde_json::Value, textures: &mut Textures<'a>, t
     };
     let ignored = inputs.ignored(known);
     if !ignored.is_empty() {
-        let message = format!("{model}: {} cannot be shown and is left out", ignored.join(", "));
+        let message = format!("{model}: inputs that cannot be shown are left out: {}", ignored.join(", "));
         task.warn(&builder.place, message);
     }
     let Builder { material, mut uv_names, reads_colors, .. } = builder;

@@ -184,7 +184,7 @@ impl Reader<'_, '_> {
             Some(array) => {
                 let indices = self.package.integers(array, &place).map_err(text)?;
                 if let Some(index) = indices.iter().find(|&&index| !(0..values.len() as i64).contains(&index)) {
-                    return Err(format!("the index {index} and {} values", values.len()));
+                    return Err(format!("the index {index}, but a list of length {}", values.len()));
                 }
                 Some(indices.into_iter().map(|index| index as u32).collect::<Vec<_>>())
             }
@@ -192,7 +192,7 @@ impl Reader<'_, '_> {
         let found = indices.as_ref().map_or(values.len(), Vec::len);
         // a constant may be the first value of a longer list
         if found < elements || (found > elements && interpolation != Interpolation::Constant) {
-            return Err(format!("{found} values where {} needs {elements}", primvar.interpolation));
+            return Err(format!("a list of length {found}, but {} needs {elements}", primvar.interpolation));
         }
         Ok(Attribute { values, interpolation, indices })
     }

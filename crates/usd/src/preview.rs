@@ -34,7 +34,8 @@ pub(crate) fn build(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> &'static 
     let normal = inputs.get("normal", [0.0, 0.0, 1.0]);
     builder.coat(&weight, &coat_roughness, &normal);
     builder.material.normal_texture = builder.normal(&normal);
-    // the path tracer computes occlusion, and the mode has no effect here
+    // read here so that no warning lists them: the path tracer computes occlusion, and the mode has
+    // no effect
     inputs.number("occlusion", 1.0);
     inputs.text("opacityMode");
     &WITHOUT

@@ -240,7 +240,7 @@ impl<'a> Assembly<'a> {
         let there = self.parts.instances.len() + self.parts.placed_clouds.len();
         let total = copies.and_then(|copies| copies.checked_mul(shown.len())?.checked_add(there));
         if total.is_none_or(|total| total > MOST_INSTANCES) {
-            let found = format!("more, by {} levels of copies; use fewer or less nested instancers", links.len());
+            let found = format!("more (levels of nested copies: {}); use fewer or less nested instancers", links.len());
             return Err(Fault::new(place, format!("at most {MOST_INSTANCES} instances and splat clouds"), found));
         }
         // Add an instance per product of matrices.
@@ -258,7 +258,7 @@ impl<'a> Assembly<'a> {
             }
         });
         if left_out > 0 {
-            self.task.warn(place, format!("{left_out} copies have a placement that is not finite and are left out"));
+            self.task.warn(place, format!("copies with a placement that is not finite are left out: {left_out}"));
         }
         Ok(())
     }
@@ -283,7 +283,7 @@ impl<'a> Assembly<'a> {
             let Some(array) = array else { return Ok(None) };
             let values = self.package.integers(array, place)?;
             if values.len() != matrices.len() {
-                return Err(Fault::new(place, format!("{} entries, one per copy", matrices.len()), values.len()));
+                return Err(Fault::new(place, format!("one entry per copy ({})", matrices.len()), values.len()));
             }
             Ok(Some(values))
         };
@@ -344,7 +344,7 @@ impl<'a> Assembly<'a> {
                 let task = self.task;
                 let mut warn = |message: String| task.warn(&entry.place, message);
                 let polygons = polygons::read(self.package, entry, names, &mut warn)?;
-                // a bilinear surface consists of the polygons themselves
+                // a bilinear surface consists of the polygons themselves, so it is not refined
                 let smooth = entry.subdivision.as_ref().filter(|subdivision| subdivision.scheme != "bilinear");
                 let (polygons, parents) = match smooth {
                     Some(subdivision) => {

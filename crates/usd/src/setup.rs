@@ -89,7 +89,11 @@ impl Setup {
         step(format!("`pip install {package}` to succeed"), run(&mut pip, say, cancel)?)?;
         let checked = run(Command::new(&python).args(["-c", CHECK]), &mut |_| {}, cancel)?;
         let version = step(format!("`import pxr` to succeed after `pip install {package}`"), checked)?;
-        say(&format!("{} is ready; every USD file is now read by {}", version.trim(), python.display()));
+        say(&format!(
+            "{} is ready; USD files are read by {}, unless LUMISTACK_PYTHON is set or an active environment has usd-core",
+            version.trim(),
+            python.display()
+        ));
         Ok(python)
     }
 }

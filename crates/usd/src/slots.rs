@@ -23,7 +23,7 @@ pub(crate) struct Input {
 
 /// A shader's value: a number, colour or vector of `N` components.
 #[derive(Clone, Debug, PartialEq)]
-#[expect(clippy::large_enum_variant, reason = "some twenty for a material, for as long as it is read")]
+#[expect(clippy::large_enum_variant, reason = "a material has about twenty values, and only while it is read")]
 pub(crate) enum Value<const N: usize> {
     /// A constant value.
     Constant([f32; N]),
@@ -154,7 +154,9 @@ impl<'a> Builder<'_, 'a> {
                 }
             }
         }
-        self.warn(format!("more than two sets of texture coordinates ({name}) are not supported; the first is used"));
+        self.warn(format!(
+            "expected at most two primvars as texture coordinates, found also {name}; the first is used"
+        ));
         0
     }
 

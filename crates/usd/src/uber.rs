@@ -68,7 +68,8 @@ pub(crate) fn standard_surface(builder: &mut Builder<'_, '_>, inputs: &Inputs) -
     builder.film(1.0, inputs.number("thin_film_thickness", 0.0), inputs.number("thin_film_IOR", 1.5));
     builder.emission(&inputs.get("emission_color", WHITE), &inputs.get("emission", [0.0]));
     builder.material.normal_texture = builder.normal(&normal);
-    // without effect here, or with effect only in combination with inputs in the following list
+    // read here so that no warning lists them: they have no effect, or only together with inputs in
+    // the following list
     for name in ["subsurface_radius", "subsurface_scale", "subsurface_anisotropy", "tangent"] {
         inputs.text(name);
     }
@@ -162,6 +163,7 @@ pub(crate) fn gltf_pbr(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignore
     builder.film(inputs.number("iridescence", 0.0), thickness_nm, inputs.number("iridescence_ior", 1.3));
     builder.emission(&inputs.get("emissive", [0.0; 3]), &inputs.get("emissive_strength", [1.0]));
     builder.material.normal_texture = builder.normal(&normal);
+    // read here so that no warning lists them, since they have no effect
     for name in ["occlusion", "tangent"] {
         inputs.text(name);
     }
@@ -174,7 +176,8 @@ pub(crate) fn unlit(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignored {
     builder.roughness(&Value::Constant([1.0]), &Value::Constant([0.0]));
     builder.specular(&Value::Constant([0.0]), &Value::Constant(WHITE), 1.5);
     builder.emission(&inputs.get("emission_color", WHITE), &inputs.get("emission", [1.0]));
-    // has an effect only in combination with the weight in the following list
+    // read here so that no warning lists it: it has an effect only with the weight in the following
+    // list
     inputs.text("transmission_color");
     &[("transmission", 0.0)]
 }

@@ -65,8 +65,8 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Pixels, Unsound> {
 pub(super) fn decode(bytes: &[u8]) -> Result<Pixels, Unsound> {
     let Header { width, height, channels } = Header::read(bytes)?;
     let broken = |error| Unsound::new("a sound Basis Universal picture", format!("{error:?}"));
-    // notes on the file say nothing about its texels, and the decoder trusts the length of the last
-    // one
+    // the key/value data is irrelevant for texels, and the decoder trusts the length of its last
+    // entry, so the data is hidden
     let mut noteless = bytes.to_vec();
     noteless[NOTES].fill(0);
     let transcoder = Transcoder::new(&noteless).map_err(broken)?;
@@ -110,7 +110,7 @@ impl Header {
             let found = format!("depth {depth}, {layers} layers, {faces} faces and {levels} levels");
             return fault("one face, no layers and 1 to 16 levels", found);
         }
-        // offsets and lengths are within the file
+        // check that offsets and lengths are within the file
         let descriptor = word(48)? as usize;
         for (offset, length) in [(word(48)?, word(52)?), (word(56)?, word(60)?)] {
             inside(offset.into(), length.into())?;
@@ -122,7 +122,7 @@ impl Header {
             let found = format!("colour model {model} with supercompression {scheme}");
             return fault("ETC1S in BasisLZ, or UASTC plain or in Zstandard", found);
         }
-        // every level has as many bytes as its texels need
+        // check that every level has as many bytes as its texels need
         for level in 0..levels {
             let entry = HEADER_BYTES + LEVEL_BYTES * level as usize;
             inside(long(entry)?, long(entry + 8)?)?;

@@ -103,7 +103,7 @@ fn at_scale(b: &Builder, time_s: f64) -> Vec3 {
 #[test]
 fn rotations_take_the_shorter_arc_at_constant_speed() {
     let quarter = Quat::from_rotation_z(std::f32::consts::FRAC_PI_2);
-    // two quaternions, of any length, represent the same rotation
+    // the quaternions q and −q, of any length, represent the same rotation
     for sign in [1.0, -1.0] {
         let b = animated(|b| {
             let input = b.floats("SCALAR", &[0.0, 2.0]);
@@ -290,12 +290,16 @@ fn broken_animations_are_named() {
         (
             "samplers/0/interpolation",
             json!("CUBICSPLINE"),
-            "/output: expected 2 × 3 elements, as the input has 2 keys, found 2",
+            "/output: expected 2 × 3 elements (keys of the input × elements per key), found 2",
         ),
         ("samplers/0/input", json!(99), "/samplers/0/input: expected an index below"),
         ("samplers/0/input", sampler["output"].clone(), "/samplers/0/input: expected SCALAR of FLOAT"),
         ("samplers/0/output", sampler["input"].clone(), "/samplers/0/output: expected VEC3 of FLOAT"),
-        ("samplers/0/output", json!(1), "/output: expected 2 × 1 elements, as the input has 2 keys, found 3"),
+        (
+            "samplers/0/output",
+            json!(1),
+            "/output: expected 2 × 1 elements (keys of the input × elements per key), found 3",
+        ),
         ("samplers/0/input", json!(count), "/input: expected times that increase, found 2 before 2"),
     ];
     for (field, value, expected) in cases {

@@ -15,7 +15,7 @@ fn data(name: &str) -> Vec<u8> {
     std::fs::read(workspace().join("crates/gltf/tests/data").join(name)).unwrap()
 }
 
-/// Vertices by their grid position, in halves; and triangles by the positions of their corners, the
+/// Vertices by twice their grid position, rounded; and triangles by those of their corners, the
 /// smallest first.
 type Grid = (BTreeMap<[i32; 2], (Vec3, Vec3, Vec2)>, Vec<[[i32; 2]; 3]>);
 
@@ -138,7 +138,7 @@ fn claims_that_no_stream_can_back_are_refused_before_memory_is_taken() {
     b.set("/bufferViews/0/byteLength", json!(1u64 << 32));
     b.set("/bufferViews/0/extensions", json!({"EXT_meshopt_compression": extension}));
     assert!(support::error(&b).contains("which 64 packed bytes can hold"), "{}", support::error(&b));
-    // Draco: a broken stream of every length
+    // Draco: every byte of the stream broken in turn
     let file = data("grid-draco-edgebreaker.glb");
     let view = file.windows(5).position(|bytes| bytes == b"DRACO").unwrap();
     for at in view..file.len() {
@@ -195,7 +195,7 @@ fn basis_pictures_are_decoded() {
             }
         }
     }
-    // an entry of key/value data whose end is not padded
+    // an entry of key/value data whose end is not padded; the decoder must not read it
     let mut noted = data("uastc.ktx2");
     noted.resize(noted.len().next_multiple_of(4), 0);
     let notes = [noted.len() as u32, 7].map(u32::to_le_bytes);

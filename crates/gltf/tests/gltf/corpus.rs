@@ -326,8 +326,8 @@ fn hostile_objects_do_no_harm_when_shown() {
     }
 }
 
-/// The file with a triangle that no scene shows yet: its mesh and its node. `None` if a member that
-/// should be a list is none.
+/// The file with a triangle that no scene shows yet, and the indices of its mesh and its node.
+/// `None` if a member that should be a list is not one.
 fn add_triangle(file: &Value) -> Option<(Builder, [usize; 2])> {
     let mut b = Builder { json: file.clone(), bin: Vec::new() };
     for list in ["scenes", "nodes", "meshes", "accessors", "bufferViews", "buffers", "materials", "textures"] {
@@ -359,7 +359,8 @@ fn shown_in_turn(file: &Value) -> Vec<(String, Value)> {
     let count = |list: &str| file.get(list).and_then(Value::as_array).map_or(0, Vec::len);
     let mut variants = Vec::new();
     let mut show = |what: String, change: &dyn Fn(&mut Builder, Value)| {
-        // a file with a member that is no list is tested unchanged
+        // a file with a member that should be a list, but is not one, is tested unchanged by
+        // `hostile_files_do_no_harm`
         let Some((mut b, [mesh, node])) = add_triangle(file) else { return };
         let scene = b.push("scenes", json!({"nodes": [node]}));
         b.json["scene"] = json!(scene);

@@ -112,7 +112,7 @@ fn accessors_that_reach_past_their_bytes() {
     // 2³² becomes 0 in the typed reader
     let b = triangle_with(|b| _ = b.set("/bufferViews/0/buffer", json!(1u64 << 32)));
     assert_error(&b, "/bufferViews/0/buffer: expected an index below 1, found 4294967296");
-    // zeros that take no space in the file
+    // an accessor without a buffer view: zeros, which take no space in the file
     let b = triangle_with(|b| {
         b.remove("/accessors/0/bufferView").set("/accessors/0/count", json!(4_000_000_000u64));
     });
@@ -196,12 +196,12 @@ fn scenes_with_nothing_to_see() {
     let nothing = "expected at least one triangle with area, found none";
     assert_error(&Builder::new(), &format!("/nodes: {nothing}: the file has no nodes, and the file has no meshes"));
     let b = triangle_with(|b| _ = b.set("/scenes/0/nodes", json!([])));
-    let reason = "the scene lists none of the file's 1 nodes, and nothing shows the file's mesh";
+    let reason = "the scene lists none of the file's nodes (1), and nothing shows the file's mesh";
     assert_error(&b, &format!("/scenes/0: {nothing}: {reason}"));
     let b = triangle_with(|b| _ = b.set("/nodes/0", json!({"camera": 0})).push("cameras", json!({})));
     assert!(error(&b).contains("/cameras/0"), "{}", error(&b));
     let b = triangle_with(|b| _ = b.remove("/nodes/0/mesh"));
-    let reason = "of 1 nodes none has a mesh, and nothing shows the file's mesh";
+    let reason = "none of the scene's visible nodes (1) has a mesh, and nothing shows the file's mesh";
     assert_error(&b, &format!("/scenes/0: {nothing}: {reason}"));
     let hidden = json!({"mesh": 0, "extensions": {"KHR_node_visibility": {"visible": false}}});
     let b = triangle_with(|b| _ = b.set("/nodes/0", hidden));
@@ -211,15 +211,14 @@ fn scenes_with_nothing_to_see() {
     // the first of several reasons
     let primitives = json!([{"attributes": {"POSITION": 0}, "mode": 1}, {"attributes": {}}]);
     let b = triangle_with(|b| _ = b.set("/meshes/0/primitives", primitives));
-    let reason =
-        "/meshes/0/primitives/0: a primitive of mode Lines has no surface and is left out (and 1 more are left out)";
+    let reason = "/meshes/0/primitives/0: a primitive of mode Lines has no surface and is left out (primitives left out in all: 2)";
     assert_error(&b, &format!("/scenes/0: {nothing}: {reason}"));
     // data that the scene does not use is broken as well
     let b = triangle_with(|b| {
         b.set("/nodes/0", json!({}));
         b.set("/accessors/0/count", json!(4));
     });
-    let reason = "of 1 nodes none has a mesh, and nothing shows the file's mesh; data that the scene does not use has a defect: \
+    let reason = "none of the scene's visible nodes (1) has a mesh, and nothing shows the file's mesh; data that the scene does not use has a defect: \
                   /accessors/0/count: expected at most 3, which /bufferViews/0 holds, found 4";
     assert_error(&b, &format!("/scenes/0: {nothing}: {reason}"));
     let mut flat = Builder::triangle();

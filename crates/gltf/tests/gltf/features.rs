@@ -548,7 +548,7 @@ fn scenes_that_list_children_are_shown() {
 fn strides_where_none_belong_are_said() {
     for (bytes, stride, expected) in [
         (&[0u8, 0, 1, 0, 2, 0][..], 2, None),
-        (&[0, 0, 9, 9, 1, 0, 9, 9, 2, 0], 4, Some("found 4, which /accessors/1 follows")),
+        (&[0, 0, 9, 9, 1, 0, 9, 9, 2, 0], 4, Some("found 4; /accessors/1 is read with it")),
         (&[0, 0, 1, 0, 2, 0], 12, Some("found 12; /accessors/1 is read without one")),
         (&[0, 0, 1, 0, 2, 0], 1, Some("found 1; /accessors/1 is read without one")),
     ] {

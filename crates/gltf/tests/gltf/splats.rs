@@ -136,13 +136,13 @@ fn broken_splats_are_refused_or_left_out() {
         &|b| {
             b.remove(&attribute("SH_DEGREE_1_COEF_2"));
         },
-        "3 coefficients of degree 1",
+        "every coefficient of degree 1 (3 in all)",
     );
     refused(
         &|b| {
             b.remove(&attribute("SH_DEGREE_0_COEF_0"));
         },
-        "1 coefficients of degree 0",
+        "every coefficient of degree 0 (1 in all)",
     );
     let fewer = |b: &mut Builder| {
         let scales = b.floats("VEC3", &[1.0; 6]);

@@ -48,8 +48,8 @@ impl AssetResolver for Folder<'_> {
 }
 
 impl Case {
-    /// A glTF or USD file, as a diffuse scene or with its own materials. A file without a camera
-    /// also gets a floor. With `copies` > 1, that number of copies are arranged in a square.
+    /// Loads a glTF or USD file, and makes its materials diffuse or keeps them. A file without a
+    /// camera also gets a floor. With `copies` > 1, that number of copies are arranged in a square.
     pub fn load(
         path: &Path,
         copies: usize,
@@ -57,7 +57,7 @@ impl Case {
         own_materials: bool,
         task: Task<'_>,
     ) -> Outcome<Self> {
-        // Warnings about things in the file that a diffuse scene leaves out are of no use.
+        // Warnings are discarded: they are about content that a diffuse scene leaves out.
         let unread = Collector::default();
         let quiet = Task { warnings: &unread, ..task };
         let extension = path.extension().unwrap_or_default().to_string_lossy();
@@ -83,7 +83,7 @@ impl Case {
         )
     }
 
-    /// A scene, made diffuse or with its own materials.
+    /// Prepares a scene, and makes its materials diffuse or keeps them.
     pub fn new(
         name: String,
         parts: SceneParts,
@@ -201,7 +201,7 @@ impl Case {
         }
         let map = &self.window.scene_from_display;
         let Projection::Perspective { distance_mm } = self.geometry.grid.projection else {
-            return Err("a perspective view".into());
+            return Err("expected a perspective view".into());
         };
         let axis = |v: DVec3| (map.rotation * v).to_array();
         let about = json!({

@@ -1,5 +1,5 @@
-//! Embree 4 from its Python wheel, called from here, so that both libraries have the same costs of
-//! a loop over rays.
+//! Calls Embree 4, from its Python wheel. The loop over rays is the same as for Lumistack, so it
+//! costs both libraries the same.
 //!
 //! The library is opened at run time. Constants and layouts are copied from Embree 4's `rtcore`
 //! headers.

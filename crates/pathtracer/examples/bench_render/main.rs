@@ -1,4 +1,4 @@
-//! Times the path tracer, and compares it with other renderers that are named.
+//! Times the path tracer, and compares it with the renderers that the arguments name.
 //!
 //! ```text
 //! bench_render view SCENE [--quick] [--rounds N] [--samples N] [--reference N] [--size COLSxROWS]
@@ -43,7 +43,7 @@ use lumistack_pathtracer::{Memory, Renderer, Settings};
 use crate::case::{Case, Outcome};
 use crate::peer::Peer;
 
-/// Number of scattering vertices: 4 after the first hit.
+/// Largest number of scattering events of a path: one at the first hit, and 4 after it.
 const BOUNCES: u32 = 5;
 /// Largest difference of the mean radiances, and largest relative RMSE, of two renderers that
 /// agree.
@@ -261,7 +261,7 @@ fn agree(options: &Options) -> Outcome {
     println!("\n{}, {samples} samples per pixel, against ours:", case.name);
     for (number, [python, script]) in options.peers.iter().enumerate() {
         let mut peer = Peer::start(python, script, &folder)?;
-        let sampler = peer.samplers.first().cloned().ok_or("a renderer without samplers")?;
+        let sampler = peer.samplers.first().cloned().ok_or("expected a renderer that offers a sampler, found none")?;
         let (_, theirs) = peer.render(&sampler, samples, 4711, &folder.join("view.npy"))?;
         let (mean, relative) = agreement(picture.data(), &theirs);
         println!("{:<42} mean radiance {:+.3} %, relative RMSE {:.2} %", peer.name, 100.0 * mean, 100.0 * relative);
@@ -269,7 +269,13 @@ fn agree(options: &Options) -> Outcome {
         worst = [worst[0].max(mean.abs()), worst[1].max(relative)];
     }
     if worst[0] > AGREE[0] || worst[1] > AGREE[1] {
-        return Err(format!("expected at most {} of difference of means and {} of RMSE", AGREE[0], AGREE[1]).into());
+        let [mean, rmse, worst_mean, worst_rmse] = [AGREE[0], AGREE[1], worst[0], worst[1]].map(|part| 100.0 * part);
+        return Err(format!(
+            "{}: expected mean radiance within {mean:.1} % and a relative RMSE of at most {rmse:.1} %, \
+             found {worst_mean:.2} % and {worst_rmse:.2} %",
+            case.name
+        )
+        .into());
     }
     Ok(())
 }

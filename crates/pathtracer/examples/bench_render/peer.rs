@@ -27,8 +27,8 @@ impl Peer {
         // the child's error output goes to the error output of this program
         command.arg(script).arg(folder).stdin(Stdio::piped()).stdout(Stdio::piped());
         let mut child = command.spawn()?;
-        let requests = child.stdin.take().ok_or("no way to ask")?;
-        let answers = BufReader::new(child.stdout.take().ok_or("no way to answer")?);
+        let requests = child.stdin.take().ok_or("the renderer has no standard input")?;
+        let answers = BufReader::new(child.stdout.take().ok_or("the renderer has no standard output")?);
         let mut peer = Self { name: String::new(), samplers: Vec::new(), child, requests, answers };
         let hello = peer.answer()?;
         let samplers = hello["samplers"].as_array().ok_or("no samplers")?;
@@ -41,7 +41,7 @@ impl Peer {
     pub fn render(&mut self, sampler: &str, samples: u32, seed: u32, file: &Path) -> Outcome<(f64, Vec<f32>)> {
         writeln!(self.requests, "render\t{sampler}\t{samples}\t{seed}\t{}", file.display())?;
         let answer = self.answer()?;
-        let seconds = answer["seconds"].as_f64().ok_or("no time")?;
+        let seconds = answer["seconds"].as_f64().ok_or("the renderer's answer has no time")?;
         let bytes = std::fs::read(file)?;
         Ok((seconds, npyz::NpyFile::new(&bytes[..])?.into_vec::<f32>()?))
     }

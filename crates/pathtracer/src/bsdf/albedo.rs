@@ -241,7 +241,7 @@ mod tests {
                 }
             }
         }
-        // a mirror loses nothing and reflects (1 − μ)⁵
+        // a mirror loses nothing, and its B is (1 − μ)⁵
         let mirror = albedo(0.5, 0.0);
         assert!((mirror.full - 1.0).abs() < TABLE_TOLERANCE && (mirror.metal - 1.0 / 32.0).abs() < TABLE_TOLERANCE);
     }

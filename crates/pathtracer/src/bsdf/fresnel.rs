@@ -62,8 +62,8 @@ pub(crate) fn metal_rise(cosine: f32) -> f32 {
     (1.0 - cosine.clamp(0.0, 1.0)).powi(5)
 }
 
-/// s of a dielectric seen from outside. A material of index 0 has only a known specular colour, so
-/// its s rises like that of a metal.
+/// s of a dielectric seen from outside. For an index below 1 (`KHR_materials_ior` allows 0), only
+/// the specular colour is known, so s rises like that of a metal.
 #[inline]
 pub(crate) fn dielectric_rise(cosine: f32, ior: f32) -> f32 {
     if ior < 1.0 { metal_rise(cosine) } else { rise(dielectric(cosine, ior).0, normal_reflectance(ior)) }

@@ -101,7 +101,7 @@ impl Glass {
         let rise = fresnel::rise(bare, changed.bare_f0);
         let mut fresnel = changed.f0 + (Vec3::splat(changed.f90) - changed.f0) * rise;
         if let Some(film) = &changed.film {
-            // a lossless stack reflects alike from both sides
+            // a lossless stack reflects alike from both sides, so the film takes the outer cosine
             let outside = if changed.front { cosine } else { far };
             fresnel = film.over(fresnel, changed.f0, outside);
         }

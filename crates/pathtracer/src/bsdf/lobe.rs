@@ -17,9 +17,9 @@ pub(crate) const MIRROR_ALPHA: f32 = 1e-3;
 
 /// A term of the scattering function, at one point for one outgoing direction.
 pub(crate) trait Lobe {
-    /// True if the lobe has its own frame or its own horizon. Other lobes are evaluated only for
-    /// light on one side of both the geometric and the shading normal. Otherwise light would leak
-    /// through the surface.
+    /// True if the lobe has its own frame, or its own horizon: the plane below which it receives no
+    /// light. Other lobes are evaluated only for light on one side of both the geometric and the
+    /// shading normal. Otherwise light would leak through the surface.
     const OWN_FRAME: bool = false;
     /// True if light from behind can be evaluated.
     const TRANSMITS: bool = false;
@@ -195,7 +195,8 @@ impl Surface<'_> {
         below * (1.0 - self.metallic) * (1.0 - self.glass_share)
     }
 
-    /// Part of that light which the dielectric does not reflect, so it reaches the diffuse lobe.
+    /// Part of [`layered`](Self::layered) that the dielectric does not reflect, so it reaches the
+    /// diffuse lobe.
     #[inline]
     pub(crate) fn passed(&self, below: f32) -> f32 {
         self.layered(below) * (1.0 - self.dielectric_albedo.max_element())

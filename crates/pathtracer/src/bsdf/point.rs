@@ -136,7 +136,7 @@ impl Bsdf {
         self.evaluate_above(self.facet.geometric_normal, direction)
     }
 
-    /// [`evaluate`](Self::evaluate) with `horizon` in place of the geometric normal.
+    /// As [`evaluate`](Self::evaluate), but the normal `horizon` replaces the geometric normal.
     pub(crate) fn evaluate_above(&self, horizon: Vec3, direction: Vec3) -> (Vec3, f32) {
         let Self { facet, lobes, chances } = self;
         let side = direction.dot(horizon);

@@ -165,7 +165,8 @@ impl Fibres {
         let sine = u[1].powf(self.alpha / (2.0 * self.alpha + 1.0));
         let (sin_phi, cos_phi) = sin_cos_turns(u[0] / FIBRE_SHARE);
         let h = Vec3::new(sine * cos_phi, sine * sin_phi, (1.0 - sine * sine).max(0.0).sqrt());
-        // a normal that faces away would reflect as its opposite does, which no fibre has
+        // a normal h that faces away from the viewer reflects as −h does, but −h points into the
+        // surface, so no fibre has it
         let i = ggx::reflect(o, h);
         (o.dot(h) > 0.0 && i.z > 0.0).then_some(i)
     }

@@ -111,8 +111,7 @@ fn dielectrics_reflect_by_fresnels_equations() {
 
 #[test]
 fn transmission_conserves_energy() {
-    // thin: all of a white wall's light is reflected or passed; solid and smooth: likewise, from
-    // both sides
+    // a white thin wall reflects or passes all light, and so does a smooth solid, from both sides
     let thin = Appearance { transmission: 1.0, roughness: 0.4, ..appearance() };
     sampled_albedo(&bsdf(&thin, 0.7), 40_000, 2).assert_is(1.0, ENERGY_TOLERANCE, FALSE_ALARM_RATE);
     let smooth = Appearance { transmission: 1.0, roughness: 0.0, solid: true, ..appearance() };

@@ -1,9 +1,9 @@
 //! Traversal by a beam: the nearest hits of rays that start and run close together, as the samples
 //! of one pixel do.
 //!
-//! The rays' points at distance t lie in the box o₀ + t d₀ ..= o₁ + t d₁. Here o and d are the
-//! least and greatest coordinates of the rays' origins and directions. That box overlaps a child's
-//! bounds b₀ ..= b₁ along an axis while
+//! The rays' points at distance t lie in the box o₀ + t d₀ ..= o₁ + t d₁. Here o₀ and o₁ are the
+//! least and the greatest coordinates of the rays' origins, d₀ and d₁ those of their directions.
+//! That box overlaps a child's bounds b₀ ..= b₁ along an axis while
 //!
 //! ```text
 //! o₁ + t d₁ ≥ b₀   and   o₀ + t d₀ ≤ b₁
@@ -352,7 +352,7 @@ impl<V: Lanes> Sheared<V> {
         }
     }
 
-    /// The farthest of the nearest hits.
+    /// Distance of the farthest of the rays' nearest hits.
     #[inline(always)]
     unsafe fn farthest(&self) -> f32 {
         let mut farthest = self.t[0];
@@ -430,8 +430,8 @@ impl<V: Lanes> Beam<V> {
             for bound in self.near.get_unchecked(..self.near_count) {
                 entry = entry.max(V::from_array(eight(planes, bound.row)).fused_mul_add(bound.inverse, bound.shift));
             }
-            // a child that does not exist is entered at infinity, and a beam that spreads to all
-            // sides never leaves a box
+            // The exit may be infinite: for an unlimited t_max, if the rays spread to all sides. A
+            // child that does not exist is entered at infinity. The limit MAX keeps it out.
             let mut exit = V::splat(t_max.min(f32::MAX));
             for bound in self.far.get_unchecked(..self.far_count) {
                 exit = exit.min(V::from_array(eight(planes, bound.row)).fused_mul_add(bound.inverse, bound.shift));

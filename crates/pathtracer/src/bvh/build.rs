@@ -181,8 +181,8 @@ struct Collapse<'a> {
 }
 
 impl Collapse<'_> {
-    /// Returns the root and the depth of the traversal stack. It keeps a list of open nodes instead
-    /// of recursing, since obvhs' trees over hostile input may be deep.
+    /// Returns the root and the depth of the traversal stack. A list of open nodes replaces
+    /// recursion, since obvhs' trees over hostile input may be deep.
     fn run(&mut self) -> (u32, usize) {
         if self.binary.nodes.is_empty() {
             return (EMPTY, 1);
@@ -250,7 +250,8 @@ impl Collapse<'_> {
             for slot in node.first_index..node.first_index + node.prim_count {
                 let triangle = self.primitives[self.binary.primitive_indices[slot as usize] as usize];
                 let reference = (self.first + triangle) | self.flags[triangle as usize];
-                // two boxes of one triangle may end in one block
+                // two boxes of one triangle may end in one block, which then holds the triangle
+                // once
                 if block.references[..lane].contains(&reference) {
                     continue;
                 }

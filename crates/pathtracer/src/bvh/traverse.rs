@@ -18,12 +18,13 @@
 //!   notable part of the time. The inputs of blocks stay scalars. Trees without instances have a
 //!   loop of their own, whose rays never change. Together this gives a fifth to a third more rays
 //!   per second.
-//! * A block is tested to its end even if no triangle is across the ray. A branch there would be
-//!   unpredictable; without it 4 to 9 % more scattered and shadow rays are traced.
+//! * A block's test runs to its end even if the edge functions already exclude all of its triangles.
+//!   A branch there would be unpredictable; without it 4 to 9 % more scattered and shadow rays are
+//!   traced.
 //! * A hit becomes a [`Hit`] once, at the end (4 to 12 % more rays).
 //!
-//! Tried on FlightHelmet, on 15 copies of it (1.4 million triangles) and on still-life, on Zen 4,
-//! one pinned thread, fastest of rounds in turn:
+//! These variants were tried on FlightHelmet, on 15 copies of it (1.4 million triangles) and on
+//! still-life (Zen 4, one pinned thread, the fastest of several rounds):
 //!
 //! * No branch on the number of children entered (none, one or two): 5 % slower, since a predicted
 //!   branch waits for no data.
@@ -63,15 +64,15 @@ pub(super) const SLAB_ROUNDING: f32 = 4.0 * f32::EPSILON;
 /// child, so that entries sort by distance.
 pub(crate) struct Stack(pub(super) Vec<u64>);
 
-/// An entry on the stack before the children of an instance's tree, which marks the instance's end.
-/// Its distance reads as −∞, so it is never dropped.
+/// Marks the end of an instance. On the stack this entry is below the children of the instance's
+/// tree. Its distance reads as −∞, so it is never dropped.
 const END_OF_INSTANCE: u64 = (f32::NEG_INFINITY.to_bits() as u64) << 32 | EMPTY as u64;
 
 /// The longest axis, by whether x is longer than y, x than z and y than z, one bit each.
 const LONGEST: [u8; 8] = [2, 2, 2, 0, 1, 2, 1, 0];
-/// The other two axes, for a ray that runs up an axis and for one that runs down it. They are
-/// exchanged in the second case, which keeps the winding. Padding to eight entries saves a range
-/// check of the three-bit index.
+/// The other two axes, for a ray that runs up an axis and for one that runs down it. For the latter
+/// they are exchanged, which keeps the winding. Padding to eight entries saves a range check of the
+/// three-bit index.
 const OTHERS: [[u8; 2]; 8] = [[1, 2], [2, 1], [2, 0], [0, 2], [0, 1], [1, 0], [0, 0], [0, 0]];
 
 /// A ray prepared for the slab test.
@@ -106,8 +107,8 @@ pub(super) struct Test<V> {
 }
 
 /// The arrays that a traversal reads. They are a local variable of the kernel, and so is its copy
-/// of the ray. Otherwise the compiler reloads all data that a kernel's arguments refer to after
-/// every write to the stack, since both might alias. That costs 5 % of single rays and 2 to 3 % of
+/// of the ray. Otherwise the compiler reloads all data behind the kernel's arguments after every
+/// write to the stack, which might overlap that data. That costs 5 % of single rays and 2 to 3 % of
 /// beams (FlightHelmet).
 #[derive(Clone, Copy)]
 pub(super) struct Arrays<'a> {
@@ -149,8 +150,8 @@ impl Bvh {
         Stack(vec![0; self.stack_depth + 1])
     }
 
-    /// The nearest hit that `accept` returns true for. It is called only for triangles with flags
-    /// other than [`CULL_BACK`], in any order and at most once per triangle and instance.
+    /// The nearest hit for which `accept` returns true. `accept` is called only for triangles with
+    /// flags other than [`CULL_BACK`], in any order and at most once per triangle and instance.
     #[inline]
     pub(crate) fn nearest(&self, ray: &Ray, stack: &mut Stack, accept: impl FnMut(&Hit) -> bool) -> Option<Hit> {
         let mut hit = None;
@@ -463,7 +464,7 @@ impl<F: FnMut(&Hit) -> Vec3> Kernel for Transmittance<F> {
 }
 
 impl Placed {
-    /// The same points at the same t, in the space of the tree.
+    /// The ray in the tree's space, with the same points at the same t.
     #[inline(always)]
     fn tree_ray(&self, ray: &Ray) -> Ray {
         // subtract first: the difference is exact close to the instance, where rounding would hurt
@@ -565,7 +566,7 @@ impl Shear {
         // looked up without branches, since which axis is the longest is unpredictable
         let greater = |a: usize, b: usize| usize::from(magnitude[a] > magnitude[b]);
         let z = LONGEST[greater(0, 1) | greater(0, 2) << 1 | greater(1, 2) << 2];
-        // padded to a power of two, as the tables are
+        // padded to a power of two, which saves range checks, as in the tables
         let (d, o) = ([d[0], d[1], d[2], 0.0], [o[0], o[1], o[2], 0.0]);
         let along = d[usize::from(z & 3)];
         let [x, y] = OTHERS[usize::from(2 * z + u8::from(along < 0.0)) & 7];
@@ -583,7 +584,7 @@ impl Shear {
     pub(super) fn has_axes_of(&self, ray: &Ray) -> bool {
         let direction = ray.direction.to_array();
         let [x, y, z] = self.axes.map(|row| direction[row / WIDTH]);
-        // Shear::new prefers a later axis of the same length
+        // strictly longer, since of two equally long axes Shear::new chooses the later one
         z.abs() > x.abs().max(y.abs()) && (z < 0.0) == (self.shear[2] < 0.0)
     }
 

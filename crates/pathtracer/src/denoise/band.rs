@@ -1,9 +1,8 @@
 //! The filter of a few rows of one view.
 //!
-//! Neighbouring views are first resampled into the view's own frame, pixel by pixel. Then every
-//! window, in the view itself or in a neighbour, is a set of shifts of whole pictures. The
-//! distances for a shift are a map, a patch's sum is a box over that map, and all loops run along
-//! rows.
+//! Neighbouring views are first resampled into the view's own frame, pixel by pixel. Then each
+//! shift of a window is computed for all pixels together. It gives a picture of distances, and sums
+//! over 3 × 3 pixels of it are the distances of patches. So all loops run along rows.
 
 use std::ops::Range;
 
@@ -16,14 +15,15 @@ const PATCH: usize = 1;
 const COLOUR_SCALE: f32 = 0.8;
 /// Differences of guides, each of which lowers a weight to about a third.
 const NORMAL_SCALE: f32 = 0.2;
-/// Distance of a point from the plane of another point, in pixels, for the same.
+/// Distance of a point from the plane of another point, in pixels, that lowers a weight to about a
+/// third.
 const PLANE_SCALE: f32 = 1.5;
 const ALBEDO_SCALE: f32 = 0.2;
 const GLOSS_SCALE: f32 = 0.2;
 const COVERED_SCALE: f32 = 0.2;
-/// Filtered answers per pixel. The first uses colours and guides, with weights from the other half.
-/// The second uses guides alone. The third uses colours and guides with weights from the half
-/// itself, and serves only to estimate errors.
+/// Filtered answers per pixel, each for both halves of the samples. The first uses colours and
+/// guides, with weights from the other half. The second uses guides alone. The third uses colours
+/// and guides, with weights from the half itself; it serves only to estimate errors.
 pub(super) const ANSWERS: usize = 3;
 
 /// Filtered demodulated radiance of a band, per answer and half: `[row][col][rgb]`.
@@ -99,8 +99,9 @@ impl Block {
         Self { planes, width }
     }
 
-    /// Fraction of a pixel's light that is the same in another view. That is all light except
-    /// mirrored light, whose lobe turns by half the angle between the views.
+    /// Fraction of a pixel's light that is the same in another view. Diffuse light is the same.
+    /// Mirrored light is, while half the angle between the views is small against the lobe's width
+    /// α.
     fn steady(&self, slope: f32, height: usize, cols: usize, margin: usize) -> Vec<f32> {
         let mut steady = Vec::with_capacity(height * cols);
         for y in 0..height {
@@ -189,7 +190,8 @@ impl Scratch {
                 let other = 1 - half;
                 let [r, g, b] = [0, 1, 2].map(|c| values(other, c));
                 let [with_colour, guides_alone, own_weights] = &mut *sums;
-                // distances in this half give the weights of the other half
+                // colour distances in this half weight the radiance of the other half, so that the
+                // noise of weights and radiance is independent
                 let weights = &mut with_colour.weights[other][range.clone()];
                 let [sum_r, sum_g, sum_b] = &mut with_colour.values[other];
                 let [sum_r, sum_g, sum_b] = [sum_r, sum_g, sum_b].map(|sum| &mut sum[range.clone()]);
@@ -202,7 +204,7 @@ impl Scratch {
                     sum_g[x] += w * g[x];
                     sum_b[x] += w * b[x];
                 }
-                // the same weights for their own half, to estimate the error
+                // the same weights for the half from which they come, to estimate the error
                 let [own_r, own_g, own_b] = [0, 1, 2].map(|c| values(half, c));
                 let weights = &mut own_weights.weights[half][range.clone()];
                 let [sum_r, sum_g, sum_b] = &mut own_weights.values[half];
@@ -282,7 +284,8 @@ impl Sums {
                 .map(|i| {
                     let at = (i / cols + margin) * centre.width + margin + i % cols;
                     let weight = self.weights[half][i];
-                    // the sky has no noise, and a pixel without any weight stays as it is
+                    // the sky has no noise, so it stays as it is, and so does a pixel without any
+                    // weight
                     let as_is = centre.planes[COVERED][at] <= 0.0 || weight <= 0.0;
                     [0, 1, 2].map(|c| {
                         if as_is { centre.planes[HALVES[half] + c][at] } else { self.values[half][c][i] / weight }

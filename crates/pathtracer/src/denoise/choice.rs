@@ -39,9 +39,9 @@ pub(super) fn choose(frame: &Frame, bands: &[Answers]) -> Tensor<3> {
 /// Weight of each answer in every pixel, from the estimated squared errors around it, relative to
 /// the noise there.
 ///
-/// (F_a − u_b)² is the error of the answer from half of the samples, plus the noise of the other
-/// half. That noise is equal for all answers. The second term accounts for the mean of both halves,
-/// whose error is smaller.
+/// (F_a − u_b)² is on average the squared error of the answer F_a from half of the samples, plus
+/// the noise of the other half, u_b. That noise is equal for all answers. `gain` is subtracted,
+/// since the result is the mean of both halves, whose error is smaller.
 fn shares(frame: &Frame, halves: &[Vec<[f32; 3]>; 2], answers: [&[Vec<[f32; 3]>; 2]; CHOICES]) -> Vec<[f32; CHOICES]> {
     let count = halves[0].len();
     let (rows, cols) = (frame.rows, frame.cols);

@@ -31,7 +31,7 @@ use crate::SplitView;
 /// Distance of a point from the plane of another, in pixels, at which its weight has fallen to
 /// about a third.
 const PLANE_SCALE: f32 = 0.75;
-/// Cosine between normals at which two surfaces are treated as different.
+/// Two surfaces are treated as different if the cosine between their normals is below this.
 const LEAST_COSINE: f32 = 0.8;
 /// Smallest reflectance that radiance is divided by. The light of darker surfaces is too noisy to
 /// be shared.
@@ -139,8 +139,8 @@ impl<'a> SharedLight<'a> {
 }
 
 impl MeanLight {
-    /// A view of this number in the grid with the mean light instead of its own,
-    /// `[row][col][rgb]`.
+    /// Returns the view of this number in the grid, with the mean light instead of its
+    /// view-independent light E, `[row][col][rgb]`.
     pub fn on(&self, number: usize, view: &SplitView) -> Tensor<3> {
         let [rows, cols] = view.size();
         let mut radiance = Tensor::zeros(["row", "col", "rgb"], [rows, cols, 3]);
@@ -181,7 +181,8 @@ fn divisor(reflectance: Vec3) -> Vec3 {
     reflectance.max(Vec3::splat(LEAST_REFLECTANCE))
 }
 
-/// Computes the mean of every pixel's light over the views of one list.
+/// Computes the mean of every pixel's light over the views that `partners` lists for the pixel's
+/// view.
 fn pass(
     geometry: &FieldGeometry,
     points: &Array<Point>,

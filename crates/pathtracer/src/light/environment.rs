@@ -269,7 +269,7 @@ mod tests {
             for _ in 0..count {
                 let (direction, _, density) = sky.sample([stream.next_f32(), stream.next_f32()]).unwrap();
                 // near a cell's edge, rounding may choose different neighbours in the two
-                // computations
+                // computations, and one of them may return a density of 0
                 let reported = sky.evaluate(direction).1;
                 assert!(reported > 0.0 || density < 1e-3, "{direction}");
                 let cell = |z: f32, n: usize| ((0.5 * (z + 1.0) * n as f32) as usize).min(n - 1);
@@ -310,7 +310,8 @@ mod tests {
             above(sky.evaluate(Vec3::new(sine * phi.cos(), sine * phi.sin(), z)).0) * 4.0 * std::f64::consts::PI
         }));
         important.assert_same(uniform, 0.0, FALSE_ALARM_RATE);
-        // with ten times the samples the standard error of `uniform` would be 3.2 times smaller
+        // `uniform` has ten times as many samples; with as few as `important` its standard error
+        // would be 3.2 times as large, and `important` must have less than half of that
         assert!(important.standard_error < 0.5 * 3.2 * uniform.standard_error, "{important:?} {uniform:?}");
         // the integral over a cell is exact unless the radiance crosses `floor` within it
         assert!((important.value / (4.0 * std::f64::consts::PI * f64::from(sky.sampled_magnitude)) - 1.0).abs() < 0.03);

@@ -1,6 +1,7 @@
-//! All light sources: triangles, the environment, punctual lights. A sample first chooses among all
-//! local lights and each light from infinity, with chances by their power. A tree chooses among
-//! local lights, by a bound of the light that each may send to the receiver ([`tree`]).
+//! All light sources: triangles, the environment, punctual lights. A sample first chooses between
+//! all local lights together and each light from infinity, with chances by their power. A tree then
+//! chooses one of the local lights, by a bound of the light that each may send to the receiver
+//! ([`tree`]).
 
 mod environment;
 mod punctual;
@@ -52,9 +53,9 @@ pub(crate) struct Lights {
     directional: Vec<PunctualLight>,
     /// Tree over the triangles, followed by points and spots.
     tree: Option<LightTree>,
-    /// Choices among the tree ([`LOCAL`]), then the directional lights, then the environment. There
-    /// is one per power of two of parts, whose chances are rounded to whole parts. Empty in the
-    /// dark.
+    /// Choices among the tree ([`LOCAL`]), each directional light, and the environment, in this
+    /// order. Choice k has its chances rounded to whole parts of 2ᵏ. Empty if no light can be
+    /// sampled.
     choices: Vec<Distribution>,
 }
 
@@ -337,7 +338,8 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
         };
         let area = geometry.area(triangle);
         let strength = area * magnitude(mean);
-        // scattering still finds light that cannot be sampled
+        // a triangle whose strength or area is no normal number is left out here; scattered rays
+        // still find its light
         if strength > 0.0 && strength.is_finite() && area.is_normal() {
             // two halves of a parallelogram become one light
             let corners @ [a, b, c] = geometry.corners(triangle);

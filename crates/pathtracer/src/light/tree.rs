@@ -41,8 +41,8 @@ pub(crate) struct Receiver {
     /// Unit normal of an opaque surface, which receives light from its side only. `None` for
     /// surfaces that light passes through.
     pub(crate) normal: Option<Vec3>,
-    /// Cosine and sine of the angle by which light may come from below the horizon. It is not zero
-    /// for triangles that approximate a smooth surface.
+    /// Cosine and sine of the angle by which light may come from below the horizon. The angle is
+    /// not zero for triangles that approximate a smooth surface.
     pub(crate) tilt: [f32; 2],
 }
 
@@ -174,7 +174,8 @@ impl LightTree {
             return emitter;
         }
         self.nodes.push(Node::new(&lights[order[0] as usize], 0, false));
-        // below the bits of a trail only splits into halves keep the depth bounded
+        // a trail holds 64 turns: from depth 32 on the lights are halved, which takes at most 32
+        // more turns
         let middle = if depth < 32 { split(lights, order) } else { order.len() / 2 };
         let (left, right) = order.split_at_mut(middle);
         let first = self.build(lights, left, trail, depth + 1);
@@ -514,8 +515,9 @@ mod tests {
                     for (light, &count) in counts.iter().enumerate() {
                         let expected = tree.chance(light, &receiver, parts) * parts as f32;
                         let exact = tree.chance(light, &receiver, 0) * parts as f32;
-                        // a light that is too weak for a whole part takes one from another light by
-                        // chance
+                        // Counts are exact only if all chances are whole parts. A light that is too
+                        // weak for a whole part keeps its small chance, and its rare samples are
+                        // missing from other lights.
                         let least = (0..4).map(|other| tree.chance(other, &receiver, parts) * parts as f32);
                         let whole = least.into_iter().all(|share| (share - share.round()).abs() < 1e-3);
                         assert!(!whole || (expected - count as f32).abs() < 1e-3, "{count} of {expected}");

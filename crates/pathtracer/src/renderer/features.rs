@@ -76,7 +76,7 @@ impl Features {
     /// The guides of a pixel.
     pub fn at(&self, row: usize, col: usize) -> Feature {
         let [covered, r, g, b, x, y, z, z_mm, gloss, alpha, central]: [f32; FEATURES] =
-            self.values.block([row, col]).try_into().expect("a pixel has so many");
+            self.values.block([row, col]).try_into().expect("a pixel has FEATURES values");
         let (albedo, normal) = (Vec3::new(r, g, b), Vec3::new(x, y, z));
         let central_z_mm = (!central.is_nan()).then_some(central);
         Feature { covered, albedo, normal, z_mm, gloss, alpha, central_z_mm }

@@ -30,7 +30,7 @@ impl DisplayAxes {
         }
     }
 
-    /// Depth in display space of a point in render space, towards the viewer, in millimetres.
+    /// z in display space of a point in render space, millimetres.
     fn z_mm(&self, point: Vec3) -> f32 {
         (point.as_dvec3().dot(self.along) + self.offset) as f32
     }

@@ -54,8 +54,8 @@ fn assert_pixels(radiance: &Tensor<3>, expected: &[f64], relative: f64) {
     }
 }
 
-/// Relative error of a pixel with 64 stratified samples, since the samples also sample the light's
-/// gradient within the pixel.
+/// Relative tolerance for a pixel with 64 stratified samples, since the light varies within the
+/// pixel.
 const PIXEL_AREA: f64 = 1e-2;
 
 #[test]
@@ -297,7 +297,7 @@ fn hundreds_of_lights_add_up() {
     let mean = Mean::of(relative.iter().copied());
     println!("{} pixels: {mean:?}", relative.len());
     assert!(relative.len() > 30);
-    // tolerance, since the function varies within a pixel
+    // the tolerance is needed since the function varies within a pixel
     mean.assert_is(0.0, 2e-3, FALSE_ALARM_RATE);
     assert!(relative.iter().all(|error| error.abs() < 0.25), "one light of 300 per path: {relative:?}");
 }

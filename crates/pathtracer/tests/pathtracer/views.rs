@@ -448,8 +448,8 @@ fn the_same_bytes_come_out_on_one_and_two_threads() {
 
 #[test]
 fn views_are_decorrelated() {
-    // two views of the same slope have the same expectation and different noise; the noise of this
-    // diffuse scene has no heavy tails
+    // Two views of the same slope have the same expectation and different noise. The noise of this
+    // diffuse scene has no heavy tails, so the bound below holds.
     let mut scene = Builder::default();
     scene.add(rectangle(Vec3::new(0.0, 0.0, -0.5), 3.0 * Vec3::X, 3.0 * Vec3::Y), diffuse(0.7)).sky(&[1.0, 0.2]);
     let renderer = scene.renderer();
@@ -525,7 +525,7 @@ fn samples_that_overflow_are_counted_and_left_out() {
     let (image, warnings) =
         render_view(&scene.renderer(), &window(), &one_view(8, [0.0, 0.0]), [0, 0], &Settings::default());
     assert!(image.data().iter().all(|v| v.is_finite()));
-    assert!(warnings.iter().any(|w| w.message.contains("samples are not finite numbers")), "{warnings:?}");
+    assert!(warnings.iter().any(|w| w.message.contains("samples that are not finite numbers")), "{warnings:?}");
 }
 
 #[test]
@@ -572,7 +572,7 @@ fn a_clamp_is_reported() {
     assert!((dimmed.data()[0] - 1.0).abs() < 1e-5 && (dimmed.data()[2] - 0.25).abs() < 1e-5, "the colour stays");
     let [warning] = warnings.as_slice() else { panic!("{warnings:?}") };
     assert!(
-        warning.to_string().contains("256 of 256 samples are dimmed to the limit 1, which removes 75.000 %"),
+        warning.to_string().contains("the limit 1 dims 256 of 256 samples, which removes 75.000 % of the light"),
         "{warning}"
     );
 }

@@ -159,7 +159,7 @@ fn plain(vertices: &Element<'_>) -> Result<lumistack_scene::Cloud, ReadError> {
     let base = vertices.columns(["f_dc_0", "f_dc_1", "f_dc_2"])?;
     let opacity = vertices.column("opacity")?;
     let scale = vertices.columns(["scale_0", "scale_1"])?;
-    // flat splats have only two scales
+    // flat splats have only two scales, so the third is optional
     let thickness = vertices.find("scale_2");
     let rotation = vertices.columns(["rot_0", "rot_1", "rot_2", "rot_3"])?;
     let (rest, degree) = vertices.rest()?;

@@ -38,8 +38,8 @@ impl Space {
         }
     }
 
-    /// Blends a picture in linear radiance, which was rendered over black, over a background.
-    /// `missed` is the fraction of the background that is visible.
+    /// Blends a picture over a background. The picture is linear radiance that was rendered over
+    /// black. `missed` is the fraction of the background that is visible.
     pub fn before(self, seen: [f32; 3], missed: f32, background: [f32; 3]) -> [f32; 3] {
         let [r, g, b] = if self.0 == Encoding::Srgb { seen.map(encode) } else { seen };
         self.over([r, g, b, missed], background)

@@ -9,7 +9,7 @@
 //! from an eye:     distance² = (D − z)² (1 + s²)  ≥ (D − z₁)² (1 + least s²)
 //!
 //! c    centre of the tile
-//! r    largest distance from c of the chunk's splats
+//! r    largest distance from c, along x or y, of the centres of the chunk's splats
 //! z₁   depth of the chunk's first splat
 //! ```
 //!
