@@ -29,9 +29,9 @@
 //!   [`angular_footprint`](Display::angular_footprint), as many as the bound can use. This measures
 //!   the hardware; *in between* measures the display with its own number of views.
 //!
-//! Contrast over rays in between obeys the bound, except in narrow zones. A grating may move by no
-//! more than [`HALF_SINC`] periods over the zone. Then even a picture that is the same for all
-//! slopes has half of its contrast.
+//! Contrast over rays in between obeys the bound, except in narrow zones. If a grating moves by at
+//! most [`HALF_SINC`] periods over the zone, even a picture that is the same for all slopes has
+//! half of the grating's contrast.
 
 use std::f64::consts::TAU;
 
@@ -467,7 +467,7 @@ mod tests {
                     format!("{} layers, {z} mm: {at_views} {between} {dense}, bound {bound}", display.layers.len());
                 println!("{measures}");
                 assert!(between < most && dense < most, "{measures}");
-                assert!(at_views > most, "views that see all this say nothing: {measures}");
+                assert!(at_views > most, "contrast at the target views alone does not obey the bound: {measures}");
                 assert!(dense > 0.25 * bound, "little is achieved: {measures}");
             }
         }

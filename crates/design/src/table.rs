@@ -276,7 +276,7 @@ const FEW_PLOTS: usize = 6;
 /// The paper's threshold of good quality.
 const GOOD_DB: f64 = 40.0;
 
-/// Number of plots of a table.
+/// Selection of the plots of a table.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Plots {

@@ -358,7 +358,10 @@ impl Range {
     fn warn(&self, path: &Path, task: Task<'_>) {
         if self.negative > 0 {
             let (count, lowest) = (self.negative, self.lowest);
-            task.warn(geometry::place(path), format!("{count} negative values (down to {lowest}) are taken as 0"));
+            task.warn(
+                geometry::place(path),
+                format!("negative values are taken as 0 (count: {count}, lowest: {lowest})"),
+            );
         }
     }
 }

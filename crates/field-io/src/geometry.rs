@@ -59,8 +59,8 @@ fn is_unset(mirror: &[bool; 2]) -> bool {
     *mirror == [false; 2]
 }
 
-/// Values that are used if neither flags nor files define them. If such a value is `None`, it is an
-/// error that nothing defines it.
+/// Values that are used if neither flags nor files define them. A value that is `None` here too is
+/// an error.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GeometryDefaults {
     /// Width of the light field on z = 0, millimetres.

@@ -45,8 +45,8 @@ fn stanford_views_are_ordered_by_camera_centres() {
         let topmost = if y_sign > 0.0 { 0 } else { 1 };
         assert_eq!(label(&field, [0, 0]), [leftmost, topmost]);
         assert_eq!(label(&field, [1, 2]), [2 - leftmost, 1 - topmost]);
-        // bins of 20° together, of this mean width, at positions in proportion to the cameras'
-        // distances
+        // the bins together cover 20°, so this is their mean width; the views' slopes are in
+        // proportion to the cameras' positions
         let step = 2.0 / 3.0 * 10f64.to_radians().tan();
         let expected = if x_sign > 0.0 { [-1.0, -0.5, 1.0] } else { [-1.0, 0.5, 1.0] };
         for (slope, expected) in field.geometry().grid.slope_x.iter().zip(expected) {

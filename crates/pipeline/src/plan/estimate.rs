@@ -57,7 +57,8 @@ pub(crate) struct Record {
 
 impl Record {
     pub(crate) fn new(seconds: f64, cached: bool, files: Vec<(PathBuf, String)>) -> Self {
-        // Importers, Blender and scenes in memory are recorded by names that are not files.
+        // The list also has entries for importers, Blender and scenes in memory. Their paths are
+        // only names, so they stay as they are.
         let place = |path: PathBuf| match path.is_file() {
             true => std::path::absolute(&path).unwrap_or(path),
             false => path,

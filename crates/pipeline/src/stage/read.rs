@@ -13,8 +13,8 @@ use super::field::field_defaults;
 use crate::error::{PipelineError, field_error};
 use crate::job::Job;
 
-/// Reads the light field at `path` for a display. Also returns as many views that the display does
-/// not use as the report scores.
+/// Reads the light field at `path` for a display. Also returns views that the display does not use,
+/// for scores; there are at most as many as the job's `report.zone_directions`.
 ///
 /// # Errors
 /// If the light field cannot be read, or its geometry is incomplete.
@@ -28,8 +28,8 @@ pub(crate) fn run(
     let defaults = field_defaults(display);
     let most = job.report.zone_directions;
     let read = lumistack_field_io::open_for(path, &job.geometry, &defaults, Some(&footprint), most, task);
-    // Values are not rounded to half floats, as in `target/`, since the report compares with those
-    // of the file.
+    // The folder `target/` has half floats, but values are not rounded here: the report compares
+    // the display with the values of the file.
     let (mut field, mut left_out) = read.map_err(field_error)?;
     if let Some(tone_mapping) = ToneMapping::of_given(&job.light) {
         tone_mapping.apply(&mut field);

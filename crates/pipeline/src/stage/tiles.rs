@@ -7,8 +7,9 @@
 //!                                         round are the start and the fixed border
 //! ```
 //!
-//! Each pixel belongs to one tile. A neighbouring tile also solves a pixel if its rays go through
-//! it, and discards the result (restricted additive Schwarz).
+//! Each pixel belongs to one tile. The free pixels of a tile are its own pixels and all pixels on
+//! rays through them. A tile solves its free pixels, but keeps only the result for its own
+//! (restricted additive Schwarz). The border has all other pixels on rays through free pixels.
 //!
 //! The result of a tile in a round is cached by the hash of its rays and borders. Therefore a
 //! stopped run continues, and any machine can solve any tile.
@@ -87,8 +88,8 @@ impl Tiles {
     }
 
     /// Returns the iterations of a round: half of those that are left, with at least one left for
-    /// each later round. Patterns form in the first round. A short last round leaves only small
-    /// differences at the borders.
+    /// each later round. The last round takes all that are left. Patterns form in the first round.
+    /// A short last round leaves only small differences at the borders.
     fn iterations(&self, job: &FactorizeJob, round: usize) -> std::ops::Range<u32> {
         let all = job.iterations() as usize;
         let left = |round: usize| if round < self.rounds { (all >> round).max(self.rounds - round) } else { 0 };
