@@ -161,7 +161,8 @@ fn the_shop_has_its_parallax_the_right_way_round() {
     };
     let field = open(&path, &flags, &defaults()).0.unwrap();
     assert_eq!(field.radiance().shape(), [3, 3, 160, 240, 3]);
-    // kept views are four views apart, at a quarter of the resolution: 2 to 14 pixels
+    // kept views are four views apart, at a quarter of the resolution, so content again moves by 2
+    // to 14 pixels
     let across = best_shift(&field, [1, 0], [1, 1], 0, 20);
     let down = best_shift(&field, [0, 1], [1, 1], 1, 20);
     assert!((-14..=-2).contains(&across), "viewpoint to the right: content moves by {across}");

@@ -32,7 +32,7 @@ pub struct SequenceJob {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub chunk_times: Option<usize>,
     /// Number of time steps before a chunk that are solved once more, the first of them without a
-    /// warm start. So the chunk begins almost as in one chain. Default 2.
+    /// warm start. So the chunk begins almost as in a sequence without chunks. Default 2.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub warm_up_times: Option<usize>,
 }
@@ -59,7 +59,7 @@ impl SequenceJob {
     /// Checks ranges, and keys that only a scene or a source can have.
     pub(super) fn check(&self, has_scene: bool, has_light_field: bool) -> Result<(), PipelineError> {
         let fail = |key: &str, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
-        // Only a folder of light fields determines the number of time steps.
+        // Only for a folder of light fields `times` may be absent, since the folder determines it.
         match self.times {
             Some(times) if !(1..=Self::MOST).contains(&times) => {
                 return fail("sequence.times", "1 to 9999", times.to_string());

@@ -1,4 +1,4 @@
-//! `[sweep]`: designs to compare on one light field.
+//! `[sweep]`: designs to compare.
 
 use lumistack_design::table::Plots;
 use schemars::JsonSchema;

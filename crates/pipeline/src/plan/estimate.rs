@@ -39,7 +39,7 @@ use crate::store::stamps::Stamps;
 const FILE: &str = "cache/steps.json";
 /// Number of hexadecimal digits of a key that is shown.
 const DIGITS: usize = 16;
-/// Mean number of rays per pixel and direction of the zone score, of both halves together.
+/// Mean number of rays per pixel for a direction of the zone score, in its two renders together.
 const SCORE_SAMPLES: f64 = 6.5;
 
 /// Record of an executed step.
@@ -87,7 +87,7 @@ pub(crate) fn note(plan: &Plan, registry: &Registry, new: Records) -> Result<(),
     for (id, mut record) in new {
         let Some(&index) = ids.get(id.as_str()) else { continue };
         record.work = work(plan, index);
-        // A cached result keeps the time that the run took which made it.
+        // A cached result keeps the time of the run that made it.
         if let Some(old) = records.get(&id).filter(|_| record.seconds.is_none()) {
             (record.seconds, record.work) = (old.seconds, old.work);
         }
@@ -360,8 +360,8 @@ fn memory(plan: &Plan, index: usize) -> u64 {
     let Some(sizes) = Sizes::of(job) else { return 0 };
     const RGB: f64 = 12.0;
     let field = RGB * sizes.rays();
-    // Memory divided by the file's size. A scene needs a tree over triangles, and textures.
-    // Captures need more, since files pack splats more tightly.
+    // Estimate the memory of a scene by the size of its file. Triangles need a tree, and textures
+    // are decoded. A capture needs more, since its file packs splats more tightly.
     let packed = if job.scene.as_deref().is_some_and(is_capture) { 16.0 } else { 4.0 };
     let scene =
         packed * job.scene.as_ref().and_then(|path| std::fs::metadata(path).ok()).map_or(0.0, |data| data.len() as f64);

@@ -10,8 +10,8 @@
 //! ```
 //!
 //! Tracing is most of the work and writes pictures one by one. So a unit that traces executes only
-//! a block of the pictures of a step. Other units execute several steps, since each unit reads its
-//! inputs again.
+//! a block of the pictures of a step. Each unit reads its inputs again, so other units execute
+//! several steps.
 //!
 //! The last unit is the plain run. It reuses all results, and makes damaged or missing ones again.
 //! So the bytes of results do not depend on how the plan is cut.

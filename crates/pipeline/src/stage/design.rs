@@ -39,7 +39,7 @@ pub(crate) struct Candidate {
 /// Light fields that several designs share, one per time step.
 pub(crate) struct Shared {
     times: Vec<Arc<Field>>,
-    /// The scene's pictures over the viewing zone, if the job is a still.
+    /// Reference pictures over the viewing zone, if there are any. A sequence has none.
     references: Option<Arc<References>>,
     /// Hash of all light fields, weights and pictures of the viewing zone.
     key: String,

@@ -46,8 +46,8 @@ use crate::store::stamps::remembered;
 const PARTS: usize = 6;
 /// Maximum fraction of the picture's area that all sections cover.
 const MOST_AREA: f64 = 0.25;
-/// Edge of the middle of a section, which is measured, pixels. In the margin around the middle,
-/// some rays miss the section's layers.
+/// Edge of the measured middle of a section, pixels. The margin around it is not measured, since
+/// some of its rays miss the section's layers.
 const MIDDLE: usize = 40;
 /// Iterations of the solver. The ratio of noise and error changes little after these.
 const ITERATIONS: u32 = 8;

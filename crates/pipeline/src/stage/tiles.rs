@@ -332,8 +332,8 @@ impl Work<'_> {
         Ok((lumistack_field_io::read_stack(&layers).map_err(field_error)?, Some(kept)))
     }
 
-    /// Joins the convergence of all tiles. Errors are sums over the rays of all tiles, so the rays
-    /// of two tiles are included twice. Seconds are as if tiles were solved one after the other.
+    /// Joins the convergence of all tiles. Errors are sums over the rays of all tiles, so a ray of
+    /// two tiles is included twice. Seconds are as if tiles were solved one after the other.
     fn kept(&self) -> Option<Convergence> {
         let mut all: Option<Convergence> = None;
         let mut before = 0.0;

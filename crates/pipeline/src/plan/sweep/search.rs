@@ -2,8 +2,7 @@
 //!
 //! Successive halving (Jamieson and Talwalkar 2016) solves all allowed designs with few iterations.
 //! The better ones get more iterations, and only the last few get all. The ranking after few
-//! iterations is nearly that after many. All rows are kept, so a search also reuses the rows of a
-//! sweep.
+//! iterations is nearly that after many. Rows are cached, so a search reuses those of a sweep.
 
 use lumistack_design::table::{Design, Row};
 
