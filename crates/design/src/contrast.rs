@@ -30,8 +30,8 @@
 //!   the hardware; *in between* measures the display with its own number of views.
 //!
 //! Contrast over rays in between obeys the bound, except in narrow zones: if a grating moves by at
-//! most [`HALF_SINC`] periods over the zone. Then even a picture that is the same for all slopes has
-//! half of the grating's contrast.
+//! most [`HALF_SINC`] periods over the zone. Then even a picture that is the same for all slopes
+//! has half of the grating's contrast.
 
 use std::f64::consts::TAU;
 

@@ -314,7 +314,7 @@ np.save("theirs.npy", a[:, ::-1].astype(">f8"))
 "#;
     let output = Command::new(python).args(["-c", script]).current_dir(folder.path()).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    // big-endian doubles of a copy with reversed rows have the values that were written
+    // the copy has big-endian doubles and reversed rows, so its first row is our last row
     let (shape, values) = npy::read(&folder.path().join("theirs.npy")).unwrap();
     assert_eq!(shape, [2, 5, 7, 3]);
     assert_eq!(values[..21], stack.layers[0].data()[4 * 21..5 * 21]);

@@ -48,8 +48,8 @@ impl LiveSolver {
         Ok(())
     }
 
-    /// Makes `updates` iterations of the solver towards a target. The resulting patterns are the start
-    /// of the next step.
+    /// Makes `updates` iterations of the solver towards a target. The resulting patterns are the
+    /// start of the next step.
     ///
     /// # Errors
     /// If target, weights and settings do not match, if a device that the job names fails, or when
