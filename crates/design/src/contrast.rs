@@ -29,9 +29,9 @@
 //!   [`angular_footprint`](Display::angular_footprint), as many as the bound can use. This measures
 //!   the hardware; *in between* measures the display with its own number of views.
 //!
-//! Contrast over rays in between obeys the bound, except in narrow zones. A grating may move by no
-//! more than [`HALF_SINC`] periods over the zone. Then even a picture that is the same for all
-//! slopes has half of its contrast.
+//! Contrast over rays in between obeys the bound, except in narrow zones: if a grating moves by at
+//! most [`HALF_SINC`] periods over the zone. Then even a picture that is the same for all slopes
+//! has half of the grating's contrast.
 
 use std::f64::consts::TAU;
 
@@ -85,7 +85,7 @@ pub struct Contrast {
     pub contrast: f64,
     /// Contrast of the whole emission into the viewing zone.
     pub between: f64,
-    /// Contrast of the whole emission, solved with as many views as the bound can use.
+    /// Contrast of the whole emission, for patterns that are solved for more views; see the module.
     pub dense: f64,
 }
 
@@ -234,7 +234,7 @@ fn finer(geometry: &FieldGeometry) -> FieldGeometry {
     }
 }
 
-/// Number of views that the bound can use: one per angular footprint.
+/// Number of views with one per angular footprint. More views add no detail that the bound allows.
 fn useful_views(display: &Display, axis: usize) -> usize {
     let zone = 2.0 * (0.5 * display.field.fov_deg[axis].to_radians()).tan();
     let footprint = display.angular_footprint()[axis];
@@ -298,8 +298,7 @@ pub fn achieved_cutoff(found: &[Contrast], achieved: Achieved) -> Vec<[f64; 2]> 
     by_depth.into_iter().map(|(z, list)| [z, cutoff(list)]).collect()
 }
 
-/// Contrast of the whole emission over depth, with as many views as the bound can use, as SVG: a
-/// curve per frequency.
+/// [`Contrast::dense`] over depth as SVG: a curve per frequency.
 ///
 /// # Errors
 /// If there are no results.
@@ -363,8 +362,8 @@ pub fn achieved_plot(name: &str, found: &[Contrast]) -> Result<String, PlotError
     plot::curves(&cutoff_axes(format!("{name}: half contrast")), &curves, &[], &[])
 }
 
-/// The half-contrast frequencies of several displays, with as many views as their bounds can use,
-/// and these bounds, as SVG.
+/// The half-contrast frequencies of several displays by [`Contrast::dense`], and the displays'
+/// bounds, as SVG.
 ///
 /// # Errors
 /// If there are no results.
@@ -445,8 +444,8 @@ mod tests {
         assert!(many[0] > 0.9 && many[1] > SHOWN, "six frames: {many:?}");
     }
 
-    /// Over the whole emission no display exceeds its bound, except by the term for narrow zones.
-    /// At the target views alone, each of these displays exceeds it.
+    /// Over the whole emission no display exceeds its bound by more than the term for narrow zones,
+    /// `alike`. At the target views alone, each of these displays does.
     #[test]
     fn the_bound_holds_for_all_that_is_emitted() {
         // the half-contrast frequency is interpolated between two measured frequencies
@@ -467,7 +466,7 @@ mod tests {
                     format!("{} layers, {z} mm: {at_views} {between} {dense}, bound {bound}", display.layers.len());
                 println!("{measures}");
                 assert!(between < most && dense < most, "{measures}");
-                assert!(at_views > most, "views that see all this say nothing: {measures}");
+                assert!(at_views > most, "contrast at the target views alone does not obey the bound: {measures}");
                 assert!(dense > 0.25 * bound, "little is achieved: {measures}");
             }
         }

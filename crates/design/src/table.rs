@@ -70,7 +70,8 @@ impl Design {
 pub struct Row {
     /// The design.
     pub design: Design,
-    /// Zone score: PSNR of seen pictures over the whole zone, dB, if a scene was rendered.
+    /// Zone score: PSNR of seen pictures over the whole zone, dB. `None` without reference
+    /// pictures.
     #[serde(default)]
     pub psnr_zone_db: Option<f64>,
     /// The PSNR of `psnr_zone_db` for the worst tenth of the directions, dB.
@@ -93,8 +94,8 @@ pub struct Row {
 }
 
 impl Row {
-    /// PSNR by which designs are ranked, dB: the zone score. For given light fields and sequences,
-    /// which have none, the PSNR at the target views.
+    /// PSNR by which designs are ranked, dB: the zone score. Without it, as for sequences, the PSNR
+    /// at the target views.
     pub fn quality_db(&self) -> f64 {
         self.psnr_zone_db.unwrap_or(self.psnr_view_db)
     }
@@ -276,7 +277,7 @@ const FEW_PLOTS: usize = 6;
 /// The paper's threshold of good quality.
 const GOOD_DB: f64 = 40.0;
 
-/// Number of plots of a table.
+/// Selection of the plots of a table.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Plots {

@@ -26,8 +26,7 @@ pub(crate) const LARGEST: f32 = 65504.0;
 const OVERSHOOT: f32 = -1e-3;
 /// Pixels are regarded as square below this relative difference of width and height.
 const SQUARE: f64 = 0.01;
-/// The focus is moved only if all disparities are larger than this, in the same direction. In
-/// pixels per view.
+/// The focus is moved only if all content moves in one direction by at least this, pixels per view.
 const STILL_PX: f64 = 0.5;
 
 /// A view of the source that is not kept, and lies between two kept ones.
@@ -376,7 +375,10 @@ impl Range {
     fn warn(&self, path: &Path, task: Task<'_>) {
         if self.negative > 0 {
             let (count, lowest) = (self.negative, self.lowest);
-            task.warn(geometry::place(path), format!("{count} negative values (down to {lowest}) are taken as 0"));
+            task.warn(
+                geometry::place(path),
+                format!("negative values are taken as 0 (count: {count}, lowest: {lowest})"),
+            );
         }
     }
 }

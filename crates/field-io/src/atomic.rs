@@ -70,7 +70,8 @@ fn replace(path: &Path, fill: impl FnOnce(&mut Writer<'_>) -> io::Result<()>) ->
         return Err(io::Error::new(io::ErrorKind::IsADirectory, "a folder has this name"));
     }
     let mut beside = temporary_beside(folder)?;
-    // A locked file has a live writer. Where locks are not available, the file's age decides.
+    // The lock shows other processes that the writer is alive; see [`is_abandoned`]. If the file
+    // system has no locks, no file is regarded as abandoned.
     let _ = beside.as_file().try_lock();
     {
         let mut writer = BufWriter::with_capacity(1 << 16, beside.as_file_mut());

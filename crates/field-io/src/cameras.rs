@@ -275,8 +275,8 @@ mod tests {
             ("photo_7", None),
             ("input_Cam001", None),
         ] {
-            // "scene_2_01_02": the first pair of whole numbers is (2, 01), followed by one number;
-            // the second pair ends the name
+            // In "scene_2_01_02", row and column are the pair that ends the name, 01 and 02. The
+            // first pair, 2 and 01, is followed by a single number, so it is a part of the prefix.
             assert_eq!(parse_name(stem), expected, "{stem}");
         }
     }

@@ -55,8 +55,10 @@ fn detect_folder(path: &Path, flags: &GeometryFlags, task: Task<'_>) -> Result<S
             let expected = "a light field: lightfield.json, pictures named NAME_RR_CC_Y_X, RR_CC or input_Cam000, a quilt, or one .npy";
             let found = match (pictures.len(), arrays.len()) {
                 (0, 0) => "neither pictures nor arrays".into(),
-                (pictures, 0) => format!("{pictures} pictures with other names"),
-                (pictures, arrays) => format!("{arrays} arrays and {pictures} pictures: give the path of one of them"),
+                (pictures, 0) => format!("pictures with other names (count: {pictures})"),
+                (pictures, arrays) => {
+                    format!("several files (arrays: {arrays}, pictures: {pictures}); give the path of one of them")
+                }
             };
             Err(FieldError::malformed(path, "content of the folder", expected, found))
         }

@@ -259,6 +259,7 @@ pub fn read_field_folder(folder: &Path) -> Result<(LightField, Map<String, Value
 /// Reads a region, some rows and columns of pixels, of all views of a light field's folder. The
 /// result has this geometry. One view is in memory at a time.
 ///
+/// # Errors
 /// The errors of [`read_field_folder`]. Also if the folder has other views than the geometry, or
 /// fewer pixels than the region.
 pub fn read_field_region(

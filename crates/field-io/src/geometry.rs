@@ -38,8 +38,8 @@ pub struct GeometryFlags {
     /// [horizontal, vertical] views of a single picture of tiles, with view (0, 0) at the top left.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tiles: Option<[usize; 2]>,
-    /// [columns, rows] of every view after reduction, by area averaging after a crop to this
-    /// aspect.
+    /// [columns, rows] of every view in the result. Views are cropped to this aspect, then reduced
+    /// by area averaging.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resolution: Option<[usize; 2]>,
     /// Disparity that is moved to z = 0: shift of content to the left, in file pixels, per view to
@@ -59,8 +59,8 @@ fn is_unset(mirror: &[bool; 2]) -> bool {
     *mirror == [false; 2]
 }
 
-/// Values that are used if neither flags nor files define them. If such a value is `None`, it is an
-/// error that nothing defines it.
+/// Values that are used if neither flags nor files define them. A value that is `None` here too is
+/// an error.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GeometryDefaults {
     /// Width of the light field on z = 0, millimetres.

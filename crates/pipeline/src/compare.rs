@@ -80,8 +80,8 @@ pub fn compare_runs(
     };
     let simulators = [&a, &b].map(|run| Simulator::new(&run.display, &run.stack));
     let shape = [geometry.rows, geometry.cols];
-    // Expected eye positions of the job limit the zone. Saved patterns may be in a folder without a
-    // job.
+    // If the job has expected eye positions, they limit the zone. In a folder of saved patterns
+    // there may be no job; then the zone is the whole zone of the display.
     let zone = match Job::load(&first.join("job.toml")) {
         Ok(job) => score::zone_of(&job, &a.display, &geometry),
         Err(_) => Zone::of_grid(&geometry.grid, Some(a.display.field.fov_deg)),

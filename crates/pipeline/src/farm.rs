@@ -124,8 +124,8 @@ impl FarmPlan {
     }
 }
 
-/// Maps a path of the planning machine to a path of this machine, by the first map whose folder
-/// there contains the path.
+/// Maps a path of the planning machine to a path of this machine. `maps` are pairs of folders, on
+/// the planning machine and here. The first pair whose folder there contains the path is used.
 fn mapped(path: &Path, maps: &[(PathBuf, PathBuf)]) -> PathBuf {
     let found = maps.iter().find_map(|(there, here)| Some(here.join(path.strip_prefix(there).ok()?)));
     found.unwrap_or_else(|| path.to_owned())
@@ -154,7 +154,7 @@ pub fn farm_plan(
     let owned = folder::lock(dir, work_of(&job), &job, registry, task)?;
     Executor::new(&plan, registry, None, task).check()?;
     for part in &plan.parts {
-        // The folder of a time step must be free, or be ours.
+        // Check that the folder of a time step has no other owner and no files of other programs.
         if matches!(part.kind, PartKind::Time(_)) && job.sweep.is_none() {
             drop(folder::lock(&dir.join(&part.folder), Work::Run, &part.job, registry, task)?);
         }

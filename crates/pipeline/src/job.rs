@@ -60,7 +60,7 @@ pub struct Job {
     /// Seed of all random numbers.
     #[serde(default = "default_seed")]
     pub seed: u64,
-    /// Geometry of a light field, for values that its files do not state.
+    /// Geometry of a light field. A value here overrides that of the light field's files.
     #[serde(default, skip_serializing_if = "is_default")]
     pub geometry: GeometryFlags,
     /// The display.

@@ -31,7 +31,8 @@ pub struct Summary {
     /// Path of the report.
     #[serde(serialize_with = "lumistack_core::path_text::told")]
     pub report: PathBuf,
-    /// Zone score: PSNR of seen pictures over the viewing zone, dB. `None` without a scene.
+    /// Zone score: PSNR of seen pictures over the viewing zone, dB. `None` without reference
+    /// pictures.
     pub psnr_zone: Option<f64>,
     /// PSNR of seen pictures over the worst tenth of the directions, dB.
     pub psnr_zone_worst: Option<f64>,

@@ -21,7 +21,7 @@ pub struct ViewOptions {
 /// An additional channel of a view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExtraChannel {
-    /// Depth z of the first hit on a pixel's central ray, in display space, millimetres.
+    /// Depth z of the first hit nearest to a pixel's centre, in display space, millimetres.
     Depth,
     /// Shading normal of the first hits.
     Normal,

@@ -25,7 +25,8 @@ pub struct Bars<'a> {
     pub shares: &'a [f64],
 }
 
-/// Draws a line through finite points. The last value, in decibels, is written next to its end.
+/// Draws a line through finite points. The last value, in decibels, is written next to the line's
+/// end.
 /// `labels` name the horizontal and the vertical axis.
 ///
 /// # Errors

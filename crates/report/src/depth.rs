@@ -9,7 +9,7 @@ use crate::format::{self, figure};
 
 /// Number of bars of a histogram.
 const BARS: usize = 60;
-/// Number of points of the bound's curve.
+/// Number of depths at which the bound on the spatial frequency is sampled.
 const CURVE_POINTS: usize = 241;
 /// Fraction of the depths that histograms omit at each end.
 const STRAY: f64 = 0.005;
@@ -42,8 +42,8 @@ pub struct DepthBudget {
     /// Fractions of hits by depth in millimetres, and by disparity in pixels.
     pub(crate) by_depth: Histogram,
     pub(crate) by_disparity: Histogram,
-    /// Points of the bound: (z in millimetres, highest spatial frequency divided by that of the
-    /// light field's pixels).
+    /// The bound on the spatial frequency by depth. Each point has z in millimetres, and the
+    /// highest frequency there divided by that of the light field's pixels.
     pub(crate) bound: Vec<(f64, f64)>,
     /// Distances of the layers, millimetres.
     pub(crate) layers_mm: Vec<f64>,

@@ -30,8 +30,8 @@ pub struct Solution {
     pub start: String,
     /// Number of coarser levels before the full resolution, each of half the resolution.
     pub coarse_levels: u32,
-    /// KKT residual: root mean square of the change of the emission by one more exact coordinate
-    /// step of a value.
+    /// KKT residual: root mean square, over all values of the patterns, of the change of the
+    /// emission by one more exact coordinate step of a value.
     pub kkt_residual: f64,
     /// For layers of few bits, `psnr_view` (dB) of three stacks: continuous, rounded to the panels'
     /// levels, and optimized again on these levels. The last is the result.

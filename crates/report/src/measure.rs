@@ -71,7 +71,8 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     }
     let targets = shown.len();
     let zone = input.zone.map(|zone| zone_looks(&judge, zone, &mut shown));
-    // the references of the zone have more samples than the views of the target
+    // The large comparison shows a direction of the zone, if there is one, since its reference has
+    // more samples than a view of the target. `zone_looks` adds the median one last.
     let median_of_zone = (shown.len() > targets).then(|| shown.len() - 1);
     let mut others = |given: Option<&LightField>, grid: Option<ViewGrid>| -> Result<Option<FieldScore>, ReportError> {
         if let Some(given) = given {

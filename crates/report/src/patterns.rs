@@ -60,7 +60,8 @@ pub(crate) struct Emission {
     pub(crate) bin: [usize; 2],
 }
 
-/// Factor on the standard deviation over frames. For values in 0..1, the deviation is at most ½.
+/// Factor on the standard deviation over frames. For values in 0..1, the deviation is at most ½, so
+/// the product is at most 1.
 pub(crate) const CHANGE: f32 = 2.0;
 
 /// Maximum number of pixels of all single frames. As JPEG, noise-like masks of this size take about

@@ -122,7 +122,8 @@ pub(crate) fn signed_error(simulated: &[f32], target: &[f32], counts: impl Fn(us
         .collect()
 }
 
-/// The largest amplification of 1, 2, 5, 10, ... at which 99 of 100 errors stay within the colours.
+/// The largest amplification of 1, 2, 5, 10, ... at which 99 of 100 errors stay within the range of
+/// the colours.
 pub(crate) fn amplification<'a>(errors: impl Iterator<Item = &'a Option<f32>>) -> u32 {
     /// Smaller errors are regarded as this large, so that they are not amplified more.
     const SMALLEST: f32 = 1e-4;

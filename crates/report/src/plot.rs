@@ -61,8 +61,8 @@ pub(crate) fn disparities(budget: &DepthBudget) -> Result<String, ReportError> {
     shares(&budget.by_disparity, label, Some([0.0, 1.0]), &[])
 }
 
-/// The highest spatial frequency over depth, relative to that of the light field's pixels; the line
-/// is 1.
+/// The highest spatial frequency over depth, relative to that of the light field's pixels. A
+/// horizontal line marks the value 1.
 ///
 /// # Errors
 /// If the plot cannot be drawn.

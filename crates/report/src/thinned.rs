@@ -1,5 +1,5 @@
-//! Selects the views that are measured and shown individually. A solution for hundreds of views has
-//! pictures of some; its quality is measured over the whole zone.
+//! Selects the views that are measured and shown individually. If there are hundreds of views, the
+//! report has pictures of some; the zone score measures the quality over the whole zone.
 
 use lumistack_core::Tensor;
 use lumistack_display::{FieldGeometry, LightField, ViewGrid, Weights, spread};

@@ -45,8 +45,8 @@ fn stanford_views_are_ordered_by_camera_centres() {
         let topmost = if y_sign > 0.0 { 0 } else { 1 };
         assert_eq!(label(&field, [0, 0]), [leftmost, topmost]);
         assert_eq!(label(&field, [1, 2]), [2 - leftmost, 1 - topmost]);
-        // bins of 20° together, of this mean width, at positions in proportion to the cameras'
-        // distances
+        // the bins together cover 20°, so this is their mean width; the views' slopes are in
+        // proportion to the cameras' positions
         let step = 2.0 / 3.0 * 10f64.to_radians().tan();
         let expected = if x_sign > 0.0 { [-1.0, -0.5, 1.0] } else { [-1.0, 0.5, 1.0] };
         for (slope, expected) in field.geometry().grid.slope_x.iter().zip(expected) {
@@ -161,7 +161,8 @@ fn the_shop_has_its_parallax_the_right_way_round() {
     };
     let field = open(&path, &flags, &defaults()).0.unwrap();
     assert_eq!(field.radiance().shape(), [3, 3, 160, 240, 3]);
-    // kept views are four views apart, at a quarter of the resolution: 2 to 14 pixels
+    // kept views are four views apart, at a quarter of the resolution, so content again moves by 2
+    // to 14 pixels
     let across = best_shift(&field, [1, 0], [1, 1], 0, 20);
     let down = best_shift(&field, [0, 1], [1, 1], 1, 20);
     assert!((-14..=-2).contains(&across), "viewpoint to the right: content moves by {across}");

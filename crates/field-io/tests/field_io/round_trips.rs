@@ -315,8 +315,7 @@ np.save("theirs.npy", a[:, ::-1].astype(">f8"))
 "#;
     let output = Command::new(python).args(["-c", script]).current_dir(folder.path()).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    // NumPy may keep the memory order of a reversed copy; then reading is refused, otherwise values
-    // must agree
+    // the copy has big-endian doubles and reversed rows, so its first row is our last row
     let (shape, values) = npy::read(&folder.path().join("theirs.npy")).unwrap();
     assert_eq!(shape, [2, 5, 7, 3]);
     assert_eq!(values[..21], stack.layers[0].data()[4 * 21..5 * 21]);

@@ -1,9 +1,9 @@
 //! Compares two renders of one view, by scores in linear light and by pictures. The pictures have
 //! the exposure and tone curve that a job would choose for our render by default.
 //!
-//! The halves a and b of a render have independent noise, so the noise cancels in the mean of their
-//! product. Therefore E[(o_a − p_a)(o_b − p_b)] is the squared difference of the expected pictures
-//! o and p.
+//! Each render has two halves a and b with independent noise. Therefore the mean of the product
+//! (o_a − p_a)(o_b − p_b) contains no noise: it is the squared difference of the expected pictures
+//! o (ours) and p (the other).
 
 use std::path::Path;
 

@@ -1,11 +1,12 @@
-//! `[sequence]`: time steps of an animation or a moving window.
+//! `[sequence]`: time steps of an animation, a moving window, a folder of light fields or a source.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::error::PipelineError;
 
-/// A sequence: light fields of one geometry, or a window that moves through the scene.
+/// A sequence: given light fields of one geometry, an animated scene, a window that moves through a
+/// scene, or the time steps of a source.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SequenceJob {
@@ -26,12 +27,12 @@ pub struct SequenceJob {
     pub duration_s: f64,
     /// If true, every time step has a full report. The report of the sequence is always written.
     pub reports: bool,
-    /// Time steps of a chunk. Chunks do not depend on each other's patterns, so several machines
-    /// solve them in parallel. Default: all time steps are one chain of warm starts.
+    /// Number of time steps in a chunk. Chunks do not depend on each other's patterns, so several
+    /// machines solve them in parallel. Default: all time steps are one chain of warm starts.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub chunk_times: Option<usize>,
     /// Number of time steps before a chunk that are solved once more, the first of them without a
-    /// warm start. So the chunk begins almost as in one chain. Default 2.
+    /// warm start. So the chunk begins almost as in a sequence without chunks. Default 2.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub warm_up_times: Option<usize>,
 }
@@ -58,7 +59,7 @@ impl SequenceJob {
     /// Checks ranges, and keys that only a scene or a source can have.
     pub(super) fn check(&self, has_scene: bool, has_light_field: bool) -> Result<(), PipelineError> {
         let fail = |key: &str, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
-        // Only a folder of light fields determines the number of time steps.
+        // Only for a folder of light fields `times` may be absent, since the folder determines it.
         match self.times {
             Some(times) if !(1..=Self::MOST).contains(&times) => {
                 return fail("sequence.times", "1 to 9999", times.to_string());

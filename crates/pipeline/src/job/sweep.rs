@@ -1,4 +1,4 @@
-//! `[sweep]`: designs to compare on one light field.
+//! `[sweep]`: designs to compare.
 
 use lumistack_design::table::Plots;
 use schemars::JsonSchema;
@@ -35,7 +35,7 @@ pub struct SweepJob {
     /// change.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub lenslets: Vec<[usize; 2]>,
-    /// Number of plots of the table.
+    /// Selection of the plots that are drawn of the table: `none`, `few` or `all`.
     #[serde(skip_serializing_if = "is_default")]
     pub plots: Plots,
     /// Constraints of a search, which solves only promising designs to the last iteration.

@@ -173,7 +173,8 @@ impl LiveFields {
             self.views = Some((key_of_views, Progressive::new(shot, task)?));
         }
         let Some((_, views)) = &mut self.views else { return Ok(None) };
-        // Traced paths also serve another exposure, or another display with the same rays.
+        // For another exposure, or another display with the same rays, the paths traced so far are
+        // exposed again before more are traced.
         let traced = if is_new && views.passes > 0 { false } else { views.pass(shot, task)? };
         if !(traced || is_new) {
             return Ok(None);

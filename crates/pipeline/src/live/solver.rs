@@ -39,7 +39,7 @@ impl LiveSolver {
         let settings = solver_settings(&job.factorize, job.seed)?;
         let device = &job.factorize.device;
         // The search for adapters takes longer than a step, so `auto` searches only once. A device
-        // that the job names is open already, unless it failed.
+        // that the job names is open already, unless it failed, so this call takes no time.
         if device != "auto" || self.device != "auto" {
             self.site = SolverDevice::of(device)?;
             self.device.clone_from(device);
@@ -48,8 +48,8 @@ impl LiveSolver {
         Ok(())
     }
 
-    /// Makes `updates` updates towards a target. The resulting patterns are the start of the next
-    /// step.
+    /// Makes `updates` iterations of the solver towards a target. The resulting patterns are the
+    /// start of the next step.
     ///
     /// # Errors
     /// If target, weights and settings do not match, if a device that the job names fails, or when

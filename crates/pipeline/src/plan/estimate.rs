@@ -46,7 +46,7 @@ use crate::store::stamps::Stamps;
 const FILE: &str = "cache/steps.json";
 /// Number of hexadecimal digits of a key that is shown.
 const DIGITS: usize = 16;
-/// Mean number of rays per pixel and direction of the zone score, of both halves together.
+/// Mean number of rays per pixel for a direction of the zone score, in its two renders together.
 const SCORE_SAMPLES: f64 = 6.5;
 
 /// Record of an executed step.
@@ -64,7 +64,8 @@ pub(crate) struct Record {
 
 impl Record {
     pub(crate) fn new(seconds: f64, cached: bool, files: Vec<(PathBuf, String)>) -> Self {
-        // Importers, Blender and scenes in memory are recorded by names that are not files.
+        // The list also has entries for importers, Blender and scenes in memory. Their paths are
+        // only names, so they stay as they are.
         let place = |path: PathBuf| match path.is_file() {
             true => std::path::absolute(&path).unwrap_or(path),
             false => path,

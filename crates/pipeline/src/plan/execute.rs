@@ -167,8 +167,8 @@ impl<'a> Executor<'a> {
         let plan = self.context.plan;
         let step = &plan.steps[index];
         for input in &step.inputs {
-            // When a whole plan is executed, the inputs have been executed already. A unit of work
-            // reads the patterns of a warm start directly from their files.
+            // Execute the input, unless it is done, as always when a whole plan is executed. A unit
+            // of work skips the patterns of a warm start, which it reads from their files.
             let input = self.index(input)?;
             let of_file = self.unit.is_some() && [step.kind, plan.steps[input].kind] == [StepKind::Patterns; 2];
             if !of_file {

@@ -10,8 +10,8 @@
 //! [`Times::job`](super::times::Times::job) makes the job of a time step.
 //!
 //! Chunks break the chain of warm starts, so that several machines can solve them in parallel.
-//! Before the first time step of a chunk, some earlier time steps are solved again, and it starts
-//! from their patterns. Two time steps are in memory together, since flicker compares them.
+//! Before the first time step of a chunk, some earlier time steps are solved again, and the chunk
+//! starts from their patterns. Two time steps are in memory together, since flicker compares them.
 
 use super::graph::add_displays;
 use super::steps::{PartKind, Plan, StepKind};

@@ -10,8 +10,8 @@
 //! ```
 //!
 //! Tracing is most of the work and writes pictures one by one. So a unit that traces executes only
-//! a block of the pictures of a step. Other units execute several steps, since each unit reads its
-//! inputs again.
+//! a block of the pictures of a step. Each unit reads its inputs again, so other units execute
+//! several steps.
 //!
 //! The last unit is the plain run. It reuses all results, and makes damaged or missing ones again.
 //! So the bytes of results do not depend on how the plan is cut.
@@ -72,7 +72,7 @@ fn tiles_of(plan: &Plan, part: usize) -> Option<(Tiles, u64)> {
         Some(node) => display_of_node(node, &job.resolve_display().ok()?, &display, &geometry).ok()?.0,
     };
     let tiles = Tiles::of(&job.factorize, &display, &geometry)?;
-    // the views of the tile are read one at a time
+    // the tile's pixels are cut out of one whole view at a time, so that view is in memory too
     let bytes = tiles.bytes(&display, &geometry) + 12 * (geometry.rows * geometry.cols) as u64;
     Some((tiles, bytes))
 }

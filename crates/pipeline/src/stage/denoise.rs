@@ -276,8 +276,8 @@ pub(crate) fn denoised(
         f.mse_before = f.mse_before.scaled(tone_mapping.exposure.powi(2));
         f.mse_after = f.mse_after.scaled(tone_mapping.exposure.powi(2));
     }
-    // The picture before the filter is the mean of the two halves, or the sum of the separate
-    // light.
+    // The picture before the filter is the mean of the two halves. For a split view it is the sum
+    // of diffuse and other light.
     let middle = middle(&field.traced);
     let mut unbiased: Vec<f32> = if kind == Denoise::Shared {
         split(field, middle)?.radiance().data().to_vec()

@@ -14,8 +14,8 @@ pub(crate) enum SolverDevice {
     #[cfg(feature = "gpu")]
     Device {
         device: lumistack_factorizer_gpu::Device,
-        /// True if the job does not name a graphics processor, so that the processor may replace
-        /// it.
+        /// True if the job does not name this graphics processor. Then the processor may replace
+        /// the graphics processor.
         optional: bool,
     },
 }

@@ -7,8 +7,8 @@
 //! m: fraction of a pixel's samples that hit no surface
 //! ```
 //!
-//! Views are traced without a visible environment. So neither the exposure nor cached views depend
-//! on the background.
+//! If the job has a background colour, views are traced without a visible environment. So neither
+//! the exposure nor cached views depend on this colour.
 
 use std::borrow::Cow;
 

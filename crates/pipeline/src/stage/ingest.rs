@@ -143,7 +143,8 @@ fn gltf_bytes(
     // Open the file first, so that a missing file has the same message as with other readers.
     lumistack_files::open(path).map_err(|source| PipelineError::Read { path: path.to_owned(), source })?;
     let file = path.file_name().unwrap_or_default().to_string_lossy();
-    // In a name that is not Unicode, the importer gets replacement characters.
+    // If the file's name is not Unicode, the importer requests the file by a name with replacement
+    // characters.
     let own = |name: &str| name == file && file.contains(char::REPLACEMENT_CHARACTER);
     let read = |name: &str| {
         let bytes = match own(name) {

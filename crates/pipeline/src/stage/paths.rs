@@ -5,10 +5,10 @@ use serde::{Deserialize, Serialize};
 
 /// Fraction of a display's squared error that noise may add: 6 % is 0.25 dB.
 const NOISE_SHARE: f64 = 0.06;
-/// Squared error, at 50 dB, below which a display is regarded as exact, so that it needs no more
-/// paths.
+/// Squared error, at 50 dB, below which a display is regarded as exact. A still smaller error does
+/// not need more paths.
 const LEAST_ERROR: f64 = 1e-5;
-/// Maximum number of paths per pixel, over all views together.
+/// Maximum number of paths per pixel, over all views together. Every view has at least one.
 const MOST_PATHS: usize = 3200;
 /// Numbers of paths to choose from. They are few, so that a small change of the display does not
 /// make rendered views invalid.
@@ -39,7 +39,10 @@ impl Samples {
     pub(crate) fn reason(&self) -> String {
         let share = 100.0 * self.noise / f64::from(self.per_view) / self.error.max(LEAST_ERROR);
         let limit = if self.limited {
-            format!("; all views together take at most {MOST_PATHS} paths per pixel")
+            format!(
+                "; a view has at most {} paths per pixel, and all views together at most {MOST_PATHS}",
+                CHOICES[CHOICES.len() - 1]
+            )
         } else {
             String::new()
         };

@@ -28,7 +28,8 @@ pub(crate) fn run(
 ) -> Result<(LightField, Vec<LeftOut>), PipelineError> {
     let footprint = |geometry: &FieldGeometry| adapted_footprint(display, geometry);
     let defaults = field_defaults(display);
-    // Values are not rounded as in `target/`: the report compares with the values of the file.
+    // The folder `target/` has half floats, but values are not rounded here: the report compares
+    // the display with the values of the file.
     let tone_mapping = ToneMapping::of_given(&job.light);
     let change = |view: &mut [f32]| tone_mapping.iter().for_each(|tone_mapping| tone_mapping.apply_to(view));
     let paging = |geometry: &FieldGeometry| {

@@ -49,8 +49,8 @@ use crate::store::stamps::remembered;
 const PARTS: usize = 6;
 /// Maximum fraction of the picture's area that all sections cover.
 const MOST_AREA: f64 = 0.25;
-/// Edge of the middle of a section, which is measured, pixels. In the margin around the middle,
-/// some rays miss the section's layers.
+/// Edge of the measured middle of a section, pixels. The margin around it is not measured, since
+/// some of its rays miss the section's layers.
 const MIDDLE: usize = 40;
 /// Iterations of the solver. The ratio of noise and error changes little after these.
 const ITERATIONS: u32 = 8;
@@ -81,8 +81,8 @@ pub(crate) fn measured(
     let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
     let views = geometry.grid.iter().count();
     let is_ours = job.render.engine != Engine::Blender && ingested.blend().is_none();
-    // A display with fixed views is correct only at these views, where noise has more effect than
-    // between them.
+    // Nothing is measured for fixed views: such a display is correct only at its views, but noise
+    // is measured between views, where it has less effect.
     let is_chosen = !matches!(display.field.views, Views::Fixed(_));
     if !(job.render.samples_are_measured() && is_chosen && views > 1 && ingested.is_traced() && is_ours) {
         return Ok(None);
@@ -396,8 +396,8 @@ fn margin(display: &Display, geometry: &FieldGeometry) -> usize {
     let slope = most(&geometry.grid.slope_x).max(most(&geometry.grid.slope_y));
     let of_layers = display.layers.iter().map(|layer| layer.d_mm.abs());
     let reach_mm = of_layers.fold(0.0f64, f64::max) * slope;
-    // With a larger margin, nothing would be left of a display whose rays cross it from side to
-    // side.
+    // The margin is limited, since on a display with distant layers and oblique rays it would be as
+    // wide as the picture.
     ((reach_mm / geometry.pitch_mm).ceil() as usize + 1).min(MIDDLE)
 }
 

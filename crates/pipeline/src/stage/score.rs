@@ -3,8 +3,8 @@
 //!
 //! Every direction is rendered twice with independent seeds, so the score contains no noise
 //! ([`DirectionScore`]). Few samples suffice, since the score averages over all pixels of all
-//! directions. SSIM and FLIP are sensitive to noise. Therefore the first directions, which are
-//! spread over the zone, have more samples.
+//! directions. SSIM and FLIP are sensitive to noise. Therefore only the first directions, which are
+//! spread over the zone, have these scores, and they have more samples.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

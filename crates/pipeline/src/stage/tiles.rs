@@ -7,8 +7,9 @@
 //!                                         round are the start and the fixed border
 //! ```
 //!
-//! Each pixel belongs to one tile. A neighbouring tile also solves a pixel if its rays go through
-//! it, and discards the result (restricted additive Schwarz).
+//! Each pixel belongs to one tile. The free pixels of a tile are its own pixels and all pixels on
+//! rays through them. A tile solves its free pixels, but keeps only the result for its own
+//! (restricted additive Schwarz). The border has all other pixels on rays through free pixels.
 //!
 //! The result of a tile in a round is cached by the hash of its rays and borders. Therefore a
 //! stopped run continues, and any machine can solve any tile.
@@ -87,8 +88,8 @@ impl Tiles {
     }
 
     /// Returns the iterations of a round: half of those that are left, with at least one left for
-    /// each later round. Patterns form in the first round. A short last round leaves only small
-    /// differences at the borders.
+    /// each later round. The last round takes all that are left. Patterns form in the first round.
+    /// A short last round leaves only small differences at the borders.
     fn iterations(&self, job: &FactorizeJob, round: usize) -> std::ops::Range<u32> {
         let all = job.iterations() as usize;
         let left = |round: usize| if round < self.rounds { (all >> round).max(self.rounds - round) } else { 0 };
@@ -331,8 +332,8 @@ impl Work<'_> {
         Ok((lumistack_field_io::read_stack(&layers).map_err(field_error)?, Some(kept)))
     }
 
-    /// Joins the convergence of all tiles. Errors are sums over the rays of all tiles, so the rays
-    /// of two tiles are included twice. Seconds are as if tiles were solved one after the other.
+    /// Joins the convergence of all tiles. Errors are sums over the rays of all tiles, so a ray of
+    /// two tiles is included twice. Seconds are as if tiles were solved one after the other.
     fn kept(&self) -> Option<Convergence> {
         let mut all: Option<Convergence> = None;
         let mut before = 0.0;

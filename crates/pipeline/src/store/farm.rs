@@ -12,8 +12,8 @@ pub(crate) fn plan_file(dir: &Path) -> PathBuf {
     dir.join(FOLDER).join("plan.json")
 }
 
-/// Returns the path of the file that marks a unit as done. Ids consist of names of folders and
-/// steps.
+/// Returns the path of the file that marks a unit as done. An id consists of names of folders and
+/// steps with `/` between them, so it can be part of a path.
 pub(crate) fn done_file(dir: &Path, id: &str) -> PathBuf {
     dir.join(FOLDER).join("done").join(format!("{id}.json"))
 }

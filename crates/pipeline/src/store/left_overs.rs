@@ -13,7 +13,7 @@ pub(crate) fn remove(dir: &Path) {
     remove_all(&left_overs(dir));
 }
 
-/// Removes files and folders. These at most save time, so a failure is not an error. `clean`
+/// Removes files and folders. No result depends on them, so a failure is not an error. `clean`
 /// reports files that remain.
 pub(crate) fn remove_all(paths: &[PathBuf]) {
     for path in paths {

@@ -112,7 +112,7 @@ impl FolderLock {
             let taken = if hold == Hold::Shared { lock.try_lock_shared() } else { lock.try_lock() };
             match taken {
                 Ok(()) if is_at(&lock, &path) => owned.lock = Some(lock),
-                // the last owner removed the file and its folder
+                // the last owner removed the file and its folder, so create both again
                 Ok(()) => continue,
                 Err(TryLockError::WouldBlock) => {
                     return Err(PipelineError::InUse { folder: dir.to_owned(), owner: owned.other() });

@@ -1,7 +1,8 @@
 //! Cached views. The header of each has a hash of name, size and pixels.
 //!
-//! A run may be killed between two views, so each view has a hash instead of a common stamp. The
-//! hash includes the name, so a copy of another view is invalid.
+//! A stage's [stamp](super::stamps) is written last, so a run that is killed between two views has
+//! none. Therefore each view has a hash of its own. The hash includes the name, so a copy of
+//! another view is invalid.
 
 use std::path::{Path, PathBuf};
 

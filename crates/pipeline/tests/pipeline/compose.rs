@@ -29,7 +29,7 @@ pub(crate) fn job(folder: &Path, head: &str, tables: &[&str]) -> Job {
 }
 
 /// Files in a folder and its subfolders, without the cache, and without reports, since these
-/// contain times.
+/// contain the durations of the stages.
 pub(crate) fn results(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     fn walk(folder: &Path, root: &Path, found: &mut BTreeMap<PathBuf, Vec<u8>>) {
         for entry in std::fs::read_dir(folder).unwrap() {

@@ -32,8 +32,8 @@ const RADIUS: std::ops::RangeInclusive<usize> = 3..=6;
 /// Largest shift: the number of columns divided by this, and its limits in pixels.
 const REACH_SHARE: usize = 16;
 const REACH: std::ops::RangeInclusive<usize> = 3..=40;
-/// The mean of the sums over all shifts must exceed the smallest sum by this much per pixel (of
-/// 4095); otherwise the best shift is rejected.
+/// The best shift is rejected unless its sum of differences is below the mean sum over all shifts
+/// by this much per pixel. Pixels have values of 0 to 4095.
 const BETTER_BY: u32 = 40;
 /// A change of the shift above this fraction of the columns, and above a pixel, is an edge. Pixels
 /// up to `NEAR` away belong to it.

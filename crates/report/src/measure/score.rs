@@ -150,7 +150,7 @@ impl FieldScore {
         self.view(view).error.count as f64 / (3 * self.geometry.rows * self.geometry.cols) as f64
     }
 
-    /// The view with the lowest PSNR; `None` if all PSNRs are equal.
+    /// The view with the lowest PSNR; `None` if no view has a finite PSNR.
     pub(crate) fn worst_view(&self) -> Option<[usize; 2]> {
         let figures = self.geometry.grid.iter().map(|view| (view, self.view(view).error.psnr()));
         figures.filter(|(_, psnr)| psnr.is_finite()).min_by(|a, b| a.1.total_cmp(&b.1)).map(|(view, _)| view)

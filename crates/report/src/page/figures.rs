@@ -258,7 +258,7 @@ pub(super) fn limits(input: &ReportInput, found: &Found) -> Markup {
             h2 { "Limits of the result" }
             p {
                 "Measured on this layer stack, without solving again. Each line has the gain of the PSNR if one effect were absent and all else unchanged; the largest is first. Effects overlap, so the "
-                "gains do not add up. Only the central view and the corners are measured."
+                "gains do not add up. Effects that need another simulation are measured only at the central view and the corners."
             }
             ol class="limits" {
                 @for limit in &found.limits {
@@ -307,7 +307,7 @@ fn solved_by(solution: &Solution) -> String {
         levels => format!(", at {levels} coarser levels first"),
     };
     let mut text = format!(
-        "Solver {}, start {}{begun}. One more exact step of each value would change the emission by {:.1e} (root mean square). It is 0 if the \
+        "Solver {}, start {}{begun}. One more exact step of each value would change the emission by {:.1e} (root mean square). This change is 0 if the \
          first-order conditions are satisfied.",
         solution.solver, solution.start, solution.kkt_residual
     );

@@ -168,7 +168,7 @@ fn contact_sheet(sheet: &Sheet, name: &str) -> Markup {
     }
 }
 
-/// Number of columns on a wide page: at most eight, so that rows have about equal length.
+/// Number of columns on a wide page: at most eight, and such that rows have about equal length.
 fn across(count: usize) -> String {
     format!("--across:{}", count.div_ceil(count.div_ceil(8)).max(3))
 }

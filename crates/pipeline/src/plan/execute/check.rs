@@ -16,8 +16,8 @@ impl Context<'_> {
     pub(super) fn check(&mut self) -> Result<(), PipelineError> {
         let plan = self.plan;
         for (number, part) in plan.parts.iter().enumerate() {
-            // Later time steps have the settings of the first one. The designs of a sweep are
-            // checked by `Designs`.
+            // Skip time steps and their nodes, which have the settings of the sequence, and sweeps,
+            // whose designs are checked by `Designs`.
             let job = &part.job;
             match (&part.kind, part.parent) {
                 (PartKind::Time(_), _) => continue,

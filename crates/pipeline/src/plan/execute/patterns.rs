@@ -25,15 +25,15 @@ impl Context<'_> {
         let (plan, mut job, field, stamps) = (self.plan, self.job(part), self.field(part)?, self.stamps(part));
         let of_node = plan.node(part);
         let display = self.display(part, &field.display, field.target.geometry(), task)?;
-        // A preset is a design, and the report contains the refresh rate that it needs. A display
-        // file describes real panels, which may flicker.
+        // Only a display file describes real panels, which may flicker. A preset is a design; the
+        // report contains the refresh rate that it needs, so there is no warning.
         if let Some(message) = display.flicker_warning().filter(|_| job.display.file.is_some()) {
             task.warn("display", message);
         }
         let weights = field::weights(&job.factorize, field.target.geometry())?;
         let target = &field.target;
-        // Solve, or read the cached patterns. A time step whose content differs too much from the
-        // previous one starts without its patterns.
+        // Solve, or read the cached patterns. If the content of a time step differs too much from
+        // that of the previous one, the solver does not start from the previous patterns.
         let (solved, cached) = match of_node.filter(|of_node| !node::is_factorized(Some(of_node))) {
             Some(node) => {
                 let given = NodeInput { node, seed: job.seed, display: &display, target, weights: &weights };

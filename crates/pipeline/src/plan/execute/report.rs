@@ -20,8 +20,8 @@ impl Context<'_> {
         let (field, of_field) = (self.field(part)?, plan.field_part(part));
         let patterns = self.of(part, "patterns", |state| state.patterns.clone())?;
         let is_time = matches!(plan.parts[part].kind, PartKind::Time(_));
-        // Reports of time steps have keys. Other reports are always written, since they contain
-        // times.
+        // Reports of time steps have keys. Other reports are always written, since they contain the
+        // duration of this run's stages.
         let mut key = None;
         if let Some((_, measured)) = self.states[part].measured.as_ref().filter(|_| is_time) {
             let mut of_report = KeyBuilder::new("report", code::REPORTS);

@@ -2,8 +2,7 @@
 //!
 //! Successive halving (Jamieson and Talwalkar 2016) solves all allowed designs with few iterations.
 //! The better ones get more iterations, and only the last few get all. The ranking after few
-//! iterations is nearly that after many. All rows are kept, so a search also reuses the rows of a
-//! sweep.
+//! iterations is nearly that after many. Rows are cached, so a search reuses those of a sweep.
 
 use lumistack_design::table::{Design, Row};
 
@@ -39,7 +38,7 @@ pub(crate) fn allowed(candidates: Vec<Candidate>, search: &SearchJob) -> Result<
     };
     let least = |value: fn(&Design) -> f64| candidates.iter().map(|c| value(&c.design)).fold(f64::INFINITY, f64::min);
     let found = format!(
-        "designs of at least {} mm, {} Hz and {} panels, β up to {}",
+        "designs with a thickness from {} mm, a refresh rate from {} Hz, a number of panels from {}, and β up to {}",
         least(|d| d.thickness_mm),
         least(|d| d.refresh_hz),
         least(|d| d.panels as f64),
@@ -168,7 +167,10 @@ mod tests {
         assert_eq!(left(&SearchJob { max_thickness_mm: Some(10.0), ..SearchJob::default() }).unwrap(), 2);
         assert_eq!(left(&SearchJob { max_panels: Some(1), ..SearchJob::default() }).unwrap(), 1);
         let error = left(&SearchJob { max_panels: Some(0), ..SearchJob::default() }).unwrap_err().to_string();
-        assert!(error.contains("at least 0 mm, 0 Hz and 1 panels, β up to 1"), "{error}");
+        assert!(
+            error.contains("from 0 mm, a refresh rate from 0 Hz, a number of panels from 1, and β up to 1"),
+            "{error}"
+        );
     }
 
     #[test]

@@ -34,7 +34,8 @@ pub(crate) fn cropped(scene: Scene, pose: &PoseJob, task: Task<'_>) -> Result<Sc
     })
 }
 
-/// Crops each place where a cloud is used separately, since they may differ.
+/// Crops the clouds. A cloud that is used in several places becomes a cloud for each place, since
+/// different splats may remain there.
 fn crop(parts: &mut SceneParts, inside: impl Fn(Vec3) -> bool) {
     let clouds = std::mem::take(&mut parts.clouds);
     for mut placed in std::mem::take(&mut parts.placed_clouds) {

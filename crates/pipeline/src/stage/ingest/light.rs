@@ -78,6 +78,6 @@ mod tests {
         };
         assert!((column(0.25) - Vec3::NEG_Z).length() < 1e-6);
         assert!((column(0.5) - Vec3::X).length() < 1e-6);
-        assert!(column(0.3).x > 0.1, "to the right of it lies what is right");
+        assert!(column(0.3).x > 0.1, "columns farther to the right in the file are farther right in the scene");
     }
 }
