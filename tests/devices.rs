@@ -30,7 +30,7 @@ fn folder() -> tempfile::TempDir {
 #[test]
 fn a_missing_device_is_one_error() {
     let folder = folder();
-    // Mesa's drivers report a missing folder as an error of their own
+    // without this folder Mesa's drivers print an error of their own
     let text = fail(solve(folder.path(), "run", "gpu:no such adapter").env("XDG_RUNTIME_DIR", folder.path()));
     if cfg!(feature = "gpu") {
         assert!(text.contains("expected an adapter named like `no such adapter`, found "), "{text}");

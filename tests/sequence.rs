@@ -168,7 +168,7 @@ fn a_mismatched_light_field_stops_a_sequence_and_finished_time_steps_are_kept() 
     let cached = |run: &Path| times(run).iter().map(|time| time["cached"].as_bool().unwrap()).collect::<Vec<_>>();
     assert_eq!(cached(&run), [true, true, false, false]);
     let parts = |list: &[(PathBuf, std::time::SystemTime)]| {
-        // every run writes its settings
+        // every run writes job.toml and display.toml again, so their times change
         list.iter().filter(|(path, _)| path.extension().is_none_or(|e| e != "toml")).cloned().collect::<Vec<_>>()
     };
     for (time, before) in ["t0001", "t0002"].iter().zip(&before) {

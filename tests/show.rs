@@ -473,7 +473,7 @@ fn starts_and_stops(session: &Session, name: &str, turns: usize, key: &mut dyn F
         let mut show = Show::start(session, folder.path(), options);
         std::thread::sleep(Duration::from_secs_f32(1.5 * random.next_f32()));
         let way = ["quit", "interrupt", "terminate", "escape", "close"][(random.next_u64() % 5) as usize];
-        // without a window manager no client requests windows to close
+        // Xorg has no window manager here, which would request a window to close
         let way = if name == "Xorg" && way == "close" { "escape" } else { way };
         let signal = |name: &str, show: &Show| {
             assert!(session.command("kill").args([name, &show.child.id().to_string()]).status().unwrap().success());

@@ -132,7 +132,7 @@ fn views_that_share_light_are_made_again_together() {
         let names = fs::read_dir(&target).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
         names.filter(|name| name.starts_with("split_")).collect()
     };
-    assert_eq!(parts(), ["split_01_01.exr"], "the middle view in parts is what the report shows");
+    assert_eq!(parts(), ["split_01_01.exr"], "only the middle view, which the report shows, stays as a split view");
     succeed(&mut render(&run));
     assert!(cached(&run, "render"));
     for name in ["shared/view_00_02.exr", "split_01_01.exr"] {
@@ -163,7 +163,7 @@ fn a_preview_of_other_patterns_is_made_anew_for_any_time() {
     assert!(image::open(&shown).is_ok());
 }
 
-/// Returns the value of a key of `lumistack info`.
+/// Key of `lumistack info` that lists the outputs which a run would refuse.
 const WOULD_REFUSE: &str = "outputs that a run would refuse";
 
 /// Returns the table of a quilt output that needs this many columns of views.

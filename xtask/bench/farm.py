@@ -55,7 +55,7 @@ def predicted(folder: Path, workers: list[int]) -> dict[int, float]:
 
 def timed(job: Path, folder: Path, workers: int, options: list[str]) -> float:
     with connected(None, None, workers, None) as client:
-        # the first unit of each worker loads its modules
+        # each worker loads its modules now, before the time is measured
         client.run(lumistack.farm._work.probe, None, str(folder))
         return lumistack.farm.run(job, folder, options=options, client=client, threads=1).seconds
 

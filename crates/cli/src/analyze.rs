@@ -44,8 +44,8 @@ pub(crate) struct Analyze {
     #[arg(long, value_name = "MM")]
     reach_mm: Option<f64>,
     /// Solve every display for gratings at many depths and frequencies (up to a minute each).
-    /// Report the contrast compared with the bound: at the solver's views, between them, and solved
-    /// for more views
+    /// Report the contrast, compared with the bound, by three measures: seen from the solver's
+    /// views, seen from the whole zone, and the same after a solve for more views
     #[arg(long)]
     contrast: bool,
     /// Folder for analysis.json and the plots, as SVG and PNG
@@ -201,8 +201,8 @@ fn of_run(folder: &Path) -> Result<Scene, PipelineError> {
 
 type Measured = (String, Vec<Contrast>);
 
-/// Measures the contrast of gratings at many depths. The depths reach 1.5 times the depth of field
-/// and twice the distance of the outermost layer, at least 10 mm.
+/// Measures the contrast of gratings at many depths. The largest depth is the largest of these: 1.5
+/// times the depth of field, twice the distance of the outermost layer, and 10 mm.
 fn contrasts(displays: &[Display], all: &[Analysis], task: Task<'_>) -> Result<Vec<Measured>, PipelineError> {
     let measure = |(display, analysis): (&Display, &Analysis)| {
         let ends = analysis.depth_of_field_mm.into_iter().flatten().map(|z| 1.5 * z.abs());

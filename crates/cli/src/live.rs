@@ -66,7 +66,8 @@ pub(crate) struct Live {
     /// Do not open the browser
     #[arg(long)]
     pub(crate) no_open: bool,
-    /// Also drive panels, in a build with panels: outputs, span or window (see `lumistack show`)
+    /// Also show it, in a build with panels: outputs (one surface per panel), span (as show --span)
+    /// or window (a preview, as show --preview)
     #[arg(long, value_name = "MODE", value_parser = ["outputs", "span", "window"])]
     pub(crate) show: Option<String>,
     /// Largest number of iterations between two states shown; fewer if they would take longer than

@@ -36,8 +36,9 @@ pub(crate) struct Sweep {
     /// memory, without running it
     #[arg(long)]
     plan: bool,
-    /// Plots of the table [default: few]. `few` are maps of one pair of N, M and β, and a plot for
-    /// every other axis; `all` are maps of every pair, and curves along every axis
+    /// Plots of the table [default: few]. With few, maps over one pair of axes, and one plot of
+    /// curves for every other axis, six plots at most. The pair is the first that varies of M and
+    /// N, M and β, N and β. With all, maps over each of these pairs, and curves along every axis
     #[arg(long, value_enum)]
     plots: Option<PlotsArg>,
     #[command(flatten)]
