@@ -20,7 +20,7 @@ fn solve(folder: &Path, run: &str, device: &str) -> Command {
     command
 }
 
-/// A folder with a light field.
+/// Makes a folder with a light field.
 fn folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     write_test_field(&folder.path().join("views.npy"), [3, 3, 16, 24], 20.0, 3.0);

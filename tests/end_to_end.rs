@@ -228,7 +228,7 @@ fn a_view_that_one_layer_can_show_is_not_rounded() {
     assert!(psnr > 110.0, "{psnr} dB");
 }
 
-/// Arguments for so many frames that the display's panels would flicker.
+/// Arguments of a small run. It has so many frames that a display with panels would flicker.
 const SMALL_RUN: [&str; 10] =
     ["--resolution", "84x52", "--frames", "3", "--samples", "4", "--iterations", "10", "--max-bounces", "3"];
 

@@ -16,7 +16,7 @@ use crate::common::{cached, fail, files, lumistack, report, root, succeed, write
 const FIELD: [&str; 4] = ["--fov", "20x20", "--pitch-mm", "3"];
 const SMALL: [&str; 8] = ["--resolution", "24x16", "--samples", "1", "--iterations", "2", "--frames", "2"];
 
-/// A light field in a folder.
+/// Writes a light field into a folder, and returns its path.
 fn field(folder: &Path) -> PathBuf {
     let path = folder.join("views.npy");
     write_test_field(&path, [3, 3, 16, 24], 20.0, 3.0);
@@ -98,7 +98,7 @@ fn views_that_were_damaged_or_exchanged_are_traced_again() {
     let target = views.into_iter().find(|path| path.to_string_lossy().contains("target-")).unwrap();
     succeed(render(&run).args(["--views", "5x5"]));
     assert!(cached(&run, "render"));
-    // the view of another run, with the same size
+    // another view of the same size in place of this one
     fs::copy(target.join("view_00_00.exr"), target.join("view_02_02.exr")).unwrap();
     succeed(render(&run).args(["--views", "5x5"]));
     assert!(!cached(&run, "render") && results(&run) == whole);

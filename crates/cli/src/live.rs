@@ -205,7 +205,7 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
     let _ = std::fs::remove_dir_all(&site);
     let dropped = ended.map_err(in_input)?;
     let Some((number, state)) = shared.states.after(0) else { return Err(PipelineError::Cancelled) };
-    // The first Ctrl-C ended the display; a second one would end the program.
+    // Ctrl-C may have set the flag of `task`, which would stop these last steps too.
     let cancel = Cancel::default();
     let report = folder.finish(
         &shared.requests.job(),

@@ -222,7 +222,7 @@ pub(crate) fn run(args: &Sweep, registry: &Registry, json: bool, task: Task<'_>)
     }
     summary.plots.iter().for_each(|plot| say!("{}", plot.display()));
     if summary.more_plots > 0 {
-        say!("{} more plots with --plots all", summary.more_plots);
+        say!("more plots with --plots all: {}", summary.more_plots);
     }
     say!("{} designs, {} of them solved earlier", summary.designs, summary.kept);
     say!("{}", summary.csv.display());
@@ -254,7 +254,7 @@ fn text_of(row: &Row) -> String {
         if d.lenslets == [0, 0] { String::new() } else { format!(", {} × {} lenslets", d.lenslets[0], d.lenslets[1]) };
     let of = if row.psnr_zone_db.is_some() { " over the zone" } else { "" };
     format!(
-        "{:.1} dB{of}: {} with {} layers, {} frames{lenses}, β = {}, {:.1} mm thick, {:.0} Hz, {} panels",
+        "{:.1} dB{of}: {}; layers: {}, frames: {}{lenses}, β = {}, {:.1} mm thick, {:.0} Hz, panels: {}",
         row.quality_db(),
         d.display,
         d.layers,

@@ -119,7 +119,7 @@ def window_of_camera(
     if not (math.isfinite(width) and width > 0.0):
         raise WindowError(f"camera: expected a picture of finite width, found {width}")
     columns = [tuple(matrix[row][column] for row in range(3)) for column in range(4)]
-    # A camera's scale has no effect in Blender.
+    # A camera's scale has no effect in Blender, so the axes are normalized.
     right, up, back = (_unit(column) for column in columns[:3])
     middle = ((max(xs) + min(xs)) / 2, (max(ys) + min(ys)) / 2)
     origin = columns[3]

@@ -91,7 +91,7 @@ class Rig:
         self._holder = bpy.data.objects.new(TEMPORARY, None)
         for held in (self._holder, self._camera):
             scene.collection.objects.link(held)
-            # The 3D view does not show it.
+            # Hide both objects in the 3D view.
             held.hide_viewport = True
         self._camera.parent = self._holder
         data.sensor_fit, data.sensor_width = "HORIZONTAL", SENSOR_MM

@@ -100,7 +100,7 @@ def _rendered(bpy: Any, scene: Any, depsgraph: Any) -> Iterator[tuple[Any, Any]]
             visited.add(key)
             yield held, shown
     there = {name for name, _ in visited}
-    # Objects that the viewport hides and a render shows.
+    # Add objects that the viewport hides and a render shows.
     for held in scene.objects:
         if held.name not in there and is_rendered(held):
             yield held, held
