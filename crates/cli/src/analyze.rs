@@ -230,7 +230,11 @@ fn achieved(found: &[Contrast]) -> [String; 3] {
         format!("  {head:15} {of}: {}", cutoffs.join(", "))
     };
     [
-        line("Achieved", "half contrast up to (× the pixels' highest), solved for more views", Achieved::WithMoreViews),
+        line(
+            "Achieved",
+            "half contrast, × the finest detail of the pixels, solved for more views",
+            Achieved::WithMoreViews,
+        ),
         line("", "solved for its own views, seen from the whole zone", Achieved::InBetween),
         line("", "seen from these views alone", Achieved::AtTheViews),
     ]

@@ -151,7 +151,7 @@ fn finish(
             let zone = node.psnr_zone.map_or(String::new(), |psnr| format!("{psnr:.1} dB over the zone, "));
             say!("{}: PSNR {zone}{:.1} dB at the solver's views", node.id, node.psnr_view);
         }
-        say!("{} displays; {:.0} s", summary.nodes.len(), summary.seconds);
+        say!("displays: {}; {:.0} s", summary.nodes.len(), summary.seconds);
         say!("{}", summary.report.display());
     } else {
         let zone = match (summary.psnr_zone, summary.psnr_zone_worst) {

@@ -104,7 +104,7 @@ pub(crate) fn run(args: &Compare, json: bool, task: Task<'_>) -> Result<(), Pipe
     for (name, likeness) in [("First against its target", &found.first), ("Second against that target", &found.second)]
     {
         if let Some(likeness) = likeness {
-            say!("{:30} {} ({} views)", format!("{name}:"), text_of(likeness), found.views);
+            say!("{:30} {} (views: {})", format!("{name}:"), text_of(likeness), found.views);
         }
     }
     found.pictures.iter().chain(&focused).for_each(|path| say!("{}", path.display()));

@@ -220,8 +220,8 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
             json!({"event": "done", "states": number, "dropped": dropped, "psnr_view": psnr_view, "report": report.to_string_lossy()})
         );
     } else {
-        let video = if args.times { format!(", {dropped} time steps skipped") } else { String::new() };
-        say!("{number} states{video}; the last has PSNR {psnr_view:.1} dB at the solver's views");
+        let video = if args.times { format!(", skipped time steps: {dropped}") } else { String::new() };
+        say!("states: {number}{video}; the last has PSNR {psnr_view:.1} dB at the solver's views");
         say!("{}", report.display());
     }
     Ok(())

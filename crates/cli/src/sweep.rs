@@ -224,7 +224,7 @@ pub(crate) fn run(args: &Sweep, registry: &Registry, json: bool, task: Task<'_>)
     if summary.more_plots > 0 {
         say!("more plots with --plots all: {}", summary.more_plots);
     }
-    say!("{} designs, {} of them solved earlier", summary.designs, summary.kept);
+    say!("designs: {}, solved earlier: {}", summary.designs, summary.kept);
     say!("{}", summary.csv.display());
     Ok(())
 }

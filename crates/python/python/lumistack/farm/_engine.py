@@ -497,7 +497,7 @@ class Engine:
         for message, units in causes.items():
             others = f" and {len(units) - 1} more" if len(units) > 1 else ""
             told.append(f"unit {units[0]}{others} failed {MOST_FAILURES} times: {message}")
-        waits = f"; {len(outcome.left)} units that depend on it were not started" if outcome.left else ""
+        waits = f"; units that depend on it were not started: {len(outcome.left)}" if outcome.left else ""
         raise FarmError(f"{'; '.join(told)}{waits}; {kept}")
 
 
