@@ -197,7 +197,7 @@ fn an_interrupted_sequence_resumes_after_its_finished_time_steps() {
         factorize(&input, &stopped).args(flags).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
     let start = Instant::now();
     while !stopped.join("t0002/cache/measure.json").exists() && child.try_wait().unwrap().is_none() {
-        assert!(start.elapsed() < Duration::from_secs(120), "two times were not finished in two minutes");
+        assert!(start.elapsed() < Duration::from_secs(120), "two time steps were not finished in two minutes");
         std::thread::sleep(Duration::from_millis(2));
     }
     succeed(Command::new("kill").arg("-INT").arg(child.id().to_string()));

@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use crate::common::{lumistack, report, root, succeed};
 
-/// A small job of the scene `letters` with `views`, and with `rest` appended.
+/// Writes a small job of the scene `letters` with 5 × 5 views, and with `rest` appended.
 fn job(folder: &Path, rest: &str) -> PathBuf {
     let path = folder.join("job.toml");
     let scene = root().join("scenes/letters/letters.gltf");

@@ -49,7 +49,7 @@ pub(crate) enum Command {
         after_help = "Examples:\n  lumistack render model.glb -o views                                    all views of the display, exposed and tone-mapped\n  lumistack render model.glb --linear --layers depth,normal -o views     scene-linear radiance, with depth and normals\n  lumistack render model.glb --views 7x7 --only-views 3,* -o row         the middle one of seven rows of views\n\nViews are OpenEXR pictures; lightfield.json states the geometry of their rays. `lumistack factorize DIR -o RUN` reads the folder."
     )]
     Render(Render),
-    /// Factorize a light field that another program rendered into layer patterns
+    /// Make layer patterns from a given light field, for example one that another program rendered
     #[command(
         after_help = "Reads our own light-field folders, HCI and Stanford folders, quilts and .npy arrays [view_y][view_x][row][col][rgb].\n\nExamples:\n  lumistack factorize views.npy --grid oblique --fov 20x20 --pitch-mm 2.961 --display paper-three-layer -o runs/views\n  lumistack factorize times/ --sequence --fov 20x20 --pitch-mm 2.961 -o runs/times      times/t0001.npy, times/t0002.npy, ..."
     )]

@@ -30,7 +30,7 @@ MOST_LOSSES = 50
 WORKER_SECONDS = 60.0
 # Interval of checks of the workers while all units run, seconds.
 TEND_SECONDS = 2.0
-# Name of the resource that workers may offer, bytes.
+# Name of the resource by which workers may offer memory; its unit is bytes.
 MEMORY = "memory"
 
 
