@@ -158,7 +158,7 @@ fn finish(
             (Some(zone), Some(worst)) => format!("{zone:.1} dB over the zone (worst tenth {worst:.1}), "),
             _ => String::new(),
         };
-        let others = [("between them", summary.psnr_held_out), ("outside", summary.psnr_outside)];
+        let others = [("between them", summary.psnr_held_out), ("outside of them", summary.psnr_outside)];
         let others = others.map(|(name, psnr)| psnr.map_or(String::new(), |psnr| format!(", {name} {psnr:.1}")));
         if let Some(sentence) = &summary.depth_sentence {
             say!("Depth: {sentence}");

@@ -384,7 +384,7 @@ fn calibrate_display(args: &Calibrate, json: bool) -> Result<(), PipelineError> 
         }
     }
     if !json {
-        say!("distortion of the lens: {:.4} and {:.4}", camera.distortion[0], camera.distortion[1]);
+        say!("radial distortion of the camera's lens: k1 {:.4}, k2 {:.4}", camera.distortion[0], camera.distortion[1]);
     }
     if args.dry_run {
         return Ok(());
