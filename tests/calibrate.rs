@@ -322,7 +322,8 @@ fn photographs_correct_the_pose_of_panels() {
         keep(&shot, &format!("spots_{n}"));
         let mut worst: f64 = 0.0;
         for [col, row] in &spots {
-            // the middle of 12 pixels is half a pixel before the pixel that is their origin
+            // a spot has 12 pixels: its middle is half a pixel left of and above its pixel [col,
+            // row]
             let wanted = [(*col as f64 - 0.5 - 209.5) * 1.1, (130.5 - (*row as f64 - 0.5)) * 1.1];
             let around = standing[n].pixel(wanted);
             let (mut sum, mut count) = ([0.0; 2], 0.0);

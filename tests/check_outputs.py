@@ -54,7 +54,7 @@ def images(folder):
     manifest = json.loads((folder / "images.json").read_text())
     told = {entry["file"] for entry in manifest["files"]} | {"images.json", "atlas.json", "hci/parameters.cfg", "hci/gt_disp_lowres.pfm"}
     there = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file() and path.name[0] != "."}
-    check(folder, "files that the manifest does not tell", sorted(there - told), [])
+    check(folder, "files that the manifest does not list", sorted(there - told), [])
     for entry in manifest["files"]:
         file, kind = folder / entry["file"], entry["content"]
         size = (entry.get("width"), entry.get("height"))

@@ -132,7 +132,8 @@ fn a_photograph_is_compared_at_its_pose_and_exposure() {
     for (found, expected) in found["eye_mm"].as_array().unwrap().iter().zip(eye) {
         assert!((found.as_f64().unwrap() - expected).abs() < 3.0, "corners to a tenth of a pixel: {found}, {expected}");
     }
-    // half a millimetre moves the points where rays cross from one pixel of a layer to the next
+    // an error of half a millimetre moves the points where rays cross from one pixel of a layer to
+    // the next, so the pictures differ a little
     assert!(psnr(&found) > 30.0, "{found}");
 
     let elsewhere = compared(&["--eye", &point([-150.0, 60.0, 900.0])]);

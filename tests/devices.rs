@@ -20,7 +20,7 @@ fn solve(folder: &Path, run: &str, device: &str) -> Command {
     command
 }
 
-/// A folder with a light field.
+/// Makes a folder with a light field.
 fn folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     write_test_field(&folder.path().join("views.npy"), [3, 3, 16, 24], 20.0, 3.0);
@@ -30,7 +30,7 @@ fn folder() -> tempfile::TempDir {
 #[test]
 fn a_missing_device_is_one_error() {
     let folder = folder();
-    // Mesa's drivers report a missing folder as an error of their own
+    // without this folder Mesa's drivers print an error of their own
     let text = fail(solve(folder.path(), "run", "gpu:no such adapter").env("XDG_RUNTIME_DIR", folder.path()));
     if cfg!(feature = "gpu") {
         assert!(text.contains("expected an adapter named like `no such adapter`, found "), "{text}");

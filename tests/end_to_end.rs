@@ -141,7 +141,7 @@ fn a_directional_backlight_follows_a_foreign_light_field() {
     let folder = tempfile::tempdir().unwrap();
     let field = folder.path().join("views.npy");
     write_test_field(&field, [5, 5, 50, 80], 20.0, 3.0);
-    // with the display's own 3 × 3 bins, 48 degrees and lens pitch: 30.2 and 27.5 dB
+    // with the displays' own backlights (3 × 3 bins, 48 degrees) PSNR is only 30.2 and 27.5 dB
     for (display, least) in [("fig7-directional", 35.0), ("paper-directional", 32.0)] {
         let run = folder.path().join(display);
         let flags = ["--fov", "20x20", "--pitch-mm", "3", "--iterations", "30", "--display", display];
@@ -228,7 +228,7 @@ fn a_view_that_one_layer_can_show_is_not_rounded() {
     assert!(psnr > 110.0, "{psnr} dB");
 }
 
-/// Arguments for so many frames that the display's panels would flicker.
+/// Arguments of a small run. It has so many frames that a display with panels would flicker.
 const SMALL_RUN: [&str; 10] =
     ["--resolution", "84x52", "--frames", "3", "--samples", "4", "--iterations", "10", "--max-bounces", "3"];
 
@@ -408,7 +408,7 @@ fn one_render_feeds_two_displays_and_five_outputs() {
     assert!((number(&nodes[1], "brightness") - 1.0 / 9.0).abs() < 1e-6);
     let views = files(&run.join("target"));
     assert_eq!(views.len(), 1 + 9, "one light field for both");
-    // the folder of a node has all that simulates its display
+    // the folder of a node has all files that `simulate` needs
     let picture = folder.path().join("barrier.png");
     succeed(lumistack().arg("simulate").arg(run.join("nodes/barrier")).arg("-o").arg(&picture));
     let picture = image::open(&picture).unwrap().into_rgb8();

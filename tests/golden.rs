@@ -165,13 +165,13 @@ fn renders_differ_from_golden_pictures_only_by_noise() {
             std::fs::create_dir_all(&left).unwrap();
             Picture::save_png(|c, i| now.mean[c][i], &left.join("picture.png"));
             Picture::save_png(|c, i| golden.mean[c][i], &left.join("reference.png"));
-            // grey means equal values; one standard error is one unit of the difference
+            // grey, 0.2, means equal values; each standard error of difference adds 0.04
             let error = |c: usize, i: usize| (golden.variance[c][i] * (SAMPLES[0] / SAMPLES[1] + 1) as f64).sqrt();
             let off = |c: usize, i: usize| 0.2 + 0.04 * (now.mean[c][i] - golden.mean[c][i]) / (error(c, i) + 1e-9);
             Picture::save_png(off, &left.join("difference.png"));
             wrong.push(format!("{name}: {problem}; see picture, reference and difference in {}", left.display()));
         }
     }
-    let how = "if the change is meant, LUMISTACK_WRITE=1 cargo test -p lumistack-cli --test end_to_end golden:: renders them anew";
+    let how = "if the change is intended, LUMISTACK_WRITE=1 cargo test -p lumistack-cli --test end_to_end golden:: renders them anew";
     assert!(wrong.is_empty(), "{}\n{how}", wrong.join("\n"));
 }

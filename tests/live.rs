@@ -207,7 +207,7 @@ fn errors_of_the_start_end_it_with_one_message() {
     let folder = tempfile::tempdir().unwrap();
     let job = write_job(folder.path());
     let live = |options: &[&str]| {
-        // Mesa's drivers report a missing folder as an error of their own
+        // without this folder Mesa's drivers print an error of their own
         let mut command = lumistack();
         command.env("XDG_RUNTIME_DIR", folder.path());
         fail(command.args(["live", "--no-open"]).arg(&job).arg("-o").arg(folder.path().join("run")).args(options))

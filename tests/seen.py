@@ -35,9 +35,11 @@ def picture(direction, half):
 
 
 def runs(slope, side):
-    """Traces `many` rays per pixel along one axis (0: x). Returns one ray of each group that reads the same pixels of all layers, with the group's fraction of the pixel's width.
+    """Traces `many` rays per pixel along one axis (0: x).
 
-    Gives places[part][run, pixel], bins[run, pixel], shares[run, pixel] and whether the run crosses all parts.
+    Neighbouring rays that read the same pixels of all layers are a run, which one of them represents. Returns
+    places[part][run, pixel], bins[run, pixel], shares[run, pixel] (the run's fraction of the pixel's width), and whether
+    the run crosses all parts.
     """
     count, sign = ((cols, 1), (rows, -1))[side]
     offset = ((np.arange(many) + 0.5) / many - 0.5)[:, None]

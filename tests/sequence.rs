@@ -168,7 +168,7 @@ fn a_mismatched_light_field_stops_a_sequence_and_finished_time_steps_are_kept() 
     let cached = |run: &Path| times(run).iter().map(|time| time["cached"].as_bool().unwrap()).collect::<Vec<_>>();
     assert_eq!(cached(&run), [true, true, false, false]);
     let parts = |list: &[(PathBuf, std::time::SystemTime)]| {
-        // every run writes its settings
+        // every run writes job.toml and display.toml again, so their times change
         list.iter().filter(|(path, _)| path.extension().is_none_or(|e| e != "toml")).cloned().collect::<Vec<_>>()
     };
     for (time, before) in ["t0001", "t0002"].iter().zip(&before) {
@@ -197,7 +197,7 @@ fn an_interrupted_sequence_resumes_after_its_finished_time_steps() {
         factorize(&input, &stopped).args(flags).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
     let start = Instant::now();
     while !stopped.join("t0002/cache/measure.json").exists() && child.try_wait().unwrap().is_none() {
-        assert!(start.elapsed() < Duration::from_secs(120), "two times were not finished in two minutes");
+        assert!(start.elapsed() < Duration::from_secs(120), "two time steps were not finished in two minutes");
         std::thread::sleep(Duration::from_millis(2));
     }
     succeed(Command::new("kill").arg("-INT").arg(child.id().to_string()));

@@ -138,7 +138,7 @@ fn frames_run_in_order_and_late_ones_are_counted() {
     }
     let interval = report["interval_s"].as_f64().unwrap();
     let late = rows.windows(2).filter(|pair| pair[1][3] - pair[0][3] > 1.5 * interval).count() as i64;
-    // the log has microseconds
+    // the log rounds times to microseconds, so one gap may count differently
     assert!((report["submitted"]["late"].as_i64().unwrap() - late).abs() <= 1, "{late} gaps in the log");
     // if the compositor reports presentation times, they rise, and the skew is known
     if report["presented"].as_object().is_some_and(|presented| !presented.is_empty()) {
@@ -473,7 +473,7 @@ fn starts_and_stops(session: &Session, name: &str, turns: usize, key: &mut dyn F
         let mut show = Show::start(session, folder.path(), options);
         std::thread::sleep(Duration::from_secs_f32(1.5 * random.next_f32()));
         let way = ["quit", "interrupt", "terminate", "escape", "close"][(random.next_u64() % 5) as usize];
-        // without a window manager no client requests windows to close
+        // Xorg has no window manager here, which would request a window to close
         let way = if name == "Xorg" && way == "close" { "escape" } else { way };
         let signal = |name: &str, show: &Show| {
             assert!(session.command("kill").args([name, &show.child.id().to_string()]).status().unwrap().success());

@@ -16,7 +16,7 @@ use crate::common::{cached, fail, files, lumistack, report, root, succeed, write
 const FIELD: [&str; 4] = ["--fov", "20x20", "--pitch-mm", "3"];
 const SMALL: [&str; 8] = ["--resolution", "24x16", "--samples", "1", "--iterations", "2", "--frames", "2"];
 
-/// A light field in a folder.
+/// Writes a light field into a folder, and returns its path.
 fn field(folder: &Path) -> PathBuf {
     let path = folder.join("views.npy");
     write_test_field(&path, [3, 3, 16, 24], 20.0, 3.0);
@@ -98,7 +98,7 @@ fn views_that_were_damaged_or_exchanged_are_traced_again() {
     let target = views.into_iter().find(|path| path.to_string_lossy().contains("target-")).unwrap();
     succeed(render(&run).args(["--views", "5x5"]));
     assert!(cached(&run, "render"));
-    // the view of another run, with the same size
+    // another view of the same size in place of this one
     fs::copy(target.join("view_00_00.exr"), target.join("view_02_02.exr")).unwrap();
     succeed(render(&run).args(["--views", "5x5"]));
     assert!(!cached(&run, "render") && results(&run) == whole);
@@ -132,7 +132,7 @@ fn views_that_share_light_are_made_again_together() {
         let names = fs::read_dir(&target).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
         names.filter(|name| name.starts_with("split_")).collect()
     };
-    assert_eq!(parts(), ["split_01_01.exr"], "the middle view in parts is what the report shows");
+    assert_eq!(parts(), ["split_01_01.exr"], "only the middle view, which the report shows, stays as a split view");
     succeed(&mut render(&run));
     assert!(cached(&run, "render"));
     for name in ["shared/view_00_02.exr", "split_01_01.exr"] {
@@ -163,7 +163,7 @@ fn a_preview_of_other_patterns_is_made_anew_for_any_time() {
     assert!(image::open(&shown).is_ok());
 }
 
-/// Returns the value of a key of `lumistack info`.
+/// Key of `lumistack info` that lists the outputs which a run would refuse.
 const WOULD_REFUSE: &str = "outputs that a run would refuse";
 
 /// Returns the table of a quilt output that needs this many columns of views.

@@ -141,7 +141,7 @@ fn surfaces_are_those_of_the_paths_of_the_light() {
             if is_guide || name.starts_with("missed_") {
                 std::fs::remove_file(&path).unwrap();
             } else if denoise == "guided" && path.is_dir() {
-                // The result of the filter that used the guides.
+                // The filtered views go too, since they were made with the guides.
                 std::fs::remove_dir_all(&path).unwrap();
             }
             dropped += usize::from(is_guide);

@@ -9,7 +9,7 @@ use crate::common;
 use crate::common::triangle::write_triangle;
 use crate::common::{fail, lumistack, report, succeed};
 
-/// Arguments for so many frames that the display's panels would flicker.
+/// Arguments of a small run. It has so many frames that a display with panels would flicker.
 const SMALL: [&str; 10] =
     ["--resolution", "24x15", "--samples", "2", "--max-bounces", "2", "--frames", "3", "--iterations", "3"];
 
@@ -23,7 +23,7 @@ fn said(command: &mut Command) -> String {
 
 fn run(scene: &Path, folder: &Path) -> Command {
     let mut command = lumistack();
-    // cargo sets the same variables for tests as for programs that it runs
+    // cargo sets CARGO for tests too, and hints would then name `cargo lumistack`
     command.env_remove("CARGO").arg("run").arg(scene).arg("-o").arg(folder).args(SMALL);
     command
 }

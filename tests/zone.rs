@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use crate::common::{lumistack, report, root, succeed};
 
-/// A small job of the scene `letters` with `views`, and with `rest` appended.
+/// Writes a small job of the scene `letters` with 5 × 5 views, and with `rest` appended.
 fn job(folder: &Path, rest: &str) -> PathBuf {
     let path = folder.join("job.toml");
     let scene = root().join("scenes/letters/letters.gltf");
@@ -155,7 +155,8 @@ fn native_views_pay_with_any_hardware() {
                 serde_json::from_slice(&std::fs::read(out.join("target/lightfield.json")).unwrap()).unwrap();
             let views = target["slope_x"].as_array().unwrap().len();
             let psnr = number(&report(&out)["psnr_zone"]);
-            // The run folder stays: hardware that leaves the rays as they are takes the cached views.
+            // The run folder is kept, so a case whose display needs the same rays uses cached
+            // views.
             (psnr, views)
         };
         let ((native, views), (few, _)) = (zone("", "native"), zone("views = [3, 3]", "few"));

@@ -23,7 +23,8 @@ impl AssetResolver for Content<'_> {
 
 const TRIANGLE: &str = "data:;base64,AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA";
 
-/// Makes a triangle with the content as its picture, and with `sky` as its environment.
+/// Makes a triangle with the content as its texture. With `sky` the content is also the
+/// environment.
 fn picture(sky: bool) -> String {
     let extras = if sky { r#","extras":{"lumistack":{"environment":{"image":"content"}}}"# } else { "" };
     format!(

@@ -96,7 +96,7 @@ impl Poke {
 
     /// Opens a window of one pixel.
     pub fn window(&mut self) -> u32 {
-        // CreateWindow of the root's depth and visual, at 0,0, 1 × 1, without a border; MapWindow
+        // CreateWindow (depth and visual of the root, at 0,0, 1 × 1, no border), then MapWindow
         self.say(1, 0, &[self.first, self.root, 0, 0x1_0001, 0, 0, 0]);
         self.say(8, 0, &[self.first]);
         self.first

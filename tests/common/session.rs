@@ -24,8 +24,8 @@ pub const XORG: [Screen; 3] =
 pub const NESTED: [Screen; 3] =
     [("WL-1", [320, 240], [0, 0]), ("WL-2", [400, 300], [320, 0]), ("WL-3", [640, 360], [720, 0])];
 
-/// Outputs of a sway session nested in Xorg. It reports presentation times and has a keyboard and a
-/// pointer.
+/// Outputs of a sway session nested in Xorg. This sway reports presentation times, and has a
+/// keyboard and a pointer.
 pub const ON_X: [Screen; 3] =
     [("X11-1", [320, 240], [0, 0]), ("X11-2", [400, 300], [320, 0]), ("X11-3", [640, 360], [720, 0])];
 

@@ -55,7 +55,7 @@ def predicted(folder: Path, workers: list[int]) -> dict[int, float]:
 
 def timed(job: Path, folder: Path, workers: int, options: list[str]) -> float:
     with connected(None, None, workers, None) as client:
-        # the first unit of each worker loads its modules
+        # each worker loads its modules now, before the time is measured
         client.run(lumistack.farm._work.probe, None, str(folder))
         return lumistack.farm.run(job, folder, options=options, client=client, threads=1).seconds
 
@@ -165,7 +165,7 @@ def main() -> int:
         figures["predicted_seconds"] = from_one
         figures["predicted_2_from_2_seconds"] = from_two[2]
         one, two = figures["workers_1_seconds"], figures["workers_2_seconds"]
-        print(f"{size['times']} times, {size['cols']} × {size['rows']} pixels: lumistack run {figures['run_seconds']:.1f} s")
+        print(f"{size['times']} time steps, {size['cols']} × {size['rows']} pixels: lumistack run {figures['run_seconds']:.1f} s")
         print(f"one worker   {one:6.1f} s   predicted {from_one[1]:6.1f} s ({from_one[1] / one - 1:+.0%})")
         print(f"two workers  {two:6.1f} s   predicted {from_one[2]:6.1f} s ({from_one[2] / two - 1:+.0%}), by their own times {from_two[2]:.1f} s ({from_two[2] / two - 1:+.0%})   {one / two:.2f} times faster")
         for workers in (10, 100, 1000):
@@ -173,7 +173,7 @@ def main() -> int:
         figures["seams"] = seams(place, job, size["times"])
         for warm_up, seam in figures["seams"].items():
             print(
-                f"chunks of {size['times'] // 4} times, {warm_up} to warm up: worst seam {seam['psnr_view']:+.2f} dB of error, "
+                f"chunks of {size['times'] // 4} time steps, {warm_up} to warm up: worst seam {seam['psnr_view']:+.2f} dB of error, "
                 f"{seam['psnr_change']:+.2f} dB of flicker; {seam['solves']:.2f} times the solves"
             )
         figures["kills"] = kill_often(job, place / "killed", options, 20)

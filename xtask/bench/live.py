@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
-# Largest growth of memory from the first third of the edits to the end, as a fraction.
+# Largest growth of memory after the first third of the edits, as a fraction of the memory then.
 GROWTH = 0.10
 FREEZE_S = 0.3
 

@@ -126,7 +126,7 @@ def configure():
     c.min_light_bounces = 1024
     c.light_sampling_threshold = 0.0
     c.pixel_filter_type = "BOX"
-    # Cycles' box is two widths wide
+    # the box is one pixel wide
     c.filter_width = 1.0
 
 

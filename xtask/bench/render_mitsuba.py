@@ -103,6 +103,6 @@ def render(sampler, samples, seed):
 
 
 for name in sensors:
-    # compiles the kernel
+    # this render compiles the kernel, so that later times do not include it
     render(name, 4, 1)
 view.serve(f"Mitsuba {mi.__version__} llvm_ad_rgb", list(sensors), render)

@@ -100,8 +100,9 @@ fn fuzz(target: &Target, minutes: f64, cargo_fuzz: &Path, nightly: bool) -> Outc
     fuzzer.arg(target.name).arg(&corpus).arg(&seeds).arg("--");
     let seconds = (60.0 * minutes).ceil().max(1.0);
     fuzzer.arg(format!("-max_total_time={seconds}")).arg(format!("-artifact_prefix={}/", found.display()));
-    // An input of this size takes milliseconds. Scenes may take 64 MiB there. Pictures may take the
-    // size in their header, within the readers' limits.
+    // An input of this size takes milliseconds. The target `load` limits a scene to 64 MiB.
+    // Pictures may need as much memory as the size in their header demands, within the readers'
+    // limits.
     let memory_mib = if target.name == "load" { 1024 } else { 8192 };
     fuzzer.args(["-timeout=25", "-max_len=65536", "-print_final_stats=1", "-verbosity=1"]);
     fuzzer.arg(format!("-rss_limit_mb={memory_mib}"));

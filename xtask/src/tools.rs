@@ -24,8 +24,8 @@ pub const EVERYTHING: [&str; 3] = ["--workspace", "--features", "lumistack-plugi
 /// Builds all programs, the Python module and all examples into `target/debug`. The examples
 /// include the libraries of plugins.
 ///
-/// Examples may use what tests use. Without them cargo would select fewer features than
-/// `cargo test`, and compile a third of the workspace again.
+/// Examples may use development dependencies, as tests do. Without examples cargo would select
+/// fewer features than `cargo test`, and compile a third of the workspace again.
 pub fn build_everything() -> Outcome {
     cargo(&[&["build", "--quiet"], &EVERYTHING[..], &["--lib", "--bins", "--examples"]].concat())
 }
@@ -200,7 +200,8 @@ pub fn install(python: &Path, packages: &[&str]) -> Outcome {
         install
     } else {
         let mut install = command(python);
-        // modules that a check imports are compiled then; all of them took as long as unpacking
+        // Python compiles a module when a check imports it; to compile all modules here would take
+        // as long as to unpack them
         install.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-compile"]);
         install
     };
@@ -211,7 +212,7 @@ pub fn install(python: &Path, packages: &[&str]) -> Outcome {
 pub fn make_python(folder: &Path, purpose: &str) -> Outcome {
     println!("\nfetching: a Python environment with numpy, in {} (used only {purpose})", folder.display());
     if let Some(uv) = uv() {
-        // pip is there for programs that call it
+        // `--seed` installs pip, which some programs call
         return run(command(uv).args(["venv", "--quiet", "--seed", "--clear", "--python", "python3"]).arg(folder));
     }
     venv(folder)

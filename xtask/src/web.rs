@@ -167,7 +167,8 @@ fn rustflags() -> Vec<String> {
     let home = home.or_else(|| std::env::home_dir().map(|home| home.join(".cargo"))).unwrap_or_default();
     let registries = fs::read_dir(home.join("registry/src")).into_iter().flatten().flatten();
     let mut flags = vec!["-Ctarget-feature=+simd128".to_owned()];
-    // With the component rust-src, messages of the standard library would name its sources here.
+    // With the component rust-src, messages of the standard library would contain the paths of its
+    // sources on this machine.
     if let Some(sysroot) = output_of(command("rustc").args(["--print", "sysroot"])) {
         flags.push(format!("--remap-path-prefix={}/lib/rustlib/src/rust=std", sysroot.trim()));
     }

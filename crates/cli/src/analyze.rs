@@ -44,8 +44,8 @@ pub(crate) struct Analyze {
     #[arg(long, value_name = "MM")]
     reach_mm: Option<f64>,
     /// Solve every display for gratings at many depths and frequencies (up to a minute each).
-    /// Report the contrast compared with the bound: at the solver's views, between them, and solved
-    /// for more views
+    /// Report the contrast, compared with the bound, by three measures: seen from the solver's
+    /// views, seen from the whole zone, and the same after a solve for more views
     #[arg(long)]
     contrast: bool,
     /// Folder for analysis.json and the plots, as SVG and PNG
@@ -71,7 +71,8 @@ impl FromStr for Which {
         let mut change = Variation::default();
         for part in changes.split(',').filter(|part| !part.is_empty()) {
             let (key, value) = part.split_once('=').ok_or_else(|| format!("expected KEY=VALUE, found `{part}`"))?;
-            let wrong = || format!("`{value}` is no value of {key}");
+            let wrong =
+                || format!("{key}: expected a number, or a pair such as 20x20 for fov and lenslets, found `{value}`");
             match key.trim() {
                 "layers" => change.layers = Some(value.parse().map_err(|_| wrong())?),
                 "frames" => change.frames = Some(value.parse().map_err(|_| wrong())?),
@@ -201,8 +202,8 @@ fn of_run(folder: &Path) -> Result<Scene, PipelineError> {
 
 type Measured = (String, Vec<Contrast>);
 
-/// Measures the contrast of gratings at many depths. The depths reach 1.5 times the depth of field
-/// and twice the distance of the outermost layer, at least 10 mm.
+/// Measures the contrast of gratings at many depths. The largest depth is the largest of these: 1.5
+/// times the depth of field, twice the distance of the outermost layer, and 10 mm.
 fn contrasts(displays: &[Display], all: &[Analysis], task: Task<'_>) -> Result<Vec<Measured>, PipelineError> {
     let measure = |(display, analysis): (&Display, &Analysis)| {
         let ends = analysis.depth_of_field_mm.into_iter().flatten().map(|z| 1.5 * z.abs());
@@ -230,7 +231,11 @@ fn achieved(found: &[Contrast]) -> [String; 3] {
         format!("  {head:15} {of}: {}", cutoffs.join(", "))
     };
     [
-        line("Achieved", "half contrast, × the pixels' own, solved for more views", Achieved::WithMoreViews),
+        line(
+            "Achieved",
+            "half contrast, × the finest detail of the pixels, solved for more views",
+            Achieved::WithMoreViews,
+        ),
         line("", "solved for its own views, seen from the whole zone", Achieved::InBetween),
         line("", "seen from these views alone", Achieved::AtTheViews),
     ]

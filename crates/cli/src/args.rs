@@ -46,12 +46,12 @@ pub(crate) enum Command {
     New(crate::new::New),
     /// Render the views of a scene alone, into a light-field folder
     #[command(
-        after_help = "Examples:\n  lumistack render model.glb -o views                                    all views of the display, exposed and tone-mapped\n  lumistack render model.glb --linear --layers depth,normal -o views     scene-linear radiance, with depth and normals\n  lumistack render model.glb --only-views 3,* -o row                     the middle row of 7 × 7 views\n\nViews are OpenEXR pictures; lightfield.json states the geometry of their rays. `lumistack factorize DIR -o RUN` reads the folder."
+        after_help = "Examples:\n  lumistack render model.glb -o views                                    all views of the display, exposed and tone-mapped\n  lumistack render model.glb --linear --layers depth,normal -o views     scene-linear radiance, with depth and normals\n  lumistack render model.glb --views 7x7 --only-views 3,* -o row         the middle one of seven rows of views\n\nViews are OpenEXR pictures; lightfield.json states the geometry of their rays. `lumistack factorize DIR -o RUN` reads the folder."
     )]
     Render(Render),
-    /// Factorize a light field that another program rendered into layer patterns
+    /// Make layer patterns from a given light field, for example one that another program rendered
     #[command(
-        after_help = "Reads our own light-field folders, HCI and Stanford folders, quilts and .npy arrays [view_y][view_x][row][col][rgb].\n\nExample:\n  lumistack factorize views.npy --grid oblique --fov 20x20 --pitch-mm 2.961 --display paper-three-layer -o runs/views\n  lumistack factorize times/ --sequence --fov 20x20 --pitch-mm 2.961 -o runs/times      times/t0001.npy, times/t0002.npy, ..."
+        after_help = "Reads our own light-field folders, HCI and Stanford folders, quilts and .npy arrays [view_y][view_x][row][col][rgb].\n\nExamples:\n  lumistack factorize views.npy --grid oblique --fov 20x20 --pitch-mm 2.961 --display paper-three-layer -o runs/views\n  lumistack factorize times/ --sequence --fov 20x20 --pitch-mm 2.961 -o runs/times      times/t0001.npy, times/t0002.npy, ..."
     )]
     Factorize(Factorize),
     /// Write the picture that the display of a finished run shows, seen from a direction or
@@ -297,8 +297,9 @@ pub(crate) struct Info {
     /// View the scene from this azimuth and elevation, degrees
     #[arg(long, value_name = "AZ,EL", allow_hyphen_values = true, requires = "display", help_heading = "Depth")]
     pub(crate) look_from: Option<Numbers<2>>,
-    /// Bring the scene into the display's depth of field: auto (as compress, if the scene does not
-    /// fit), off, move (the window only) or compress (also depth). Without HOW: move
+    /// Bring the scene into the display's depth of field: auto, off, move or compress. With move,
+    /// the window moves along its normal. With compress, it moves, and depth is compressed if the
+    /// scene still does not fit. Auto acts as compress if the scene does not fit. Without HOW: move
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"], requires = "display", help_heading = "Depth")]
     pub(crate) fit_depth: Option<String>,
     #[command(flatten)]

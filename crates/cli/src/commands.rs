@@ -151,14 +151,14 @@ fn finish(
             let zone = node.psnr_zone.map_or(String::new(), |psnr| format!("{psnr:.1} dB over the zone, "));
             say!("{}: PSNR {zone}{:.1} dB at the solver's views", node.id, node.psnr_view);
         }
-        say!("{} displays; {:.0} s", summary.nodes.len(), summary.seconds);
+        say!("displays: {}; {:.0} s", summary.nodes.len(), summary.seconds);
         say!("{}", summary.report.display());
     } else {
         let zone = match (summary.psnr_zone, summary.psnr_zone_worst) {
             (Some(zone), Some(worst)) => format!("{zone:.1} dB over the zone (worst tenth {worst:.1}), "),
             _ => String::new(),
         };
-        let others = [("between them", summary.psnr_held_out), ("outside", summary.psnr_outside)];
+        let others = [("between them", summary.psnr_held_out), ("outside of them", summary.psnr_outside)];
         let others = others.map(|(name, psnr)| psnr.map_or(String::new(), |psnr| format!(", {name} {psnr:.1}")));
         if let Some(sentence) = &summary.depth_sentence {
             say!("Depth: {sentence}");

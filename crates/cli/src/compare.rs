@@ -14,7 +14,7 @@ use crate::values::Numbers;
 
 pub(crate) const EXAMPLES: &str = "\
 Examples:
-  lumistack compare runs/three-layer runs/directional -o compared         both at the first run's views: against its target, and against each other
+  lumistack compare runs/three-layer runs/directional -o compared         both runs at the first run's views: each against the first run's target, and the second against the first
   lumistack compare runs/figure-9 -o compared                             all displays of a run that has several, in one picture
   lumistack compare runs/a/nodes/tensor runs/a/nodes/barrier              two displays of one run
   lumistack compare runs/a photo.png --eye 0,0,2000 --corners 210,160,1830,150,1850,1170,190,1180 -o compared
@@ -101,9 +101,10 @@ pub(crate) fn run(args: &Compare, json: bool, task: Task<'_>) -> Result<(), Pipe
         say!("{:30} {text}", format!("{name} all over its zone:"));
     }
     say!("{:30} {} ({} directions)", "Second against the first:", text_of(&found.between), found.directions);
-    for (name, likeness) in [("First against its target", &found.first), ("Second against it", &found.second)] {
+    for (name, likeness) in [("First against its target", &found.first), ("Second against that target", &found.second)]
+    {
         if let Some(likeness) = likeness {
-            say!("{:30} {} ({} views)", format!("{name}:"), text_of(likeness), found.views);
+            say!("{:30} {} (views: {})", format!("{name}:"), text_of(likeness), found.views);
         }
     }
     found.pictures.iter().chain(&focused).for_each(|path| say!("{}", path.display()));

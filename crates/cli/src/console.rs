@@ -40,7 +40,7 @@ pub(crate) fn print_line(text: std::fmt::Arguments<'_>) {
 const PLAIN_INTERVAL: Duration = Duration::from_millis(2500);
 /// Interval at which a thread checks whether a report is due.
 const TICK: Duration = Duration::from_millis(250);
-/// Time after which a stage of a single step is announced.
+/// A stage of a single step is announced only if it takes longer than this.
 const LAZY: Duration = Duration::from_secs(1);
 
 /// Output of progress and warnings.

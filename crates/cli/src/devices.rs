@@ -71,9 +71,9 @@ pub(crate) fn run(as_json: bool) -> Result<(), PipelineError> {
     match (&adapters, first) {
         (Err(why), _) => say!("cpu: {why}; the processor solves"),
         (Ok(_), None) => {
-            say!("no graphics processor with Vulkan, Metal or Direct3D 12: `--device auto` takes the processor")
+            say!("no graphics processor with Vulkan, Metal or Direct3D 12: `--device auto` uses the processor")
         }
-        (Ok(_), Some(_)) => say!("* is what `--device auto` takes"),
+        (Ok(_), Some(_)) => say!("`--device auto` uses the adapter after the *"),
     }
     Ok(())
 }

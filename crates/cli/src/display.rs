@@ -19,7 +19,7 @@ use crate::values::{Angles, Numbers, Size};
 pub(crate) enum DisplayCommand {
     /// Write a display file for your own panels; ask questions about missing options
     #[command(
-        after_help = "Examples:\n  lumistack display new my-display.toml\n  lumistack display new my-display.toml --gaps-mm 40,40 --panel-resolution 1680x1050 --diagonal-inch 22 --outputs DP-1,DP-2,DP-3 --no-questions\n\nA display of one layer has --gaps-mm 0. With --lens-pitch-mm another panel is behind a lens array, and one layer is the default."
+        after_help = "Examples:\n  lumistack display new my-display.toml\n  lumistack display new my-display.toml --gaps-mm 40,40 --panel-resolution 1680x1050 --diagonal-inch 22 --outputs DP-1,DP-2,DP-3 --no-questions\n\nA display of one layer has --gaps-mm 0. With --lens-pitch-mm the display has one more panel than layers: the rearmost,\nbehind a lens array. --gaps-mm is then 0 by default, a single layer."
     )]
     New(Box<New>),
     /// Compute the positions of the panels from photographs of
@@ -62,8 +62,8 @@ pub(crate) struct New {
     /// Full horizontal and vertical field of view, degrees [default: 20x20, or that of the lenses]
     #[arg(long, value_name = "HxV")]
     pub(crate) fov: Option<Angles>,
-    /// Time-multiplexed frames M [default: the most whose period repeats at least 60 times a
-    /// second]
+    /// Time-multiplexed frames M [default: as many as do not flicker: the refresh rate divided by
+    /// 60, rounded down, at least 1]
     #[arg(long, value_name = "M")]
     pub(crate) frames: Option<usize>,
     /// Refresh rate of the panels, hertz [default: that of the outputs, or 60]
@@ -384,7 +384,7 @@ fn calibrate_display(args: &Calibrate, json: bool) -> Result<(), PipelineError> 
         }
     }
     if !json {
-        say!("distortion of the lens: {:.4} and {:.4}", camera.distortion[0], camera.distortion[1]);
+        say!("radial distortion of the camera's lens: k1 {:.4}, k2 {:.4}", camera.distortion[0], camera.distortion[1]);
     }
     if args.dry_run {
         return Ok(());

@@ -199,7 +199,7 @@ fn panels() -> Found {
         Ok(outputs) if outputs.is_empty() => {
             Found::Missing("no output".into(), "docs/PANELS.md explains how panels are connected".into())
         }
-        Ok(outputs) => Found::Good(format!("{} outputs: {}", outputs.len(), outputs.join(", "))),
+        Ok(outputs) => Found::Good(format!("outputs: {}", outputs.join(", "))),
         Err(found) => Found::Missing(found, "`lumistack preview RUN` shows a display in the browser instead".into()),
     }
 }

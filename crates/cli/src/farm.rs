@@ -19,7 +19,8 @@ use crate::values::{duration_text, size_text};
 pub(crate) const EXAMPLES: &str = "\
 Examples:
   lumistack farm job.toml -o runs/shot                                two workers on this machine, through dask.distributed
-  lumistack farm job.toml -o /mnt/shots/one --dask tls://head:8786    on the workers of a Dask scheduler, which share the folder
+  lumistack farm job.toml -o /mnt/shots/one --dask tls://head:8786 --tls-ca ca.pem --tls-cert me.pem --tls-key me-key.pem
+                                                                      on the workers of a Dask scheduler, which share the folder
   lumistack farm plan job.toml -o runs/shot                           the units of work with their inputs, times and memory
   lumistack farm export makefile job.toml -o runs/shot --to Makefile  then `make -j8` runs the units
   lumistack farm export openjd job.toml -o /mnt/shots/one --to jobs   for a farm manager
@@ -95,12 +96,12 @@ enum What {
         job: JobArgs,
         #[command(flatten)]
         cut: CutArgs,
-        /// Folder to write. For a format of one file, also the file: a name with an extension, or
-        /// the file's own name
+        /// Folder to write into. A format of one file also takes the file's path, if its name has
+        /// an extension or is the format's own file name, such as Makefile
         #[arg(long, value_name = "FILE|DIR", default_value = ".")]
         to: PathBuf,
         /// Command line that starts the program on a worker; spaces separate its words [default:
-        /// this program for make and shell, otherwise lumistack]
+        /// this program for makefile and shell, otherwise lumistack]
         #[arg(long, value_name = "WORDS")]
         program: Option<String>,
         /// Path mapping from this machine to the workers; may be given several times
@@ -340,8 +341,8 @@ fn print(plan: &FarmPlan, dir: &Path, workers: &[usize], json: bool) {
     say!("{count} units in {folder}; predicted time on so many workers: {predicted}");
 }
 
-/// Ends the process when standard input ends, since then the worker that started it is gone. Files
-/// are complete or absent at any time.
+/// Ends the process when standard input ends, since then the worker that started it is gone. This
+/// is safe at any time, since files appear only when they are complete.
 fn end_with_input() {
     std::thread::spawn(|| {
         let mut rest = [0; 64];

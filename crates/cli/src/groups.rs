@@ -58,9 +58,10 @@ pub(crate) struct RenderArgs {
     #[arg(long, value_name = "N")]
     pub(crate) max_bounces: Option<u32>,
     /// Filter that removes noise from views: auto, shared, off, guided or oidn. With shared, light
-    /// that does not depend on the direction of view is averaged over all views that see the point.
-    /// With guided, Lumistack's filter works on all views together. With oidn, Open Image Denoise
-    /// filters each view, if it is installed
+    /// of a surface point that does not depend on the direction of view is averaged over all views
+    /// that see this point. With guided, Lumistack's filter works on all views together. With oidn,
+    /// Open Image Denoise filters each view, if it is installed. Auto is shared if the display
+    /// chooses the views and Lumistack's path tracer renders them, otherwise off
     #[arg(long, value_name = "KIND")]
     pub(crate) denoise: Option<lumistack_pipeline::Denoise>,
     /// Camera, by name or number; its plane of focus becomes the display plane
@@ -71,8 +72,9 @@ pub(crate) struct RenderArgs {
     /// front, or another side if the front shows hardly anything]
     #[arg(long, value_name = "AZ,EL", allow_hyphen_values = true)]
     pub(crate) look_from: Option<Numbers<2>>,
-    /// Nearest visible distance: auto (a camera's near plane, or what the display can show), off,
-    /// or a distance in front of the window, scene units
+    /// Nearest visible distance: auto, off, or a distance in front of the window, scene units. Auto
+    /// is a camera's near plane; for a window that the job places, the distance where the display
+    /// shows hardly any detail; otherwise off
     #[arg(long, value_name = "auto|off|D", allow_hyphen_values = true)]
     pub(crate) near: Option<lumistack_pipeline::Near>,
     /// Show light sources that have a surface [default: as the file states, otherwise no]
@@ -102,8 +104,8 @@ pub(crate) struct RenderArgs {
     /// Factor on the light of the environment or the studio light
     #[arg(long, value_name = "K")]
     pub(crate) environment_strength: Option<f32>,
-    /// Rotation of the environment about the up axis, degrees; above 0, the part of it straight
-    /// ahead moves to the left
+    /// Rotation of the environment about the up axis, degrees; positive values move the part that
+    /// lies straight ahead to the left
     #[arg(long, value_name = "DEG", allow_hyphen_values = true)]
     pub(crate) environment_rotation: Option<f64>,
     /// Background where a ray misses every surface: environment, or a colour such as #202028; a
@@ -116,15 +118,17 @@ pub(crate) struct RenderArgs {
     /// Tone curve of all views: auto, linear, khronos-neutral or agx
     #[arg(long, value_name = "CURVE", value_parser = ["auto", "linear", "khronos-neutral", "agx"])]
     pub(crate) tone: Option<String>,
-    /// Bring the scene into the display's depth of field: auto (as compress, if the scene does not
-    /// fit), off, move (the window only) or compress (also depth). Without HOW: move
+    /// Bring the scene into the display's depth of field: auto, off, move or compress. With move,
+    /// the window moves along its normal. With compress, it moves, and depth is compressed if the
+    /// scene still does not fit. Auto acts as compress if the scene does not fit; but a window that
+    /// the job places stays, and a given depth scale stays. Without HOW: move
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"])]
     pub(crate) fit_depth: Option<String>,
     /// Factor on the parallax between views, and thereby on depth
     #[arg(long, value_name = "K")]
     pub(crate) depth_scale: Option<f64>,
-    /// Aperture of a lens that is focused on the display plane, as the full angle seen from there,
-    /// degrees. Content off the plane blurs [default: 0, no lens]
+    /// Full angle of a lens's aperture, seen from the display plane, degrees. The lens is focused
+    /// on the display plane; content off the plane blurs [default: 0, no lens]
     #[arg(long, value_name = "DEG")]
     pub(crate) lens_deg: Option<f64>,
     /// Seed of all random streams
@@ -270,7 +274,8 @@ pub(crate) struct GeometryArgs {
     /// Columns and rows of a quilt whose name does not state them
     #[arg(long, value_name = "CxR")]
     pub(crate) quilt: Option<Size>,
-    /// Views of a single picture of tiles, view (0, 0) at the top left
+    /// Number of views of a picture that has all views as tiles, view (0, 0) at the top left;
+    /// horizontal and vertical
     #[arg(long, value_name = "HxV")]
     pub(crate) tiles: Option<Size>,
     /// Reduce every view to this many columns and rows

@@ -66,7 +66,8 @@ pub(crate) struct Live {
     /// Do not open the browser
     #[arg(long)]
     pub(crate) no_open: bool,
-    /// Also drive panels, in a build with panels: outputs, span or window (see `lumistack show`)
+    /// Also show it, in a build with panels: outputs (one surface per panel), span (as show --span)
+    /// or window (a preview, as show --preview)
     #[arg(long, value_name = "MODE", value_parser = ["outputs", "span", "window"])]
     pub(crate) show: Option<String>,
     /// Largest number of iterations between two states shown; fewer if they would take longer than
@@ -207,7 +208,7 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
     let _ = std::fs::remove_dir_all(&site);
     let dropped = ended.map_err(in_input)?;
     let Some((number, state)) = shared.states.after(0) else { return Err(PipelineError::Cancelled) };
-    // The first Ctrl-C ended the display; a second one would end the program.
+    // Ctrl-C may have set the flag of `task`, which would stop these last steps too.
     let cancel = Cancel::default();
     let report = folder.finish(
         &shared.requests.job(),
@@ -222,8 +223,8 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
             json!({"event": "done", "states": number, "dropped": dropped, "psnr_view": psnr_view, "report": report.to_string_lossy()})
         );
     } else {
-        let video = if args.times { format!(", {dropped} time steps skipped") } else { String::new() };
-        say!("{number} states{video}; the last has PSNR {psnr_view:.1} dB at the solver's views");
+        let video = if args.times { format!(", skipped time steps: {dropped}") } else { String::new() };
+        say!("states: {number}{video}; the last has PSNR {psnr_view:.1} dB at the solver's views");
         say!("{}", report.display());
     }
     Ok(())

@@ -91,8 +91,8 @@ fn job_text(args: &New, registry: &Registry, ask: &mut Questions<'_>) -> Result<
         Some(PathBuf::from(text)).filter(|path| is_scene(path))
     })?;
     if !is_scene(&scene) {
-        let found = if scene.is_dir() { "a folder" } else { "no file of such a name" };
-        return Err(PipelineError::value(&scene, "--scene", "a scene file whose name is UTF-8", found));
+        let found = if scene.is_dir() { "a folder" } else { "no such file" };
+        return Err(PipelineError::value(&scene, "--scene", "a scene file that exists and whose name is UTF-8", found));
     }
     let known = |text: &str| DisplayJob::by_name_or_path(text).resolve();
     let question = format!("Display, one of {}, or a display file", presets::names().collect::<Vec<_>>().join(", "));
@@ -103,7 +103,10 @@ fn job_text(args: &New, registry: &Registry, ask: &mut Questions<'_>) -> Result<
     known(&display)?;
     let is_output = |id: &str| writers(registry).any(|(known, _)| known == id);
     let list = |text: &str| text.split(',').map(|id| id.trim().to_owned()).collect::<Vec<_>>();
-    let question = format!("Outputs, of {}", writers(registry).map(|(id, _)| id).collect::<Vec<_>>().join(", "));
+    let question = format!(
+        "Outputs, one or more of {}, separated by commas",
+        writers(registry).map(|(id, _)| id).collect::<Vec<_>>().join(", ")
+    );
     let default = Some((OUTPUTS.into(), list(OUTPUTS)));
     let outputs = ask.value("--outputs", &question, args.outputs.clone(), default, |text| {
         Some(list(text)).filter(|ids| ids.iter().all(|id| is_output(id)))
@@ -259,7 +262,7 @@ mod tests {
         assert_eq!(names, ["images", "preview"]);
         for (words, message) in [
             (&["no-such-job.toml"][..], "--scene: expected Scene file"),
-            (&["no-such-job.toml", "--scene", "no.glb"], "found no file of such a name"),
+            (&["no-such-job.toml", "--scene", "no.glb"], "found no such file"),
             (&["no-such-job.toml", "--scene", &scene, "--display", "paper-tree-layer"], "paper-three-layer"),
             (&["no-such-job.toml", "--scene", &scene, "--outputs", "panels"], "found `panels`"),
         ] {

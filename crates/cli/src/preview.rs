@@ -101,7 +101,7 @@ fn source_of(dir: &Path, task: Task<'_>) -> Result<Source, PipelineError> {
     let found = match std::fs::metadata(dir) {
         Err(error) => error.to_string(),
         Ok(data) if !data.is_dir() => "a file".into(),
-        Ok(_) if dir.join("t0001").is_dir() => "a sequence: name one of its times, such as t0001".into(),
+        Ok(_) if dir.join("t0001").is_dir() => "a sequence: name one of its time steps, such as t0001".into(),
         Ok(_) => "neither stack/preview.json nor layers/stack.json in it".into(),
     };
     Err(PipelineError::value(dir, "folder", "a run or a preview", found))
@@ -132,7 +132,7 @@ impl Source {
     fn refresh(&self, registry: &Registry, task: Task<'_>) -> Result<(), PipelineError> {
         let Some(run) = &self.run else { return Ok(()) };
         // Compare contents at the first call, and later only after the length or time of a file has
-        // changed. The new time may also be older.
+        // changed, to a newer or an older time.
         let before = files_of(run, &self.site);
         let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
         if seen.as_ref() == Some(&before) {

@@ -36,8 +36,9 @@ pub(crate) struct Sweep {
     /// memory, without running it
     #[arg(long)]
     plan: bool,
-    /// Plots of the table [default: few]. `few` are maps of one pair of N, M and β, and a plot for
-    /// every other axis; `all` are maps of every pair, and curves along every axis
+    /// Plots of the table [default: few]. With few, maps over one pair of axes, and one plot of
+    /// curves for every other axis, six plots at most. The pair is the first that varies of M and
+    /// N, M and β, N and β. With all, maps over each of these pairs, and curves along every axis
     #[arg(long, value_enum)]
     plots: Option<PlotsArg>,
     #[command(flatten)]
@@ -221,9 +222,9 @@ pub(crate) fn run(args: &Sweep, registry: &Registry, json: bool, task: Task<'_>)
     }
     summary.plots.iter().for_each(|plot| say!("{}", plot.display()));
     if summary.more_plots > 0 {
-        say!("{} more plots with --plots all", summary.more_plots);
+        say!("more plots with --plots all: {}", summary.more_plots);
     }
-    say!("{} designs, {} of them solved earlier", summary.designs, summary.kept);
+    say!("designs: {}, solved earlier: {}", summary.designs, summary.kept);
     say!("{}", summary.csv.display());
     Ok(())
 }
@@ -253,7 +254,7 @@ fn text_of(row: &Row) -> String {
         if d.lenslets == [0, 0] { String::new() } else { format!(", {} × {} lenslets", d.lenslets[0], d.lenslets[1]) };
     let of = if row.psnr_zone_db.is_some() { " over the zone" } else { "" };
     format!(
-        "{:.1} dB{of}: {} with {} layers, {} frames{lenses}, β = {}, {:.1} mm thick, {:.0} Hz, {} panels",
+        "{:.1} dB{of}: {}; layers: {}, frames: {}{lenses}, β = {}, {:.1} mm thick, {:.0} Hz, panels: {}",
         row.quality_db(),
         d.display,
         d.layers,

@@ -26,7 +26,8 @@ use crate::json::{map_of, parsed, table, to_python};
 /// * frames: time-multiplexed frames M, 1 to 1000
 /// * brightness: brightness scale β, above 0 and at most 1: the display emits β times the target
 /// * sampling: "nearest" or "bilinear" interpolation of a layer between pixel centres
-/// * missing: "drop" or "clear": how rays that leave a layer are treated
+/// * missing: value of rays that miss a layer: "drop" (weight 0) or "clear" (as if the layer were
+///   not there)
 ///
 /// Displays are immutable; they compare by value and can be pickled.
 ///

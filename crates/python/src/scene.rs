@@ -118,7 +118,7 @@ impl Scene {
         importer: Option<&Bound<'_, PyAny>>,
         callback: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
-        // both accept a name or a number
+        // animation and variant may be a name or a number
         let [animation, variant] = [animation, variant].map(|choice| choice.map(|choice| choice.str()).transpose());
         let (animation, variant) = (animation?.map(Bound::into_any), variant?.map(Bound::into_any));
         let pose = [

@@ -96,7 +96,10 @@ pub(crate) fn walk(py: Python<'_>, stage: Option<&Bound<'_, PyAny>>, path: &Path
         exception(
             py,
             "InternalError",
-            &format!("internal error, a bug in Lumistack: {error}; please report it with the file"),
+            &format!(
+                "{}: internal error, a bug in Lumistack: {error}; please report it with this file",
+                path.display()
+            ),
         )
     })?;
     // Keep the arrays; arrays with gaps are copied.

@@ -1,4 +1,5 @@
-"""Runs whose workers share no folder: files go through an object store, and results have the same bytes as on one machine."""
+"""Runs whose workers share no folder: files go through an object store, and results have the same
+bytes as on one machine."""
 
 from __future__ import annotations
 

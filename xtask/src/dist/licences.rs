@@ -130,7 +130,7 @@ impl Licences {
     /// Lists all parts with their licences, then every licence text with the parts that have it.
     pub fn text(&self) -> String {
         let mut text =
-            String::from("Lumistack is made of these packages of Rust, each under the licence beside it.\n\n");
+            String::from("Lumistack is made of these packages of Rust. The licence of each follows its name.\n\n");
         let mut texts: BTreeMap<String, Vec<&str>> = BTreeMap::new();
         let foreign = self.0.iter().filter(|(_, part)| part.sum.is_some());
         for (id, part) in foreign {

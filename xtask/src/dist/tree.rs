@@ -24,7 +24,8 @@ const COMPLETIONS: [(&str, &str); 3] = [
     ("fish", "share/fish/vendor_completions.d/lumistack.fish"),
 ];
 
-/// Folder of documents, with the links between them.
+/// Folder of documents. They have the same places in it as in the repository, so links between them
+/// lead to the right files.
 const DOCUMENTS: &str = "share/doc/lumistack";
 
 /// Files of the repository, and their folder in an installation.
@@ -39,7 +40,7 @@ const COPIED: [(&str, &str); 11] = [
     ("docs/plugins", DOCUMENTS),
     ("docs/schema", DOCUMENTS),
     ("scenes/still-life", "share/lumistack"),
-    // checks the scene's job
+    // the schema that the first line of the scene's job names
     ("docs/schema", "share/lumistack"),
 ];
 

@@ -26,7 +26,7 @@ pub(super) struct Requests {
     /// The newest request.
     pub(super) newest: Mailbox<Request>,
     tracker: Mutex<Tracker>,
-    /// Flag of the running pass, which a newer request makes useless.
+    /// Cancels the running pass, which a newer request makes useless.
     pass: Mutex<Option<Cancel>>,
     stopped: AtomicBool,
     /// The end of standard input also stops the display.

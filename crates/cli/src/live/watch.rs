@@ -21,7 +21,7 @@ pub(super) struct Watched {
 impl Watched {
     /// Returns whether files have changed and are complete: two calls in a row must find the same
     /// states. A path that was not in `files` at the last call has changed if its file was written
-    /// after `read`. At that time the program began to read it.
+    /// after `read`, the time at which the program began to read it.
     pub(super) fn have_changed(&mut self, files: &[PathBuf], read: SystemTime) -> bool {
         let now: BTreeMap<PathBuf, FileStates> = files.iter().map(|path| (path.clone(), states(path))).collect();
         self.seen.retain(|path, _| now.contains_key(path));

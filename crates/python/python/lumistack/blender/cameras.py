@@ -8,8 +8,8 @@ A view of slope s shows at the point (x, y) of the plane z = 0 the content on th
     perspective    a pinhole at the eye (D s_x, D s_y, D) that looks straight ahead; its picture is
                    shifted to the window: shift = -D s / width, in widths of the picture
 
-A shear is no product of location, rotation and scale, so it is set as the inverse matrix of the
-camera's parent.
+A shear is no product of location, rotation and scale, so it is set as the camera's
+`matrix_parent_inverse`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ NEAREST = 1e-4
 
 
 class WindowError(ValueError):
-    """A camera or a view without a picture."""
+    """No window or camera of Blender fits the settings; the message names the setting."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Window:
 
     def moved_back(self, by_mm: float, distance_mm: float | None = None) -> Window:
         """Moves the window so that depth -by_mm comes to the display plane. The view from the
-        middle stays: before an eye the window grows with the distance."""
+        middle stays the same, so with an eye the window grows with its distance from the eye."""
         factor = 1.0 if distance_mm is None else (distance_mm + by_mm) / distance_mm
         centre = self.point((0.0, 0.0, -by_mm))
         return Window(centre, self.right, self.up, self.back, self.scale * factor, self.size_mm)
@@ -119,7 +119,7 @@ def window_of_camera(
     if not (math.isfinite(width) and width > 0.0):
         raise WindowError(f"camera: expected a picture of finite width, found {width}")
     columns = [tuple(matrix[row][column] for row in range(3)) for column in range(4)]
-    # A camera's scale has no effect in Blender.
+    # A camera's scale has no effect in Blender, so the axes are normalized.
     right, up, back = (_unit(column) for column in columns[:3])
     middle = ((max(xs) + min(xs)) / 2, (max(ys) + min(ys)) / 2)
     origin = columns[3]

@@ -71,7 +71,7 @@ def in_scene(range_mm: Sequence[float] | None, depth_scale: float, distance_mm: 
     if distance_mm is None:
         low, high = (depth / depth_scale for depth in range_mm)
         return low, high
-    # content behind the window has a parallax above -1
+    # parallax tends to -1 for content infinitely far behind the window
     parallax = (-1.0 if depth == -math.inf else _parallax(depth, distance_mm) / depth_scale for depth in range_mm)
     low, high = (-math.inf if part <= -1.0 else distance_mm * part / (1.0 + part) for part in parallax)
     return low, high

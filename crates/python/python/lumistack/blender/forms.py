@@ -38,7 +38,7 @@ def fields_of(plugin: Mapping[str, Any]) -> list[Field]:
 
 def _field(plugin: str, param: Mapping[str, Any]) -> Field:
     name, kind = param["name"], param["kind"]
-    # Numbers without a unit have the unit 1.
+    # Plugins state "1" as the unit of a plain number; a label does not show it.
     unit = f" ({param['unit']})" if param.get("unit") not in (None, "", "1") else ""
     default, least, most = param.get("default"), param.get("min"), param.get("max")
     if kind == "int":
@@ -69,7 +69,7 @@ def given(fields: Sequence[Field], values: Mapping[str, Any]) -> dict[str, Any]:
     for each in fields:
         value = values[each.identifier]
         if each.kind == "float" and abs(value - each.default) <= 1e-6 * max(abs(each.default), 1e-6):
-            # Blender stores single precision.
+            # Blender stores single precision, so an unchanged default may differ slightly.
             continue
         if value != each.default:
             changed[each.name] = value

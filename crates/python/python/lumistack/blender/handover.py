@@ -191,7 +191,7 @@ def _add_lights(bpy: Any, scene: Any, file: Glb, warn: Warn) -> None:
         if held.type == "LIGHT" and is_rendered(held.original):
             placed.append((held.original, instance.matrix_world.copy()))
     there = {held for held, _ in placed}
-    # Lights that the viewport hides and a render shows.
+    # Add lights that the viewport hides and a render shows.
     placed += [(held, held.matrix_world) for held in scene.objects if held.type == "LIGHT" and held not in there and is_rendered(held)]
     for held, matrix in placed:
         _add_light(held, matrix, file, warn)

@@ -62,8 +62,8 @@ def slope_of_mouse(mouse_px: Sequence[float], size_px: Sequence[float], fov_deg:
 
 
 def cage(size: float, shift: Sequence[float], width: float) -> list[float]:
-    """The matrix of a frame that the user drags, column by column; `width` is that of the camera's
-    picture in its plane, in units."""
+    """The matrix of a frame that the user drags, column by column; `width`: width of the camera's
+    picture in the window's plane, scene units."""
     x, y = (part * width for part in shift)
     return [size, 0.0, 0.0, 0.0, 0.0, size, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, x, y, 0.0, 1.0]
 

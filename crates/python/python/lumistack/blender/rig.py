@@ -87,11 +87,11 @@ class Rig:
         bpy, scene = self._bpy, self._scene
         data = bpy.data.cameras.new(TEMPORARY)
         self._camera = bpy.data.objects.new(TEMPORARY, data)
-        # Blender multiplies a child's matrix with one of its parent's, which may be a shear.
+        # `matrix_parent_inverse`, which may be a shear, has an effect only if there is a parent.
         self._holder = bpy.data.objects.new(TEMPORARY, None)
         for held in (self._holder, self._camera):
             scene.collection.objects.link(held)
-            # The 3D view does not show it.
+            # Hide both objects in the 3D view.
             held.hide_viewport = True
         self._camera.parent = self._holder
         data.sensor_fit, data.sensor_width = "HORIZONTAL", SENSOR_MM

@@ -100,7 +100,7 @@ def _rendered(bpy: Any, scene: Any, depsgraph: Any) -> Iterator[tuple[Any, Any]]
             visited.add(key)
             yield held, shown
     there = {name for name, _ in visited}
-    # Objects that the viewport hides and a render shows.
+    # Add objects that the viewport hides and a render shows.
     for held in scene.objects:
         if held.name not in there and is_rendered(held):
             yield held, held
@@ -128,8 +128,7 @@ def _materials(shown: Any) -> Iterable[Any]:
 def _output(material: Any) -> Any:
     """The output node that Cycles uses; None for a material without nodes."""
     tree = material.node_tree
-    # Later versions have nodes in every material, and a deprecated property says that they are
-    # used.
+    # Later versions of Blender use the nodes of every material, and `use_nodes` may be missing.
     if tree is None or not getattr(material, "use_nodes", True):
         return None
     return tree.get_output_node("CYCLES") or tree.get_output_node("ALL")
@@ -141,7 +140,7 @@ def _reasons(output: Any) -> Iterator[str]:
         yield "displacement"
     nodes = list(_behind(output.inputs["Surface"], ()))
     kinds = {node.type for node, _ in nodes}
-    # The usual way to make a surface that is independent of light.
+    # A node Light Path without a BSDF is the usual way to make a surface that ignores light.
     shadeless = "LIGHT_PATH" in kinds and not any(kind.startswith("BSDF") and kind != "BSDF_TRANSPARENT" for kind in kinds)
     for node, socket in nodes:
         if node.type in MIXED_SHADERS and shadeless:

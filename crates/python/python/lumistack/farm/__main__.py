@@ -74,8 +74,8 @@ def main(arguments: list[str] | None = None) -> int:
     if given.json:
         print(json.dumps({"event": "done", "seconds": outcome.seconds, "units": len(outcome.done), "lost": outcome.lost}))
     else:
-        lost = f", {outcome.lost} done again" if outcome.lost else ""
-        print(f"{len(outcome.done)} units done{lost}, {outcome.before} before; {outcome.seconds:.0f} s")
+        lost = f" (of these again: {outcome.lost})" if outcome.lost else ""
+        print(f"units done: {len(outcome.done)}{lost}, done before: {outcome.before}; {outcome.seconds:.0f} s")
         print(f"{given.folder}/report.html" if "finish" in outcome.done else given.folder)
     return 0
 

@@ -30,7 +30,7 @@ MOST_LOSSES = 50
 WORKER_SECONDS = 60.0
 # Interval of checks of the workers while all units run, seconds.
 TEND_SECONDS = 2.0
-# Name of the resource that workers may offer, bytes.
+# Name of the resource by which workers may offer memory; its unit is bytes.
 MEMORY = "memory"
 
 
@@ -497,7 +497,7 @@ class Engine:
         for message, units in causes.items():
             others = f" and {len(units) - 1} more" if len(units) > 1 else ""
             told.append(f"unit {units[0]}{others} failed {MOST_FAILURES} times: {message}")
-        waits = f"; {len(outcome.left)} units that depend on it were not started" if outcome.left else ""
+        waits = f"; units that depend on it were not started: {len(outcome.left)}" if outcome.left else ""
         raise FarmError(f"{'; '.join(told)}{waits}; {kept}")
 
 

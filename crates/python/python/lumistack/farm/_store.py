@@ -132,7 +132,8 @@ class Store:
     def pull(self, names: Iterable[str], folder: Path) -> list[str]:
         """Copies the files of lists into a folder, later lists last; returns the lists that do not exist.
 
-        A file stays as it is where its content is that of the list: bookkeeping that several units wrote is the last one's.
+        A file whose content is already that of the list is not written again. If several units wrote a file, such as
+        the run's bookkeeping, the version of the last list is used.
         """
         wanted: dict[str, dict[str, Any]] = {}
         missing = []

@@ -59,8 +59,8 @@ def probe(words: list[str] | None, folder: str, store: dict[str, Any] | None = N
 
 
 def _is_wanted() -> bool:
-    """Returns whether the client still waits for the task of this thread. It may be gone, or may have
-    cancelled the task."""
+    """Returns whether the client still waits for the task of this thread. The client may be gone, or
+    may have cancelled the task."""
     try:
         from distributed import get_worker
 
