@@ -74,7 +74,8 @@ static void misbehave(const char *what) {
         for (;;) pause();
     }
     if (!strcmp(what, "close all")) {
-        /* the thread that reads messages waits for the next one again: it is not told that its end is closed, and would end the process itself */
+        /* wait until the thread that reads messages blocks in its next read: there it does not
+           notice that its pipe is closed; earlier, it would end the process */
         usleep(100000);
         for (int fd = 3; fd < 64; fd++) close(fd);
         for (;;) pause();

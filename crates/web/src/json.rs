@@ -1,4 +1,4 @@
-//! Parses JSON. The browser's own parser is used there, since another would be a fifth of the
+//! Parses JSON. In the browser its own parser is used, since another would be a fifth of the
 //! module.
 
 use serde::de::DeserializeOwned;

@@ -112,7 +112,7 @@ impl Picture {
                 (mask_lookup(&place, layer.resolution, layer.pitch_mm, panel.resample), encoder)
             }
         };
-        // Outside a mask a panel is neutral if rays may leave it, otherwise dark.
+        // Outside a mask a panel is neutral with `missing = "clear"`, otherwise dark.
         if shows != Shows::Backlight {
             let outside = if display.missing == Missing::Clear { display.formation.neutral() } else { 0.0 };
             encoder.outside = encoder.codes([outside; 3]);

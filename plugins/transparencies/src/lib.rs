@@ -68,8 +68,8 @@ struct Manifest<'a> {
     page_mm: [f64; 2],
     film_mm: [f64; 2],
     mirrored: bool,
-    /// Least transmittance of the film relative to clear film, per channel: `black_level` of the
-    /// layers.
+    /// Least transmittance of the film relative to clear film, per channel. The display's layers
+    /// should have it as `black_level`.
     darkest: [f64; 3],
     spacers_mm: &'a [f64],
     /// Codes of the test chart's steps.

@@ -148,7 +148,8 @@ impl SingleFile {
         Ok(true)
     }
 
-    /// The text needs no escapes: keys are this crate's paths, and base64 cannot end a script.
+    /// Appends a file as a key and a base64 text of JSON. No escapes are needed: keys are this
+    /// crate's paths, and base64 cannot end a script.
     fn entry(&mut self, key: &str, bytes: &[u8]) -> Result<(), PluginError> {
         self.text(&format!("\"{key}\":\""))?;
         for part in bytes.chunks(ENCODED_AT_ONCE) {

@@ -330,7 +330,7 @@ unsafe extern "C" fn stack_step(
         let mut built = unsafe { Builder::<Stack>::of(context) };
         let seconds = built.began.elapsed().as_secs_f64();
         if built.made.steps.last().is_some_and(|(last, _)| last.iteration >= iteration) {
-            return Err(PluginError::Refused(format!("iteration {iteration} came after the same or a later one")));
+            return Err(PluginError::Refused(format!("iteration {iteration}: expected a later one than before")));
         }
         built.made.steps.push((Step { iteration, objective, psnr_view }, seconds));
         Ok(())
@@ -368,7 +368,7 @@ unsafe fn values_of(
     // SAFETY: guaranteed by the caller.
     let size = unsafe { (*plane).size };
     if size < size_of::<Plane>() {
-        return refused(format!("the plane's `size` is {size} bytes, fewer than this version's"));
+        return refused(format!("the plane's `size` is {size} bytes, less than in this version"));
     }
     // SAFETY: guaranteed by the caller; the plugin keeps ownership, so nothing is released.
     let view = unsafe { PlaneView::new(Plane { release: None, ..*plane })? };

@@ -263,8 +263,8 @@ fn plugins_of_the_other_kinds_are_named_as_well() {
     assert_eq!(made, b"{}");
 }
 
-/// The plugin creates a file when its library is loaded. The test runs in its own process, whose
-/// environment sets the path.
+/// A plugin of these tests creates a file when its library is loaded. A process of its own uses one
+/// of two plugins, since environment variables name the libraries and the folder of that file.
 #[test]
 fn a_library_that_is_not_requested_is_not_loaded() {
     let folder = tempfile::tempdir().unwrap();

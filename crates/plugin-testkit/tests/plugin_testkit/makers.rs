@@ -24,7 +24,7 @@ fn gain_schema() -> Schema {
     ])
 }
 
-/// Fills all layers and bins with the target's central view times the gain, if the sizes match.
+/// Fills all layers and bins with one value: the mean of the target's first view times the gain.
 struct Flat;
 
 impl NodePlugin for Flat {
@@ -346,5 +346,5 @@ fn weights_seed_and_patterns_reach_a_node_and_what_it_tells_comes_back() {
     let error = make_stack(&plugin, &MemoryHost::new(), "{}", &NodeData { weights: &wrong, ..seven }).unwrap_err();
     assert!(matches!(error, PluginError::Refused(_)), "{error:?}");
     let error = flat(r#"{"fault": "steps"}"#).unwrap_err();
-    assert_eq!(error.to_string(), "iteration 1 came after the same or a later one");
+    assert_eq!(error.to_string(), "iteration 1: expected a later one than before");
 }
