@@ -121,7 +121,8 @@ static LumistackStatus open_(const LumistackHostServices *services, LumistackStr
     return status;
 }
 
-/* Fetches and releases every layer and frame four times. Writes the number of fetched bytes and this process's peak of memory (kB) into `line`. */
+/* Fetches and releases every layer and frame four times. Writes the number of fetched bytes and
+   this process's peak of memory (kB) into `line`. */
 static int fetch(const LumistackData *data, char *line, size_t size) {
     unsigned long long bytes = 0;
     for (int again = 0; again < 4; again++)

@@ -138,7 +138,7 @@ impl StackInput<'_> {
     }
 
     /// Radiance `[row][col][rgb]` of one view of the light field that the stack was solved for;
-    /// `view` is [view_y, view_x]. `None` if the host has only its geometry.
+    /// `view` is [view_y, view_x]. `None` if the host has only the light field's geometry.
     ///
     /// # Errors
     /// If there is no such view, or the host cannot lend it.

@@ -1,8 +1,8 @@
 //! Node plugin `log_tomography`: a static stack of layers by tomography (Wetzstein et al. 2011),
 //! the baseline without time multiplexing.
 //!
-//! In logarithms the product of layers is a sum, and a light field is the projections of a volume
-//! of layers:
+//! In logarithms the product of the layers' values along a ray is a sum. So a light field consists
+//! of projections of the volume of layers, and the layers are found by tomography:
 //!
 //! ```text
 //! minimize Σ_r (Σ_n x_n[j_n(r)] − a_r)²

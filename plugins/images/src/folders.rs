@@ -2,9 +2,9 @@
 //!
 //! * `hci/`: `input_Cam%03d.png`, numbered row by row from the top left, `parameters.cfg` and
 //!   `gt_disp_lowres.pfm`. Cameras are on a plane at distance D, b = D·Δs apart, with shifted
-//!   sensors; Δs is the step of slope between views. From a camera to the next,
-//!   content at distance Z has a disparity of b·f·(1/Z − 1/D) pixels, with f = D / pixel pitch. That
-//!   is Δs·D·z/((D − z)·pitch) for content at z towards the viewer, and Δs·z/pitch for parallel
+//!   sensors; Δs is the step of slope between views. From a camera to the next, content at distance
+//!   Z has a disparity of b·f·(1/Z − 1/D) pixels, with f = D / pixel pitch. That is
+//!   Δs·D·z/((D − z)·pitch) for content at z towards the viewer, and Δs·z/pitch for parallel
 //!   projections. The disparity map is that of the central view, if the host has the view's depth.
 //!   Otherwise the map contains NaN, and the range of disparities is that of the display's depth of
 //!   field.

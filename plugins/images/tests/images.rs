@@ -523,8 +523,8 @@ fn the_benchmark_s_reader_finds_all_that_it_demands() {
             };
             assert!(!note.contains("is not known"), "{note}");
             for (i, found) in disparities.iter().enumerate() {
-                // from the cameras: f b (1/Z − 1/D), Z the distance from the cameras; for parallel
-                // views the limit of large D
+                // the disparity by its definition: f b (1/Z − 1/D) with the distance Z from the
+                // cameras; for parallel views its limit for large D
                 let z = depth.z_mm[i / 8 * 4 + i % 8 / 2].map(f64::from);
                 let expected = match (projection, z) {
                     (Projection::Oblique, Some(z)) => Some(0.1 * z / 0.5),

@@ -63,7 +63,7 @@ impl Encoder {
     fn codes(&self, rgb: [f32; 3]) -> [u8; 3] {
         let wanted = match &self.unmix {
             None => rgb,
-            // a plain product of matrix and vector, without the perspective division
+            // This matrix is no homography, in spite of its type: there is no perspective division.
             Some(unmix) => unmix.0.map(|row| (0..3).map(|c| row[c] * f64::from(rgb[c])).sum::<f64>() as f32),
         };
         let top = (1u32 << self.bits) - 1;

@@ -69,7 +69,7 @@ pub fn row_of(rows: usize, given: i64) -> Result<usize, PluginError> {
         Err(_) => Ok((rows - 1) / 2),
         Ok(row) if row < rows => Ok(row),
         Ok(row) => Err(PluginError::Refused(format!(
-            "parameter `view_row`: expected -1 to {} rows of views, found {row}",
+            "parameter `view_row`: expected a row of views from -1 to {}, found {row}",
             rows - 1
         ))),
     }

@@ -125,7 +125,7 @@ fn views_that_a_light_field_lacks_are_named() {
     assert_eq!(tile(&codes(&files), 1), codes8(&Transfer::Srgb, &mixed));
     assert_eq!(tile(&codes(&files), 0), codes8(&Transfer::Srgb, a), "nothing beyond the outermost view");
     let no_row = write(&display(), data, json!({"view_row": 2})).unwrap_err().to_string();
-    assert!(no_row.contains("`view_row`: expected -1 to 1"), "{no_row}");
+    assert!(no_row.contains("`view_row`: expected a row of views from -1 to 1"), "{no_row}");
 }
 
 #[test]

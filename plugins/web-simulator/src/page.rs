@@ -16,7 +16,7 @@ const MODULE: &[u8] = include_bytes!("../dist/lumistack_web_bg.wasm");
 
 /// Part of the page that is replaced in the single file.
 const SCRIPT_LINK: &str = r#"<script type="module" src="app/viewer.js"></script>"#;
-/// Part of the page that is replaced in every site.
+/// Parts of the page that are replaced in every site.
 const HEAD: [&str; 2] = ["<title>", "<!--/about-->"];
 const POSTER_PLACE: &str = "<!--poster-->";
 /// Parts of the page that are removed. The text about the folder is removed in the single file; the

@@ -126,7 +126,7 @@ fn an_overflow_of_the_stack_is_reported() {
     let bench = Bench::new();
     for fault in ["submit:overflow", "finish:overflow"] {
         let error = bench.write(fault).unwrap_err().to_string();
-        // detected by the guard page of Rust's threads, or by the system
+        // an overflow is detected by the guard page of Rust's threads, or by the system
         assert!(error.contains("ended by signal 6 (abort)") || error.contains("ended by signal 11"), "{error}");
         assert!(error.starts_with("output `hostile` failed: its process ("), "{error}");
         bench.others_work(fault);

@@ -1,6 +1,6 @@
 //! Codes of a panel of b bits, with optional dithering.
 //!
-//! A value v lies between the light l₀ < v < l₁ of two neighbouring codes. The brighter code is
+//! A value v lies between the light l₀ ≤ v < l₁ of two neighbouring codes. The brighter code is
 //! used for the fraction t = (v − l₀)/(l₁ − l₀) of the pixels. So the mean *light* is exact for any
 //! transfer function. Pixels are selected by a threshold map, or by error diffusion in linear light
 //! (Floyd and Steinberg, 1976; serpentine rows).

@@ -95,7 +95,7 @@ pub fn find_crosses(photograph: &GrayImage, counts: [usize; 2]) -> Result<Vec<Cr
         .filter(|at| at[0] < disc[0] && at[1] > disc[1])
         .min_by(|a, b| apart(**a, disc).total_cmp(&apart(**b, disc)))
         .ok_or_else(|| format!("{} crosses, none below and left of the mark", crosses.len()))?;
-    // Search from the central cross to its four neighbours, breadth first.
+    // Search breadth first: from the central cross to its four neighbours, from these to theirs.
     let step = usual / (2.0 * ARM_OF_STEP);
     let mut found: BTreeMap<[i32; 2], [f64; 2]> = BTreeMap::from([([0, 0], *middle)]);
     let mut open = VecDeque::from([[0, 0]]);
