@@ -385,7 +385,7 @@ impl Images {
         let layers = &self.display.layers;
         layers
             .get(layer)
-            .ok_or_else(|| PluginError::Refused(format!("layer {layer}: the display has {}", layers.len())))
+            .ok_or_else(|| PluginError::Refused(format!("expected a layer below {}, found {layer}", layers.len())))
     }
 
     fn panel<'a>(&self, kind: PanelKind<'a>, pattern: usize) -> Option<Panel<'a>> {

@@ -148,7 +148,7 @@ pub fn advice(available: usize, count: usize, missing: Missing) -> Result<Option
     if available == count {
         return Ok(None);
     }
-    let have = format!("the light field has {available} views across, the quilt {count}");
+    let have = format!("views across: {available} in the light field, {count} in the quilt");
     let render = format!("render views = [{count}, 1] for a view of its own in every tile");
     match missing {
         Missing::Refuse => Err(PluginError::Refused(format!("{have}: {render}"))),

@@ -109,7 +109,7 @@ impl<'a> Lent<'a> {
         let refused = |what: &str, error: String| PluginError::Refused(format!("{what}: {error}"));
         weights.check(field.geometry()).map_err(|error| refused("light field", error.to_string()))?;
         if let Some(start) = start {
-            start.check(display).map_err(|error| refused("patterns to begin from", error.to_string()))?;
+            start.check(display).map_err(|error| refused("patterns to start from", error.to_string()))?;
         }
         let mut description = of_field(field);
         if let Description::LightField { seed, weights: told, start: begins, .. } = &mut description {

@@ -374,7 +374,7 @@ unsafe fn values_of(
     let view = unsafe { PlaneView::new(Plane { release: None, ..*plane })? };
     let found = [view.rows(), view.cols(), view.channels()];
     if found != shape {
-        return refused(format!("expected {shape:?} values, found {found:?}"));
+        return refused(format!("expected a plane of shape {shape:?}, found {found:?}"));
     }
     let values = view.to_vec();
     match values.iter().find(|value| !(0.0..=most).contains(*value)) {
