@@ -10,8 +10,8 @@
 //! ```
 //!
 //! Here f is a pixel's mask value; x_n[j_n(r)] belongs to the pixel of layer n that ray r hits;
-//! `darkest` is a parameter. It is solved by projected gradients with the projection's row and
-//! column sums as step sizes (SIRT; Gregor and Benson 2008) and Nesterov's extrapolation. All
+//! `darkest` is a parameter. The problem is solved by projected gradients with the projection's row
+//! and column sums as step sizes (SIRT; Gregor and Benson 2008) and Nesterov's extrapolation. All
 //! frames are equal, and channels are independent.
 
 use lumistack_plugin::core::Tensor;

@@ -86,7 +86,7 @@ pub fn fitted(display: &Display, assigned: &[(Shows, Output)]) -> (Display, f64)
     });
     // The smallest pitch with which every mask fits its panel.
     let mut pitch_mm = wanted.fold(0.0, f64::max);
-    // Reduce it to a whole number of panel pixels per pixel of the finest mask.
+    // Reduce the pitch until a pixel of the finest mask covers a whole number of panel pixels.
     let finest = display.layers.iter().map(|layer| layer.pitch_mm).fold(f64::INFINITY, f64::min);
     let whole = (finest / pitch_mm + 1e-9).floor();
     if whole >= 1.0 {

@@ -64,7 +64,7 @@ unsafe extern "C" fn read_asset(
 /// Runs a source and returns the light field of one time step.
 ///
 /// # Errors
-/// If the plugin is no source, it fails, or its light field is invalid.
+/// If the plugin is no source or fails, or its light field is invalid.
 pub fn make_field<S: Services>(
     plugin: &Plugin,
     services: &S,
@@ -107,7 +107,7 @@ pub struct Made {
 /// Runs a node and returns the layer stack of one time step.
 ///
 /// # Errors
-/// If the plugin is no node, the data do not match the display, it fails, or its layer stack is
+/// If the plugin is no node or fails, the data do not match the display, or the layer stack is
 /// invalid.
 pub fn make_stack<S: Services>(
     plugin: &Plugin,
