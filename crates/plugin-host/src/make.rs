@@ -48,8 +48,8 @@ pub fn make_field(
 /// Runs the node `id` for one time step and returns its layer stack.
 ///
 /// # Errors
-/// If no node has this id, or the node refuses the parameters or the display, fails, or returns a
-/// layer stack that does not match the display.
+/// If no node has this id, or the node refuses the parameters or the display, or fails. If the
+/// layer stack does not match the display.
 pub fn make_stack(
     registry: &Registry,
     id: &str,
