@@ -172,8 +172,8 @@ pub struct NodeVtable {
     /// Size of this struct in bytes.
     pub size: usize,
     /// Makes the patterns of one time step. `data` is a light field of the display's geometry; its
-    /// description also has the keys of a node's light field. `host` offers the same as for
-    /// importers.
+    /// description has the further keys for nodes that [`Data::description_json`] lists. `host`
+    /// offers the same as for importers.
     pub make: Option<
         unsafe extern "C" fn(
             host: *const HostServices,

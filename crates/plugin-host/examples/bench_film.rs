@@ -19,8 +19,8 @@ use serde_json::json;
 
 type Outcome = Result<(), Box<dyn Error>>;
 
-/// Limit on a process's memory, cached pages of files included, bytes. Pages shared with other
-/// processes are not limited; with these, the process stays below a gigabyte.
+/// Limit on a process's memory, cached pages of files included, bytes. It is below a gigabyte,
+/// since the system does not count pages that other processes share.
 const LIMIT: u64 = 900 << 20;
 /// Pixels per side of a tile.
 const TILE: usize = 2048;

@@ -12,7 +12,7 @@ use crate::{HostError, Registry};
 /// Warnings are dropped here, since [`run_output`](crate::run_output) repeats them.
 ///
 /// # Errors
-/// If there is no such output, it is a presenter, or it refuses the parameters or the display.
+/// If no output has this id, or the output is a presenter or refuses the parameters or the display.
 /// [`HostError::Cancelled`] if the user cancelled.
 pub fn check_output(
     registry: &Registry,

@@ -2,9 +2,9 @@
 //!
 //! A library file is named `lumistack_plugin_<name>`, with the system's prefix and suffix. It
 //! exports a function `lumistack_plugin_entry_<id>` per plugin. Name, file kind, machine and
-//! exports are read without running the library's code. The first use of a plugin loads it in a
-//! child process (see [`crate::child`]). It is never unloaded there: threads, thread-local
-//! destructors and borrowed texts may outlive any use.
+//! exports are read without running the library's code. The first use of a plugin loads its library
+//! in a child process (see [`crate::child`]). There the library is never unloaded: threads,
+//! thread-local destructors and borrowed texts may outlive any use.
 
 use std::env::consts::{ARCH, DLL_PREFIX, DLL_SUFFIX};
 use std::env::{split_paths, var_os};

@@ -13,7 +13,7 @@ use crate::{HostError, Registry};
 /// that file and other files in its folder.
 ///
 /// # Errors
-/// If there is no such importer, it refuses the parameters, or it fails.
+/// If no importer has this id, or the importer refuses the parameters or fails.
 pub fn import_scene(
     registry: &Registry,
     id: &str,
@@ -30,8 +30,8 @@ pub fn import_scene(
 /// Runs the source `id` for one time step and returns its light field.
 ///
 /// # Errors
-/// If there is no such source, it refuses the parameters, it fails, or its result is no valid light
-/// field.
+/// If no source has this id, or the source refuses the parameters, fails, or returns an invalid
+/// light field.
 pub fn make_field(
     registry: &Registry,
     id: &str,
@@ -48,8 +48,8 @@ pub fn make_field(
 /// Runs the node `id` for one time step and returns its layer stack.
 ///
 /// # Errors
-/// If there is no such node, it refuses the parameters or the display, it fails, or its result does
-/// not match the display.
+/// If no node has this id, or the node refuses the parameters or the display, or fails. If the
+/// layer stack does not match the display.
 pub fn make_stack(
     registry: &Registry,
     id: &str,

@@ -53,7 +53,8 @@ const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// presenter writes no files.
 ///
 /// # Errors
-/// If there is no such presenter, it refuses parameters, display or layer stacks, or it fails.
+/// If no presenter has this id, or the presenter refuses parameters, display or layer stacks, or
+/// fails.
 pub fn present(registry: &Registry, id: &str, params: &Value, context: PresentContext<'_>) -> Result<(), HostError> {
     let PresentContext { display, first, input, on_output, task } = context;
     let plugin = registry.output(id, true)?;

@@ -45,7 +45,7 @@ impl Library {
 
     #[cfg(feature = "dynamic")]
     fn load(&self) -> Result<Plugin, LoadError> {
-        let Origin::Library(path) = &self.origin else { unreachable!("libraries come from libraries") };
+        let Origin::Library(path) = &self.origin else { unreachable!("the origin of a library is its file") };
         let launcher = self.launcher.clone().ok_or_else(|| LoadError::NoLauncher { path: path.clone() })?;
         crate::child::probe(path, &self.id, launcher, self.limits)
     }

@@ -74,7 +74,8 @@ static void misbehave(const char *what) {
         for (;;) pause();
     }
     if (!strcmp(what, "close all")) {
-        /* the thread that reads messages waits for the next one again: it is not told that its end is closed, and would end the process itself */
+        /* wait until the thread that reads messages blocks in its next read: there it does not
+           notice that its pipe is closed; earlier, it would end the process */
         usleep(100000);
         for (int fd = 3; fd < 64; fd++) close(fd);
         for (;;) pause();
@@ -120,7 +121,8 @@ static LumistackStatus open_(const LumistackHostServices *services, LumistackStr
     return status;
 }
 
-/* Fetches and releases every layer and frame four times. Writes the number of fetched bytes and this process's peak of memory (kB) into `line`. */
+/* Fetches and releases every layer and frame four times. Writes the number of fetched bytes and
+   this process's peak of memory (kB) into `line`. */
 static int fetch(const LumistackData *data, char *line, size_t size) {
     unsigned long long bytes = 0;
     for (int again = 0; again < 4; again++)

@@ -3,8 +3,8 @@
 //! Each output and number of frames is measured in its own process, by two numbers. `alive` is the
 //! peak of allocated bytes, counted by the allocator; it is exact and reproducible. `resident` is
 //! the kernel's `VmHWM` of `/proc/self/status`, which includes memory that the allocator has not
-//! returned. It settles within the first frames. The layers are black: zeroed memory that is never
-//! written is not resident, so both numbers measure the output and not the stack.
+//! returned. Both peaks are reached within the first frames. The layers are black: zeroed memory
+//! that is never written is not resident, so both numbers measure the output and not the stack.
 
 #![cfg(target_os = "linux")]
 

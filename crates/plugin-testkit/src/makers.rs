@@ -112,7 +112,7 @@ fn maker_conformance<T: PartialEq>(
         require("writes no files", written.is_empty(), || format!("{:?}", written.keys()))?;
     }
     require("accepts at least one display", !served.is_empty(), || "it refuses every one".into())?;
-    // On supported displays: reproducibility, cancellation, and all parameter ranges.
+    // Check reproducibility, cancellation and all parameter ranges on every supported display.
     for (display, made) in &served {
         let again = rule("works twice", make(plugin, &MemoryHost::new(), &defaults, display))?;
         require("makes the same again", again == *made, || format!("{} layers", display.layers.len()))?;

@@ -29,7 +29,7 @@ impl PluginError {
         Self::Failed(format!("{doing}: {error}"))
     }
 
-    /// The display is not supported by the plugin.
+    /// The error for a display that the plugin does not support.
     pub fn display(display: &Display, expected: impl std::fmt::Display, found: impl std::fmt::Display) -> Self {
         Self::Refused(format!("display `{}`: expected {expected}, found {found}", display.name))
     }

@@ -100,8 +100,8 @@ pub const fn is_plugin_id(id: &str) -> bool {
 
 /// `export_plugin!("id", Type)` belongs at the end of a plugin's module. It defines the static
 /// `PLUGIN`, for hosts with the plugin compiled in, and the symbol `lumistack_plugin_entry_<id>`
-/// for hosts that load libraries. The version is the crate's. Plugins other than outputs name their
-/// kind: `export_plugin!("id", Type as importer)`, `as source`, `as node`.
+/// for hosts that load libraries. The plugin has its crate's version. Plugins other than outputs
+/// name their kind: `export_plugin!("id", Type as importer)`, `as source`, `as node`.
 #[macro_export]
 macro_rules! export_plugin {
     ($id:literal, $type:ty) => {

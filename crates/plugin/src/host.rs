@@ -228,7 +228,8 @@ impl std::fmt::Debug for Host {
     }
 }
 
-/// Closes a host's services on drop, unless they are kept; so also after a panic in `open`.
+/// Closes a host's services on drop, unless [`keep`](Self::keep) took them. So a panic in `open`
+/// closes them, too.
 pub(crate) struct CloseHost(Option<Host>);
 
 impl CloseHost {

@@ -138,7 +138,7 @@ impl StackInput<'_> {
     }
 
     /// Radiance `[row][col][rgb]` of one view of the light field that the stack was solved for;
-    /// `view` is [view_y, view_x]. `None` if the host has only its geometry.
+    /// `view` is [view_y, view_x]. `None` if the host has only the light field's geometry.
     ///
     /// # Errors
     /// If there is no such view, or the host cannot lend it.
@@ -221,7 +221,7 @@ impl FieldInput<'_> {
         let mut whole =
             LightField::black(geometry.clone()).map_err(|error| PluginError::failed("light field", error))?;
         for view in geometry.grid.iter() {
-            fill(whole.view_mut(view), &self.view(view)?)?;
+            fill(whole.view_mut(view), &self.view(view)?, || format!("view {}, {}", view[0], view[1]))?;
         }
         Ok(whole.with_depth(self.depth.clone()))
     }
@@ -251,7 +251,7 @@ impl FieldInput<'_> {
                     let plane = self
                         .lent
                         .plane(|data, plane, error| unsafe { (data.weight_plane)(data.context, y, x, plane, error) })?;
-                    fill(tensor.block_mut([y, x]), &plane)?;
+                    fill(tensor.block_mut([y, x]), &plane, || format!("the weights of view {y}, {x}"))?;
                 }
                 Weights::PerRay(tensor)
             }
@@ -271,12 +271,13 @@ pub(crate) fn bins(frames: usize, [bins_y, bins_x]: [usize; 2]) -> impl Iterator
     (0..frames).flat_map(move |frame| (0..bins_y).flat_map(move |y| (0..bins_x).map(move |x| (frame, y, x))))
 }
 
-/// Copies a borrowed plane into a slice of the same length.
-fn fill(to: &mut [f32], plane: &PlaneView<'_>) -> Result<(), PluginError> {
+/// Copies a borrowed plane into a slice of the same length. `what` names the plane in errors.
+fn fill(to: &mut [f32], plane: &PlaneView<'_>, what: impl FnOnce() -> String) -> Result<(), PluginError> {
     let values = plane.values();
     if values.len() != to.len() {
         let (expected, found) = (to.len(), values.len());
-        return Err(PluginError::Failed(format!("the host lent a plane of {found} values, expected {expected}")));
+        let text = format!("the host lent {} as a plane of {found} values, expected {expected}", what());
+        return Err(PluginError::Failed(text));
     }
     to.copy_from_slice(&values);
     Ok(())
@@ -305,7 +306,7 @@ impl Lent<'_> {
                 // SAFETY: the context is the data's own.
                 let plane = self
                     .plane(|data, plane, error| unsafe { (data.layer_plane)(data.context, n, frame, plane, error) })?;
-                fill(layer.block_mut([frame]), &plane)?;
+                fill(layer.block_mut([frame]), &plane, || format!("layer {n}, frame {frame}"))?;
             }
         }
         if let Some(emission) = &mut stack.emission {
@@ -315,7 +316,8 @@ impl Lent<'_> {
                 let plane = self.plane(|data, plane, error| unsafe {
                     (data.emission_plane)(data.context, frame, y, x, plane, error)
                 })?;
-                fill(emission.block_mut([frame, y, x]), &plane)?;
+                let what = || format!("the emission of frame {frame}, bin {y}, {x}");
+                fill(emission.block_mut([frame, y, x]), &plane, what)?;
             }
         }
         Ok(stack)

@@ -254,8 +254,8 @@ mod tests {
                 (5.0 - spot.lenslet[0] as f64) * panel.lens_pitch_mm,
             ];
             let slope = [(centre[0] - x) / panel.focal_mm, (centre[1] - y) / panel.focal_mm];
-            // one pixel of a light field on the display plane, hit by the ray through the lens's
-            // centre
+            // shift the array so that the ray through the lens's centre hits the only pixel of a
+            // light field on the display plane
             let here = [0, 1].map(|i| centre[i] - backlight.d_mm * slope[i]);
             let single = Display {
                 backlight: Backlight::Lenslets(LensletBacklight {

@@ -175,7 +175,7 @@ impl Param {
     }
 }
 
-/// One line of help: `encode = "panel": how ...; one of panel, srgb, linear`.
+/// One line of help: `encode = "panel": Encoding of ... (one of panel, srgb, linear)`.
 impl fmt::Display for Param {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} = {}: {} ({})", self.name, self.default_value(), self.help.trim_end_matches('.'), self.expected())

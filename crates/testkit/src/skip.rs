@@ -45,8 +45,8 @@ fn account(why: &str, test: Option<&str>, is_ci: bool, list: Option<&Path>) -> R
     if is_ci { Err(format!("skipped on CI, where every test must run: {why}")) } else { Ok(()) }
 }
 
-/// A folder of third-party files that `variable` names, or `default`, a path relative to the
-/// workspace (`../shared/...`); skips the test if the folder is missing.
+/// A folder of third-party files: the one that the environment variable `variable` names, or else
+/// `default`, a path relative to the workspace (`../shared/...`). Skips the test if it is missing.
 #[track_caller]
 pub fn folder(variable: &str, default: &str) -> Option<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");

@@ -103,8 +103,8 @@ pub fn chi_square_p(observed: &[u64], expected: &[f64]) -> f64 {
     if pooled_expected >= LEAST_EXPECTED {
         add(pooled_observed, pooled_expected);
     } else if pooled_observed > 0.0 {
-        // The pooled cells are too few for a cell of their own, but samples where hardly any are
-        // possible must be detected.
+        // The pooled counts are too small for a cell of their own. Equal numbers are added to both,
+        // so that samples are still detected where hardly any are expected.
         add(pooled_observed + LEAST_EXPECTED, pooled_expected + LEAST_EXPECTED);
     }
     assert!(cells >= 2, "a chi-square test needs two cells");

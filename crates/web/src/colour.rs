@@ -17,7 +17,7 @@ pub(crate) struct Encoder {
 
 pub(crate) static ENCODER: LazyLock<Encoder> = LazyLock::new(|| {
     let least = std::array::from_fn(|code| {
-        // Codes rise with values, and so with the bits of the values.
+        // bisect the bits of the value: they rise with the value, and the code does, too
         let (mut low, mut high) = (0u32, 1f32.to_bits());
         while low < high {
             let middle = low + (high - low) / 2;

@@ -111,7 +111,7 @@ mod tests {
     use super::*;
     use crate::preview::Part;
 
-    /// Every filter of the crate `png`, on noise, slopes and constants.
+    /// Decodes files that the crate `png` wrote with each of its filters: noise, slopes, constants.
     #[test]
     fn every_filter_gives_the_pixels_back() {
         let mut random = Stream::new(6);

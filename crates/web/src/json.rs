@@ -1,5 +1,5 @@
-//! Parses JSON. The browser's own parser is used there, since another would be a fifth of the
-//! module.
+//! Parses JSON. In the browser, the browser's own parser is used, since another would be a fifth of
+//! the module.
 
 use serde::de::DeserializeOwned;
 

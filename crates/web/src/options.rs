@@ -109,7 +109,8 @@ impl Options {
             return Pupil { offsets: vec![0.0], on_disc: vec![true] };
         }
         let radius = 0.5 * self.pupil_mm / distance_mm;
-        // points that are closer than a pixel of any layer differ by less than a pixel
+        // so many points that neighbouring ones shift every layer by half a pixel at most, unless
+        // the limit applies
         let blur_px = display.layers.iter().map(|layer| layer.d_mm.abs() * 2.0 * radius / layer.pitch_mm);
         let count = (blur_px.fold(0.0, f64::max).ceil() as usize * 2 + 1).clamp(3, PUPIL_LIMIT);
         let offsets: Vec<f64> =

@@ -12,8 +12,10 @@
 //! x[row + N][col] = lenslet, bin, 0, share    backlight; lenslet = −1: dark, −2: the ray misses it
 //! ```
 //!
-//! Table `y` is the same for the rows of the field. `share`, the fraction of the pixel's width, is
-//! 0 for parts that a pixel lacks. Indices below 2²⁴ are exact in single precision.
+//! Table `y` is the same for the rows of the field. A ray hits a layer between the columns `first`
+//! and `second`, and reads their values with the weights 1 − t and t. `share`, the fraction of the
+//! pixel's width, is 0 for parts that a pixel lacks. Indices below 2²⁴ are exact in single
+//! precision.
 
 use lumistack_display::{AreaMap, BacklightTap, Display, FieldGeometry, Part, Projection, RayMap, Tap, ViewGrid};
 

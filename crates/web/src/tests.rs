@@ -122,7 +122,7 @@ fn plain() -> Display {
     Display { brightness: 0.25, ..plain }
 }
 
-/// Every kind of display with its own shader.
+/// One display for every variant of the shader.
 pub(crate) fn displays() -> Vec<Display> {
     let mut directional = plain();
     directional.backlight = Backlight::Lenslets(LensletBacklight::new(-20.0, [4, 3], 4.0, [3, 2], [20.0, 20.0]));

@@ -1,17 +1,18 @@
 //! Node plugin `log_tomography`: a static stack of layers by tomography (Wetzstein et al. 2011),
 //! the baseline without time multiplexing.
 //!
-//! In logarithms the product of layers is a sum, and a light field is the projections of a volume
-//! of layers:
+//! In logarithms the product of the layers' values along a ray is a sum. So a light field consists
+//! of projections of the volume of layers, and the layers are found by tomography:
 //!
 //! ```text
 //! minimize Σ_r (Σ_n x_n[j_n(r)] − a_r)²
-//! x = −log f,   a_r = −log max(β L(r), darkest),   0 ≤ x ≤ −log f_min
+//! x = −log f,   a_r = −log(β clamp(L(r), darkest, 1)),   −log f_max ≤ x ≤ −log f_min
 //! ```
 //!
-//! It is solved by projected gradients with the projection's row and column sums as step sizes
-//! (SIRT; Gregor and Benson 2008) and Nesterov's extrapolation. All frames are equal, and channels
-//! are independent.
+//! Here f is a pixel's mask value; x_n[j_n(r)] belongs to the pixel of layer n that ray r hits;
+//! `darkest` is a parameter. The problem is solved by projected gradients with the projection's row
+//! and column sums as step sizes (SIRT; Gregor and Benson 2008) and Nesterov's extrapolation. All
+//! frames are equal, and channels are independent.
 
 use lumistack_plugin::core::Tensor;
 use lumistack_plugin::display::{LayerMap, LayerStack, RayMap};
@@ -41,7 +42,7 @@ impl NodePlugin for LogTomography {
                 "darkest",
                 0.01,
                 1e-6..=0.5,
-                "Black threshold relative to white; logarithms of smaller values would dominate the objective.",
+                "Smaller values of the target are raised to this, since their logarithms would dominate the objective.",
             )
             .unit("1"),
         ])
@@ -129,7 +130,8 @@ impl Volume {
         Ok(volume)
     }
 
-    /// Σ_r (Σ_n x_n − a_r) over the rays through every pixel, and the number of these rays.
+    /// Computes for every pixel the sum of (Σ_n x_n − a_r) over the rays r through it, and the
+    /// number of these rays.
     fn back_project(
         &mut self,
         map: &RayMap,

@@ -70,7 +70,7 @@ impl NodePlugin for ParallaxBarrier {
         let positions = period[0] * period[1];
         if display.frames < positions {
             host.warn(&format!(
-                "{} frames for {positions} positions of the slits: the picture shows gaps between the slits",
+                "frames: {}, fewer than the {positions} positions of the slits: the picture shows gaps between the slits",
                 display.frames
             ));
         }

@@ -2,9 +2,11 @@
 //! and several frames, by weighted nonnegative matrix factorization.
 //!
 //! The light field of two layers is a matrix with a row per rear pixel and a column per front
-//! pixel. An entry is known if a ray hits both pixels. With M frames the matrix has rank M. Factors
-//! start from random values and follow the multiplicative rule (the weighted rule of Blondel et al.
-//! 2008), one layer after the other:
+//! pixel. An entry is known if a ray hits both pixels. With M frames the matrix has rank M: it is
+//! F Gᵀ with a column of F and of G per frame, the rear and the front mask. Factors start from
+//! random values and follow the multiplicative rule (the weighted rule of Blondel et al. 2008), one
+//! layer after the other. W is 1 for known entries and 0 for others, ⊛ multiplies element by
+//! element:
 //!
 //! ```text
 //! F ← F ⊛ [(W ⊛ βL) G] / [(W ⊛ F Gᵀ) G], G likewise, clamped to 0..1

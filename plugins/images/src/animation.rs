@@ -1,7 +1,8 @@
 //! An animated PNG of a viewer who swings through the viewing zone.
 //!
-//! Positions are in units of views around the grid's centre. With φ = 2πt/T, x = (A_x − 1)/2 · sin
-//! φ, and on an ellipse y = (A_y − 1)/2 · cos φ. The animation loops without a jump.
+//! The grid has A_x × A_y views; positions are in units of views from its centre. With φ = 2πt/T
+//! and the period T, x = (A_x − 1)/2 · sin φ, and on an ellipse y = (A_y − 1)/2 · cos φ. So the
+//! animation loops without a jump.
 
 use std::f64::consts::TAU;
 use std::io::BufWriter;

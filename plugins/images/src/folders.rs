@@ -2,11 +2,12 @@
 //!
 //! * `hci/`: `input_Cam%03d.png`, numbered row by row from the top left, `parameters.cfg` and
 //!   `gt_disp_lowres.pfm`. Cameras are on a plane at distance D, b = D·Δs apart, with shifted
-//!   sensors. Disparity is b·f·(1/Z − 1/D) pixels from a camera to the next, with f = D / pixel
-//!   pitch. That is Δs·D·z/((D − z)·pitch) for content at z towards the viewer, and Δs·z/pitch for
-//!   parallel projections. The disparity map is that of the central view, if the host has the
-//!   view's depth. Otherwise the map contains NaN, and the range of disparities is that of the
-//!   display's depth of field.
+//!   sensors; Δs is the step of slope between views. From a camera to the next, content at distance
+//!   Z has a disparity of b·f·(1/Z − 1/D) pixels, with f = D / pixel pitch. That is
+//!   Δs·D·z/((D − z)·pitch) for content at z towards the viewer, and Δs·z/pitch for parallel
+//!   projections. The disparity map is that of the central view, if the host has the view's depth.
+//!   Otherwise the map contains NaN, and the range of disparities is that of the display's depth of
+//!   field.
 //! * `stanford/`: `out_RR_CC_<Y>_<X>.png`, with the camera's centre in millimetres, X right, Y
 //!   down.
 //!
@@ -127,7 +128,8 @@ impl Cameras<'_> {
     fn parameters(&self, step: f64, disparities: &[f32], settings: &Settings<'_>) -> String {
         let grid = &self.geometry.grid;
         let distance_mm = self.distance_mm();
-        // disparities are limited to a picture's width
+        // disparities at the limits of the depth of field may be infinite; limit them to the longer
+        // side of a picture
         let most = self.geometry.rows.max(self.geometry.cols) as f64;
         let shown = settings.shown_mm.map(|[low, high]| {
             let disparity = |z_mm: f64| {
@@ -141,7 +143,7 @@ impl Cameras<'_> {
                 let value = f64::from(*value);
                 Some(range.map_or([value; 2], |[low, high]| [low.min(value), high.max(value)]))
             });
-        // the benchmark's readers require numbers
+        // the benchmark's readers require numbers, so an unknown range is 0 to 0
         let [least, largest] = known.or(shown).unwrap_or([0.0; 2]);
         let [shown_least, shown_largest] = shown.unwrap_or([least, largest]);
         let disparity_note = if known.is_some() {
@@ -170,7 +172,7 @@ impl Cameras<'_> {
             step * distance_mm,
             distance_mm / 1000.0,
             distance_mm / 1000.0,
-            // shift of the plane of focus without the sensors' shift, pixels
+            // `offset`: shift of the plane of focus if the sensors were not shifted, pixels
             step * distance_mm / self.geometry.pitch_mm,
         )
     }

@@ -68,7 +68,7 @@ impl Images {
             let first = transfers.next().filter(|first| transfers.all(|other| other == *first));
             let [width, height] = atlas::write(&self.host, &folder, stack, first, samples)?;
             let content = Content::Atlas { index: format!("{folder}atlas.json") };
-            // every tile has its panel's transfer function
+            // every tile has its own panel's transfer function; the entry states that of layer 0
             let format = self.png_format(8, self.params.encode.of_panel(&self.display.layers[0].transfer), None);
             let linear = self.params.encode == Encode::Linear;
             entries.push(entry(format!("{folder}atlas.png"), content, format, linear, Some([height, width]), time));
@@ -131,7 +131,7 @@ impl Images {
         let folder = folder(time);
         let lenses =
             if self.params.lenslet_panel { Some(panel::lenslet_panel(&self.display, &self.params)?) } else { None };
-        // A picture per layer and frame.
+        // Write a picture per layer and frame.
         let per_frame = layers + usize::from(stack.emission_shape().is_some()) + usize::from(lenses.is_some());
         let stage = self.host.stage("patterns", (frames * per_frame) as u64, "pictures");
         let (layer_digits, frame_digits) = (digits(layers, 1), digits(frames, 2));
@@ -149,7 +149,7 @@ impl Images {
             };
             self.write_picture(time, &picture, &stage, entries)?;
         }
-        // The emission as factors: a tile of angular bins per lenslet.
+        // Write the emission as it was solved: a tile of angular bins per lenslet.
         if let Some([bins_y, bins_x, rows, cols]) = stack.emission_shape() {
             let (bins, lenslets) = ([bins_y, bins_x], [rows, cols]);
             for frame in 0..frames {
@@ -166,7 +166,7 @@ impl Images {
                 self.write_picture(time, &picture, &stage, entries)?;
             }
         }
-        // The emission as the panel behind the lenslets shows it, traced through the lenses.
+        // Write the picture of the panel behind the lenslets: the emission, traced through lenses.
         let Some((backlight, lenses)) = lenses else { return Ok(()) };
         for frame in 0..frames {
             self.host.check_cancelled()?;
@@ -281,7 +281,7 @@ impl Images {
             let content = Content::Views { views, divided_by };
             entries.push(entry(path, content, Format::Exr { precision: name }, true, Some(size), time));
         }
-        // An animation along a path in the views; light fields show the nearest view.
+        // Write an animation along a path through the views; light fields show the nearest view.
         if params.animation != Animation::None {
             let swing = Swing {
                 pictures: params.animation_pictures,
@@ -306,7 +306,7 @@ impl Images {
             let format = Format::Apng { bits: 8, encoding: Transfer::Srgb };
             entries.push(entry(path, content, format, false, Some([height, width]), time));
         }
-        // Folders in the formats of public archives.
+        // Write folders in the formats of public archives.
         let archives = [(params.hci, Archive::Hci, "hci"), (params.stanford, Archive::Stanford, "stanford")];
         for (_, archive, name) in archives.into_iter().filter(|(wanted, ..)| *wanted) {
             let sixteen = params.png16 && !params.png8;
@@ -385,7 +385,7 @@ impl Images {
         let layers = &self.display.layers;
         layers
             .get(layer)
-            .ok_or_else(|| PluginError::Refused(format!("layer {layer}: the display has {}", layers.len())))
+            .ok_or_else(|| PluginError::Refused(format!("expected a layer below {}, found {layer}", layers.len())))
     }
 
     fn panel<'a>(&self, kind: PanelKind<'a>, pattern: usize) -> Option<Panel<'a>> {

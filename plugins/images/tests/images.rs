@@ -56,7 +56,7 @@ fn assert_png(files: &Files, name: &str, size: [usize; 2], values: &[f32], trans
         let channel = i % 3;
         let exact = encode(transfer, channel, value) * top;
         assert!((f32::from(code) - exact).abs() <= HALF_CODE, "{name}[{i}]: code {code}, value {value} = {exact}");
-        // the linear value differs by no more than the neighbouring codes
+        // in linear light, too, the stored value is within half a code of the exact one
         let around =
             [exact - HALF_CODE, exact + HALF_CODE].map(|code| decode(transfer, channel, (code / top).clamp(0.0, 1.0)));
         let shown = decode(transfer, channel, f32::from(code) / top);
@@ -346,7 +346,7 @@ fn others_read_arrays_atlas_animation_and_multi_view_pictures() {
         assert_eq!(floats(&array["values"]), layer.data());
     }
     assert_eq!(floats(&read["stack.npz"]["d_mm"]["values"]), [-4.0, 0.0, 4.0]);
-    // the sheet: frames below one another, layers of 8 × 6, 10 × 7 and 4 × 3 pixels side by side
+    // the atlas: frames below one another, layers of 8 × 6, 10 × 7 and 4 × 3 pixels side by side
     let sheet = &read["atlas.png"];
     assert_eq!((&sheet["size"], &sheet["mode"]), (&json!([22, 14]), &json!("RGB")));
     let pixels = floats(&sheet["pixels"]);
@@ -523,8 +523,8 @@ fn the_benchmark_s_reader_finds_all_that_it_demands() {
             };
             assert!(!note.contains("is not known"), "{note}");
             for (i, found) in disparities.iter().enumerate() {
-                // from the cameras: f b (1/Z − 1/D), Z the distance from the cameras; for parallel
-                // views the limit of large D
+                // the disparity by its definition: f b (1/Z − 1/D) with the distance Z from the
+                // cameras; for parallel views its limit for large D
                 let z = depth.z_mm[i / 8 * 4 + i % 8 / 2].map(f64::from);
                 let expected = match (projection, z) {
                     (Projection::Oblique, Some(z)) => Some(0.1 * z / 0.5),
@@ -589,7 +589,8 @@ fn open(path: &Path, flags: &GeometryFlags) -> LightField {
     lumistack_plugin::field_io::open(path, &flags, &defaults, Task::quiet(&warnings, &cancel)).unwrap()
 }
 
-/// The archive's format contains no angles.
+/// The field of view to give when a folder is opened: a Stanford folder contains no angles, an HCI
+/// folder does.
 fn stanford_fov(path: &Path) -> Option<[f64; 2]> {
     (!path.join("parameters.cfg").exists()).then_some([20.0, 10.0])
 }

@@ -220,7 +220,7 @@ fn glb(root: &Value, mut binary: Vec<u8>) -> Result<Vec<u8>, PluginError> {
     text.resize(text.len().next_multiple_of(4), b' ');
     binary.resize(binary.len().next_multiple_of(4), 0);
     let length = |n: usize| {
-        u32::try_from(n).map(u32::to_le_bytes).map_err(|_| PluginError::Failed("more than 4 GiB in one file".into()))
+        u32::try_from(n).map(u32::to_le_bytes).map_err(|_| PluginError::Failed("the file exceeds 4 GiB".into()))
     };
     let mut bytes = Vec::with_capacity(28 + text.len() + binary.len());
     bytes.extend(b"glTF\x02\0\0\0");

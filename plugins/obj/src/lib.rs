@@ -108,7 +108,7 @@ fn materials(host: &Host, assets: &Assets<'_>, file: &str, names: &str) -> Vec<M
         Ok(found) => return found,
         Err(error) => error,
     };
-    // a name may contain spaces, which also separate several names
+    // The text may also be several names, separated by spaces.
     if !names.contains(char::is_whitespace) {
         warn(error);
         return Vec::new();

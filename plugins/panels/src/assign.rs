@@ -108,7 +108,7 @@ pub fn assign(display: &Display, outputs: &[Output]) -> Result<Vec<(Shows, Outpu
     if outputs.len() < needed {
         return Err(AssignError::TooFew { needed, wanted, found: found() });
     }
-    // Layers without a name take the other outputs from left to right.
+    // Panels without a named output take the other outputs from left to right.
     let mut free: Vec<&Output> = outputs.iter().filter(|output| !taken.contains(&output.name.as_str())).collect();
     free.sort_by(|a, b| (a.position, &a.name).cmp(&(b.position, &b.name)));
     let mut free = free.into_iter();

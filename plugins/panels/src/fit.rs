@@ -1,13 +1,13 @@
 //! Compares mask sizes with panel sizes, and scales masks to panels of other sizes.
 //!
-//! A mask is W·p millimetres wide; a panel's upright picture has w pixels of pitch s. The mask
+//! A mask has W pixels of pitch p; a panel's upright picture has w pixels of pitch s. The mask
 //! covers W·p / s of them. To fit, all panels get one pitch
 //!
 //! ```text
 //! s = max over panels and axes of W·p / w
 //! ```
 //!
-//! It is then reduced until a pixel of the finest mask covers a whole number of panel pixels, if it
+//! Then s is reduced until a pixel of the finest mask covers a whole number of panel pixels, if it
 //! covers at least one. This pitch differs from the panels' own, so the scene is scaled. The
 //! distances between the panels would have to be scaled by the same ratio.
 
@@ -50,7 +50,7 @@ pub fn misfits(display: &Display, assigned: &[(Shows, Output)]) -> Vec<String> {
             "{shows} covers {:.0} × {:.0} pixels, and output {name} has {} × {}",
             covers[0], covers[1], there[0], there[1]
         );
-        // Less than a pixel of overlap is rounding. The outer lenses of an array may be cut.
+        // An excess below a pixel is rounding. The outer lenses of an array may be cut off.
         let slack = match (shows, &display.backlight) {
             (Shows::Backlight, Backlight::Lenslets(backlight)) => covers[0] / backlight.lenslets[0].max(1) as f64,
             _ => 1.0,
@@ -86,7 +86,7 @@ pub fn fitted(display: &Display, assigned: &[(Shows, Output)]) -> (Display, f64)
     });
     // The smallest pitch with which every mask fits its panel.
     let mut pitch_mm = wanted.fold(0.0, f64::max);
-    // Reduce it to a whole number of panel pixels per pixel of the finest mask.
+    // Reduce the pitch until a pixel of the finest mask covers a whole number of panel pixels.
     let finest = display.layers.iter().map(|layer| layer.pitch_mm).fold(f64::INFINITY, f64::min);
     let whole = (finest / pitch_mm + 1e-9).floor();
     if whole >= 1.0 {

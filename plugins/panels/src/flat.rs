@@ -3,7 +3,7 @@
 //!
 //! The picture keeps its aspect ratio and fills the field's width or height: the tighter of the
 //! two. A panel pixel takes the mean linear light of the picture pixels that it covers. If picture
-//! pixels are larger than panel pixels, it interpolates between four of them.
+//! pixels are larger than panel pixels, the panel pixel interpolates between four of them.
 
 use image::Rgb32FImage;
 use image::imageops::{FilterType, resize};

@@ -345,8 +345,8 @@ mod tests {
                     // intersect the ray from the eye through the cross with the layer
                     let t = (display.layers[n].d_mm - eye[2]) / (target[2] - eye[2]);
                     let mm = [0, 1].map(|axis| eye[axis] + t * (target[axis] - eye[axis]));
-                    // Arms are 12 pixels long, so a window of 8 contains lines only. They are
-                    // symmetric up to rounding.
+                    // Arms are 12 pixels long, so a window of 8 contains lines only. Their centre
+                    // of mass is the window's centre, up to rounding.
                     let found = centre(&codes, 0.25, mm, 8, 1);
                     assert!(found[0].abs() < 0.35 && found[1].abs() < 0.35, "layer {n}, {i} {j}: {found:?}");
                 }

@@ -63,7 +63,7 @@ impl Encoder {
     fn codes(&self, rgb: [f32; 3]) -> [u8; 3] {
         let wanted = match &self.unmix {
             None => rgb,
-            // a plain product of matrix and vector, without the perspective division
+            // This matrix is no homography, in spite of its type: there is no perspective division.
             Some(unmix) => unmix.0.map(|row| (0..3).map(|c| row[c] * f64::from(rgb[c])).sum::<f64>() as f32),
         };
         let top = (1u32 << self.bits) - 1;
@@ -112,7 +112,7 @@ impl Picture {
                 (mask_lookup(&place, layer.resolution, layer.pitch_mm, panel.resample), encoder)
             }
         };
-        // Outside a mask a panel is neutral if rays may leave it, otherwise dark.
+        // Outside a mask a panel is neutral with `missing = "clear"`, otherwise dark.
         if shows != Shows::Backlight {
             let outside = if display.missing == Missing::Clear { display.formation.neutral() } else { 0.0 };
             encoder.outside = encoder.codes([outside; 3]);

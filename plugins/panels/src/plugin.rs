@@ -82,7 +82,7 @@ impl OutputPlugin for Panels {
             Param::bool(
                 "fit",
                 false,
-                "Scale masks until they fill the panels. Layer distances then no longer match.",
+                "Scale masks until they fill the panels. The layers' distances then no longer fit the masks.",
             ),
             Param::int("hold", -1, -1..=1 << 20, "Frame to hold; -1 shows all frames in turn.").unit("1"),
             Param::float("duration_s", 0.0, 0.0..=1e9, "Duration of the presentation; 0 shows until it is closed.").unit("s"),

@@ -192,7 +192,7 @@ impl OutputPlugin for Quilt {
         let plain = |c: char| c.is_alphanumeric() || "-_. ".contains(c);
         if params.name.is_empty() || params.name.starts_with('.') || !params.name.chars().all(plain) {
             return Err(PluginError::Refused(format!(
-                "parameter `name`: expected letters, digits, spaces, dots, dashes and underscores, found {:?}",
+                "parameter `name`: expected one or more letters, digits, spaces, dots, dashes and underscores, without a dot at the beginning, found {:?}",
                 params.name
             )));
         }
@@ -203,7 +203,7 @@ impl OutputPlugin for Quilt {
         }
         let device = devices().iter().find(|device| device.id == params.device);
         let output = Self { host, params, device, calibration, written: Mutex::default() };
-        // submitted data have the display's views and pixels
+        // data will have the display's views and pixels, so layout and row can be checked now
         let geometry = display.geometry().map_err(|error| PluginError::failed("display", error))?;
         let layout = output.layout(&geometry)?;
         views::row_of(geometry.grid.slope_y.len(), output.params.view_row)?;

@@ -69,7 +69,7 @@ pub fn row_of(rows: usize, given: i64) -> Result<usize, PluginError> {
         Err(_) => Ok((rows - 1) / 2),
         Ok(row) if row < rows => Ok(row),
         Ok(row) => Err(PluginError::Refused(format!(
-            "parameter `view_row`: expected -1 to {} rows of views, found {row}",
+            "parameter `view_row`: expected a row of views from -1 to {}, found {row}",
             rows - 1
         ))),
     }
@@ -148,7 +148,7 @@ pub fn advice(available: usize, count: usize, missing: Missing) -> Result<Option
     if available == count {
         return Ok(None);
     }
-    let have = format!("the light field has {available} views across, the quilt {count}");
+    let have = format!("views across: {available} in the light field, {count} in the quilt");
     let render = format!("render views = [{count}, 1] for a view of its own in every tile");
     match missing {
         Missing::Refuse => Err(PluginError::Refused(format!("{have}: {render}"))),

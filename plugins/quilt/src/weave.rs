@@ -11,9 +11,10 @@
 //! view = min(⌊a · N⌋, N − 1)
 //! ```
 //!
-//! The minimum in the last line matters only at a = 0 with invView. Third-generation subpixels are
-//! arranged in cells. There dx / W and dy / H of the channel in the pixel's cell are added to u and
-//! v, instead of c·s. `CellPatternMode` selects the cell; x and y count from the bottom left:
+//! The minimum in the last line matters only at a = 0 with invView. On displays of the third
+//! generation, subpixels are arranged in cells. There dx / W and dy / H of the channel in the
+//! pixel's cell are added to u and v, instead of c·s. `CellPatternMode` selects the cell; x and y
+//! count from the bottom left:
 //!
 //! * 0: one cell
 //! * 1: (x + y) mod 2, a checkerboard

@@ -102,7 +102,10 @@ fn views_that_a_light_field_lacks_are_named() {
     let data = OutputData::LightField(&field);
     let params = |missing: &str| json!({"columns": 2, "rows": 3, "missing_views": missing, "view_row": 1});
     let refused = write(&display(), data, params("refuse")).unwrap_err().to_string();
-    assert!(refused.contains("has 3 views across, the quilt 6") && refused.contains("views = [6, 1]"), "{refused}");
+    assert!(
+        refused.contains("views across: 3 in the light field, 6 in the quilt") && refused.contains("views = [6, 1]"),
+        "{refused}"
+    );
     let codes = |files: &Files| image::load_from_memory(&files["quilt_qs2x3a1.5.png"]).unwrap().into_rgb8();
     let tile = |picture: &image::RgbImage, view: u32| {
         let part = image::imageops::crop_imm(picture, view % 2 * 6, picture.height() - 4 * (view / 2 + 1), 6, 4);
@@ -125,7 +128,7 @@ fn views_that_a_light_field_lacks_are_named() {
     assert_eq!(tile(&codes(&files), 1), codes8(&Transfer::Srgb, &mixed));
     assert_eq!(tile(&codes(&files), 0), codes8(&Transfer::Srgb, a), "nothing beyond the outermost view");
     let no_row = write(&display(), data, json!({"view_row": 2})).unwrap_err().to_string();
-    assert!(no_row.contains("`view_row`: expected -1 to 1"), "{no_row}");
+    assert!(no_row.contains("`view_row`: expected a row of views from -1 to 1"), "{no_row}");
 }
 
 #[test]

@@ -97,7 +97,7 @@ impl ImporterPlugin for Splats {
             return Err(failed("expected splats, found none".into()));
         }
         let document = lumistack_splats::glb(&cloud, rotation.to_array(), params.scale);
-        document.ok_or_else(|| failed(format!("expected splats of less than 4 GiB, found {}", cloud.len())))
+        document.ok_or_else(|| failed(format!("expected less than 4 GiB of splats, found {} splats", cloud.len())))
     }
 }
 

@@ -33,8 +33,8 @@ fn every_view_has_its_own_number_and_colour() {
     assert!(edge.chunks_exact(3).all(|pixel| pixel == &edge[..3]));
 }
 
-/// A card at z moves by −z·(s − s') between views of slopes s and s'; edges are at quarters of a
-/// pixel.
+/// A card at z moves by −z·(s − s') between views of slopes s and s'. Edges are found to whole
+/// pixels, so the tolerance is one pixel.
 #[test]
 fn cards_move_as_their_depth_says() {
     let (pitch, depth) = (0.5, 12.0);

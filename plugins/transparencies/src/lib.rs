@@ -68,8 +68,8 @@ struct Manifest<'a> {
     page_mm: [f64; 2],
     film_mm: [f64; 2],
     mirrored: bool,
-    /// Least transmittance of the film relative to clear film, per channel: `black_level` of the
-    /// layers.
+    /// Least transmittance of the film relative to clear film, per channel. The display's layers
+    /// should have it as `black_level`.
     darkest: [f64; 3],
     spacers_mm: &'a [f64],
     /// Codes of the test chart's steps.
@@ -243,7 +243,7 @@ impl Transparencies {
         if too_dark > 0 {
             let darkest = self.film.dark.iter().copied().fold(0.0, f64::max);
             self.host.warn(&format!(
-                "{too_dark} values are below the film's least transmittance, {darkest:.3} of clear film; black_level = {darkest:.3} in the display's layers gives patterns without such values"
+                "values below the film's least transmittance ({darkest:.3} of clear film): {too_dark}; black_level = {darkest:.3} in the display's layers gives patterns without such values"
             ));
         }
         let out = document.finish().map_err(pdf::failed)?;

@@ -149,8 +149,7 @@ pub(crate) fn chart(sheet: &Sheet) -> Page {
         ("green", [false, true, false]),
         ("blue", [false, false, true]),
     ];
-    let title =
-        "Measure the light through a step / the light through the last step of its colour. Codes are below steps.";
+    let title = "Measure light through a step, divided by light through its colour's last step. Codes are below steps.";
     let size = (room[0] / (0.5 * title.chars().count() as f64)).min(TYPE_MM);
     page.text([MARGIN_MM, height - MARGIN_MM], size, title);
     for (s, (name, channels)) in sides.iter().enumerate() {

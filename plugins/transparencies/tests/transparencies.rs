@@ -138,7 +138,8 @@ fn marks_of_all_films_coincide_and_cut_lines_stand_outside() {
         near.map(|[x, y]| picture.get_pixel(x as u32, y as u32).0[1]).min().unwrap() < 160
     };
     for picture in &pages {
-        // corners of the film, from the top left of the page, and the mark 6 mm inside
+        // Check lines and marks at the film's corners, in millimetres from the page's top left. The
+        // marks are 6 mm inside.
         for (sx, sy) in [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)] {
             let corner = [0.5 * (page[0] + sx * film[0]), 0.5 * (page[1] + sy * film[1])];
             assert!(dark(picture, [corner[0] + 4.0 * sx, corner[1]], 2), "cut line");

@@ -16,7 +16,7 @@ const MODULE: &[u8] = include_bytes!("../dist/lumistack_web_bg.wasm");
 
 /// Part of the page that is replaced in the single file.
 const SCRIPT_LINK: &str = r#"<script type="module" src="app/viewer.js"></script>"#;
-/// Part of the page that is replaced in every site.
+/// Parts of the page that are replaced in every site.
 const HEAD: [&str; 2] = ["<title>", "<!--/about-->"];
 const POSTER_PLACE: &str = "<!--poster-->";
 /// Parts of the page that are removed. The text about the folder is removed in the single file; the
@@ -148,7 +148,8 @@ impl SingleFile {
         Ok(true)
     }
 
-    /// The text needs no escapes: keys are this crate's paths, and base64 cannot end a script.
+    /// Appends a file as a key and a base64 text of JSON. No escapes are needed: keys are this
+    /// crate's paths, and base64 cannot end a script.
     fn entry(&mut self, key: &str, bytes: &[u8]) -> Result<(), PluginError> {
         self.text(&format!("\"{key}\":\""))?;
         for part in bytes.chunks(ENCODED_AT_ONCE) {

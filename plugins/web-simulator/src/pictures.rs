@@ -90,8 +90,8 @@ impl<'a> Rounding<'a> {
         Self { display, differences, geometry, map, frames: 0.0, brightness: 1.0 }
     }
 
-    /// Adds one frame: first the patterns, then their codes, so that only one of them is in memory.
-    /// Returns the frame's middle view.
+    /// Adds one frame: first the patterns, then their codes, so that only one of the two is in
+    /// memory. Returns the frame's middle view.
     pub(crate) fn add(
         &mut self,
         layers: Vec<(Picture, Vec<f32>)>,

@@ -7,7 +7,7 @@ use image::{ExtendedColorType, ImageEncoder};
 use crate::paint::Picture;
 use crate::{GeneratorError, SceneFile};
 
-/// High enough to keep ringing below the contrast of the finest pattern.
+/// Quality of the JPEG files, high enough to keep ringing below the contrast of the finest pattern.
 const JPEG_QUALITY: u8 = 88;
 
 /// Channels of a picture that a PNG stores.

@@ -118,7 +118,7 @@ fn add_mirrors(document: &mut Document) {
     let body = Mesh::cuboid(DVec3::new(-0.5 * width, 0.0, -thickness), DVec3::new(0.5 * width, height, 0.0));
     let primitives = vec![document.primitive(&glass, silver), document.primitive(&body, frame)];
     let mesh = document.add_mesh("framed mirror", primitives);
-    // leaning back lowers the rear edge of its foot, so the mirror is lifted by as much
+    // leaning back lowers the rear edge of the foot, so the mirror is lifted by as much
     let lean_rad = 3f64.to_radians();
     let lift = thickness * lean_rad.sin();
     let mut node = node_at(

@@ -40,8 +40,8 @@ pub(crate) fn rippled_plate(document: &mut Document, material: usize) -> Value {
     })
 }
 
-/// Height and slope of the rings at a distance from the middle: h = a (1 - q²)² (1 + cos 2πnq)/2, q
-/// = r/R.
+/// Height and slope of the rings at distance r from the middle: h = a (1 - q²)² (1 + cos 2πnq)/2
+/// with q = r/R. Here a, n and R are the height, number and radius of the constants above.
 fn ripple(radius: f64) -> (f64, f64) {
     let q = radius / RIPPLE_RADIUS;
     if q >= 1.0 {

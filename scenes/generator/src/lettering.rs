@@ -1,7 +1,7 @@
 //! Solid letters: the dots of the bitmap font as one extruded body per line of text.
 //!
-//! Dots that touch make one solid. A few large rectangles cover its front and back. A dot has a
-//! side wall only where it has no neighbour; walls in one line are joined.
+//! Dots that touch make one solid. A few large rectangles cover the front and back of a
+//! solid. A dot has a side wall only where it has no neighbour; walls in one line are joined.
 
 use glam::{DVec2, DVec3};
 
@@ -9,7 +9,7 @@ use crate::bitmap_font::{GLYPH_ROWS, columns, is_set};
 use crate::mesh::Mesh;
 
 /// The text as a solid. The left bottom corner of its front face is the origin, dots have `dot_m`
-/// metres, and it extends from z = 0 to z = -`depth_m`.
+/// metres, and the solid extends from z = 0 to z = -`depth_m`.
 ///
 /// Texture coordinates run over the whole line: (0, 0) top left to (1, 1) bottom right of the
 /// front.

@@ -30,7 +30,8 @@ const LID_EDGE_PATCHES: std::ops::Range<usize> = 24..28;
 /// Texture coordinates run over 0..1 on every patch.
 pub(crate) fn teapot(divisions: u32, scale: f64) -> Mesh {
     let mut mesh = Mesh::default();
-    // Seen from outside the pot, u of a patch runs to the left; u of a grid runs to the right.
+    // Seen from outside the pot, u of a patch runs to the left and u of a grid to the right, so u
+    // is reversed.
     for patch in &PATCHES {
         let points = control_points(patch);
         mesh.append(&Mesh::grid(divisions, divisions, |u, v| {
@@ -68,7 +69,8 @@ fn evaluate(points: &[DVec3; 16], u: f64, v: f64) -> (DVec3, DVec3) {
     let position = blend(bu, bv);
     let mut along_u = blend(du, bv);
     if along_u.length() < DEGENERATE_LENGTH {
-        // ∂P/∂u ≈ (v - v_pole) ∂²P/∂u∂v next to the pole, and no patch has its pole at v = 1
+        // ∂P/∂u ≈ (v - v_pole) ∂²P/∂u∂v next to the pole. No patch has its pole at v = 1, so the
+        // factor is positive and the direction the same.
         along_u = blend(du, dv);
     }
     (position, along_u.cross(blend(bu, dv)).normalize())

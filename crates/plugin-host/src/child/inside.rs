@@ -70,7 +70,7 @@ fn serve(library: &Path, id: &str) -> io::Result<()> {
             match message {
                 ToChild::Call { call, what } => {
                     link.active.fetch_add(1, Ordering::SeqCst);
-                    // the main thread may be occupied by a presentation
+                    // `run` may occupy the main thread, so these calls get threads of their own
                     if matches!(what, Call::Submit { .. } | Call::Command { .. }) {
                         link.beside(call, what);
                     } else if calls.send((call, what)).is_err() {
@@ -116,8 +116,8 @@ fn serve(library: &Path, id: &str) -> io::Result<()> {
     Ok(())
 }
 
-/// Takes over standard input and output for messages. The library has an empty standard input, and
-/// its output goes to standard error.
+/// Reserves standard input and output for messages. Afterwards the library reads an empty standard
+/// input, and its prints go to standard error.
 #[cfg(unix)]
 fn take_over() -> io::Result<(File, File)> {
     use std::os::fd::AsFd;
@@ -262,8 +262,8 @@ unsafe fn bytes<'a>(ptr: *const u8, len: usize, what: &str, error: *const ErrorS
     }
 }
 
-// SAFETY of all functions below: the plugin returns the context of their table. It lends texts and
-// bytes for the call, and passes null or a valid sink for errors.
+// SAFETY of all functions below: the plugin passes back the context of their table. It lends texts
+// and bytes for the call, and passes null or a valid sink for errors.
 
 unsafe extern "C" fn log(context: *const c_void, level: u32, message: Str) {
     // SAFETY: see above.
@@ -427,7 +427,7 @@ unsafe fn fetch(
     let (Running { link, call }, size) = unsafe { (running(context), (*plane).size) };
     if size < size_of::<Plane>() {
         // SAFETY: guaranteed by the caller.
-        unsafe { write_error(error, &format!("the plane's `size` is {size} bytes, fewer than this version's")) };
+        unsafe { write_error(error, &format!("the plane's `size` is {size} bytes, less than in this version")) };
         return Status::REFUSED;
     }
     let (answer, body) = link.ask(what(*call), &[]);
@@ -587,7 +587,7 @@ unsafe fn give(
     let (Running { link, call }, size) = unsafe { (running(context), (*plane).size) };
     if size < size_of::<Plane>() {
         // SAFETY: guaranteed by the caller.
-        unsafe { write_error(error, &format!("the plane's `size` is {size} bytes, fewer than this version's")) };
+        unsafe { write_error(error, &format!("the plane's `size` is {size} bytes, less than in this version")) };
         return Status::REFUSED;
     }
     // SAFETY: guaranteed by the caller; the plugin keeps ownership, so nothing is released.

@@ -80,7 +80,7 @@ impl Remote {
     }
 }
 
-/// A text of the host, which is UTF-8.
+/// Copies a text of the host. Such texts are UTF-8.
 ///
 /// # Safety
 /// The text is lent for the call.

@@ -46,7 +46,7 @@ pub(super) struct Time {
     pub(super) seconds_bits: u64,
 }
 
-/// Lent data; their planes are requested by the number of the call.
+/// Data lent to a call. Requests for their planes state the number of that call.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct Data {
     pub(super) port: u32,
@@ -95,7 +95,8 @@ pub(super) enum Loaded {
     OtherId(String),
 }
 
-/// A service of the host, or a function of data lent to the call of this number.
+/// A request for a service of the host, or to data or a sink. The latter are lent to a call, whose
+/// number is `call`.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) enum Request {
     IsCancelled,

@@ -14,8 +14,8 @@ use super::protocol::{Answer, Request, Say};
 /// The objects lent to the running calls of a child.
 #[derive(Default)]
 pub(super) struct Lending {
-    /// By the number of the call. The host's table, lent to the whole output, has the number
-    /// [`HOST`].
+    /// The keys are the numbers of the calls. The host's table, which is lent to the whole output,
+    /// has the key [`HOST`].
     all: RwLock<HashMap<u64, Lent>>,
     /// Files being written, by their handles.
     files: Mutex<BTreeMap<u64, String>>,

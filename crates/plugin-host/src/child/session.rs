@@ -32,7 +32,7 @@ const KEPT_BYTES: usize = 16 << 10;
 /// Largest number of files named in a message.
 const MAX_FILES: usize = 3;
 
-/// A call did not complete.
+/// The reason why a call did not complete.
 pub(super) enum Stopped {
     /// The user cancelled; the child was ended if it did not end itself.
     Cancelled,
@@ -86,7 +86,7 @@ impl Owner {
         let (loaded, waits) = channel();
         session.state().loaded = Some(loaded);
         thread::spawn(move || {
-            // closing the pipe ends an idle child
+            // the end of this thread closes the pipe, which ends an idle child
             while let Ok(Some((head, body))) = frames.recv() {
                 if write_frame(&mut input, &head, &body).is_err() {
                     break;

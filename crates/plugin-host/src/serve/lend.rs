@@ -109,7 +109,7 @@ impl<'a> Lent<'a> {
         let refused = |what: &str, error: String| PluginError::Refused(format!("{what}: {error}"));
         weights.check(field.geometry()).map_err(|error| refused("light field", error.to_string()))?;
         if let Some(start) = start {
-            start.check(display).map_err(|error| refused("patterns to begin from", error.to_string()))?;
+            start.check(display).map_err(|error| refused("patterns to start from", error.to_string()))?;
         }
         let mut description = of_field(field);
         if let Description::LightField { seed, weights: told, start: begins, .. } = &mut description {
@@ -316,7 +316,7 @@ unsafe fn give(plane: *mut Plane, values: &[f32], shape: [usize; 3]) -> Result<(
     // SAFETY: guaranteed by the caller.
     let size = unsafe { (*plane).size };
     if size < size_of::<Plane>() {
-        return Err(PluginError::Refused(format!("the plane's `size` is {size} bytes, fewer than this version's")));
+        return Err(PluginError::Refused(format!("the plane's `size` is {size} bytes, less than in this version")));
     }
     // SAFETY: guaranteed by the caller. A newer plugin's `Plane` is longer; the bytes after this
     // version's members stay unchanged.

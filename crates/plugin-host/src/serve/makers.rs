@@ -64,7 +64,7 @@ unsafe extern "C" fn read_asset(
 /// Runs a source and returns the light field of one time step.
 ///
 /// # Errors
-/// If the plugin is no source, it fails, or its light field is invalid.
+/// If the plugin is no source or fails, or its light field is invalid.
 pub fn make_field<S: Services>(
     plugin: &Plugin,
     services: &S,
@@ -107,7 +107,7 @@ pub struct Made {
 /// Runs a node and returns the layer stack of one time step.
 ///
 /// # Errors
-/// If the plugin is no node, the data do not match the display, it fails, or its layer stack is
+/// If the plugin is no node or fails, the data do not match the display, or the layer stack is
 /// invalid.
 pub fn make_stack<S: Services>(
     plugin: &Plugin,
@@ -330,7 +330,7 @@ unsafe extern "C" fn stack_step(
         let mut built = unsafe { Builder::<Stack>::of(context) };
         let seconds = built.began.elapsed().as_secs_f64();
         if built.made.steps.last().is_some_and(|(last, _)| last.iteration >= iteration) {
-            return Err(PluginError::Refused(format!("iteration {iteration} came after the same or a later one")));
+            return Err(PluginError::Refused(format!("iteration {iteration}: expected a later one than before")));
         }
         built.made.steps.push((Step { iteration, objective, psnr_view }, seconds));
         Ok(())
@@ -368,13 +368,13 @@ unsafe fn values_of(
     // SAFETY: guaranteed by the caller.
     let size = unsafe { (*plane).size };
     if size < size_of::<Plane>() {
-        return refused(format!("the plane's `size` is {size} bytes, fewer than this version's"));
+        return refused(format!("the plane's `size` is {size} bytes, less than in this version"));
     }
     // SAFETY: guaranteed by the caller; the plugin keeps ownership, so nothing is released.
     let view = unsafe { PlaneView::new(Plane { release: None, ..*plane })? };
     let found = [view.rows(), view.cols(), view.channels()];
     if found != shape {
-        return refused(format!("expected {shape:?} values, found {found:?}"));
+        return refused(format!("expected a plane of shape {shape:?}, found {found:?}"));
     }
     let values = view.to_vec();
     match values.iter().find(|value| !(0.0..=most).contains(*value)) {

@@ -111,7 +111,7 @@ impl Plugin {
         }
         if size < size_of::<Descriptor>() {
             return Err(PluginError::Refused(format!(
-                "its descriptor says version {major}.{minor} and {size} bytes, of which that version has {} or more",
+                "its descriptor states version {major}.{minor} and a size of {size} bytes, expected {} bytes or more",
                 size_of::<Descriptor>()
             )));
         }
@@ -132,7 +132,7 @@ impl Plugin {
         let (kind, vtable) = unsafe { vtable_of(descriptor) }.map_err(refused)?;
         let ports: Vec<Port> = Port::ALL.into_iter().filter(|port| descriptor.ports & port.bit() != 0).collect();
         if ports.is_empty() && kind != PluginKind::Source {
-            return Err(refused("it accepts nothing".into()));
+            return Err(refused("its descriptor lists no input port".into()));
         }
         let mut extensions = Vec::new();
         if let Vtable::Importer(importer) = vtable {
@@ -238,6 +238,12 @@ unsafe fn vtable_of(descriptor: &Descriptor) -> Result<(PluginKind, Vtable), Str
         kind::SOURCE => Err(missing(PluginKind::Source)),
         kind::NODE => Err(missing(PluginKind::Node)),
         kind::OUTPUT => Err(missing(PluginKind::Output)),
-        other => Err(format!("plugins of kind {other} are not supported by this version")),
+        other => Err(format!(
+            "expected kind {} (importer), {} (source), {} (node) or {} (output), found {other}",
+            kind::IMPORTER,
+            kind::SOURCE,
+            kind::NODE,
+            kind::OUTPUT
+        )),
     }
 }

@@ -31,8 +31,8 @@ pub trait Services: Sync {
     fn task(&self) -> Task<'_>;
     /// Receives a warning for the user.
     fn warn(&self, message: &str);
-    /// Receives a message. By default only errors and warnings are shown: a task does not show
-    /// information.
+    /// Receives a message. By default errors and warnings are passed to [`warn`](Self::warn), and
+    /// other messages are dropped.
     fn log(&self, level: LogLevel, message: &str) {
         if matches!(level, LogLevel::Error | LogLevel::Warn) {
             self.warn(message);

@@ -126,7 +126,7 @@ fn an_overflow_of_the_stack_is_reported() {
     let bench = Bench::new();
     for fault in ["submit:overflow", "finish:overflow"] {
         let error = bench.write(fault).unwrap_err().to_string();
-        // detected by the guard page of Rust's threads, or by the system
+        // an overflow is detected by the guard page of Rust's threads, or by the system
         assert!(error.contains("ended by signal 6 (abort)") || error.contains("ended by signal 11"), "{error}");
         assert!(error.starts_with("output `hostile` failed: its process ("), "{error}");
         bench.others_work(fault);
@@ -263,8 +263,8 @@ fn plugins_of_the_other_kinds_are_named_as_well() {
     assert_eq!(made, b"{}");
 }
 
-/// The plugin creates a file when its library is loaded. The test runs in its own process, whose
-/// environment sets the path.
+/// A plugin of these tests creates a file when its library is loaded. A process of its own uses one
+/// of two plugins, since environment variables name the libraries and the folder of that file.
 #[test]
 fn a_library_that_is_not_requested_is_not_loaded() {
     let folder = tempfile::tempdir().unwrap();

@@ -194,10 +194,11 @@ fn libraries_of_other_versions_are_recognized() {
         )
     );
     let short = message("short", ABI_MAJOR, ABI_MINOR, 24, "4, 4, TEXTS, 0");
-    let expected = format!("its descriptor says version {ABI_MAJOR}.{ABI_MINOR} and 24 bytes");
+    let expected = format!("its descriptor states version {ABI_MAJOR}.{ABI_MINOR} and a size of 24 bytes");
     assert!(short.starts_with(&expected), "{short}");
     let unknown = message("unknown", ABI_MAJOR, ABI_MINOR, size, "77, 4, TEXTS, 0");
-    assert_eq!(unknown, "plugin `unknown`: plugins of kind 77 are not supported by this version");
+    let expected = "expected kind 1 (importer), 2 (source), 3 (node) or 4 (output), found 77";
+    assert_eq!(unknown, format!("plugin `unknown`: {expected}"));
     let bare = message("bare", ABI_MAJOR, ABI_MINOR, size, "4, 4, TEXTS, 0");
     assert_eq!(bare, "plugin `bare`: a function of an output is missing");
 

@@ -24,7 +24,7 @@ fn gain_schema() -> Schema {
     ])
 }
 
-/// Fills all layers and bins with the target's central view times the gain, if the sizes match.
+/// Fills all layers and bins with one value: the mean of the target's first view times the gain.
 struct Flat;
 
 impl NodePlugin for Flat {
@@ -256,7 +256,7 @@ fn pieces_that_do_not_fit_are_refused_where_they_are_given() {
         ("[[0, 0, 3, 0.5], [0, 0, 3, 0.5]]", "layer 0, frame 0 was already given"),
         ("[[1, 0, 3, 0.5]]", "layer 1, frame 0: expected a layer below 1 and a frame below 2"),
         ("[[0, 2, 3, 0.5]]", "layer 0, frame 2: expected a layer below 1 and a frame below 2"),
-        ("[[0, 0, 2, 0.5]]", "layer 0, frame 0: expected [3, 4, 3] values, found [2, 4, 3]"),
+        ("[[0, 0, 2, 0.5]]", "layer 0, frame 0: expected a plane of shape [3, 4, 3], found [2, 4, 3]"),
         ("[[0, 0, 3, -0.5]]", "layer 0, frame 0: expected values in 0..1, found -0.5"),
     ] {
         assert_eq!(made(steps).unwrap_err().to_string(), message);
@@ -346,5 +346,5 @@ fn weights_seed_and_patterns_reach_a_node_and_what_it_tells_comes_back() {
     let error = make_stack(&plugin, &MemoryHost::new(), "{}", &NodeData { weights: &wrong, ..seven }).unwrap_err();
     assert!(matches!(error, PluginError::Refused(_)), "{error:?}");
     let error = flat(r#"{"fault": "steps"}"#).unwrap_err();
-    assert_eq!(error.to_string(), "iteration 1 came after the same or a later one");
+    assert_eq!(error.to_string(), "iteration 1: expected a later one than before");
 }

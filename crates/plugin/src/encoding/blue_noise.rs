@@ -2,10 +2,15 @@
 //! dither array generation", 1993).
 //!
 //! Dots are ranked one by one on a torus. The energy of a position is the sum of exp(−r²/2σ²) over
-//! all dots, σ = 1.5 pixels. The initial pattern is relaxed: the dot in the tightest cluster moves
-//! to the largest void until both coincide. Its dots are then ranked: the dot in the tightest
-//! cluster is removed repeatedly. All other positions are ranked by filling the largest void
-//! repeatedly.
+//! all dots, σ = 1.5 pixels. The tightest cluster is the dot of highest energy, the largest void
+//! the free position of lowest energy.
+//!
+//! 1. Some random dots are placed. The tightest cluster moves to the largest void, repeatedly,
+//!    until both are the same position.
+//! 2. These dots get the low ranks, the highest of them first: the tightest cluster gets a rank and
+//!    is removed, repeatedly.
+//! 3. All other positions get the high ranks, the lowest of them first: the largest void gets a
+//!    rank and a dot, repeatedly.
 
 use std::sync::OnceLock;
 

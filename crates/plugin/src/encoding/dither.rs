@@ -1,6 +1,6 @@
 //! Codes of a panel of b bits, with optional dithering.
 //!
-//! A value v lies between the light l₀ < v < l₁ of two neighbouring codes. The brighter code is
+//! A value v lies between the light l₀ ≤ v < l₁ of two neighbouring codes. The brighter code is
 //! used for the fraction t = (v − l₀)/(l₁ − l₀) of the pixels. So the mean *light* is exact for any
 //! transfer function. Pixels are selected by a threshold map, or by error diffusion in linear light
 //! (Floyd and Steinberg, 1976; serpentine rows).
@@ -64,7 +64,8 @@ pub fn panel_codes(
     codes
 }
 
-/// The largest code not above a value, and the fraction of the step to the next code.
+/// The brightest code whose light is not above a value, but never the last code. Also the fraction
+/// t of the step to the next code.
 fn between(light: &[f32], value: f32) -> (u16, f32) {
     let value = if value.is_nan() { 0.0 } else { value.clamp(0.0, 1.0) };
     let above = light.partition_point(|&l| l <= value).clamp(1, light.len() - 1);
@@ -81,8 +82,8 @@ struct ThresholdMap {
 impl ThresholdMap {
     fn of(dither: Dither) -> Self {
         if dither == Dither::Ordered {
-            // the rank's bits, from the highest, are in turn those of x ^ y and of y, from the
-            // lowest
+            // a rank interleaves the bits of x ^ y and of y; the lowest bits of these become the
+            // highest bits of the rank
             let rank = |x: usize, y: usize| {
                 (0..3).fold(0, |rank, bit| {
                     let pair = 2 * ((x ^ y) >> bit & 1) + (y >> bit & 1);

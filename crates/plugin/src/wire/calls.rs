@@ -33,7 +33,8 @@ pub fn call(function: impl FnOnce(*const ErrorSink) -> Status) -> Result<(), Plu
 /// # Safety
 /// `error` is null or a valid sink.
 pub unsafe fn answer(error: *const ErrorSink, function: impl FnOnce() -> Result<(), PluginError>) -> Status {
-    // After a panic the plugin's instance refuses further calls, and locks protect all other state.
+    // No call sees state that a panic left inconsistent: the plugin's instance refuses further
+    // calls, and locks protect all other state.
     let outcome = catch_unwind(AssertUnwindSafe(function))
         .unwrap_or_else(|payload| Err(PluginError::Panicked(panic_text(payload))));
     let (status, text) = match outcome {

@@ -14,7 +14,8 @@ use crate::{Error, Model, err};
 const FULL: &str = include_str!("../shaders/full.vert.glsl");
 /// Computes the seen picture at every pixel of the field. It is the mean light of rays: a ray for
 /// every part of the pixel and every point of the pupil. The rays' hits are looked up in the tables
-/// of `tables.rs`, made by `AreaMap`.
+/// of `tables.rs`, made by `AreaMap`. With M frames m, the backlight's light b and the values v of
+/// the layers n that a ray hits, the ray's light is
 ///
 /// ```text
 /// attenuating    (1/M) Σ_m b ∏_n v

@@ -48,7 +48,8 @@ fn a_light_field_of_a_static_stack_is_reproduced() {
     assert!(many > 40.0 && many > few + 6.0, "{few} {many}");
 }
 
-/// At the minimum of a convex objective over a box, no small change of a pixel lowers it.
+/// At the minimum of a convex objective over a box, no small change of a pixel lowers the
+/// objective.
 #[test]
 fn the_optimum_is_one() {
     let display = display(1);

@@ -8,11 +8,11 @@ use lumistack_plugin_testkit::{conformance, made_by, random_field};
 /// Tolerance of sums of a few f32 values.
 const ROUNDING: f32 = 1e-5;
 
-/// Two layers with a disparity of one pixel per step of slope: neighbouring views behind one slit
-/// hit neighbouring rear pixels.
+/// Two layers with a disparity of one pixel from view to view: rays of neighbouring views through
+/// one slit hit neighbouring pixels of the rear layer.
 fn display(views: [usize; 2], frames: usize) -> Display {
-    // slopes of neighbouring views differ by 2·tan(10°)/views; the layers' distance makes that one
-    // pixel
+    // slopes of neighbouring views differ by 2·tan(10°)/views; the layers' distance turns that
+    // difference into a shift of one pixel
     let step = 2.0 * 10f64.to_radians().tan() / views[0] as f64;
     Display::uniform(
         [24, 18],

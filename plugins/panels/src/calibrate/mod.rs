@@ -8,8 +8,9 @@
 //! photograph = centre + size · distort(H(P)),   distort(u) = u · (1 + k₁ |u|² + k₂ |u|⁴)
 //! ```
 //!
-//! A cross of another layer appears at some point P' of that plane. It was drawn for point q of its
-//! layer, but is at point t:
+//! with a homography H. If a layer at d is misplaced, its cross for point P of that plane appears
+//! at another point P'. The cross was drawn for point q of the layer, but is at point t; D is the
+//! distance of e from the plane:
 //!
 //! ```text
 //! q = e + (P − e) · (D − d) / D        t = e + (P' − e) · (D − d) / D

@@ -13,8 +13,8 @@ const OUTPUT: [usize; 2] = [840, 525];
 const EYE: [f64; 3] = [12.0, -8.0, 2000.0];
 /// Largest error of the homographies, panel pixels.
 const ERROR_PX: f64 = 0.1;
-/// Largest error at the corners of a rotated panel, outside the array, panel pixels. There the
-/// crosses are rotated too, so their lines are staircases of panel pixels.
+/// Largest error at the corners of a rotated panel, panel pixels. It is larger, since the corners
+/// are outside the array and the lines of rotated crosses are staircases of panel pixels.
 const ASKEW_PX: f64 = 0.2;
 
 fn display() -> Display {

@@ -258,8 +258,8 @@ impl App<'_> {
             if !is_x11 {
                 add_span_rule()?;
             }
-            // A Wayland fullscreen surface across all outputs begins at the first output. X11
-            // places a window anywhere.
+            // On Wayland a surface across outputs always covers all of them. On X11 a window may
+            // have any place, so it covers the assigned outputs alone.
             let (corner, size) = if is_x11 { bounds(assigned.iter().map(|(_, output)| output)) } else { bounds(&all) };
             let attributes = span_attributes(plain().with_title(SPAN_TITLE), corner, size);
             open(attributes, "across all outputs", Some(size))?;
