@@ -54,7 +54,7 @@ pub(crate) struct RenderArgs {
     /// has content that it does not support
     #[arg(long, value_name = "NAME")]
     pub(crate) engine: Option<lumistack_pipeline::Engine>,
-    /// Bounces after the first hit
+    /// Largest number of bounces of a path, that at the first hit included; 0 shows only emission
     #[arg(long, value_name = "N")]
     pub(crate) max_bounces: Option<u32>,
     /// Filter that removes noise from views: auto, shared, off, guided or oidn. With shared, light

@@ -1,9 +1,9 @@
 //! The target and the weights in the order of the inner loops, rows padded on both sides.
 //!
 //! A target in memory is `[channel][view][row][x]`. A target in a file is
-//! `[channel][row][view][x]`: the rays through a line of a layer are in a band of rows, so updates
-//! read the file from one end to the other, and only a band is in memory. In memory that order took
-//! 1.3 times as long for 13 × 13 views.
+//! `[channel][row][view][x]`, since the rays through a line of a layer are in a band of rows. So
+//! updates read the file from one end to the other, and only a band is in memory. A target in
+//! memory in that order made updates 1.3 times as slow for 13 × 13 views.
 
 use std::ops::Range;
 use std::sync::Arc;

@@ -1,9 +1,9 @@
 //! Decoders of packed content, by libraries in pure Rust: pictures, Draco, meshopt, splats.
 //!
 //! The reader of glTF passes [`Packed`] content to
-//! [`AssetResolver::unpack`](crate::AssetResolver::unpack), whose default is [`unpack`] here. A page
-//! whose decoders are a second module passes it on as bytes: [`to_bytes`](Packed::to_bytes), there
-//! [`answer`], and [`answered`] again.
+//! [`AssetResolver::unpack`](crate::AssetResolver::unpack), whose default is [`unpack`] here. If
+//! a page has its decoders in a second module, it passes the content on as bytes:
+//! [`to_bytes`](Packed::to_bytes), there [`answer`], and [`answered`] again.
 
 mod draco;
 mod kinds;

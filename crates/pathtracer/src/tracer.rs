@@ -25,9 +25,9 @@
 //!   larger pieces than they were written in. So directions around normals and primary rays are
 //!   computed for all paths together, as vectors. Hits are written where they are read, and a
 //!   light's density is kept as its inverse. Together this gave 9 % more samples.
-//! * A loop over the paths for each step of a vertex (surface, light, scattered direction) cost 3
-//!   %, since the steps' results have to be stored.
-//! * Traced as a beam, the shadow rays of first hits took 1.6 times as long as one by one. That beam
+//! * A loop over the paths for each step of a vertex (surface, light, scattered direction) cost
+//!   3 %, since the steps' results have to be stored.
+//! * Traced as a beam, the shadow rays of first hits took 1.6 times as long as one by one. The beam
 //!   tested the bounds of every block with eight rays together.
 
 use glam::Vec3;

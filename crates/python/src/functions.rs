@@ -35,7 +35,7 @@ use crate::work::{command, long};
 /// * samples: paths per pixel of each view, 1 to 65536
 /// * zone_samples: instead of samples, paths per pixel, summed over all views; "auto": as many as
 ///   improve the display's picture
-/// * max_bounces: bounces after the first hit, 0 to 1024
+/// * max_bounces: bounces of a path, the one at the first hit included, 0 to 1024
 /// * clamp: largest value of a single path
 /// * denoise: "auto", "off", "shared", "guided" or "oidn"
 /// * angular_filter: "point", "bin" or "display"

@@ -25,7 +25,7 @@ pub(crate) fn reached(history: &[Iteration]) -> Vec<Reached> {
             Some(Reached { seconds, iteration: it.iteration, psnr_view: it.psnr_view })
         })
         .collect();
-    // of several round times with the same last iteration, keep only the first
+    // keep only the first of several round times with the same last iteration
     lines.dedup_by(|later, earlier| later.iteration == earlier.iteration && later.seconds != end.seconds);
     lines.drain(..lines.len().saturating_sub(LINES));
     lines

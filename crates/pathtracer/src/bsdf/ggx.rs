@@ -61,8 +61,8 @@ pub(crate) fn reflection(o: Vec3, i: Vec3, h: Vec3, alpha: Vec2) -> (f32, f32) {
     (density * visibility, density / (2.0 * (cap_share(o, alpha) * o.z + root_o)))
 }
 
-/// Fraction k of bounded VNDF sampling (source at the top of the file): the cap of [`sample_cap`]
-/// extends down to z = −k · z of the stretched `o`. k = 1 samples all visible normals. A smaller k
+/// Fraction k of bounded VNDF sampling (source at the top of the file). The cap of [`sample_cap`]
+/// extends down to z = −k o_z, where `o` is stretched. k = 1 samples all visible normals. A smaller k
 /// leaves out some that reflect `o` below the horizon.
 #[inline]
 fn cap_share(o: Vec3, alpha: Vec2) -> f32 {

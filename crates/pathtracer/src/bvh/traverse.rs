@@ -18,8 +18,8 @@
 //!   notable part of the time. The inputs of blocks stay scalars. Trees without instances have a
 //!   loop of their own, whose rays never change. Together this gives a fifth to a third more rays
 //!   per second.
-//! * A block's test runs to its end even if the edge functions already exclude all of its triangles.
-//!   A branch there would be unpredictable; without it 4 to 9 % more scattered and shadow rays are
+//! * A block's test runs to its end even if the edge functions already exclude all its triangles. A
+//!   branch there would be unpredictable; without it 4 to 9 % more scattered and shadow rays are
 //!   traced.
 //! * A hit becomes a [`Hit`] once, at the end (4 to 12 % more rays).
 //!

@@ -310,8 +310,8 @@ mod tests {
             above(sky.evaluate(Vec3::new(sine * phi.cos(), sine * phi.sin(), z)).0) * 4.0 * std::f64::consts::PI
         }));
         important.assert_same(uniform, 0.0, FALSE_ALARM_RATE);
-        // `uniform` has ten times as many samples; with as few as `important` its standard error
-        // would be 3.2 times as large, and `important` must have less than half of that
+        // `uniform` has ten times as many samples. With as few as `important`, its standard error
+        // would be 3.2 times as large. `important` must have less than half of that.
         assert!(important.standard_error < 0.5 * 3.2 * uniform.standard_error, "{important:?} {uniform:?}");
         // the integral over a cell is exact unless the radiance crosses `floor` within it
         assert!((important.value / (4.0 * std::f64::consts::PI * f64::from(sky.sampled_magnitude)) - 1.0).abs() < 0.03);

@@ -2,7 +2,7 @@
 //! the exposure and tone curve that a job would choose for our render by default.
 //!
 //! Each render has two halves a and b with independent noise. Therefore the mean of the product
-//! (o_a − p_a)(o_b − p_b) contains no noise: it is the squared difference of the expected pictures
+//! (o_a − p_a)(o_b − p_b) contains no noise. It is the squared difference of the expected pictures
 //! o (ours) and p (the other).
 
 use std::path::Path;

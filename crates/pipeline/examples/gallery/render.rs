@@ -21,7 +21,7 @@ use crate::{Outcome, text};
 
 /// Width of the window, mm. Only the aspect ratio has an effect here.
 const WIDTH_MM: f64 = 420.0;
-/// Scattering events after the first hit: enough for glass in front of glass.
+/// Largest number of bounces of a path: enough for glass in front of glass.
 const MAX_BOUNCES: u32 = 12;
 
 /// Options of the command line.

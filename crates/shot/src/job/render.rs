@@ -26,7 +26,8 @@ pub struct RenderJob {
     /// Memory of the light field while it is rendered, read and solved, MiB. A larger one is kept
     /// in files, of which parts are in memory.
     pub field_mib: u64,
-    /// Largest number of bounces after the first hit.
+    /// Largest number of bounces of a path, the one at the first hit included. 0 shows emission
+    /// only.
     pub max_bounces: u32,
     /// Largest value of a single path. Brighter paths are dimmed, which loses light. Without this
     /// key all light is kept.
