@@ -2,10 +2,10 @@
 //! which light may be averaged for them.
 //!
 //! Along one axis the support is the sum of the segments ±g of
-//! [`depth`](crate::Display::spatial_cutoff): a polygon that is symmetric about the origin. Its axes
-//! are spatial frequency ω_x (cycles per millimetre) and frequency per slope ω_s, which is in cycles
-//! per unit of slope (the paper's ω_v with d_r = 1). It is a box for a lens array, a
-//! diamond for two layers, a hexagon for three (the paper's Figure 4).
+//! [`depth`](crate::Display::spatial_cutoff): a polygon that is symmetric about the origin. Its
+//! first axis is the spatial frequency ω_x, in cycles per millimetre. Its second axis is the
+//! frequency per slope ω_s, in cycles per unit of slope (the paper's ω_v with d_r = 1). The polygon
+//! is a box for a lens array, a diamond for two layers, a hexagon for three (the paper's Figure 4).
 //!
 //! The support's extent ω_s on the axis ω_x = 0 limits the bound far from the display: ω(z) →
 //! ω_s/|z|. Light that is gathered over slopes of width

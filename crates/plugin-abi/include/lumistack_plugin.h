@@ -78,12 +78,12 @@
 #define LUMISTACK_PORT_LAYER_STACK (1 << 2)
 
 /**
- * A file that another plugin wrote.
+ * A file, which an importer reads.
  */
 #define LUMISTACK_PORT_FILE (1 << 3)
 
 /**
- * An error that the plugin survives.
+ * An operation failed, and the plugin continues without it.
  */
 #define LUMISTACK_LEVEL_ERROR 1
 
@@ -160,7 +160,7 @@ typedef struct LumistackDescriptor {
    */
   struct LumistackStr schema_json;
   /**
-   * Functions of its kind; see `kind`.
+   * Functions of the plugin's kind; see `kind`.
    */
   const void *vtable;
 } LumistackDescriptor;
@@ -178,7 +178,7 @@ typedef int32_t LumistackStatus;
  */
 #define LUMISTACK_STATUS_FAILED 1
 /**
- * The call stopped because the host cancelled; the input may be valid.
+ * The call stopped because the host cancelled; it implies nothing about the input.
  */
 #define LUMISTACK_STATUS_CANCELLED 2
 /**
@@ -224,7 +224,7 @@ typedef struct LumistackBytes {
 } LumistackBytes;
 
 /**
- * A lent array of 1 to 4 axes, outermost first.
+ * A lent array of 1 to 4 axes, the outermost axis first.
  */
 typedef struct LumistackPlane {
   /**
@@ -256,15 +256,15 @@ typedef struct LumistackPlane {
    */
   void *owner;
   /**
-   * Releases the plane. If null, the plane is valid until the `submit` that fetched it returns,
-   * and needs no release.
+   * Releases the plane. If null, the plane needs no release: it stays valid until the `submit`
+   * or `make` that fetched it returns.
    */
   void (*release)(void *owner);
 } LumistackPlane;
 
 /**
- * Data of a time step, lent until `submit` returns. Functions that do not fit `port` return
- * `Status::REFUSED`. Several threads may read at once.
+ * Data of a time step, lent until `submit` or `make` returns. Functions that do not fit `port`
+ * return `Status::REFUSED`. Several threads may call the functions in parallel.
  */
 typedef struct LumistackData {
   /**
@@ -282,19 +282,18 @@ typedef struct LumistackData {
   /**
    * Shapes and geometry as JSON.
    *
-   * * A layer stack: `{"port": "layer_stack", "brightness", "frames",
-   *   "layers": [[rows, cols], ...], "emission", "target": geometry, "target_views",
-   *   "target_depth": depth}`. `layers` begins with the rearmost one. `emission` is null or
-   *   `[bins_y, bins_x, lenslet_rows, lenslet_cols]`. `target_views` is true where `view_plane`
-   *   lends the target's views.
+   * * A layer stack: `{"port": "layer_stack", "brightness", "frames", "layers": [[rows, cols],
+   *   ...], "emission", "target": geometry, "target_views", "target_depth": depth}`. `layers`
+   *   begins with the rearmost layer. `emission` is null or `[bins_y, bins_x, lenslet_rows,
+   *   lenslet_cols]`. `target_views` is true if `view_plane` lends the target's views.
    * * A light field: `{"port": "light_field", "geometry": geometry, "depth": depth}`.
    * * A node's light field also has `"seed"`, `"weights"` and `"start"`. `weights` is
-   *   `{"per_view": [[...], ...]}` or `"per_ray"` (see `weight_plane`); without it all rays
-   *   count alike. `start` is `{"brightness"}` where a warm start exists. Its patterns have the
-   *   display's own shape; `layer_plane` and `emission_plane` lend them.
+   *   `{"per_view": [[...], ...]}` or `"per_ray"` (see `weight_plane`); without it all rays have
+   *   the same weight. `start` is `{"brightness"}` if there is a warm start. The warm start's
+   *   patterns have the display's shape; `layer_plane` and `emission_plane` lend them.
    * * A depth: `{"rows", "cols", "z_mm": [...]}`, row by row, in millimetres towards the viewer,
    *   null for a miss. It belongs to the view [view rows / 2, view columns / 2], and may be
-   *   coarser than the views. The key is left out where the depth is unknown.
+   *   coarser than the views. The key is left out if the depth is unknown.
    * * A geometry: `{"rows", "cols", "pitch_mm", "projection": "oblique" | "perspective",
    *   "distance_mm", "slope_x": [...], "slope_y": [...]}`.
    */
@@ -318,8 +317,8 @@ typedef struct LumistackData {
                                     struct LumistackPlane *plane,
                                     const struct LumistackErrorSink *error);
   /**
-   * Linear radiance `[row][col][rgb]` of one view of a light field, or of a layer stack's target
-   * where it has views.
+   * Linear radiance `[row][col][rgb]` of one view: of a light field, or of a layer stack's
+   * target if `target_views` is true.
    */
   LumistackStatus (*view_plane)(const void *context,
                                 size_t view_y,
@@ -327,8 +326,8 @@ typedef struct LumistackData {
                                 struct LumistackPlane *plane,
                                 const struct LumistackErrorSink *error);
   /**
-   * Weights `[row][col][1]`, at least 0, of the rays of one view, where the description says
-   * `"per_ray"`. Since version 0.3.
+   * Weights `[row][col][1]`, at least 0, of the rays of one view, if `weights` of the
+   * description is `"per_ray"`. Since version 0.3.
    */
   LumistackStatus (*weight_plane)(const void *context,
                                   size_t view_y,
@@ -358,7 +357,8 @@ typedef struct LumistackView {
 /**
  * Functions of the host. Any thread may call them, from `open` until `close` returns.
  *
- * They are a table because every library has its own statics: loggers, allocators, thread pools.
+ * They are passed as a table because every library has its own statics (loggers, allocators,
+ * thread pools), and cannot reach the host's.
  */
 typedef struct LumistackHostServices {
   /**
@@ -378,7 +378,7 @@ typedef struct LumistackHostServices {
    */
   void (*progress_begin)(const void *context, struct LumistackStr stage, uint64_t total, struct LumistackStr unit);
   /**
-   * Reports finished steps. `note` is a short value to show beside the bar, or empty.
+   * Reports finished steps. `note` is a short value to show next to the progress bar, or empty.
    */
   void (*progress_advance)(const void *context, uint64_t steps, struct LumistackStr note);
   /**
@@ -392,7 +392,7 @@ typedef struct LumistackHostServices {
   uint8_t (*is_cancelled)(const void *context);
   /**
    * Starts a file, with `*file` as its handle. `path` is relative to the output's folder, with
-   * `/` between its parts and no `..`.
+   * `/` between names and no `..`.
    */
   LumistackStatus (*file_open)(const void *context,
                                struct LumistackStr path,
@@ -406,8 +406,8 @@ typedef struct LumistackHostServices {
                                  struct LumistackBytes bytes,
                                  const struct LumistackErrorSink *error);
   /**
-   * Completes the file and closes the handle. The file appears in its place once the output has
-   * finished.
+   * Completes the file and closes the handle. The file appears in the output's folder once the
+   * output has finished.
    */
   LumistackStatus (*file_commit)(const void *context, uint64_t file, const struct LumistackErrorSink *error);
   /**
@@ -415,7 +415,7 @@ typedef struct LumistackHostServices {
    */
   LumistackStatus (*file_abort)(const void *context, uint64_t file, const struct LumistackErrorSink *error);
   /**
-   * Computes the seen picture of a submitted layer stack from one place.
+   * Computes the seen picture of a submitted layer stack from one viewpoint.
    *
    * The result is emitted linear radiance `[row][col][rgb]`: the mean over the area of each of
    * the target's pixels, not divided by the stack's brightness. `data` is the argument of
@@ -427,19 +427,19 @@ typedef struct LumistackHostServices {
                               struct LumistackPlane *plane,
                               const struct LumistackErrorSink *error);
   /**
-   * Sends an event to the host's driver of a presenter. The plugin defines the form of the JSON.
-   * Since version 0.4.
+   * Sends an event of a presenter to the program that runs the presentation. The plugin defines
+   * the form of the JSON. Since version 0.4.
    */
   void (*tell)(const void *context, struct LumistackStr event_json);
   /**
-   * Port whose data the output will receive, a bit of `port`; 0 where the host
-   * does not know it. Since version 0.4.
+   * Port whose data the output will receive, a bit of `port`; 0 if the host does
+   * not know it. Since version 0.4.
    */
   uint32_t port;
 } LumistackHostServices;
 
 /**
- * Place of a time step in a sequence.
+ * Position of a time step in a sequence.
  */
 typedef struct LumistackTime {
   /**
@@ -459,7 +459,7 @@ typedef struct LumistackTime {
 /**
  * Functions of an output plugin. All but `run` and `command` are required.
  *
- * `error` receives the text of a status other than `Status::OK`; it may be null where the caller
+ * `error` receives the text of a status other than `Status::OK`; it may be null if the caller
  * does not need the text.
  */
 typedef struct LumistackOutputVtable {
@@ -480,7 +480,8 @@ typedef struct LumistackOutputVtable {
                           void **instance,
                           const struct LumistackErrorSink *error);
   /**
-   * Takes one time step of the sequence. Any thread may call it, several at once too.
+   * Takes one time step of the sequence. Any thread may call it; several threads may call it in
+   * parallel.
    */
   LumistackStatus (*submit)(void *instance,
                             const struct LumistackTime *time,
@@ -492,12 +493,13 @@ typedef struct LumistackOutputVtable {
    */
   LumistackStatus (*run)(void *instance, const struct LumistackErrorSink *error);
   /**
-   * Ends the data. Called at most once, after every `submit` has returned.
+   * Completes the output: no more data follow. Called at most once, after every `submit` has
+   * returned.
    */
   LumistackStatus (*finish)(void *instance, const struct LumistackErrorSink *error);
   /**
-   * Frees the handle. Called exactly once, as the last function, in any state; without `finish`
-   * the output is abandoned.
+   * Frees the handle. Called exactly once, as the last function, in any state. Without an
+   * earlier `finish` the output is discarded.
    */
   void (*close)(void *instance);
   /**
@@ -539,7 +541,7 @@ typedef struct LumistackAssets {
   const void *context;
   /**
    * Reads a whole file. `path` is relative to the folder of the imported file, with `/` between
-   * its parts.
+   * names.
    */
   LumistackStatus (*read)(const void *context,
                           struct LumistackStr path,
@@ -559,13 +561,13 @@ typedef struct LumistackImporterVtable {
    */
   size_t size;
   /**
-   * Extensions of its files: lower case, without the dot, separated by spaces.
+   * Extensions of the files that it reads: lower case, without the dot, separated by spaces.
    */
   struct LumistackStr extensions;
   /**
    * Reads the file `file`, a name for `assets`, and writes a whole `.glb` or `.gltf` to `scene`.
-   * The document may refer to files beside the imported file. `host` offers messages, progress
-   * and cancellation, but no files.
+   * The document may refer to files in the imported file's folder. `host` offers messages,
+   * progress and cancellation, but no files.
    */
   LumistackStatus (*import)(const struct LumistackHostServices *host,
                             struct LumistackStr params_json,
@@ -588,8 +590,8 @@ typedef struct LumistackFieldSink {
    */
   void *context;
   /**
-   * Sets pixels and views, as the geometry in `Data::description_json`. Called once, before
-   * the first view.
+   * Sets the light field's geometry, in the form that `Data::description_json` gives a
+   * geometry. Called once, before the first view.
    */
   LumistackStatus (*geometry)(void *context, struct LumistackStr geometry_json, const struct LumistackErrorSink *error);
   /**
@@ -613,7 +615,7 @@ typedef struct LumistackSourceVtable {
   size_t size;
   /**
    * Makes the light field of one time step. It should have the display's geometry; the host
-   * accepts others. `host` is as for importers.
+   * accepts others. `host` offers the same as for importers.
    */
   LumistackStatus (*make)(const struct LumistackHostServices *host,
                           struct LumistackStr params_json,
@@ -638,12 +640,12 @@ typedef struct LumistackStackSink {
   void *context;
   /**
    * Sets the brightness β, above 0 and at most 1: the patterns emit β times the target. Without
-   * this call β is that of the display.
+   * this call β is the display's.
    */
   LumistackStatus (*brightness)(void *context, double brightness, const struct LumistackErrorSink *error);
   /**
    * Copies the values `[row][col][rgb]` of one layer (0 = rearmost) and frame, linear, 0..1.
-   * Called exactly once for each.
+   * Called exactly once for each layer and frame.
    */
   LumistackStatus (*layer_plane)(void *context,
                                  size_t layer,
@@ -652,7 +654,7 @@ typedef struct LumistackStackSink {
                                  const struct LumistackErrorSink *error);
   /**
    * Copies the emission `[lenslet_row][lenslet_col][rgb]` of one angular bin and frame of a
-   * directional backlight, linear, 0..1. Called exactly once for each.
+   * directional backlight, linear, 0..1. Called exactly once for each bin and frame.
    */
   LumistackStatus (*emission_plane)(void *context,
                                     size_t frame,
@@ -661,10 +663,10 @@ typedef struct LumistackStackSink {
                                     const struct LumistackPlane *plane,
                                     const struct LumistackErrorSink *error);
   /**
-   * Reports the progress of an iterative method. `objective` is the value after `iteration`
-   * iterations (0: the start), which the method minimizes. `psnr_view_db` is the PSNR of the
-   * emitted light field against the target, dB; NaN where it is unknown. Optional, in order.
-   * Since version 0.3.
+   * Reports the progress of an iterative method. `objective` is the value that the method
+   * minimizes, after `iteration` iterations; iteration 0 is the start. `psnr_view_db` is the
+   * PSNR of the emitted light field against the target, dB; NaN if it is unknown. Optional;
+   * `iteration` must increase from call to call. Since version 0.3.
    */
   LumistackStatus (*step)(void *context,
                           uint32_t iteration,
@@ -673,9 +675,10 @@ typedef struct LumistackStackSink {
                           const struct LumistackErrorSink *error);
   /**
    * Reports the result of an iterative method: `{"solver", "start", "coarse_levels",
-   * "kkt_residual", "levels"}`. Optional, once. Since version 0.3.
+   * "kkt_residual", "levels"}`. Optional; called at most once. Since version 0.3.
    *
-   * * `coarse_levels`: levels of half the resolution before the first iteration.
+   * * `coarse_levels`: number of coarser resolutions, each half the next finer one, that were
+   *   solved first.
    * * `kkt_residual`: root mean square of the emission's change in a further exact step. The
    *   older key `unsettled` is accepted too.
    * * `levels`: PSNR in dB of [continuous, rounded, re-optimized] patterns for panels of few
@@ -693,8 +696,9 @@ typedef struct LumistackNodeVtable {
    */
   size_t size;
   /**
-   * Makes the patterns of one time step. `data` is a light field of the display's own geometry,
-   * with the other keys of its description. `host` is as for importers.
+   * Makes the patterns of one time step. `data` is a light field of the display's geometry; its
+   * description has the further keys for nodes that `Data::description_json` lists. `host`
+   * offers the same as for importers.
    */
   LumistackStatus (*make)(const struct LumistackHostServices *host,
                           struct LumistackStr params_json,

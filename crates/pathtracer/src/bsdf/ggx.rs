@@ -62,8 +62,8 @@ pub(crate) fn reflection(o: Vec3, i: Vec3, h: Vec3, alpha: Vec2) -> (f32, f32) {
 }
 
 /// Fraction k of bounded VNDF sampling (source at the top of the file). The cap of [`sample_cap`]
-/// extends down to z = −k o_z, where `o` is stretched. k = 1 samples all visible normals. A smaller k
-/// leaves out some that reflect `o` below the horizon.
+/// extends down to z = −k o_z, where `o` is stretched. k = 1 samples all visible normals. A
+/// smaller k leaves out some that reflect `o` below the horizon.
 #[inline]
 fn cap_share(o: Vec3, alpha: Vec2) -> f32 {
     let a = alpha.min_element().min(1.0);
