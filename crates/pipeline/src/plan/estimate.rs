@@ -429,8 +429,9 @@ fn cost(stage: &str) -> f64 {
 const RGB: f64 = 12.0;
 /// Bytes of the rays that choose an exposure, twice.
 const EXPOSURE: f64 = (64 << 20) as f64;
-/// Bytes of the program itself, with its libraries and threads.
-const PROGRAM: f64 = (48 << 20) as f64;
+/// Bytes of the program itself: its code, libraries and threads, and memory that the allocator
+/// keeps.
+const PROGRAM: f64 = (80 << 20) as f64;
 /// Views in work at a time, of one thread.
 const VIEWS_IN_WORK: f64 = 8.0;
 
