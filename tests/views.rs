@@ -176,7 +176,10 @@ fn some_views_are_those_of_the_whole() {
     succeed(&mut still_life(&at("two"), &["--linear", "--only-views", "0,0", "--only-views", "2,3..4"]));
     assert_eq!((list("two").len(), index(&at("two"))["partial"].as_bool()), (3, Some(true)));
     let text = fail(lumistack().arg("factorize").arg(at("two")).arg("-o").arg(at("run")));
-    assert!(text.contains("expected all views, or whole rows and columns of views") && text.contains("found 3 of 25"), "{text}");
+    assert!(
+        text.contains("expected all views, or whole rows and columns of views") && text.contains("found 3 of 25"),
+        "{text}"
+    );
     // rendering the rest completes them
     succeed(&mut still_life(&at("two"), &["--linear"]));
     assert!(files(&at("two")) == files(&at("all")));

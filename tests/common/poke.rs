@@ -87,8 +87,8 @@ impl Poke {
         u32::from_le_bytes(answer[8..12].try_into().unwrap())
     }
 
-    /// Makes this client the window manager, or no longer: the window manager is the client that
-    /// receives requests for the root window's children.
+    /// Makes this client the window manager, or an ordinary client again if `is` is false. The
+    /// window manager receives the requests for the root window's children.
     pub fn manage(&mut self, is: bool) {
         // ChangeWindowAttributes: the event mask, with or without SubstructureRedirect
         self.say(2, 0, &[self.root, 1 << 11, u32::from(is) << 20]);

@@ -53,7 +53,7 @@ pub(crate) struct Analyze {
     output: Option<PathBuf>,
 }
 
-/// A display's name, and the changes that follow it.
+/// An argument NAME:KEY=VALUE,...: the display's name, and the changes to the display.
 #[derive(Clone, Debug)]
 struct Which {
     name: String,

@@ -44,7 +44,7 @@ pub(crate) enum Command {
     /// Write a commented job file from three answers: scene, display, outputs
     #[command(after_help = crate::new::EXAMPLES)]
     New(crate::new::New),
-    /// Render the views of a scene alone, into a light-field folder
+    /// Render only the views of a scene, into a light-field folder
     #[command(
         after_help = "Examples:\n  lumistack render model.glb -o views                                    all views of the display, exposed and tone-mapped\n  lumistack render model.glb --linear --layers depth,normal -o views     scene-linear radiance, with depth and normals\n  lumistack render model.glb --views 7x7 --only-views 3,* -o row         the middle one of seven rows of views\n\nViews are OpenEXR pictures; lightfield.json states the geometry of their rays. `lumistack factorize DIR -o RUN` reads the folder."
     )]

@@ -96,8 +96,8 @@ enum What {
         job: JobArgs,
         #[command(flatten)]
         cut: CutArgs,
-        /// Folder to write into. A format of one file also takes the file's path, if its name has
-        /// an extension or is the format's own file name, such as Makefile
+        /// Folder to write into. For a format that writes a single file, this may be the file's
+        /// path: a name with an extension, or the format's own file name, such as Makefile
         #[arg(long, value_name = "FILE|DIR", default_value = ".")]
         to: PathBuf,
         /// Command line that starts the program on a worker; spaces separate its words [default:

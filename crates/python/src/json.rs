@@ -83,7 +83,7 @@ pub(crate) fn value_of(place: &str, value: &Bound<'_, PyAny>) -> PyResult<Value>
         return integer(value);
     }
     if value.is_instance_of::<PyFloat>() {
-        return float(value);
+        return float(place, value);
     }
     if let Ok(mapping) = value.cast::<PyMapping>() {
         let mut map = Map::new();
@@ -118,7 +118,7 @@ pub(crate) fn value_of(place: &str, value: &Bound<'_, PyAny>) -> PyResult<Value>
         return integer(&value.call_method0("__index__")?);
     }
     if value.hasattr("__float__")? {
-        return float(value);
+        return float(place, value);
     }
     let found = value.get_type().name()?;
     Err(PyTypeError::new_err(format!("expected a number, a text, a path, a mapping or a sequence, found {found}")))
@@ -131,11 +131,11 @@ fn integer(value: &Bound<'_, PyAny>) -> PyResult<Value> {
     Ok(value.extract::<u64>()?.into())
 }
 
-fn float(value: &Bound<'_, PyAny>) -> PyResult<Value> {
+fn float(place: &str, value: &Bound<'_, PyAny>) -> PyResult<Value> {
     let number: f64 = value.extract()?;
     Number::from_f64(number)
         .map(Value::Number)
-        .ok_or_else(|| setting(value.py(), format!("expected a finite number, found {number}")))
+        .ok_or_else(|| setting(value.py(), format!("{place}: expected a finite number, found {number}")))
 }
 
 /// Converts JSON to plain Python objects.

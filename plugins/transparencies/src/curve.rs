@@ -39,7 +39,7 @@ impl Film {
         }
         let refused = |found: &str| {
             PluginError::Refused(format!(
-                "parameter `curve`: expected two or more pairs `code transmittance` separated by commas, with codes 0 to 255 and transmittances 0 to 1 that rise; one list, or three for red, green and blue, separated by semicolons; found {found:?}"
+                "parameter `curve`: expected two or more pairs `code transmittance` separated by commas, both rising, codes from 0 to 255, and transmittances in 0..1; one list, or three for red, green and blue, separated by semicolons; found {found:?}"
             ))
         };
         let tables: Vec<Vec<[f64; 2]>> =

@@ -159,8 +159,7 @@ impl Context<'_> {
         first.map_or(Ok(()), |expected| check_geometry(path, found, expected, &self.source_of(part, time - 1)))
     }
 
-    /// Keeps a light field. If the job has nodes, also writes the settings and removes an older
-    /// report.
+    /// Keeps a light field. If the job has nodes and is not a sweep, also writes its settings.
     fn take_field(&mut self, part: usize, field: Field) -> Result<(), PipelineError> {
         let job = self.job(part);
         if !job.nodes.is_empty() && !matches!(self.plan.parts[0].kind, PartKind::Sweep) {
