@@ -72,9 +72,10 @@ pub(crate) struct RenderArgs {
     /// front, or another side if the front shows hardly anything]
     #[arg(long, value_name = "AZ,EL", allow_hyphen_values = true)]
     pub(crate) look_from: Option<Numbers<2>>,
-    /// Nearest visible distance: auto, off, or a distance in front of the window, scene units. Auto
-    /// is a camera's near plane; for a window that the job places, the distance where the display
-    /// shows hardly any detail; otherwise off
+    /// Hide content that is farther in front of the window than this distance: auto, off, or scene
+    /// units. Auto is the near plane of the window's camera. If the job gives the window by
+    /// numbers, it is the distance where the display shows hardly any detail. Otherwise nothing is
+    /// hidden
     #[arg(long, value_name = "auto|off|D", allow_hyphen_values = true)]
     pub(crate) near: Option<lumistack_pipeline::Near>,
     /// Show light sources that have a surface [default: as the file states, otherwise no]

@@ -122,7 +122,7 @@ fn views_that_a_light_field_lacks_are_named() {
     let entry = &manifest["files"][0];
     assert_eq!(entry["views"][3], json!({"slope": [0.0, field.geometry().grid.slope_y[1]], "made": "nearest"}));
     let (files, warnings) = write(&display(), data, params("blend")).unwrap();
-    assert!(warnings[0].contains("ghosts"), "{warnings:?}");
+    assert!(warnings[0].contains("shows double edges"), "{warnings:?}");
     let (a, b) = (field.view([1, 0]), field.view([1, 1]));
     let mixed: Vec<f32> = a.iter().zip(b).map(|(a, b)| a + 0.25 * (b - a)).collect();
     assert_eq!(tile(&codes(&files), 1), codes8(&Transfer::Srgb, &mixed));

@@ -226,9 +226,9 @@ fn descriptors_of_other_versions_are_refused() {
     };
     assert!(refused(abi::Descriptor { abi_major: 9, ..descriptor }).contains("version 9."));
     assert!(refused(abi::Descriptor { size: 8, ..descriptor }).contains("version"));
-    assert!(refused(abi::Descriptor { kind: 9, ..descriptor }).contains("kind 9"));
+    assert!(refused(abi::Descriptor { kind: 9, ..descriptor }).contains("found 9"));
     assert!(refused(abi::Descriptor { id: abi::Str::new("a b"), ..descriptor }).contains("`a b`"));
-    assert!(refused(abi::Descriptor { ports: 0, ..descriptor }).contains("accepts nothing"));
+    assert!(refused(abi::Descriptor { ports: 0, ..descriptor }).contains("no input port"));
     assert!(refused(abi::Descriptor { schema_json: abi::Str::new("{}"), ..descriptor }).contains("parameters"));
     assert!(refused(abi::Descriptor { vtable: std::ptr::null(), ..descriptor }).contains("missing"));
     // SAFETY: null is allowed.
