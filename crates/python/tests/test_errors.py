@@ -138,7 +138,7 @@ def test_wrong_settings_of_factorization(light_field: LightField, display: Displ
         ({"weights": numpy.ones((2, 2), "f4")}, lumistack.SettingError, r"weights: expected shape \[3, 3\]"),
         ({"weights": numpy.ones(3, "f4")}, lumistack.SettingError, r"weights: shape: expected \[view_y\]"),
         ({"weights": -numpy.ones((3, 3), "f4")}, lumistack.SettingError, "finite values ≥ 0"),
-        ({"weights": numpy.zeros((3, 3), "f4")}, lumistack.SettingError, "at least one weight above 0, found 9 weights of 0"),
+        ({"weights": numpy.zeros((3, 3), "f4")}, lumistack.SettingError, "at least one weight above 0, found 0 everywhere"),
         ({"weights": numpy.ones((3, 3), int)}, TypeError, "weights: expected an array of float32"),
         ({"eyes": [{"eye_mm": (0, 0, -5), "sigma_mm": 1}]}, lumistack.SettingError, "factorize.eyes"),
         ({"eyes": [{"eye": 3}]}, lumistack.SettingError, "unknown field `eye`"),
