@@ -28,9 +28,9 @@ use crate::tracer::Cone;
 const BOUNDS_MARGIN: f64 = 1e-5;
 /// Width of the texture footprint, as a fraction of the pixel's width. Samples are spread over the
 /// pixel, so each needs to cover only a fraction of it: each of 16 samples covers a quarter of its
-/// width. Half the pixel's width dims small letters, and trades variance (up to 3 %) for blur. A
-/// display shows that dimmer target better (still life: 36.8 dB instead of 36.2 dB), but with less
-/// detail: its gradients have 12 % less energy.
+/// width. A footprint of half the pixel's width dims small letters, and trades variance (up to 3 %)
+/// for blur. A display shows that dimmer target better (still life: 36.8 dB instead of 36.2 dB),
+/// but with less detail: its gradients have 12 % less energy.
 const FOOTPRINT_SHARE: f64 = 0.25;
 
 /// The rays of one view.
@@ -211,7 +211,7 @@ impl PixelRays {
 
 /// True if a line intersects the box −`half`..`half`.
 fn passes_through(origin: DVec3, direction: DVec3, half: DVec3) -> bool {
-    // without 0 · ∞: a line parallel to a pair of planes is between them all the way, or never
+    // Avoids 0 · ∞: a line parallel to a pair of planes is between them everywhere or nowhere.
     let across = direction.cmpeq(DVec3::ZERO);
     if (across & origin.abs().cmpgt(half)).any() {
         return false;

@@ -69,8 +69,8 @@ impl SampleBank {
     }
 
     /// The numbers for sample `first` and the following samples of the pixel with this hash. All
-    /// samples of one [`Draws`] must be within one pass of the bank's sequence. They are if `first`
-    /// is a multiple of a power of two, and no more samples than that power follow.
+    /// samples of one [`Draws`] must be within one pass of the bank's sequence. This is so if
+    /// `first` is a multiple of a power of two, and at most that number of samples are drawn.
     pub(crate) fn draws(&self, pixel: u64, first: u32) -> Draws<'_> {
         let pixel = if first < self.length { pixel } else { seed::derive(pixel, &[u64::from(first / self.length)]) };
         Draws { bank: self, pixel, first: first & (self.length - 1) }

@@ -104,7 +104,7 @@ impl Materials {
         flags
     }
 
-    /// Fraction of the surface that exists, 0..1.
+    /// Opaque fraction of the surface by its alpha, 0..1.
     pub(crate) fn coverage(&self, index: usize, point: &SurfacePoint<'_>) -> f32 {
         match self.scene.materials[index].alpha_mode {
             AlphaMode::Opaque => 1.0,
@@ -187,7 +187,7 @@ impl Materials {
             thickness_nm: film.thickness_nm[0]
                 + (film.thickness_nm[1] - film.thickness_nm[0]) * texel(&slots.film_thickness).y,
         });
-        // the blue channel is 1 too if there is no texture
+        // without a texture, `texel` returns 1 in the blue channel too
         let anisotropy = material.anisotropy.map_or(0.0, |stretch| stretch.strength * texel(&slots.anisotropy).z);
         Extras {
             specular: material.specular * texel(&slots.specular).w,

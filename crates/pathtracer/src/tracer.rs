@@ -5,10 +5,11 @@
 //! w = p² / (p_b² + p_l²)
 //! ```
 //!
-//! T is the throughput, E the emission of the hit surface, and the second term is one sampled
-//! light. In the power heuristic w, the numerator is the density of the technique that made the
-//! sample. Alpha of mode `Blend` is decided by chance along scattered rays, and multiplied along
-//! shadow rays. Both have the right mean.
+//! T is the throughput and E the emission of the hit surface. The second term is one sampled light
+//! with the radiance L_l and the visibility V. p_b is the density of scattered directions, p_l the
+//! density of light sampling. In the power heuristic w, the numerator is the squared density of the
+//! technique that made the sample. Alpha of mode `Blend` is decided by chance along scattered rays,
+//! and multiplied along shadow rays. Both have the right mean.
 //!
 //! The samples of a pixel are traced together, one vertex of all paths at a time. First rays are
 //! close together and traverse the tree as a beam. Random numbers of a vertex share their hash.
@@ -113,8 +114,8 @@ struct Path {
     radiance: Vec3,
     throughput: Vec3,
     cone: Cone,
-    /// The last vertex that changed the path's direction: its receiver, and its density for the
-    /// heuristic.
+    /// The last vertex that changed the path's direction, as a receiver of light, and the density
+    /// of the direction that was chosen there.
     scattered_at: Receiver,
     scattered_pdf: f32,
     /// True if no event has changed the path's direction since the viewer.
@@ -520,8 +521,8 @@ impl Tracer<'_> {
         let Some(light) = self.lights.sample(self.geometry, self.materials, &receiver, u, u_fine, parts) else {
             return;
         };
-        // hard light ends where the smooth surface turns away, not where its triangles do; no other
-        // technique finds this light, so the weights stay right
+        // The light of punctual lights ends where the smooth surface turns away, not where its
+        // triangles do. No other technique finds this light, so the weights stay right.
         let is_hard = light.inverse_pdf == 0.0 && vertex.may_bulge(surface);
         let (value, scatter_pdf) = if is_hard {
             surface.evaluate_above(vertex.smooth_normal(), light.direction)
@@ -563,7 +564,7 @@ impl Tracer<'_> {
         if coverage <= 0.0 || coverage >= 1.0 {
             return coverage > 0.0;
         }
-        // the number is 0 without an instance
+        // `instance` is 0 for a hit without an instance
         let instance = u64::from(hit.instance.wrapping_add(1)).wrapping_mul(INSTANCE_STEP);
         let pair = (u64::from(bounce) << 32) + u64::from(hit.triangle);
         draws.pair((ALPHA_PAIRS + pair) ^ instance).of(index)[0] < coverage
@@ -710,8 +711,8 @@ impl Vertex<'_> {
     }
 }
 
-/// The power heuristic for a sample. `ratio` is the density with which another technique finds it,
-/// over the density of its own technique.
+/// The power heuristic for a sample. `ratio` is the density with which another technique finds the
+/// sample, divided by the density of the sample's own technique.
 #[inline]
 fn heuristic(ratio: f32) -> f32 {
     1.0 / (1.0 + ratio * ratio)

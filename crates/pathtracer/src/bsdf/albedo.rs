@@ -28,7 +28,8 @@ use glam::{Vec2, Vec3};
 use super::table::Table;
 use super::{fresnel, ggx};
 
-/// Nodes over the cosine μ and over perceptual roughness √α.
+/// Nodes of the table for lobes that are not stretched, over the cosine μ and over perceptual
+/// roughness √α.
 const COSINES: usize = 64;
 const ROUGHNESSES: usize = 32;
 /// Samples per node, on a rank-1 lattice. Their error is below the interpolation error of about
@@ -51,10 +52,11 @@ pub(crate) const COMMON_IOR: f32 = 1.5;
 const INDICES: [usize; 3] = [40, 16, 20];
 const INDICES_SAMPLES: u32 = 377;
 const INDICES_STEP: u32 = 233;
-/// (n − 1)/(n + 1) of the highest index in that table, 4; a higher index is treated as 4.
+/// (n − 1)/(n + 1) of the highest index in the table of [`INDICES`], 4; a higher index is treated
+/// as 4.
 const LARGEST_ROOT: f32 = 0.6;
 
-/// Indices of E and of its mean in a table's values.
+/// Positions of E and of the mean of E in the values of a node.
 const FULL: usize = 0;
 const MEAN: usize = 3;
 
@@ -99,8 +101,9 @@ pub(crate) fn albedo(cosine: f32, roughness: f32) -> Albedo {
     TABLE.get_or_init(tabulate).at([cosine, roughness]).into()
 }
 
-/// Albedo of a stretched lobe. It is interpolated linearly in the root of the cosine, in cos² of
-/// the azimuth from the stretch, and in √α along and across the stretch.
+/// Albedo of a stretched lobe. It is interpolated linearly in four coordinates: the root of the
+/// cosine, cos² of the azimuth φ, and √α along and across the stretch. φ is the viewer's azimuth
+/// from the direction of stretch.
 pub(crate) fn stretched(o: Vec3, alpha: Vec2) -> Albedo {
     static TABLE: OnceLock<Table<4, 4>> = OnceLock::new();
     let across = o.x * o.x + o.y * o.y;
@@ -138,7 +141,7 @@ fn tabulate_stretched() -> Table<4, 4> {
     });
     let [roots, azimuths, ..] = STRETCHED;
     for lobe in table.values.chunks_exact_mut(roots * azimuths) {
-        // μ = root²
+        // μ = root², so the density 2 μ dμ becomes 4 root³ d root
         let over = |cosines: &[[f32; 4]]| mean_over(cosines, |root| 4.0 * root.powi(3));
         let mean = lobe.chunks_exact(roots).map(over).sum::<f32>() / azimuths as f32;
         lobe.iter_mut().for_each(|node| node[MEAN] = mean);
@@ -155,8 +158,8 @@ fn tabulate_indices() -> Table<3, 1> {
     })
 }
 
-/// ∫ E · density over nodes that are spread evenly over 0..1. The density integrates to 1, and the
-/// result is exact where E is constant.
+/// ∫ E · density over nodes that are spread evenly over 0..1. The density integrates to 1. If E is
+/// constant, the result is exactly E.
 fn mean_over(nodes: &[[f32; 4]], density: impl Fn(f32) -> f32) -> f32 {
     let last = (nodes.len() - 1) as f32;
     let (mut sum, mut weights) = (0.0, 0.0);
@@ -168,7 +171,7 @@ fn mean_over(nodes: &[[f32; 4]], density: impl Fn(f32) -> f32) -> f32 {
     sum / weights
 }
 
-/// Direction to a viewer at this cosine, but at [`SMALLEST`] at least.
+/// Direction to a viewer at this cosine, or at [`SMALLEST`] if the cosine is smaller.
 fn towards(cosine: f32) -> Vec3 {
     let cosine = cosine.max(SMALLEST);
     Vec3::new((1.0 - cosine * cosine).max(0.0).sqrt(), 0.0, cosine)
@@ -179,8 +182,8 @@ fn round(roughness: f32) -> Vec2 {
     Vec2::splat((roughness * roughness).max(SMALLEST))
 }
 
-/// E, B of metals, B of dielectrics, and a place for the mean, which is known only after all
-/// cosines.
+/// E, B of metals, B of dielectrics, and NaN in the place of the mean, which is computed after the
+/// values of all cosines.
 fn integrate(o: Vec3, alpha: Vec2, samples: u32, lattice_step: u32) -> [f32; 4] {
     let [full, metal, dielectric] = mean_of_lobe(o, alpha, samples, lattice_step, |o_h| {
         [1.0, fresnel::metal_rise(o_h), fresnel::dielectric_rise(o_h, COMMON_IOR)]

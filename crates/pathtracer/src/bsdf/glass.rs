@@ -7,11 +7,11 @@
 //! transmission   (1 − F) D G₂ |o·h| J / |o_z|,   J = η² |i·h| / (o·h + η i·h)²
 //! ```
 //!
-//! The path carries radiance/η² ("basic radiance"). So a factor η² is left out: light would be
-//! multiplied by it on entering a solid, and divided on leaving. Single scattering loses
+//! The path carries radiance/η² ("basic radiance"). So a factor η² is left out, by which radiance
+//! is multiplied when light enters a solid, and divided when it leaves. Single scattering loses
 //! 1 − E(o, α, η). Like Turquin 2019, both terms are divided by the tabulated albedo E, which makes
 //! clear glass lossless. Stretched glass has another albedo, and so has glass whose reflection a
-//! film or `KHR_materials_specular` changes. Neither is compensated.
+//! film or `KHR_materials_specular` changes. These two kinds of glass are not compensated.
 
 use std::sync::OnceLock;
 

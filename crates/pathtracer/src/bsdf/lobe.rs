@@ -12,7 +12,7 @@ use super::fresnel::{Film, Fresnel};
 use crate::texture::{Encoding, Slot};
 
 /// Below this α a lobe is treated as a perfect mirror, since light sampling would hardly hit it.
-/// It is a perceptual roughness of 0.032.
+/// This α corresponds to a perceptual roughness of 0.032.
 pub(crate) const MIRROR_ALPHA: f32 = 1e-3;
 
 /// A term of the scattering function, at one point for one outgoing direction.
@@ -61,7 +61,7 @@ pub(crate) trait Layer: Lobe + Sized {
     /// True if the layer has an effect somewhere.
     fn is_seen(material: &Material) -> bool;
 
-    /// The layer's textures; `slot` prepares one.
+    /// The layer's textures; `slot` prepares a texture.
     fn slots(material: &Material, slot: &mut impl FnMut(&Option<TextureUse>, Encoding) -> Option<Slot>) -> Self::Slots;
 
     /// The parameters at a point, `None` where the layer has no effect. `texel` looks a texture up,
@@ -131,7 +131,7 @@ pub(crate) enum Sample {
         up: f32,
         /// f |cos| / density.
         weight: Vec3,
-        /// True if the surface was crossed into or out of a solid.
+        /// True if the direction crosses the surface into or out of a solid.
         refracted: bool,
     },
 }

@@ -50,7 +50,7 @@ pub(crate) fn index_at(ior: f32, dispersion: f32, nanometres: f32) -> f32 {
 struct Spectra {
     /// Cumulative probability up to and including each band.
     cumulative: [f32; BANDS],
-    /// Spectra over their mean.
+    /// Spectra of the three channels, divided by their mean.
     weights: [Vec3; BANDS],
 }
 
@@ -108,7 +108,7 @@ mod tests {
 
     #[test]
     fn the_abbe_number_is_that_of_the_glass() {
-        // crown glass: 20/59
+        // crown glass of Abbe number 59 has the dispersion 20/59
         let n = |nanometres| index_at(1.517, 20.0 / 59.0, nanometres);
         assert!((n(587.56) - 1.517).abs() < 1e-4);
         assert!((0.517 / (n(486.13) - n(656.27)) - 59.0).abs() < 0.1);

@@ -192,7 +192,7 @@ impl Collapse<'_> {
         }
         let mut stack_depth = 1;
         let root = self.add_node();
-        // (binary node, node of ours to fill, postponed siblings on the way to it)
+        // (binary node, wide node to fill, number of siblings that are postponed on the way to it)
         let mut open = vec![(0u32, root, 0usize)];
         while let Some((binary_index, node, postponed)) = open.pop() {
             // every postponed child needs a place on the stack of a traversal

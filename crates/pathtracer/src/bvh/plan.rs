@@ -26,8 +26,8 @@ const END: u8 = u8::MAX;
 const FEWER: u8 = 0;
 
 impl Plan {
-    /// `primitives` is the triangle of every slot of the binary tree; from `triangles` on they are
-    /// instances.
+    /// `primitives` has an index for every slot of the binary tree. An index below `triangles` is a
+    /// triangle, any other is an instance.
     pub(super) fn new(binary: &Bvh2, primitives: &[u32], triangles: usize) -> Self {
         let mut plan = vec![[END; WIDTH]; binary.nodes.len()];
         let mut order = Vec::with_capacity(binary.nodes.len());
@@ -130,7 +130,7 @@ mod tests {
         (!node.is_leaf()).then_some(node.first_index)
     }
 
-    /// Number of triangles; `None` if there is an instance among them.
+    /// Number of triangles of a subtree; `None` if the subtree contains an instance.
     fn weight(binary: &Bvh2, index: u32, triangles: usize) -> Option<usize> {
         match first(binary, index) {
             Some(first) => Some(weight(binary, first, triangles)? + weight(binary, first + 1, triangles)?),

@@ -68,11 +68,12 @@ pub(crate) struct Stack(pub(super) Vec<u64>);
 /// tree. Its distance reads as −∞, so it is never dropped.
 const END_OF_INSTANCE: u64 = (f32::NEG_INFINITY.to_bits() as u64) << 32 | EMPTY as u64;
 
-/// The longest axis, by whether x is longer than y, x than z and y than z, one bit each.
+/// The longest axis. The index has three bits, from the lowest: x is longer than y, x is longer
+/// than z, y is longer than z.
 const LONGEST: [u8; 8] = [2, 2, 2, 0, 1, 2, 1, 0];
-/// The other two axes, for a ray that runs up an axis and for one that runs down it. For the latter
-/// they are exchanged, which keeps the winding. Padding to eight entries saves a range check of the
-/// three-bit index.
+/// The other two axes, for a ray that runs up an axis and for one that runs down it. If the ray
+/// runs down, the two are exchanged, which keeps the winding. Padding to eight entries saves a
+/// range check of the three-bit index.
 const OTHERS: [[u8; 2]; 8] = [[1, 2], [2, 1], [2, 0], [0, 2], [0, 1], [1, 0], [0, 0], [0, 0]];
 
 /// A ray prepared for the slab test.
@@ -134,7 +135,7 @@ impl Arrays<'_> {
     }
 }
 
-/// A triangle that a ray hits, with the results of the triangle test as they are.
+/// A triangle that a ray hits, with the results of the triangle test before their division.
 #[derive(Clone, Copy)]
 struct RawHit {
     u: f32,
@@ -173,9 +174,9 @@ impl Bvh {
         unsafe { self.backend.call_eight::<Nearest<_>>((self, ray, stack, accept, found)) }
     }
 
-    /// Product of `transmittance` over all triangles that the segment crosses. The function is
-    /// called only for triangles with flags other than [`CULL_BACK`], at most once each; the others
-    /// are opaque. Stops at zero.
+    /// Product of `transmittance` over all triangles that the segment crosses. `transmittance` is
+    /// called only for triangles with flags other than [`CULL_BACK`], at most once for each
+    /// triangle and instance. All other triangles are opaque. Stops when the product is zero.
     #[inline]
     pub(crate) fn transmittance(&self, ray: &Ray, stack: &mut Stack, transmittance: impl FnMut(&Hit) -> Vec3) -> Vec3 {
         // SAFETY: the kernel makes no demands
@@ -235,8 +236,8 @@ impl Bvh {
                 };
             }
             loop {
-                // a separate loop, so that the inputs of nodes stay in registers rather than the
-                // inputs of blocks
+                // a separate loop, so that registers hold the inputs of the node test, not those of
+                // the block test
                 while current & LEAF == 0 {
                     let node = arrays.nodes.get_unchecked(current as usize);
                     let (t_near, mut hits) = slabs.enters(node, t_max);
@@ -496,8 +497,8 @@ impl<V: Lanes> Slabs<V> {
             std::array::from_fn(|axis| SLAB_ROUNDING * (o[axis].abs() + extent) * inverse[axis].abs());
         let sign = |axis: usize| (inverse[axis].to_bits() >> 31) as usize;
         let near = [3 * sign(0) * WIDTH, (1 + 3 * sign(1)) * WIDTH, (2 + 3 * sign(2)) * WIDTH];
-        // without a closure: it would not have the instruction set, and its vector operations would
-        // become calls
+        // No closure is used: it would not have the instruction set, and its vector operations
+        // would become calls.
         unsafe {
             Self {
                 inverse: [V::splat(inverse[0]), V::splat(inverse[1]), V::splat(inverse[2])],
@@ -517,8 +518,8 @@ impl<V: Lanes> Slabs<V> {
         }
     }
 
-    /// Distances along the ray to one plane of each of eight boxes, across the same axis; `row` is
-    /// an entry of `near` or `far`.
+    /// Distances along the ray to eight planes, one of each box, all perpendicular to `axis`. `row`
+    /// is an entry of `near` or `far`.
     #[inline(always)]
     unsafe fn distance(&self, node: &Node, row: usize, axis: usize, shift: V) -> V {
         unsafe { V::from_array(eight(node.bounds.as_flattened(), row)).fused_mul_add(self.inverse[axis], shift) }

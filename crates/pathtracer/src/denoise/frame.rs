@@ -108,7 +108,8 @@ impl Frame {
             return None;
         }
         let z_mm = f64::from(self.planes[PLACE + 2][i]) * self.pitch_mm;
-        // x + s z is the same for both views; in a perspective view s decreases by x / D
+        // A point (X, z) appears at the x with x + s z = X, in both views. The slope s at x is the
+        // central slope, less x / D in a perspective view.
         let stretch = match self.projection {
             Projection::Oblique => 1.0,
             Projection::Perspective { distance_mm } => 1.0 - z_mm / distance_mm,

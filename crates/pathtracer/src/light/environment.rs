@@ -244,7 +244,7 @@ mod tests {
 
     #[test]
     fn the_picture_stands_as_documented() {
-        // 4 × 2 texels, each of its own value; the directions are the middles of four of them
+        // 4 × 2 texels, each of its own value; the directions point to the middles of four of them
         let sky = light(4, 2, Quat::IDENTITY, |x, y| (4 * y + x) as f32);
         let direction = |yaw_right: f32, up: f32| {
             let (yaw, pitch) = (yaw_right.to_radians(), up.to_radians());

@@ -54,7 +54,7 @@ pub(crate) struct Lights {
     /// Tree over the triangles, followed by points and spots.
     tree: Option<LightTree>,
     /// Choices among the tree ([`LOCAL`]), each directional light, and the environment, in this
-    /// order. Choice k has its chances rounded to whole parts of 2ᵏ. Empty if no light can be
+    /// order. In choice k, the chances are rounded to multiples of 1/2ᵏ. Empty if no light can be
     /// sampled.
     choices: Vec<Distribution>,
 }
@@ -171,8 +171,9 @@ impl Lights {
 
     /// Chooses a light and a point of it, as seen by the receiver. The first number of `u` also
     /// chooses the light, and is then rescaled from the light's interval to [0, 1), so that each
-    /// light's samples stay stratified. `u_fine` adds the digits that rescaling loses. [0, 1) is
-    /// divided into `parts` equal parts, and each holds one first number of a pixel's samples.
+    /// light's samples stay stratified. `u_fine` adds the digits that rescaling loses. If [0, 1) is
+    /// divided into `parts` equal parts, each part holds the first number of one of the pixel's
+    /// samples.
     pub(crate) fn sample(
         &self,
         geometry: &Geometry,
@@ -338,8 +339,8 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
         };
         let area = geometry.area(triangle);
         let strength = area * magnitude(mean);
-        // a triangle whose strength or area is no normal number is left out here; scattered rays
-        // still find its light
+        // A triangle is left out here if its strength or area is not a normal floating-point
+        // number. Scattered rays still find its light.
         if strength > 0.0 && strength.is_finite() && area.is_normal() {
             // two halves of a parallelogram become one light
             let corners @ [a, b, c] = geometry.corners(triangle);
@@ -579,7 +580,7 @@ mod tests {
             assert!(chances.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{chances:?} {expected:?}");
         };
         close(in_whole_parts(&[3.3, 6.7], 16), &[5.0 / 16.0, 11.0 / 16.0]);
-        // a chance of less than half a part is kept, and no light loses or gains a chance
+        // a chance of less than half a part is not rounded, and a chance of 0 stays 0
         close(in_whole_parts(&[0.0, 1e-6, 1.0], 64), &[0.0, 1e-6 / (1.0 + 1e-6), 1.0 / (1.0 + 1e-6)]);
         // 0.5 parts are rounded up to 1, but two of them would leave nothing for the third
         close(in_whole_parts(&[1.0, 1.0, 2.0], 2), &[0.25, 0.25, 0.5]);
@@ -591,7 +592,7 @@ mod tests {
 
     #[test]
     fn barycentric_points_are_uniform() {
-        // the mean of each weight over a triangle is 1/3, of its square 1/6
+        // the mean of each weight over a triangle is 1/3, and the mean of its square is 1/6
         let n = 300;
         let (mut first, mut second) = ([0.0f64; 3], [0.0f64; 3]);
         for i in 0..n * n {

@@ -496,7 +496,7 @@ mod tests {
     }
 
     /// With n stratified numbers each light is chosen n times its chance, which is a whole number.
-    /// With chances that are not rounded it would be chosen once more or less.
+    /// If the chances were not rounded, a light might be chosen once more or once less often.
     #[test]
     fn a_few_lights_get_whole_parts() {
         for parts in [16u32, 64] {

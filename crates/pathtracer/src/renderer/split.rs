@@ -6,9 +6,9 @@
 //!             E = D / ρ_d does not depend on the view
 //! ```
 //!
-//! D is the mean of the light of all paths, each weighted by a fraction: the diffuse lobe's in the
-//! scattering function at its first vertex. It is the same light that
-//! [`render_view`](Renderer::render_view) adds up, of the same rays and random numbers.
+//! D is a weighted mean of the light of all paths. A path's weight is the fraction of the
+//! scattering function at its first vertex that comes from the diffuse lobe. D + G is the light
+//! that [`render_view`](Renderer::render_view) adds up, of the same rays and random numbers.
 
 use glam::Vec3;
 use lumistack_core::{Task, Tensor};

@@ -21,7 +21,7 @@ const SAMPLES: Settings = Settings {
 /// Pixels per edge of the test views: the pitch is 1/50 of the window.
 const SIZE: usize = 50;
 const PITCH: f64 = WINDOW_MM / SIZE as f64;
-/// Tolerance for a centroid of jittered samples at a card's edges, in pixels.
+/// Tolerance for the centroid of a card, in pixels, since samples at the card's edges are jittered.
 const CENTROID_TOLERANCE: f64 = 0.1;
 
 /// Centre of brightness of a channel, as (x, y) on z = 0.
@@ -286,10 +286,10 @@ fn normal_maps_keep_their_relief() {
             render(&scene.renderer(), &window(), &one_view(4, [0.0, 0.0]), &SAMPLES).get([1, 1, 0])
         };
         let from_right = lit_from(picture_right + Vec3::Z);
-        // bumps of 45° shadow light at 45° to 2 / (1 + √(9/8)) of it
+        // the bumps of 45° keep the fraction 2 / (1 + √(9/8)) of light at 45°
         assert!((from_right - 0.971).abs() < 0.01, "{name}: the relief faces this light, {from_right}");
         let from_left = lit_from(-picture_right + Vec3::Z);
-        assert!(from_left < 0.01, "{name}: and is edge-on to this one, {from_left}");
+        assert!(from_left < 0.01, "{name}: the relief is edge-on to this light, {from_left}");
     }
 }
 
@@ -551,7 +551,7 @@ fn extreme_scenes_stay_finite() {
         let (image, warnings) =
             render_view(&scene.renderer(), &window, &one_view(24, [0.1, 0.1]), [0, 0], &Settings::default());
         assert!(warnings.is_empty(), "{warnings:?}");
-        // lossless and uniformly lit: everything is 1, on average
+        // all surfaces are lossless and uniformly lit, so the mean radiance is 1
         let mean = image.data().iter().map(|&v| f64::from(v)).sum::<f64>() / image.data().len() as f64;
         assert!((mean - 1.0).abs() < 0.02, "scale {scale} at {at}: {mean}");
     }
