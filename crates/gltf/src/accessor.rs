@@ -225,8 +225,8 @@ impl<'a> Accessor<'a> {
         if self.normalized { (value / largest).max(-1.0) } else { value }
     }
 
-    /// Treats integers as normalized. Some writers do not set `normalized` although glTF allows
-    /// nothing else there.
+    /// Treats integers as normalized. glTF requires `normalized` for these attributes, but some
+    /// writers do not set it.
     pub(crate) fn assume_normalized(mut self) -> Self {
         self.normalized = true;
         self
@@ -252,7 +252,7 @@ impl<'a> Elements<'a> {
         let mut stride = view.stride.unwrap_or(size);
         if stride != size && !may_stride {
             // glTF allows no stride here. Most readers apply a stride under which the elements fit
-            // into the view, and so does this one. Any other stride has no effect.
+            // into the view, and so does this reader. Any other stride has no effect.
             let room = (length as u64).saturating_sub(offset);
             let needed = (count as u64 - 1).saturating_mul(stride as u64).saturating_add(size as u64);
             let followed = stride > size && needed <= room;

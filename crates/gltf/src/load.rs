@@ -126,8 +126,8 @@ fn load_scene(
     task.cancel.check()?;
     let triangles: usize = parts.meshes.iter().map(|mesh| mesh.triangles.len()).sum();
     parts.validate(task).map_err(|mut error| {
-        // at an error of the whole scene, the validator's place is the file's name, with which the
-        // message begins anyway; the list of nodes is more exact
+        // For an error of the whole scene, the validator's place is the file's name, with which the
+        // message begins anyway. The list of nodes is a more exact place.
         if error.place == name {
             error.place = nodes.place();
             error.found = cause::no_area(&document, &error.found, triangles);
@@ -157,7 +157,7 @@ fn used_materials(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<bool>, F
     Ok(used)
 }
 
-/// Reads every mesh that the scene shows once, and places it wherever a node shows it.
+/// Reads every mesh that the scene shows, each only once, and places it wherever a node shows it.
 fn place_meshes(
     document: &Document<'_>,
     nodes: &Nodes,

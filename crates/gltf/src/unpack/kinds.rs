@@ -142,8 +142,8 @@ impl Unsound {
 }
 
 impl Packed<'_> {
-    /// The error of content on which its decoder stops without an error of its own: a panic of the
-    /// library, which does not look for this way to be broken.
+    /// The error for content on which the decoder of a library panics, since the library does not
+    /// check for this kind of defect.
     pub fn stopped(&self) -> Unsound {
         let expected = match self {
             Self::Size(..) | Self::Picture(..) => "a sound picture",

@@ -57,7 +57,7 @@ pub(super) fn size(bytes: &[u8]) -> Result<[u32; 2], Unsound> {
 #[cfg(not(feature = "ktx2"))]
 pub(super) fn decode(bytes: &[u8]) -> Result<Pixels, Unsound> {
     Header::read(bytes)?;
-    Err(Unsound::new("a PNG, JPEG or WebP picture, as all that this build reads", "KTX2"))
+    Err(Unsound::new("a PNG, JPEG or WebP picture, since this build reads no others", "KTX2"))
 }
 
 /// Decodes the largest level.

@@ -126,7 +126,7 @@ impl Packed<'_> {
     }
 }
 
-/// Calls `with` with the request in some bytes.
+/// Calls `with` with the request that the bytes hold; `None` if they hold no request.
 pub(super) fn request<T>(bytes: &[u8], with: impl FnOnce(&Packed<'_>) -> T) -> Option<T> {
     let from = &mut In(bytes);
     let uses = [Use::Texture, Use::Environment];
@@ -229,7 +229,7 @@ fn triple(values: [f32; 3]) -> [u8; 12] {
     bytes
 }
 
-/// The answer in some bytes; `None` if they are none of [`answer`](super::answer).
+/// The answer that the bytes hold; `None` if the bytes do not come from [`answer`](super::answer).
 pub fn answered(bytes: &[u8]) -> Option<Result<Unpacked, Unsound>> {
     let from = &mut In(bytes);
     Some(Ok(match from.number()? {

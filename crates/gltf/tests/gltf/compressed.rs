@@ -1,5 +1,5 @@
-//! Compares compressed meshes and pictures with their sources. Encoders of other projects wrote
-//! them (`data/make.mjs`).
+//! Compares compressed meshes and pictures with their sources. Encoders of other projects wrote the
+//! compressed files (`data/make.mjs`).
 
 use std::collections::BTreeMap;
 
@@ -15,8 +15,8 @@ fn data(name: &str) -> Vec<u8> {
     std::fs::read(workspace().join("crates/gltf/tests/data").join(name)).unwrap()
 }
 
-/// Vertices by twice their grid position, rounded; and triangles by those of their corners, the
-/// smallest first.
+/// Vertices, by a key: twice their grid position, rounded. Also triangles, as the keys of their
+/// corners, with the smallest key first.
 type Grid = (BTreeMap<[i32; 2], (Vec3, Vec3, Vec2)>, Vec<[[i32; 2]; 3]>);
 
 fn grid(scene: &Scene) -> Grid {
@@ -54,7 +54,7 @@ fn plain() -> Grid {
 fn assert_same(name: &str, tolerances: [f32; 3]) {
     let (result, warnings) = load(&data(name));
     let (vertices, triangles) = grid(&result.unwrap_or_else(|error| panic!("{name}: {error}")));
-    assert_eq!(warnings.len(), 1, "only that it is animated: {warnings:?}");
+    assert_eq!(warnings.len(), 1, "expected only the warning that the file is animated: {warnings:?}");
     let (expected_vertices, expected_triangles) = plain();
     assert_eq!(triangles, expected_triangles, "{name}");
     assert!(vertices.keys().eq(expected_vertices.keys()), "{name}");
@@ -77,7 +77,7 @@ fn draco_primitives_are_decoded() {
     let (jet, warnings) = support::load_file(&folder.join("jet-fighter/jet-fighter.glb"));
     let jet = jet.unwrap();
     assert_eq!(jet.triangle_count(), 36440, "{warnings:?}");
-    // the accessors' own bounds: the bounds of the mesh before compression
+    // the accessors state the bounds of the mesh before compression
     let bounds = jet.bounds();
     println!("jet-fighter spans {} to {}", bounds.min, bounds.max);
 }
@@ -146,7 +146,7 @@ fn claims_that_no_stream_can_back_are_refused_before_memory_is_taken() {
             let mut broken = file.clone();
             broken[at] = value;
             let options = LoadOptions { max_decoded_bytes: 64 << 20, ..LoadOptions::default() };
-            // both an error and a scene are right
+            // either an error or a scene is right
             _ = load_choosing(&broken, &options);
         }
     }

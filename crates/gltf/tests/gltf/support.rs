@@ -45,7 +45,7 @@ impl AssetResolver for Memory {
         let answer = unpack::answer(&packed.to_bytes()).expect("a request");
         let answer = unpack::answered(&answer).expect("an answer");
         let direct = unpack::unpack(packed);
-        // broken splats hold values that are no numbers, which differ from themselves
+        // broken splats hold NaN, which is not equal to itself
         assert!(answer == direct || format!("{answer:?}") == format!("{direct:?}"), "{packed:?}");
         answer
     }
