@@ -132,13 +132,14 @@ impl Default for Iridescence {
 /// Stretched reflection (`KHR_materials_anisotropy`).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Anisotropy {
-    /// Strength, 0..1: GGX α along the direction of stretch is mix(α, 1, strength²), and α across
-    /// it.
+    /// Strength, 0..1. Along the direction of stretch, GGX α becomes α + (1 − α) strength². Across
+    /// it, α stays.
     pub strength: f32,
     /// Angle from the tangent to the direction of stretch, counter-clockwise in tangent space.
     pub rotation_rad: f32,
-    /// Texture whose red and green channels are a direction in tangent space, 2·rg − 1, which the
-    /// angle then rotates. Its blue channel is a factor on the strength. Linear.
+    /// Texture whose red and green channels are a direction in tangent space, 2·rg − 1, which
+    /// `rotation_rad` then rotates. Its blue channel is a factor on the strength. All channels are
+    /// linear.
     pub texture: Option<TextureUse>,
 }
 

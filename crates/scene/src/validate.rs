@@ -586,7 +586,7 @@ mod tests {
             parts.meshes[0].uvs[0] = vec![Vec2::ZERO; 3];
             validate(parts).0.unwrap().is_lit()
         };
-        assert!(with(1.0, 5.0), "the factor stands in the picture");
+        assert!(with(1.0, 5.0), "the picture exceeds white");
         assert!(with(5.0, 1.0));
         assert!(!with(5.0, 0.1) && !with(0.1, 5.0), "their product is below white");
     }

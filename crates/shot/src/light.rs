@@ -143,8 +143,8 @@ pub fn set_environment(parts: &mut SceneParts, image: Image, strength: Vec3, sce
     parts.environment = Some(Environment { image: parts.images.len() - 1, strength, scene_from_environment });
 }
 
-/// Lights a scene as a job says. `environment` says that the scene's environment came from the
-/// job's file, at the job's strength. Returns the scene, and whether it got the studio light.
+/// Lights a scene as a job says. `environment` is true if the scene's environment came from the
+/// job's file, at the job's strength. Returns the scene, and true if the studio light was added.
 ///
 /// # Errors
 /// When the scene cannot be rendered, or when cancelled.

@@ -9,7 +9,7 @@
 //! perspective:   z' with z'/(D − z') = k y/(D − y),   y = (z + t) D/(D + t)
 //! ```
 //!
-//! In perspective the eye stays, and the window scales to the eye's frustum.
+//! In perspective the eye stays at the distance D, and the window scales to the eye's frustum.
 //!
 //! By default this happens only if the scene does not fit. A window that the user placed stays in
 //! place, and depth is compressed about it: content in the display plane remains there.
@@ -171,8 +171,8 @@ struct Fit {
 }
 
 /// Finds the movement and the scale that bring most of the sorted `depths` between `low` and
-/// `high`. Among equally good movements, it takes the one whose ends are at equal distances from
-/// the middle of that range.
+/// `high`. Among equally good movements, it takes the one that brings the middle of the depths
+/// nearest to the middle of that range.
 fn best_fit(depths: &[f64], [low, high]: [f64; 2], projection: Projection, scale: f64, means: Means) -> Fit {
     let stay = Fit { moved_back_mm: 0.0, depth_scale: scale };
     let (Some(&nearest), Some(&farthest)) = (depths.last(), depths.first()) else { return stay };

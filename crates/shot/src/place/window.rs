@@ -235,8 +235,8 @@ mod tests {
 
     #[test]
     fn a_camera_comes_closer_but_cuts_nothing_off() {
-        // two fifths of the height, right of the middle: at a factor of 0.82 it covers enough, but
-        // is cut off at the right
+        // An object of two fifths of the height is right of the middle. A region of factor 0.82
+        // would show it large enough, but would cut it off at the right.
         let beside = mask(100, 160, |row, col| (30..70).contains(&row) && (80..150).contains(&col));
         let (factor, centre) = closer(&beside);
         assert_eq!(centre, [50.0, 80.0], "a camera's axis stays in the middle");
