@@ -17,7 +17,7 @@ use crate::error::Fault;
 /// take no space in the file, so a small file could require any amount of memory.
 const MAX_IMPLICIT_COUNT: u64 = 1 << 24;
 
-/// The form that an accessor must have where it is used.
+/// The types and component types that an accessor may have where it is used.
 pub(crate) struct Format {
     pub(crate) types: &'static [Type],
     pub(crate) components: &'static [ComponentType],

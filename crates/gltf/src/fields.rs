@@ -55,7 +55,7 @@ impl<'d> Fields<'d> {
         self.read(key, "a text", Value::as_str)
     }
 
-    /// A whole number.
+    /// A member that is a whole number; `None` if the member is absent.
     pub(crate) fn count(&self, key: &str) -> Result<Option<u64>, Fault> {
         self.read(key, "a whole number", Value::as_u64)
     }

@@ -164,7 +164,7 @@ fn place_meshes(
     materials: &mut Materials,
     parts: &mut SceneParts,
 ) -> Result<(), Fault> {
-    // by mesh; also by node, if the node's skin or weights give the mesh a shape of its own
+    // by mesh; also by node, if the node's skin or weights give the mesh another shape
     let mut loaded: HashMap<(usize, Option<usize>), Range<usize>> = HashMap::new();
     let mut loaded_splats: HashMap<usize, Vec<(usize, DAffine3)>> = HashMap::new();
     let mut default_material = None;

@@ -20,7 +20,7 @@ use serde_json::{Value, map};
 pub(crate) struct Mistyped {
     /// JSON pointer.
     pub(crate) place: String,
-    /// serde's sentence.
+    /// The description of the error by serde.
     pub(crate) message: String,
 }
 
@@ -51,7 +51,7 @@ impl Error for Mistyped {
 
     fn invalid_type(found: Unexpected<'_>, expected: &dyn Expected) -> Self {
         let mut message = String::from("invalid type: ");
-        // serde knows no null
+        // serde names a null "unit value", so its message is replaced
         let written = match found {
             Unexpected::Unit => write!(message, "null, expected {expected}"),
             found => write!(message, "{found}, expected {expected}"),

@@ -37,7 +37,7 @@ const FOOTPRINT_SHARE: f64 = 0.25;
 pub(crate) struct PrimaryRays<'a> {
     geometry: &'a FieldGeometry,
     view: [usize; 2],
-    /// Full width of the range of slopes per axis, 0 for a point.
+    /// Full width of the range of slopes per axis, 0 for a single slope.
     slope_width: [f64; 2],
     /// True if the range is the ellipse of those widths, not the rectangle.
     round: bool,
@@ -259,8 +259,8 @@ mod tests {
     }
 
     /// Rays of random windows that are far from the scene, near it or inside it. Each ray is the
-    /// line through its point of the display plane with its slope, and starts in front of the
-    /// bounds or at the eye. If it intersects the bounds, its pixel is `in_bounds`.
+    /// line through its point of the display plane with its slope. It starts in front of the bounds
+    /// or at the eye. If it intersects the bounds, its pixel is `in_bounds`.
     #[test]
     fn rays_are_lines_of_the_display() {
         let mut stream = Stream::new(4);
@@ -305,7 +305,7 @@ mod tests {
                 let aside = (origin - on_plane).cross(direction).length();
                 let size = origin.length() + on_plane.length();
                 assert!(aside < 1e-6 * size, "{aside} of {size}");
-                // position of the start along the display's axis
+                // z of the ray's start in display space
                 let z = map.inverse_point(space.centre + origin / space.scale).z;
                 let rounded = 1e-6 * size / (space.scale * map.scale);
                 if let Projection::Perspective { distance_mm } = projection {

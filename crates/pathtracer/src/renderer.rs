@@ -209,8 +209,8 @@ impl Renderer {
         self
     }
 
-    /// Rays that miss the scene see the environment, even if the scene has a backdrop. This is for
-    /// comparisons with renderers without backdrops.
+    /// Makes rays that miss the scene see the environment, even if the scene has a backdrop. This
+    /// is for comparisons with renderers without backdrops.
     #[must_use]
     pub fn without_backdrop(mut self) -> Self {
         self.backdrop = None;

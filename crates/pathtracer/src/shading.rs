@@ -11,7 +11,7 @@ use crate::geometry::{SurfacePoint, bend_normal};
 use crate::normals::Normals;
 use crate::texture::{Encoding, Slot, Textures};
 
-/// Footprint for textures that must not be filtered, such as alpha: it is compared with a
+/// Footprint for textures that must not be filtered, such as alpha. Alpha is compared with a
 /// threshold, and a mean of alphas would change the result.
 const FINEST: f32 = 0.0;
 
@@ -240,7 +240,7 @@ impl Materials {
         frame
     }
 
-    /// [`Frame::diffuse`] alone.
+    /// The normals of [`Frame::diffuse`] alone.
     #[inline]
     pub(crate) fn diffuse_normals(
         &self,

@@ -51,7 +51,7 @@ const VERTEX_PAIRS: u64 = 3;
 /// First of the pairs that decide whether a surface with alpha is there. There is one pair for each
 /// bounce and triangle, so that successive surfaces decide independently.
 const ALPHA_PAIRS: u64 = 1 << 62;
-/// Odd step that spreads the instances over these pairs.
+/// Odd step that spreads the instances over the pairs from [`ALPHA_PAIRS`] on.
 const INSTANCE_STEP: u64 = 0x2545_f491_4f6c_dd1d;
 /// The pair that chooses a wavelength.
 const WAVE_PAIR: u64 = ALPHA_PAIRS - 1;
@@ -153,7 +153,7 @@ pub(crate) struct Guide {
     pub(crate) normal: Vec3,
     /// Fraction of the reflectance that depends on the viewer's direction, 0..1.
     pub(crate) gloss: f32,
-    /// Squared roughness of the lobe of that reflectance.
+    /// Squared roughness of the lobe that depends on the viewer's direction.
     pub(crate) alpha: f32,
 }
 

@@ -221,8 +221,8 @@ impl Material {
         .filter_map(|(slot, texture)| texture.map(|texture| (slot, texture)))
     }
 
-    /// The coordinate set that tangents must follow: the set of the normal map, or else of the
-    /// coat's normal map, or else of the anisotropy texture. `None` if the material needs no
+    /// The coordinate set that tangents must follow. It is the set of the normal map, or else of
+    /// the coat's normal map, or else of the anisotropy texture. `None` if the material needs no
     /// tangents.
     pub fn tangent_uv_set(&self) -> Option<usize> {
         let coat = self.clearcoat.as_ref().and_then(|coat| coat.normal_texture.as_ref());
@@ -303,9 +303,9 @@ pub enum Filter {
 pub struct Image {
     /// Name or path, for messages.
     pub name: String,
-    /// Columns, ≥ 1.
+    /// Number of columns, ≥ 1.
     pub width: usize,
-    /// Rows, ≥ 1.
+    /// Number of rows, ≥ 1.
     pub height: usize,
     /// Row-major texels.
     pub pixels: Pixels,

@@ -30,7 +30,8 @@ impl Deref for Scene {
 }
 
 impl Scene {
-    /// Bounds of all placed triangles, and of all splats except floaters; never empty.
+    /// Bounds of all placed triangles, and of all splats except stray ones far from the others;
+    /// never empty.
     pub fn bounds(&self) -> Bounds {
         self.bounds
     }
@@ -236,7 +237,7 @@ impl SceneParts {
     fn check_materials(&mut self, task: Task<'_>) -> Result<(), SceneError> {
         for (i, material) in self.materials.iter_mut().enumerate() {
             let place = format!("/materials/{i} ({})", material.name);
-            // indices of textures
+            // check the indices of textures
             for (slot, texture) in material.textures() {
                 index(&format!("{place} {slot}"), texture.texture, self.textures.len(), "texture")?;
                 index(&format!("{place} {slot} texCoord"), texture.uv_set, 2, "texture coordinate set (0 or 1)")?;

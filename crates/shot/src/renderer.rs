@@ -20,7 +20,7 @@ use rayon::prelude::*;
 
 use crate::error::ShotError;
 
-/// Rays per pixel and axis that find the surface at which splats end.
+/// Number of rays per pixel and axis that find the surface at which splats end.
 const CUTS: usize = 2;
 
 /// A scene prepared for rendering.

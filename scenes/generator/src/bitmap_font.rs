@@ -7,7 +7,7 @@ pub(crate) const GLYPH_ROWS: usize = 7;
 /// Columns from one glyph to the next.
 pub(crate) const ADVANCE: usize = GLYPH_COLUMNS + 1;
 
-/// One row per entry from the top; bit 4 is the leftmost column.
+/// Each entry is a row, from the top; bit 4 is the leftmost column.
 const GLYPHS: [(char, [u8; GLYPH_ROWS]); 41] = [
     ('A', [0b01110, 0b10001, 0b10001, 0b11111, 0b10001, 0b10001, 0b10001]),
     ('B', [0b11110, 0b10001, 0b10001, 0b11110, 0b10001, 0b10001, 0b11110]),

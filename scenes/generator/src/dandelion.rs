@@ -16,7 +16,7 @@ const HAIRS: usize = 13;
 /// Radius of the head at the hairs' feet, and length of the hairs.
 const HEAD: f32 = 0.52;
 const HAIR: f32 = 0.2;
-/// The golden angle.
+/// The golden angle, radians.
 const TURN: f32 = 2.399_963;
 
 /// The scene's files.

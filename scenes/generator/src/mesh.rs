@@ -20,7 +20,7 @@ pub(crate) struct Mesh {
     pub(crate) normals: Vec<DVec3>,
     /// Texture coordinates.
     pub(crate) texcoords: Vec<DVec2>,
-    /// Three per triangle.
+    /// Three vertex indices per triangle.
     pub(crate) indices: Vec<u32>,
 }
 

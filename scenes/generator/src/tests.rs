@@ -15,7 +15,7 @@ use reader::{Scene, Triangle};
 /// Outermost slope that the scenes are made for: the edge view of the 48 degree display with five
 /// views, 0.8 tan 24 degrees.
 const LARGEST_SLOPE: f64 = 0.357;
-/// Upper bound on everything under `scenes/` that the generator writes.
+/// Upper bound, in bytes, on everything under `scenes/` that the generator writes.
 const BYTE_BUDGET: usize = 4_000_000;
 /// Tolerance for lengths: files store lengths with nine decimals of a metre, and angles with nine
 /// decimals of a radian.

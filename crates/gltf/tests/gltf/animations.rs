@@ -121,7 +121,7 @@ fn rotations_take_the_shorter_arc_at_constant_speed() {
 
 #[test]
 fn rotations_come_in_every_width() {
-    // halfway from no rotation to half a turn about z
+    // the keys are no rotation and half a turn about z; the time is halfway between them
     let cases: [(u32, Vec<u8>); 5] = [
         (F32, [0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0].iter().flat_map(|v| v.to_le_bytes()).collect()),
         (I8, vec![0, 0, 0, 127, 0, 0, 127, 0]),

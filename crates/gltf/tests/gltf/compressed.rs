@@ -69,7 +69,8 @@ fn assert_same(name: &str, tolerances: [f32; 3]) {
 
 #[test]
 fn draco_primitives_are_decoded() {
-    // KHR_draco_mesh_compression: 14, 10 and 12 bits over the extent of the grid
+    // KHR_draco_mesh_compression: positions have 14 bits over the extent of the grid, normals have
+    // 10 bits, texture coordinates have 12 bits
     for name in ["grid-draco-edgebreaker.glb", "grid-draco-sequential.glb"] {
         assert_same(name, [3e-4, 5e-3, 5e-4]);
     }
@@ -168,7 +169,7 @@ fn picture(bytes: &[u8]) -> Builder {
 
 #[test]
 fn basis_pictures_are_decoded() {
-    // KHR_texture_basisu; in ETC1S the colours of a block are on one line
+    // KHR_texture_basisu; in ETC1S the colours of a block lie on one line in the space of colours
     for (name, tolerance) in [("etc1s", 24), ("uastc", 8), ("uastc-zstd", 8)] {
         let file = data(&format!("{name}.ktx2"));
         let scene = scene(&picture(&file));

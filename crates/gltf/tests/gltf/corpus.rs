@@ -116,7 +116,7 @@ fn quantized_and_plain_meshes_are_the_same_surface() {
     let plain = load_file(&folder.join("TransmissionRoughnessTest/TransmissionRoughnessTest.glb")).0.unwrap();
     let name = "TransmissionRoughnessTest-quantized/TransmissionRoughnessTest-quantized.glb";
     let quantized = load_file(&folder.join(name)).0.unwrap();
-    // 14 bits over an extent of 2
+    // positions have 14 bits over an extent of 2
     let tolerance = 2.0 / 16384.0;
     let corners = |scene: &Scene| -> Vec<Vec3> {
         let placed = scene.instances.iter().flat_map(|instance| {
@@ -171,7 +171,7 @@ const HARMLESS: [(&str, &str); 32] = [
     ("VALUE_MULTIPLE_OF", "the multiple of a stride does not matter: bytes are read one by one"),
 ];
 
-/// Loads at a time, so that animations are read too.
+/// Loads a file at the time of 0.5 s, so that its animations are read too.
 fn load_posed(bytes: &[u8], resolver: &Folder) -> Result<Scene, GltfError> {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let options = LoadOptions { time_s: Some(0.5), ..LoadOptions::default() };
@@ -354,7 +354,7 @@ fn add_triangle(file: &Value) -> Option<(Builder, [usize; 2])> {
     Some((b, [mesh, node]))
 }
 
-/// Copies of a file that show a triangle, and each one more object of the file.
+/// Copies of a file. Each copy shows a triangle and one more object of the file.
 fn shown_in_turn(file: &Value) -> Vec<(String, Value)> {
     let count = |list: &str| file.get(list).and_then(Value::as_array).map_or(0, Vec::len);
     let mut variants = Vec::new();
@@ -435,7 +435,7 @@ fn the_scenes_of_this_project_load_without_a_warning() {
         assert!(scene.environment.is_some() && scene.is_lit(), "{name}");
         assert!(scene.cameras[0].focus_distance.is_some_and(|distance| distance > 0.0), "{name}");
         assert!(scene.materials.iter().any(|material| material.base_color_texture.is_some()), "{name}");
-        // the binary file, the sky and the pictures, each once
+        // the binary file, the sky and the pictures are read once each
         let mut read = resolver.read.borrow().clone();
         read.sort();
         let before = read.len();

@@ -35,7 +35,7 @@ pub struct Case {
     pub scene: Arc<Scene>,
     pub window: Window,
     pub geometry: FieldGeometry,
-    /// A corner of the rectangle light, and its two edges from there.
+    /// A corner of the rectangle light, and the two edges from this corner.
     light: [Vec3; 3],
 }
 

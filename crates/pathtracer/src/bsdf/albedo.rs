@@ -44,8 +44,8 @@ const STRETCHED_SAMPLES: u32 = 377;
 const STRETCHED_STEP: u32 = 233;
 /// The smallest cosine and the smallest α of the table. At this α the lobe is a mirror.
 const SMALLEST: f32 = 1e-3;
-/// The index of refraction for which every table of E also holds B: glTF's default, and the index
-/// of clear coats.
+/// The index of refraction for which the tables of E also hold B: glTF's default, and the index of
+/// clear coats. The top of the file defines E and B.
 pub(crate) const COMMON_IOR: f32 = 1.5;
 /// Nodes of the table for other indices of refraction, over the root of the cosine, √α, and the
 /// root of (n − 1)/(n + 1). The next two constants are the samples per node and their lattice step.
@@ -60,12 +60,13 @@ const LARGEST_ROOT: f32 = 0.6;
 const FULL: usize = 0;
 const MEAN: usize = 3;
 
-/// E, B and the mean of E, for a cosine and α.
+/// The albedos E and B, and the mean of E, for a cosine and α.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Albedo {
-    /// Albedo without Fresnel, in (0, 1].
+    /// E: albedo without Fresnel, in (0, 1].
     pub(crate) full: f32,
-    /// B of metals, and of dielectrics of index [`COMMON_IOR`].
+    /// B: albedo with s(o·h) instead of Fresnel's term, of metals, and of dielectrics of index
+    /// [`COMMON_IOR`].
     pub(crate) metal: f32,
     pub(crate) dielectric: f32,
     /// Mean of `full` over all cosines, by their projected solid angle.
@@ -73,7 +74,7 @@ pub(crate) struct Albedo {
 }
 
 impl Albedo {
-    /// Albedo of the lobe with Fresnel, before compensation; `rise` is B.
+    /// Albedo of the lobe with Fresnel, before compensation; `rise` is B of the lobe.
     #[inline]
     pub(crate) fn reflected(&self, f0: Vec3, f90: f32, rise: f32) -> Vec3 {
         f0 * (self.full - rise) + f90 * rise
@@ -111,8 +112,8 @@ pub(crate) fn stretched(o: Vec3, alpha: Vec2) -> Albedo {
     TABLE.get_or_init(tabulate_stretched).at([o.z.max(0.0).sqrt(), azimuth, alpha.x.sqrt(), alpha.y.sqrt()]).into()
 }
 
-/// B of a dielectric of any index. It is interpolated linearly in the root of the cosine, in √α,
-/// and in the root of (n − 1)/(n + 1).
+/// B, the albedo with s(o·h) instead of Fresnel's term, of a dielectric of any index. It is
+/// interpolated linearly in the root of the cosine, in √α, and in the root of (n − 1)/(n + 1).
 pub(crate) fn dielectric(cosine: f32, roughness: f32, ior: f32) -> f32 {
     static TABLE: OnceLock<Table<3, 1>> = OnceLock::new();
     let root = (ior - 1.0).max(0.0) / (ior + 1.0) / LARGEST_ROOT;

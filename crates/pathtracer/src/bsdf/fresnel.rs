@@ -113,7 +113,7 @@ impl Film {
     }
 }
 
-/// ((n − 1)/(n + 1))².
+/// Reflectance at normal incidence: ((n − 1)/(n + 1))².
 #[inline]
 pub(crate) fn normal_reflectance(ior: f32) -> f32 {
     let root = (ior - 1.0) / (ior + 1.0);

@@ -38,7 +38,7 @@ const LATTICE_STEP: u32 = 987;
 /// The smallest cosine of the table.
 const SMALLEST: f32 = 1e-3;
 
-/// Parameters of the fit of Λ, for its roughest and its smoothest fibres, in the order of the
+/// Parameters of the fit of Λ, for the roughest and the smoothest fibres, in the order of the
 /// paper's table: a, b, c, d, e.
 const FIT_ROUGH: [f32; 5] = [21.5473, 3.82987, 0.19823, -1.97760, -4.32054];
 const FIT_SMOOTH: [f32; 5] = [25.3245, 3.32435, 0.16801, -1.27393, -4.85967];
@@ -184,8 +184,8 @@ impl Fibres {
     }
 }
 
-/// Albedo of white fibres, and the factor on f that keeps it at or below 1, by the cosine and
-/// perceptual roughness.
+/// Albedo of white fibres, and the factor on f that keeps the albedo at or below 1, by the cosine
+/// and perceptual roughness.
 fn albedo(cosine: f32, roughness: f32) -> (f32, f32) {
     let raw = raw_albedo(cosine, roughness);
     (raw.min(1.0), 1.0 / raw.max(1.0))

@@ -22,7 +22,7 @@ const GLASS_TOLERANCE: f64 = 1e-2;
 const ENERGY_GAIN: f64 = 0.02;
 /// Cells of the chi-square tests, over cos θ and φ of the whole sphere.
 const CELLS: [usize; 2] = [16, 16];
-/// Midpoints per edge of a cell over which its density is integrated.
+/// Number of midpoints per edge of a cell, over which the density is integrated.
 const CELL_POINTS: usize = 40;
 
 fn appearance() -> Appearance {

@@ -31,7 +31,7 @@ use super::tree::{Block, Bvh, CULL_BACK, EMPTY, Hit, INDEX_MASK, LEAF, NO_INSTAN
 
 /// Largest number of rays of a beam.
 pub(crate) const BEAM: usize = 16;
-/// Vectors that hold one value of every ray, one ray per lane.
+/// Number of vectors that hold one value of every ray, one ray per lane.
 const VECTORS: usize = BEAM / WIDTH;
 /// Fewer rays than this are traced one by one.
 const FEWEST: usize = 3;
@@ -113,7 +113,7 @@ impl Bvh {
         // the distance of the farthest of the nearest hits; infinite while a ray has no hit
         let mut t_max = f32::INFINITY;
         // SAFETY: the caller has the instruction set. Child references point into the arrays they
-        // were made with, and no more than `stack_depth` children are ever postponed, which `build`
+        // were made with. No more than `stack_depth` children are ever postponed, which `build`
         // counts and the assertion above checks.
         unsafe {
             let beam = Beam::<V>::new(rays, self.extent);

@@ -16,8 +16,9 @@ use obvhs::bvh2::Bvh2;
 
 use super::tree::WIDTH;
 
-/// Per subtree, at index j − 1: how many of its j children come from the first child of the binary
-/// tree. At index 0: the same for the eight children of a node, or [`END`].
+/// Per subtree, index j − 1 holds how many of its j children come from the first child of the
+/// binary tree, or [`FEWER`]. Index 0 holds the same number for the eight children of a node, or
+/// [`END`].
 pub(super) struct Plan(Vec<[u8; WIDTH]>);
 
 /// The subtree is a block or an instance.

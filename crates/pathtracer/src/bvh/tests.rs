@@ -177,7 +177,7 @@ fn hostile_soup(seed: u64) -> Vec<[Vec3; 3]> {
         triangles.push([a, b, b]);
         triangles.push([a, a, a]);
         triangles.extend([[a, b, -a]; 2]);
-        // a triangle in a plane across an axis
+        // a triangle in a plane perpendicular to an axis
         triangles.push([a, b, -b].map(|corner| corner.with_y(0.5)));
     }
     triangles

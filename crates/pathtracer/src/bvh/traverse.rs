@@ -56,8 +56,9 @@ use super::tree::{
 
 /// Direction components below this are replaced by it in the slab test, so that 0 · ∞ cannot occur.
 pub(super) const SMALLEST_SLOPE: f32 = 1e-18;
-/// Rounding of b/d − o/d as a fraction of (|o| + |b|)/|d|. Each of 1/d, o/d and the result adds
-/// half an epsilon. Boxes of cut triangles, whose corners are rounded, double the sum.
+/// Rounding of b/d − o/d (b is a plane's position) as a fraction of (|o| + |b|)/|d|. Each of 1/d,
+/// o/d and the result adds half an epsilon. Boxes of cut triangles, whose corners are rounded,
+/// double the sum.
 pub(super) const SLAB_ROUNDING: f32 = 4.0 * f32::EPSILON;
 
 /// Reusable memory for postponed children. The high bits hold the distance and the low bits the
@@ -68,8 +69,8 @@ pub(crate) struct Stack(pub(super) Vec<u64>);
 /// tree. Its distance reads as −∞, so it is never dropped.
 const END_OF_INSTANCE: u64 = (f32::NEG_INFINITY.to_bits() as u64) << 32 | EMPTY as u64;
 
-/// The longest axis. The index has three bits, from the lowest: x is longer than y, x is longer
-/// than z, y is longer than z.
+/// The axis of the direction's largest component. The index has three bits, from the lowest: |x| >
+/// |y|, |x| > |z|, |y| > |z|.
 const LONGEST: [u8; 8] = [2, 2, 2, 0, 1, 2, 1, 0];
 /// The other two axes, for a ray that runs up an axis and for one that runs down it. If the ray
 /// runs down, the two are exchanged, which keeps the winding. Padding to eight entries saves a
@@ -80,7 +81,8 @@ const OTHERS: [[u8; 2]; 8] = [[1, 2], [2, 1], [2, 0], [0, 2], [0, 1], [1, 0], [0
 #[derive(Clone, Copy)]
 struct Slabs<V> {
     inverse: [V; 3],
-    /// −o/d, minus the rounding (`near_shift`) and plus the rounding (`far_shift`).
+    /// −o/d (origin over direction), minus the rounding (`near_shift`) and plus the rounding
+    /// (`far_shift`).
     near_shift: [V; 3],
     far_shift: [V; 3],
     /// Index of the near plane per axis in [`Node::bounds`].
@@ -92,9 +94,9 @@ struct Slabs<V> {
 /// when it needs them, and rays that reach no block pay little.
 #[derive(Clone, Copy)]
 pub(super) struct Shear {
-    /// Rows of the axes in a block; the last is the axis along which the ray is longest.
+    /// Rows of the axes in a block; the last is the axis of the direction's largest component.
     pub(super) axes: [usize; 3],
-    /// Origin along these axes.
+    /// The ray's origin, in the order of `axes`.
     origin: [f32; 3],
     shear: [f32; 3],
 }
@@ -205,7 +207,7 @@ impl Bvh {
         }
         assert!(stack.0.len() > self.stack_depth, "a stack of another tree");
         // SAFETY: the caller has the instruction set. Child references point into the arrays they
-        // were made with, and no more than `stack_depth` children are ever postponed, which `build`
+        // were made with. No more than `stack_depth` children are ever postponed, which `build`
         // counts and the assertion above checks.
         unsafe {
             // a copy; [`Arrays`] states the reason
@@ -580,12 +582,13 @@ impl Shear {
         }
     }
 
-    /// True if a ray is longest along the same axis, in the same direction.
+    /// True if the ray's direction has its largest component along the same axis, with the same
+    /// sign.
     #[inline(always)]
     pub(super) fn has_axes_of(&self, ray: &Ray) -> bool {
         let direction = ray.direction.to_array();
         let [x, y, z] = self.axes.map(|row| direction[row / WIDTH]);
-        // strictly longer, since of two equally long axes Shear::new chooses the later one
+        // strictly larger, since of two equal components Shear::new chooses the later one
         z.abs() > x.abs().max(y.abs()) && (z < 0.0) == (self.shear[2] < 0.0)
     }
 

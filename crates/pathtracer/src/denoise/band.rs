@@ -121,7 +121,7 @@ impl Block {
 struct Scratch {
     height: usize,
     cols: usize,
-    /// Colour distance per half, with the margin of a patch around it.
+    /// Distance of colours per half, with the margin of a patch around it.
     distance: [Vec<f32>; 2],
     /// Sums of three neighbouring distances along a row.
     across: [Vec<f32>; 2],

@@ -32,7 +32,7 @@ pub(super) struct Frame {
     pub(super) rows: usize,
     pub(super) cols: usize,
     planes: [Vec<f32>; PLANES],
-    /// The divisor of the radiance (demodulation).
+    /// The number per pixel and channel by which the radiance is divided (demodulation).
     pub(super) modulation: Vec<[f32; 3]>,
     /// Slopes of the view at the centre of the field.
     slope: DVec2,

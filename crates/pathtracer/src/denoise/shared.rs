@@ -43,7 +43,7 @@ const LEAST_REFLECTANCE: f32 = 0.02;
 #[derive(Clone, Copy, Default)]
 #[repr(C)]
 struct Point {
-    /// E from the pixel's own samples.
+    /// E, the light at the point, from the pixel's own samples.
     light: [f32; 3],
     z_mm: f32,
     /// Unit normal, times 127.
@@ -60,20 +60,20 @@ pub struct SharedLight<'a> {
     geometry: &'a FieldGeometry,
     /// Number of views added.
     added: usize,
-    /// `[view][row][col]`.
+    /// Data of every pixel, `[view][row][col]`.
     points: Array<Point>,
-    /// Mean E, `[view][row][col]`, once it is computed.
+    /// Mean of the light E over the views, `[view][row][col]`, once it is computed.
     light: Array<[f32; 3]>,
 }
 
 /// The mean light of every view.
 pub struct MeanLight {
-    /// E, `[view][row][col]`.
+    /// The mean of the light E, `[view][row][col]`.
     light: Array<[f32; 3]>,
 }
 
 impl<'a> SharedLight<'a> {
-    /// Bytes of a ray.
+    /// Number of bytes that a ray takes.
     pub const BYTES_PER_RAY: u64 = (size_of::<Point>() + size_of::<[f32; 3]>()) as u64;
 
     /// Starts without any view, in memory.

@@ -34,7 +34,7 @@ pub(crate) struct EnvironmentLight {
     rows: Cells,
     row_choice: Distribution,
     column_choices: Vec<Option<Distribution>>,
-    /// Magnitude that is subtracted before sampling.
+    /// Magnitude of radiance that is subtracted before sampling.
     floor: f32,
     /// Magnitude above the floor, averaged over the sphere.
     sampled_magnitude: f32,
@@ -173,7 +173,7 @@ impl EnvironmentLight {
         let Some(environment) = environment else { return Vec3::ZERO };
         let Pixels::RgbF32(texels) = &self.scene.images[environment.image].pixels else { return Vec3::ZERO };
         let (x, y) = (u * self.width as f32 - 0.5, v * self.height as f32 - 0.5);
-        // both coordinates are ≥ 0, so that adding 1 makes truncation a floor
+        // x and y are ≥ −0.5, so after adding 1, truncation equals the floor
         let (x0, y0) = ((x + 1.0) as usize, (y + 1.0) as usize);
         let (fx, fy) = (x + 1.0 - x0 as f32, y + 1.0 - y0 as f32);
         // x0 and y0 are 0 at texel −1

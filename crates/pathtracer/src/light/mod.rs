@@ -48,10 +48,10 @@ pub(crate) struct Lights {
     /// triangles.
     light_of_triangle: Vec<u32>,
     environment: Option<EnvironmentLight>,
-    /// Points and spots.
+    /// Point lights and spotlights.
     points: Vec<PunctualLight>,
     directional: Vec<PunctualLight>,
-    /// Tree over the triangles, followed by points and spots.
+    /// Tree over the triangles, followed by the point lights and spotlights.
     tree: Option<LightTree>,
     /// Choices among the tree ([`LOCAL`]), each directional light, and the environment, in this
     /// order. In choice k, the chances are rounded to multiples of 1/2ᵏ. Empty if no light can be
@@ -80,7 +80,7 @@ struct TriangleLight {
 
 impl Lights {
     pub(crate) fn new(scene: &Arc<Scene>, geometry: &Geometry, materials: &Materials) -> Self {
-        // emitting triangles, and for each hit triangle the index of its light
+        // emitting triangles, and for each triangle of the scene the index of its light
         let (triangles, mut emitters) = emitting_triangles(geometry, materials);
         let mut light_of_triangle = Vec::new();
         if !triangles.is_empty() {
@@ -170,7 +170,7 @@ impl Lights {
     }
 
     /// Chooses a light and a point of it, as seen by the receiver. The first number of `u` also
-    /// chooses the light, and is then rescaled from the light's interval to [0, 1), so that each
+    /// chooses the light. It is then rescaled from the light's interval to [0, 1), so that each
     /// light's samples stay stratified. `u_fine` adds the digits that rescaling loses. If [0, 1) is
     /// divided into `parts` equal parts, each part holds the first number of one of the pixel's
     /// samples.
@@ -244,8 +244,8 @@ impl TriangleLight {
         let inverse_distance = to_light.length_recip();
         let direction = to_light * inverse_distance;
         let cosine = -direction.dot(self.normal);
-        // area |cos θ'| / d² over the chance; the divisions are independent, so that they run in
-        // parallel
+        // the inverse of the density is area |cos θ'| / d² divided by the chance; the divisions are
+        // independent, so that they run in parallel
         let inverse_pdf = self.area * cosine.abs() * (inverse_distance * inverse_distance) * chance.recip();
         // no light is received at distance 0, from the side, or where the numbers overflow
         let is_seen = inverse_pdf > 0.0 && inverse_pdf.is_finite() && (cosine > 0.0 || self.double_sided);

@@ -71,8 +71,8 @@ pub(crate) struct Emitter {
 /// samples choose a light. 0 if nothing is known about these numbers.
 pub(crate) type Parts = u32;
 
-/// The chance rounded to whole parts, and the number of parts on either side. A chance that would
-/// round to none or all of the parts is not rounded.
+/// The chance of the first child, rounded to whole parts, and the numbers of parts of both
+/// children. A chance that would round to none or all of the parts is not rounded.
 #[inline]
 pub(super) fn whole_parts(chance: f32, parts: Parts) -> (f32, [Parts; 2]) {
     let first = (chance * parts as f32 + 0.5) as Parts;

@@ -39,7 +39,7 @@ pub struct GuidedSplit {
     /// Variance of every mean of the whole light, `[row][col][rgb]`; NaN if fewer than two samples
     /// are finite numbers.
     pub variance: Tensor<3>,
-    /// Guides of the view.
+    /// Data of the surfaces that the view's paths hit first.
     pub features: Features,
 }
 

@@ -154,7 +154,7 @@ fn near_hides_far() {
     assert_eq!(image.block([SIZE / 2, SIZE / 2 + 8]), [1.0, 0.0, 0.0]);
 }
 
-/// A picture of 2 × 2 texels: red, green over blue, white.
+/// A picture of 2 × 2 texels: red and green above blue and white.
 fn quadrants(builder: &mut Builder) -> TextureUse {
     let texels = vec![[255, 0, 0, 255], [0, 255, 0, 255], [0, 0, 255, 0], [255, 255, 255, 100]];
     builder.parts.images.push(Image { name: "quadrants".into(), width: 2, height: 2, pixels: Pixels::Rgba8(texels) });
@@ -530,8 +530,8 @@ fn samples_that_overflow_are_counted_and_left_out() {
 
 #[test]
 fn extreme_scenes_stay_finite() {
-    // huge and tiny scales, far from the origin, lights on the surface itself, black and white,
-    // roughness 0
+    // extreme scenes: huge and tiny scales, far from the origin, lights on the surface itself,
+    // black and white, roughness 0
     for (scale, at) in [(1e-6, 0.0), (1e6, 0.0), (1.0, 1e4)] {
         let mut scene = Builder::default();
         let place = |v: Vec3| (scale * v.as_dvec3() + DVec3::splat(at)).as_vec3();

@@ -17,7 +17,7 @@ const MARGIN: f64 = 0.03;
 const COVERAGE: f64 = 0.26;
 /// Smallest width of a window, relative to the view of a camera that the job does not name.
 const CLOSEST: f64 = 0.58;
-/// Largest number of columns of the straight view that finds where the scene is visible.
+/// Largest number of columns of the view from straight ahead that finds where the scene is visible.
 const PROBE_COLS: usize = 336;
 
 /// A window before depth is fitted.
@@ -27,7 +27,7 @@ pub struct Found {
     pub window: Window,
     /// True if the user chose the depth of the window: by numbers or by a focus distance.
     pub chosen: bool,
-    /// Azimuth and elevation of the viewer that framed the scene, degrees.
+    /// Azimuth and elevation of the viewer for whom the scene was framed, degrees.
     pub looked_from_deg: Option<[f64; 2]>,
 }
 
@@ -125,7 +125,7 @@ fn close_up<S: Subject>(
     let of = format!("{window:?} {recentre}");
     let (place, factor): ([f64; 2], f64) = subject.remembered("window", &of, || {
         let renderer = subject.renderer(task)?;
-        // a coarse straight view suffices to locate the scene
+        // a coarse view from straight ahead suffices to locate the scene
         let cols = geometry.cols.min(PROBE_COLS);
         let pitch_mm = window.size_mm[0] / cols as f64;
         let rows = ((window.size_mm[1] / pitch_mm).round() as usize).max(1);
@@ -153,8 +153,8 @@ fn extents(mask: &Tensor<2>) -> Option<[[usize; 2]; 2]> {
     Some([seen(0, rows)?, seen(1, cols)?])
 }
 
-/// Returns the region of a picture that holds every set pixel and a [margin](MARGIN). It is given
-/// by a factor on the picture's size, and by its centre [row, column] in pixels.
+/// Returns the region of a picture that holds every set pixel and a [margin](MARGIN). The region is
+/// given by a factor on the picture's size, and by its centre [row, column] in pixels.
 fn whole(mask: &Tensor<2>) -> (f64, [f64; 2]) {
     let size = mask.shape();
     let Some(seen) = extents(mask) else { return (1.0, size.map(|count| 0.5 * count as f64)) };

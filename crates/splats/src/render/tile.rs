@@ -119,7 +119,8 @@ pub(crate) struct Views<'a> {
     lanes: Eyes,
     /// Per placed cloud, the harmonics of each view's direction, for parallel rays.
     bases: Vec<[Lane; MOST]>,
-    /// Per placed cloud, the columns of the map of directions.
+    /// Per placed cloud, the columns of the map from directions in pixels to directions of the
+    /// cloud.
     cloud_from_pixels: Vec<[[f32; 3]; 3]>,
 }
 
