@@ -147,7 +147,7 @@ impl<'a> Accessor<'a> {
         Ok(out)
     }
 
-    /// As [`floats`](Self::floats), but refuses NaN and infinity.
+    /// Returns the same as [`floats`](Self::floats), but refuses NaN and infinity.
     pub(crate) fn finite<const N: usize>(
         &self,
         document: &Document<'_>,

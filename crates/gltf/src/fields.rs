@@ -65,7 +65,7 @@ impl<'d> Fields<'d> {
         self.read(key, "an index", |value| value.as_u64().map(|index| json::Index::new(index as u32)))
     }
 
-    /// As [`index`](Self::index), but an error if the member is absent.
+    /// Returns the same as [`index`](Self::index), but an error if the member is absent.
     pub(crate) fn needed_index<T>(&self, key: &str) -> Result<json::Index<T>, Fault> {
         self.index(key)?.ok_or_else(|| Fault::new(self.place(key), "an index", "nothing"))
     }

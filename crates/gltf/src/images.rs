@@ -38,7 +38,7 @@ enum Content {
 }
 
 impl Images {
-    /// Index of an image of the file, whose header is read at first use.
+    /// Returns the index of an image of the file, whose header is read at first use.
     pub(crate) fn texture(
         &mut self,
         document: &Document<'_>,

@@ -33,10 +33,11 @@ pub fn load(name: &str, bytes: &[u8], resolver: &dyn AssetResolver, task: Task<'
     load_with(name, bytes, resolver, &LoadOptions::default(), task)
 }
 
-/// As [`load`], at a time of an animation, and in a variant of materials.
+/// Loads a file like [`load`], at a time of an animation, and in a variant of materials.
 ///
 /// # Errors
-/// As [`load`], and when the file does not have the animation or the variant.
+/// The same errors as [`load`]. It is also an error if the file does not have the animation or the
+/// variant.
 pub fn load_with(
     name: &str,
     bytes: &[u8],
@@ -61,7 +62,7 @@ pub struct Contents {
 /// Lists the animations and variants of a file.
 ///
 /// # Errors
-/// As [`load`], for the objects that have to be read for the list.
+/// The same errors as [`load`], for the objects that have to be read for the list.
 pub fn contents(name: &str, bytes: &[u8], resolver: &dyn AssetResolver, task: Task<'_>) -> Result<Contents, GltfError> {
     let warnings = InFile { name, inner: task.warnings };
     let task = Task { warnings: &warnings, ..task };
@@ -238,7 +239,7 @@ fn read_splats(
     Ok(found)
 }
 
-/// A mesh in the shape in which one node, or all nodes that share it, show it.
+/// A mesh with one shape. One node shows it in this shape, or all nodes that share the mesh do.
 struct Shape<'a> {
     /// The node's weights of morph targets, if it has any.
     weights: Option<&'a [f32]>,

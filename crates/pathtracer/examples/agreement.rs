@@ -29,8 +29,8 @@ use lumistack_scene::{
 const SKY: [usize; 2] = [1024, 512];
 /// Largest number of scattering events of a path; the one at the first hit counts.
 const MAX_BOUNCES: u32 = 6;
-/// Texels per edge of the floor's texture. Each is several pixels wide, so that no renderer filters
-/// the texture.
+/// Number of texels per edge of the floor's texture. Each texel is several pixels wide, so that no
+/// renderer filters the texture.
 const TEXELS: usize = 6;
 
 /// A surface, in terms that all renderers have.

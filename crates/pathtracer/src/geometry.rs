@@ -90,11 +90,11 @@ struct Record {
     flags: u32,
 }
 
-/// Two corners are exchanged, since the instance mirrors the mesh.
+/// Marks a triangle of which two corners are exchanged, since the instance mirrors the mesh.
 const SWAPPED: u32 = 1;
-/// The mesh has vertex colours.
+/// Marks a triangle of a mesh with vertex colours.
 const COLORED: u32 = 2;
-/// All vertex normals equal the geometric normal.
+/// Marks a triangle whose vertex normals all equal the geometric normal.
 const FLAT: u32 = 4;
 /// Cosine from which on two normals are treated as equal.
 const SAME_NORMAL: f32 = 1.0 - 1e-6;

@@ -87,13 +87,13 @@ pub struct Memory {
     pub triangles: usize,
     /// Number of triangles that are kept. In large scenes a mesh that is placed often is kept once.
     pub unique_triangles: usize,
-    /// Bytes of the tree's nodes, leaves and instances.
+    /// Number of bytes of the tree's nodes, leaves and instances.
     pub tree_bytes: usize,
-    /// Bytes of corners, transforms and references to the scene.
+    /// Number of bytes of corners, transforms and references to the scene.
     pub geometry_bytes: usize,
-    /// Bytes of the scene's meshes and images.
+    /// Number of bytes of the scene's meshes and images.
     pub scene_bytes: usize,
-    /// Bytes of the textures' coarser levels: up to a third of the images.
+    /// Number of bytes of the textures' coarser levels: up to a third of the images.
     pub texture_bytes: usize,
 }
 
@@ -310,7 +310,7 @@ impl Renderer {
     /// Fraction of the window, 0..1, in which the central rays of a view hit a surface.
     ///
     /// # Errors
-    /// As [`hit_mask`](Self::hit_mask).
+    /// The same errors as [`hit_mask`](Self::hit_mask).
     pub fn coverage(
         &self,
         window: &Window,

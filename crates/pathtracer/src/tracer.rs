@@ -18,7 +18,7 @@
 //! Measured on FlightHelmet with 16 samples per pixel:
 //!
 //! * Rays take half of the time. The rest is spent on waiting for memory and on branches rather
-//!   than on arithmetic: the whole program compiled for AVX2 with FMA was no faster.
+//!   than on arithmetic. The whole program compiled for AVX2 with FMA was no faster.
 //! * Nearly all variance of a diffuse scene comes from the first scattered direction. Four jointly
 //!   stratified points of lights at the first hit instead of one lowered the squared error by 7 %
 //!   and cost 80 % more time.
@@ -43,10 +43,11 @@ use crate::sampler::{Draws, Pair};
 use crate::settings::Settings;
 use crate::shading::Materials;
 
-/// Pairs of random numbers that the primary ray uses: position in the pixel, slope in the bin.
+/// Number of pairs of random numbers that the primary ray uses: position in the pixel, slope in the
+/// bin.
 pub(crate) const PRIMARY_PAIRS: u64 = 2;
-/// Pairs of random numbers per vertex of a path: the scattered direction; the point of a light;
-/// roulette, and the choice between reflection and refraction.
+/// Number of pairs of random numbers per vertex of a path. They choose the scattered direction; the
+/// point of a light; roulette, and reflection or refraction.
 const VERTEX_PAIRS: u64 = 3;
 /// First of the pairs that decide whether a surface with alpha is there. There is one pair for each
 /// bounce and triangle, so that successive surfaces decide independently.
@@ -70,13 +71,13 @@ pub(crate) struct Cone {
     pub(crate) spread: f32,
 }
 
-/// The material scatters by Lambert's law alone, see [`is_lambertian`].
+/// Marks a material that scatters by Lambert's law alone, see [`is_lambertian`].
 const LAMBERTIAN: u8 = 1;
-/// The material may emit light.
+/// Marks a material that may emit light.
 const EMISSIVE: u8 = 2;
-/// The material shows its colour and scatters nothing.
+/// Marks a material that shows its colour and scatters nothing.
 const UNLIT: u8 = 4;
-/// The material represents a light source that viewers do not see, so first hits pass through it.
+/// Marks a material of a light source that viewers do not see, so first hits pass through it.
 const UNSEEN: u8 = 8;
 
 /// Properties of a material that the path loop reads at every hit, in one byte.

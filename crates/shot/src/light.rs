@@ -16,9 +16,9 @@ use crate::renderer::SceneRenderer;
 use crate::surround;
 use crate::tone_mapping::automatic_tone_mapping;
 
-/// Columns and rows of the studio map. Few suffice, since the map is smooth.
+/// Numbers of columns and rows of the studio map. Small numbers suffice, since the map is smooth.
 const STUDIO: [usize; 2] = [128, 64];
-/// Columns and rows of the picture that measures whether lamps light a scene.
+/// Numbers of columns and rows of the picture that measures whether lamps light a scene.
 const PROBE: [usize; 2] = [96, 60];
 /// Number of paths per pixel of that picture.
 const PROBE_SAMPLES: u32 = 16;

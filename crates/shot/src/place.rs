@@ -66,11 +66,11 @@ pub struct Placement {
 /// The changes that fitting is allowed to make.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Means {
-    /// The window may move.
+    /// True if fitting may move the window.
     moves: bool,
-    /// Depth may be compressed.
+    /// True if fitting may compress depth.
     compresses: bool,
-    /// Fitting does nothing if the scene fits already.
+    /// True if fitting changes nothing when the scene fits already.
     at_need: bool,
 }
 

@@ -115,7 +115,7 @@ pub fn automatic_tone_mapping(scene: &Scene, brightest: &[(f32, bool)]) -> (f64,
     (exposure, curve)
 }
 
-/// Returns whether radiance is display-referred already: every surface is unlit and shows its base
+/// Returns true if radiance is display-referred already: every surface is unlit and shows its base
 /// colour, or splats bring their own light.
 fn is_display_referred(scene: &Scene) -> bool {
     if !scene.placed_clouds.is_empty() {

@@ -1,10 +1,10 @@
 //! A 5 x 7 dot-matrix font: capitals, digits and a few marks.
 
-/// Columns of a glyph.
+/// Number of columns of a glyph.
 pub(crate) const GLYPH_COLUMNS: usize = 5;
-/// Rows of a glyph.
+/// Number of rows of a glyph.
 pub(crate) const GLYPH_ROWS: usize = 7;
-/// Columns from one glyph to the next.
+/// Number of columns from one glyph to the next.
 pub(crate) const ADVANCE: usize = GLYPH_COLUMNS + 1;
 
 /// Each entry is a row, from the top; bit 4 is the leftmost column.

@@ -17,7 +17,7 @@ pub enum Packed<'a> {
         bytes: &'a [u8],
         /// Unique ids of the wanted attributes, none twice.
         attributes: &'a [u32],
-        /// Most bytes that the mesh and the wanted attributes may take.
+        /// Largest number of bytes that the mesh and the wanted attributes may take.
         max_bytes: u64,
     },
     /// A meshopt stream: [`Unpacked::Bytes`].
@@ -30,14 +30,14 @@ pub enum Packed<'a> {
         filter: Filter,
         /// Number of elements.
         count: usize,
-        /// Bytes of an element.
+        /// Number of bytes of an element.
         stride: usize,
     },
     /// An SPZ stream: [`Unpacked::Splats`].
     Spz {
         /// The stream.
         bytes: &'a [u8],
-        /// Most bytes that the splats may take.
+        /// Largest number of bytes that the splats may take.
         max_bytes: u64,
     },
     /// A file of splats, and the files beside it by name: [`Unpacked::Splats`].

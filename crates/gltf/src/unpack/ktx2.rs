@@ -18,10 +18,10 @@ use crate::options::MAX_SIDE;
 /// First bytes of a KTX2 file.
 pub(super) const MAGIC: &[u8] = b"\xABKTX 20\xBB\r\n\x1A\n";
 
-/// Bytes of the header before the list of levels, and of one level's entry in the list.
+/// Number of bytes of the header before the list of levels, and of one level's entry in the list.
 const HEADER_BYTES: usize = 80;
 const LEVEL_BYTES: usize = 24;
-/// Bytes of the header that hold offset and length of the key/value data.
+/// The bytes of the header that hold offset and length of the key/value data.
 #[cfg(feature = "ktx2")]
 const NOTES: Range<usize> = 56..64;
 /// Colour models of the data format descriptor.

@@ -16,8 +16,9 @@ use crate::{BOUNCES, Options};
 const BELOW_WHITE: f64 = 0.99;
 /// Unit of the times in `/proc/self/stat`, in milliseconds.
 const TICK_MS: u64 = 10;
-/// Samples per pixel of filtered views (`FILTERED`) and of views rendered one by one (`ALONE`). The
-/// last number of `ALONE` gives the reference, whose render takes longer than any filter.
+/// Numbers of samples per pixel of filtered views (`FILTERED`) and of views rendered one by one
+/// (`ALONE`). The last number of `ALONE` gives the reference, whose render takes longer than any
+/// filter.
 const FILTERED: [u32; 3] = [4, 16, 64];
 const ALONE: [u32; 4] = [4, 16, 64, 256];
 

@@ -62,8 +62,8 @@ struct Options {
     peers: Vec<[PathBuf; 2]>,
     copies: usize,
     embree: Option<PathBuf>,
-    /// For `field`: rows and columns of views, their field of view in degrees, and true if surfaces
-    /// keep the materials of the file.
+    /// For `field`: numbers of rows and columns of views, their field of view in degrees, and true
+    /// if surfaces keep the materials of the file.
     views: [usize; 2],
     fov_deg: f64,
     own_materials: bool,

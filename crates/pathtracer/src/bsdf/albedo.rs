@@ -28,17 +28,18 @@ use glam::{Vec2, Vec3};
 use super::table::Table;
 use super::{fresnel, ggx};
 
-/// Nodes of the table for lobes that are not stretched, over the cosine μ and over perceptual
-/// roughness √α.
+/// Numbers of nodes of the table for lobes that are not stretched, over the cosine μ and over
+/// perceptual roughness √α.
 const COSINES: usize = 64;
 const ROUGHNESSES: usize = 32;
-/// Samples per node, on a rank-1 lattice. Their error is below the interpolation error of about
-/// 1e-3.
+/// Number of samples per node, on a rank-1 lattice. Their error is below the interpolation error of
+/// about 1e-3.
 const SAMPLES: u32 = 987;
 /// Step of the Fibonacci lattice of [`SAMPLES`] points.
 const LATTICE_STEP: u32 = 610;
-/// Nodes of the table for stretched lobes, over the root of the cosine, the azimuth, and √α along
-/// and across the stretch. The next two constants are the samples per node and their lattice step.
+/// Numbers of nodes of the table for stretched lobes, over the root of the cosine, the azimuth, and
+/// √α along and across the stretch. The next two constants are the number of samples per node and
+/// their lattice step.
 const STRETCHED: [usize; 4] = [16, 6, 13, 13];
 const STRETCHED_SAMPLES: u32 = 377;
 const STRETCHED_STEP: u32 = 233;
@@ -47,8 +48,9 @@ const SMALLEST: f32 = 1e-3;
 /// The index of refraction for which the tables of E also hold B: glTF's default, and the index of
 /// clear coats. The top of the file defines E and B.
 pub(crate) const COMMON_IOR: f32 = 1.5;
-/// Nodes of the table for other indices of refraction, over the root of the cosine, √α, and the
-/// root of (n − 1)/(n + 1). The next two constants are the samples per node and their lattice step.
+/// Numbers of nodes of the table for other indices of refraction, over the root of the cosine, √α,
+/// and the root of (n − 1)/(n + 1). The next two constants are the number of samples per node and
+/// their lattice step.
 const INDICES: [usize; 3] = [40, 16, 20];
 const INDICES_SAMPLES: u32 = 377;
 const INDICES_STEP: u32 = 233;
@@ -102,7 +104,7 @@ pub(crate) fn albedo(cosine: f32, roughness: f32) -> Albedo {
     TABLE.get_or_init(tabulate).at([cosine, roughness]).into()
 }
 
-/// Albedo of a stretched lobe. It is interpolated linearly in four coordinates: the root of the
+/// Albedo of a stretched lobe, interpolated linearly in four coordinates. They are the root of the
 /// cosine, cos² of the azimuth φ, and √α along and across the stretch. φ is the viewer's azimuth
 /// from the direction of stretch.
 pub(crate) fn stretched(o: Vec3, alpha: Vec2) -> Albedo {

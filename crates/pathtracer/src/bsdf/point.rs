@@ -23,7 +23,7 @@ pub(crate) struct Bsdf {
 pub(crate) struct Scatter {
     /// Direction of incidence, in the scene.
     pub(crate) direction: Vec3,
-    /// f |cos| / density.
+    /// f |cos| / density, with the scattering function f.
     pub(crate) weight: Vec3,
     /// Density per solid angle; infinite for a mirror.
     pub(crate) pdf: f32,
@@ -136,7 +136,8 @@ impl Bsdf {
         self.evaluate_above(self.facet.geometric_normal, direction)
     }
 
-    /// As [`evaluate`](Self::evaluate), but the normal `horizon` replaces the geometric normal.
+    /// Returns the same as [`evaluate`](Self::evaluate), but the normal `horizon` replaces the
+    /// geometric normal.
     pub(crate) fn evaluate_above(&self, horizon: Vec3, direction: Vec3) -> (Vec3, f32) {
         let Self { facet, lobes, chances } = self;
         let side = direction.dot(horizon);

@@ -28,11 +28,11 @@ use crate::texture::{Encoding, Slot};
 const LEAST_ROUGHNESS: f32 = 0.1;
 /// Fraction of the samples that reflect at the fibres' normals; the others follow the cosine.
 const FIBRE_SHARE: f32 = 0.5;
-/// Nodes of the albedo table, over the root of the cosine and over roughness.
+/// Numbers of nodes of the albedo table, over the root of the cosine and over roughness.
 const COSINES: usize = 48;
 const ROUGHNESSES: usize = 24;
-/// Samples per node, on a Fibonacci lattice: this number and the step are successive Fibonacci
-/// numbers.
+/// Number of samples per node, on a Fibonacci lattice: this number and the step are successive
+/// Fibonacci numbers.
 const SAMPLES: u32 = 1597;
 const LATTICE_STEP: u32 = 987;
 /// The smallest cosine of the table.

@@ -72,8 +72,8 @@ fn spectra() -> &'static Spectra {
     })
 }
 
-/// CIE 1931 colour-matching functions, in sums of Gaussians of unequal flanks (Wyman, Sloan,
-/// Shirley 2013).
+/// CIE 1931 colour-matching functions, as sums of Gaussians whose two flanks have different widths
+/// (Wyman, Sloan, Shirley 2013).
 fn matching(nanometres: f32) -> Vec3 {
     let lobe = |height: f32, centre: f32, left: f32, right: f32| {
         let t = (nanometres - centre) / if nanometres < centre { left } else { right };

@@ -20,7 +20,7 @@ const GLASS_TOLERANCE: f64 = 1e-2;
 /// Energy that white surfaces may gain by their tables and by the approximate albedos of stretched
 /// lobes.
 const ENERGY_GAIN: f64 = 0.02;
-/// Cells of the chi-square tests, over cos θ and φ of the whole sphere.
+/// Numbers of cells of the chi-square tests, over cos θ and φ of the whole sphere.
 const CELLS: [usize; 2] = [16, 16];
 /// Number of midpoints per edge of a cell, over which the density is integrated.
 const CELL_POINTS: usize = 40;

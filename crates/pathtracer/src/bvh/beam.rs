@@ -190,12 +190,12 @@ impl<F: FnMut(usize, &Hit) -> bool> Kernel for NearestOfBeam<F> {
 /// The rays of a beam prepared for the triangle test, one per lane, and the nearest hit of each.
 /// The directions of all rays have their largest component along the same axis.
 struct Sheared<V> {
-    /// As [`Shear::axes`].
+    /// The same as [`Shear::axes`].
     axes: [usize; 3],
     /// Number of rays, and of vectors that hold a ray.
     count: usize,
     vectors: usize,
-    /// As [`Shear::origin`] and [`Shear::shear`].
+    /// Per ray, the same as [`Shear::origin`] and [`Shear::shear`].
     origin: [[V; 3]; VECTORS],
     shear: [[V; 3]; VECTORS],
     t: [V; VECTORS],

@@ -21,9 +21,9 @@ use super::tree::WIDTH;
 /// [`END`].
 pub(super) struct Plan(Vec<[u8; WIDTH]>);
 
-/// The subtree is a block or an instance.
+/// Marks a subtree that is a block or an instance.
 const END: u8 = u8::MAX;
-/// The subtree with this many children is no better than with one child fewer.
+/// Marks a subtree that is no better with this many children than with one child fewer.
 const FEWER: u8 = 0;
 
 impl Plan {

@@ -22,9 +22,9 @@ const PLANE_SCALE: f32 = 1.5;
 const ALBEDO_SCALE: f32 = 0.2;
 const GLOSS_SCALE: f32 = 0.2;
 const COVERED_SCALE: f32 = 0.2;
-/// Filtered answers per pixel, each for both halves of the samples. The first uses colours and
-/// guides, with weights from the other half. The second uses guides alone. The third uses colours
-/// and guides, with weights from the half itself; it serves only to estimate errors.
+/// Number of filtered answers per pixel, each for both halves of the samples. The first uses
+/// colours and guides, with weights from the other half. The second uses guides alone. The third
+/// uses colours and guides, with weights from the half itself; it serves only to estimate errors.
 pub(super) const ANSWERS: usize = 3;
 
 /// Filtered demodulated radiance of a band, per answer and half: `[row][col][rgb]`.

@@ -11,7 +11,8 @@ const ERROR_RADIUS: usize = 4;
 /// Difference of errors, relative to the noise's variance, at which the better answer gets e times
 /// the weight.
 const SOFTNESS: f32 = 0.03;
-/// Candidates for a pixel: filtered by colours and guides, filtered by guides alone, as rendered.
+/// Number of candidates for a pixel: filtered by colours and guides, filtered by guides alone, as
+/// rendered.
 const CHOICES: usize = 3;
 
 /// Blends the answers by their estimated errors. The estimate leaves out the pixel itself, since

@@ -47,10 +47,10 @@ pub(crate) struct EnvironmentLight {
 #[derive(Clone, Copy)]
 struct Cells {
     texels: usize,
-    /// Texels per cell; 1 if texels are split.
+    /// Number of texels per cell; 1 if texels are split.
     joined: usize,
-    /// Cells per texel; 1 if texels are joined, otherwise even, so that bilinear kinks are on the
-    /// edges of cells.
+    /// Number of cells per texel; 1 if texels are joined, otherwise even, so that bilinear kinks
+    /// are on the edges of cells.
     split: usize,
 }
 

@@ -24,7 +24,7 @@ use crate::distribution::Distribution;
 use crate::geometry::{Geometry, SurfacePoint};
 use crate::shading::Materials;
 
-/// Fraction of the choice that is divided equally among the kinds of light that exist. It keeps up
+/// Fraction of the choice that is divided equally among the kinds of light that exist. It raises
 /// the chance of a weak kind that shines from close by.
 const EQUAL_SHARE: f64 = 0.3;
 /// Number of points per edge of a triangle at which a textured emission is evaluated to estimate
@@ -35,8 +35,8 @@ const DIGIT: f32 = 1.0 / (1u32 << 24) as f32;
 /// Deviation from a parallelogram that is tolerated, as a fraction of its size: about the rounding
 /// of its corners.
 const PARALLELOGRAM_TOLERANCE: f32 = 1e-6;
-/// Powers of two of [`Parts`] for which a choice of lights is prepared; larger numbers use the
-/// last.
+/// Number of powers of two of [`Parts`] for which a choice of lights is prepared; larger numbers
+/// use the last.
 const PART_POWERS: u32 = 13;
 /// Marks a triangle that is no light.
 const NONE: u32 = u32::MAX;
@@ -458,7 +458,8 @@ mod tests {
         Arc::new(parts.validate(Task::quiet(&warnings, &cancel)).unwrap())
     }
 
-    /// Intervals per barycentric coordinate; they divide a triangle into PARTS² congruent cells.
+    /// Number of intervals per barycentric coordinate; they divide a triangle into PARTS² congruent
+    /// cells.
     const PARTS: usize = 4;
 
     /// Points sampled on lights follow their density (chi-square over these cells). Scattered rays

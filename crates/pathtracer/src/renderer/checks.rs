@@ -43,7 +43,7 @@ impl Renderer {
     /// settings of the view. Does not advance the progress.
     ///
     /// # Errors
-    /// As [`render_view`](Self::render_view).
+    /// The same errors as [`render_view`](Self::render_view).
     pub fn render_checks(
         &self,
         window: &Window,

@@ -110,11 +110,11 @@ impl Features {
 }
 
 impl Renderer {
-    /// As [`render_view`](Self::render_view), with the variance of every mean and the first
-    /// surfaces of all paths. The radiance is the same to the bit.
+    /// Renders like [`render_view`](Self::render_view), and also returns the variance of every mean
+    /// and data of the first surfaces of all paths. The radiance is the same to the bit.
     ///
     /// # Errors
-    /// As [`render_view`](Self::render_view).
+    /// The same errors as [`render_view`](Self::render_view).
     pub fn render_view_and_features(
         &self,
         window: &Window,
@@ -139,7 +139,7 @@ impl Renderer {
     /// same settings, but without their light. Does not advance the progress.
     ///
     /// # Errors
-    /// As [`render_view`](Self::render_view).
+    /// The same errors as [`render_view`](Self::render_view).
     pub fn render_features(
         &self,
         window: &Window,

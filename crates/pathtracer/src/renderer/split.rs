@@ -103,7 +103,7 @@ impl Renderer {
     /// function does.
     ///
     /// # Errors
-    /// As [`render_view`](Self::render_view).
+    /// The same errors as [`render_view`](Self::render_view).
     pub fn render_split(
         &self,
         window: &Window,
@@ -119,11 +119,12 @@ impl Renderer {
         Ok(SplitView { values })
     }
 
-    /// As [`render_split`](Self::render_split), with the variance of every mean and the first
-    /// surfaces of all paths, like [`render_view_and_features`](Self::render_view_and_features).
+    /// Renders like [`render_split`](Self::render_split). Like
+    /// [`render_view_and_features`](Self::render_view_and_features), it also returns the variance
+    /// of every mean and data of the first surfaces of all paths.
     ///
     /// # Errors
-    /// As [`render_view`](Self::render_view).
+    /// The same errors as [`render_view`](Self::render_view).
     pub fn render_split_and_features(
         &self,
         window: &Window,

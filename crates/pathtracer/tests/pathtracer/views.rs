@@ -18,7 +18,7 @@ const SAMPLES: Settings = Settings {
     angular_filter: AngularFilter::Point,
     clamp: None,
 };
-/// Pixels per edge of the test views: the pitch is 1/50 of the window.
+/// Number of pixels per edge of the test views: the pitch is 1/50 of the window.
 const SIZE: usize = 50;
 const PITCH: f64 = WINDOW_MM / SIZE as f64;
 /// Tolerance for the centroid of a card, in pixels, since samples at the card's edges are jittered.

@@ -36,7 +36,7 @@ const CAPTURE_SHARE: f64 = ENOUGH;
 /// of 40° suffices for a flat board, which shows most at 55° (sin 40° / sin 55° = 0.78). A card is
 /// seen face on, since it shows only 0.71 from 45°.
 const ENOUGH: f64 = 0.745;
-/// Columns and rows of the rays along a candidate direction.
+/// Numbers of columns and rows of the rays along a candidate direction.
 const PROBE: [usize; 2] = [96, 60];
 
 /// Computes the forward and up vectors of a viewer, from the azimuth to the right of +z and the
@@ -50,7 +50,7 @@ pub(crate) fn directions([azimuth_deg, elevation_deg]: [f64; 2]) -> [DVec3; 2] {
 /// Returns the smallest window that holds the visible scene from a direction.
 ///
 /// # Errors
-/// As [`Window::framing`].
+/// The same errors as [`Window::framing`].
 pub(crate) fn framed(scene: &Scene, from_deg: [f64; 2], size_mm: [f64; 2]) -> Result<Window, WindowError> {
     if from_deg == FRONT {
         return Window::framing(scene.seen_bounds(), size_mm);

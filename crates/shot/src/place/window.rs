@@ -84,8 +84,8 @@ fn unlimited_window<S: Subject>(
     if job.from == WindowFrom::Camera && camera.is_none() {
         return Err(ShotError::value(&scene.name, "window.from", "a camera in the scene", "none").into());
     }
-    // The frame is seen from the job's direction or the best side, then shrunk to the visible
-    // scene.
+    // The window frames the scene from the job's direction or the best side, and then shrinks to
+    // the visible scene.
     let framed = || -> Result<Found, S::Error> {
         let from_deg = match job.look_from {
             Some(from_deg) => from_deg,

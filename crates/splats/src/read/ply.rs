@@ -18,7 +18,7 @@ use super::found::{Axes, Found, ReadError, cloud, constant, degree_of, exp, from
 
 /// Largest size of a header in bytes; the end of the header is searched only so far.
 const MAX_HEADER: usize = 1 << 16;
-/// Splats per chunk of the compressed form.
+/// Number of splats per chunk of the compressed form.
 const CHUNK: usize = 256;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
