@@ -5,11 +5,12 @@
 //! w = p² / (p_b² + p_l²)
 //! ```
 //!
-//! T is the throughput and E the emission of the hit surface. The second term is one sampled light
-//! with the radiance L_l and the visibility V. p_b is the density of scattered directions, p_l the
-//! density of light sampling. In the power heuristic w, the numerator is the squared density of the
-//! technique that made the sample. Alpha of mode `Blend` is decided by chance along scattered rays,
-//! and multiplied along shadow rays. Both have the right mean.
+//! T is the throughput, f the scattering function, and E the emission of the hit surface. The
+//! second term is one sampled light with the radiance L_l and the visibility V. The density of
+//! scattered directions is p_b, the density of light sampling is p_l. In the power heuristic w, the
+//! numerator is the squared density of the technique that made the sample. Alpha of mode `Blend` is
+//! decided by chance along scattered rays, and multiplied along shadow rays. Both have the right
+//! mean.
 //!
 //! The samples of a pixel are traced together, one vertex of all paths at a time. First rays are
 //! close together and traverse the tree as a beam. Random numbers of a vertex share their hash.

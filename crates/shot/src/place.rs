@@ -93,8 +93,8 @@ impl Means {
 /// Places the display in the scene and fits the scene's depth as the job says.
 ///
 /// # Errors
-/// Those of [`find_window`]. Also if the job demands compression, and the display's depth of field
-/// does not lie on both sides of z = 0.
+/// The same errors as [`find_window`]. It is also an error if the job demands compression, and the
+/// display's depth of field does not lie on both sides of z = 0.
 pub fn place<S: Subject>(
     subject: &S,
     job: &WindowJob,

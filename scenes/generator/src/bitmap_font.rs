@@ -7,7 +7,7 @@ pub(crate) const GLYPH_ROWS: usize = 7;
 /// Number of columns from one glyph to the next.
 pub(crate) const ADVANCE: usize = GLYPH_COLUMNS + 1;
 
-/// Each entry is a row, from the top; bit 4 is the leftmost column.
+/// The glyphs. Each number is a row, from the top; bit 4 is the leftmost column.
 const GLYPHS: [(char, [u8; GLYPH_ROWS]); 41] = [
     ('A', [0b01110, 0b10001, 0b10001, 0b11111, 0b10001, 0b10001, 0b10001]),
     ('B', [0b11110, 0b10001, 0b10001, 0b11110, 0b10001, 0b10001, 0b11110]),

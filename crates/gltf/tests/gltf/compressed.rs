@@ -139,7 +139,7 @@ fn claims_that_no_stream_can_back_are_refused_before_memory_is_taken() {
     b.set("/bufferViews/0/byteLength", json!(1u64 << 32));
     b.set("/bufferViews/0/extensions", json!({"EXT_meshopt_compression": extension}));
     assert!(support::error(&b).contains("which 64 packed bytes can hold"), "{}", support::error(&b));
-    // Draco: every byte of the stream broken in turn
+    // Draco: break every byte of the stream in turn
     let file = data("grid-draco-edgebreaker.glb");
     let view = file.windows(5).position(|bytes| bytes == b"DRACO").unwrap();
     for at in view..file.len() {

@@ -40,7 +40,7 @@ struct Way {
     pictures: [Vec<Tensor<3>>; 2],
 }
 
-/// Errors of a way, over all views.
+/// Errors of a way to render, over all views.
 struct Errors {
     /// Mean squared error with bias, of all views (`all`) and of the worst view (`worst`).
     all: f64,

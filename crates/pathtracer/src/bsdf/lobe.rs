@@ -127,9 +127,9 @@ pub(crate) enum Sample {
     Mirror {
         /// Direction in the scene.
         direction: Vec3,
-        /// As `up` of `Rough`.
+        /// The same as `up` of `Rough`.
         up: f32,
-        /// f |cos| / density.
+        /// f |cos| / density, with the scattering function f.
         weight: Vec3,
         /// True if the direction crosses the surface into or out of a solid.
         refracted: bool,

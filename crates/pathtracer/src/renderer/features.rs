@@ -61,8 +61,8 @@ impl Features {
     /// Number of values per pixel.
     pub const VALUES: usize = FEATURES;
 
-    /// Guides from the tensor that [`values`](Self::values) returns; `None` for another number of
-    /// values per pixel.
+    /// Makes features from the tensor that [`values`](Self::values) returns; `None` for another
+    /// number of values per pixel.
     pub fn from_values(values: Tensor<3>) -> Option<Self> {
         (values.shape()[2] == FEATURES).then_some(Self { values })
     }
