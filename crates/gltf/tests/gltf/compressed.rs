@@ -184,7 +184,8 @@ fn basis_pictures_are_decoded() {
         }
         println!("{name}: off by at most {largest}");
         assert!(largest <= tolerance, "{name}: {largest}");
-        // cut short, and with every byte broken: an error or a picture, but no panic
+        // the file is cut short, and every byte is broken in turn: the result is an error or a
+        // picture, but no panic
         for length in 0..file.len() {
             assert!(load(&picture(&file[..length]).glb()).0.is_err(), "{name} cut to {length}");
         }
