@@ -1,7 +1,6 @@
 //! Decoders of packed content, by libraries in pure Rust: pictures, Draco, meshopt, splats.
 //!
 //! The reader of glTF passes [`Packed`] content to
-//! [`AssetResolver::unpack`](crate::AssetResolver::unpack), whose default is [`unpack`] here. If
 //! [`AssetResolver::unpack`](crate::AssetResolver::unpack), whose default is [`unpack`] here. A web
 //! page may have its decoders in a second module. Then [`to_bytes`](Packed::to_bytes) makes a
 //! request, [`answer`] answers it in the second module, and [`answered`] reads the answer.

@@ -47,7 +47,7 @@ struct Word {
     paint: Paint,
     metallic: f64,
     roughness: f64,
-    /// Left end of the number that states the letter's depth: its x in display axes.
+    /// Left end of the number that states the word's depth: its x in display axes.
     label_x: f64,
 }
 
