@@ -1,11 +1,11 @@
-//! Work in bands: on all threads of the current rayon pool, or on one.
+//! Distributes work over all threads of the current rayon pool. Without rayon, one thread does it.
 //!
-//! Every band owns its part of the output and works in a fixed order, so results do not depend on
-//! the number of threads.
+//! A band is one part of the output, and one thread computes it in a fixed order. So results do not
+//! depend on the number of threads.
 
 /// Calls `work(scratch, index, chunk)` for every chunk of `data`.
 ///
-/// `init` makes a `scratch`, which later chunks reuse in an undefined order.
+/// `init` makes a `scratch` value, which any later chunks may reuse.
 pub(crate) fn for_each_chunk<T: Send, S>(
     data: &mut [T],
     chunk: usize,

@@ -1,9 +1,10 @@
 //! The block-exact solver: updates the M values of a pixel together.
 //!
-//! With all other factors fixed, L̃ is linear in a pixel's values f = (f_1 … f_M). They minimize
+//! With all other factors fixed, L̃ is linear in a pixel's values f = (f_1 … f_M). P_m is the
+//! product of the other factors in frame m. An update minimizes, over the box of allowed values,
 //!
 //! ```text
-//! Σ_{r through the pixel} w (βL − (1/M) Σ_m P_m f_m)²   over the box.
+//! Σ_{r through the pixel} w (βL − (1/M) Σ_m P_m f_m)²
 //! ```
 //!
 //! This is a least-squares problem of M unknowns. Its Gram matrix and right-hand side are sums over

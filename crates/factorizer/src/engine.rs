@@ -36,7 +36,7 @@ pub struct Engine {
     display: Display,
     /// Values that rays read: layers rear to front, then the backlight.
     factors: Vec<Factor>,
-    /// Per factor, the stored values, if a response makes rays read other values.
+    /// Per factor, its response and stored values, if the response makes rays read other values.
     stored: Vec<Option<(Response, Factor)>>,
     /// Per factor, the levels of its values and the frames confined to them.
     pub(crate) levels: Vec<Option<Levels>>,
@@ -51,7 +51,8 @@ pub struct Engine {
     pub(crate) cancel: Cancel,
     tries_local: bool,
     outcome: Outcome,
-    /// The values saved by [`Updater::save`]: those that rays read, and the stored ones.
+    /// The values that [`Updater::save`] saved: those that rays read, and the stored ones if they
+    /// differ.
     saved: Option<(Aligned, Option<Aligned>)>,
 }
 
@@ -150,7 +151,8 @@ impl Engine {
         Ok(Self::begin(prepared.into_begin(floor, false)))
     }
 
-    /// Factor on all sums of weighted errors.
+    /// Factor from sums of weighted errors to the objective. Weights in the sums are relative to
+    /// the largest weight.
     pub fn weight_scale(&self) -> f64 {
         self.plan.target.weight_scale
     }
@@ -221,7 +223,7 @@ impl Engine {
             },
         );
         let gain: f64 = lines.iter().map(|line| line.outcome.gain).sum();
-        // tied channels are one unknown, whose gain is computed three times
+        // tied channels share one value, whose gain is computed three times
         let gain = if response.is_tied() { gain / 3.0 } else { gain };
         respond::respond(response, stored, &mut self.factors[n].values);
         Outcome { error: outcome.error, gain }
@@ -241,7 +243,7 @@ impl Engine {
         let (plan, factors, fast) = (&self.plan, &self.factors, self.is_fast(n));
         let layout = &plan.maps[n].layout;
         let latest = extrapolation.map(|_| &mut self.latest[n]);
-        // a later step needs the sums of every line
+        // if the sums are stored, a later step needs those of every line
         let all = sums.is_some();
         // split the factor into lines, which threads share
         let mut lines = lines_of(layout, values, extrapolation.zip(latest), sums);

@@ -45,8 +45,8 @@ pub struct Settings {
     /// weight and read one pixel per layer. Otherwise an evaluation costs about a third of an
     /// iteration.
     pub report_every: u32,
-    /// Re-optimizes patterns of layers with few bits on their panels' levels; otherwise the
-    /// patterns stay continuous.
+    /// True to re-optimize patterns of layers with few bits on the levels of their panels.
+    /// Otherwise the patterns stay continuous.
     pub levels: bool,
 }
 
@@ -91,8 +91,8 @@ impl Settings {
 
 /// The objective after some iterations.
 ///
-/// Before the last iteration, a solver that extrapolates may report the extrapolated point of its
-/// last step instead of the iterate that it would return.
+/// Before the last iteration, a solver that extrapolates may report the objective of its
+/// extrapolated patterns instead of that of its last iterate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Iteration {
     /// Number of iterations done.
@@ -115,7 +115,7 @@ pub struct Factorization {
     pub settings: Settings,
     /// KKT residual before quantization; see [`crate::Run::kkt_residual`].
     pub kkt_residual: f64,
-    /// PSNR lost by few levels; `None` if no layer has few bits.
+    /// PSNR lost by few levels; `None` if no layer has few bits, or without [`Settings::levels`].
     pub levels: Option<LevelsLoss>,
 }
 
@@ -265,7 +265,8 @@ fn start_run(
         // a warm start replaces the start of the settings; otherwise solve coarser levels first
         Some(warm) => {
             warm.check(display)?;
-            // equal frames stay equal; in a tile with fixed pixels that may be intended
+            // Equal frames stay equal, so the user is warned. In a tile with fixed pixels they may
+            // be intended.
             if display.frames > 1 && plan.free(0).is_none() && frames_are_equal(warm) {
                 let message = "all frames are equal and will stay equal: more frames than one have no effect";
                 task.warn("warm start", message);
@@ -332,17 +333,17 @@ impl Ongoing {
     }
 }
 
-/// Returns whether a warm start is nearer to the target than the start by `fresh`, including its
-/// coarse levels.
+/// Returns whether a warm start is nearer to the target than the start by the settings `fresh`,
+/// which includes coarser levels.
 ///
 /// If the warm start has the lower objective, the answer is yes. Otherwise both starts take one
-/// iteration of `warm_solver`, and the warm start must then lead by 1 dB. The objectives of the
-/// starts themselves mislead: patterns of moved content begin far off and improve quickly. The cost
-/// is a fresh start, and sometimes two iterations.
+/// iteration of `warm_solver`, and the answer is yes if the warm start then leads by 1 dB. The
+/// objectives of the starts themselves mislead: patterns of moved content begin far off and improve
+/// quickly. The cost is a fresh start, and sometimes two iterations.
 ///
-/// Measured on a plane of waves and on a striped card (64 × 40 pixels, 5 × 3 views, 4 frames),
-/// moved by 0 to 20 pixels. A start that led by 1 dB after one iteration was never more than 1.4 dB
-/// behind after five.
+/// This was measured on a plane of waves and on a striped card, moved by 0 to 20 pixels (64 × 40
+/// pixels, 5 × 3 views, 4 frames). A start that led by 1 dB after one iteration was never more than
+/// 1.4 dB behind after five.
 ///
 /// # Errors
 /// If the problem, the settings or the warm start are unusable, or when cancelled.

@@ -16,9 +16,9 @@ pub(crate) struct LineOf {
 /// Error and gain of an update, with weights relative to the largest.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outcome {
-    /// Σ w e² over the rays through the line, before the step. A ray through several pixels is
-    /// weighted by their shares. Rays that miss the factor may be included or not, so this is the
-    /// whole sum only if [`Plan::sees_all_rays`](crate::device::Plan::sees_all_rays).
+    /// Σ w e² over the rays through the line, before the step. If a ray reads several lines, each
+    /// line gets its share of w e². Rays that miss the factor may be left out, so this is the whole
+    /// sum only if [`Plan::sees_all_rays`](crate::device::Plan::sees_all_rays).
     pub error: f64,
     /// Lower bound of the decrease of Σ w e² by the step; 0 if the rule does not compute it.
     /// [`Rule::KktResidual`] and [`Rule::Darken`] return their result here.
@@ -217,7 +217,8 @@ impl Kernel for Put {
     }
 }
 
-/// Stores the first `room` lanes. The values after the last column are padding, which rays read.
+/// Stores the first `room` lanes. The values after the last column are padding, which must not
+/// change, since rays that miss the factor read it.
 #[inline(always)]
 unsafe fn put<V: Lanes>(vector: V, to: &mut [f32], room: usize) {
     // SAFETY: the machine has V; lengths are checked

@@ -36,7 +36,8 @@ pub(crate) struct FactorMap {
     pub(crate) short_sums: bool,
     /// True if every ray reads one pixel, at the field column plus a constant of the view.
     pub(crate) shifted: bool,
-    /// True if each view column's rays read at a constant shift; rows may be mixed.
+    /// True if the rays of each view column read columns at a constant shift. They may still read a
+    /// mixture of two lines.
     pub(crate) columns_shifted: bool,
     /// True if every ray reads a single pixel.
     pub(crate) nearest: bool,
@@ -84,7 +85,8 @@ pub(crate) struct LineTap {
     pub(crate) t: f32,
 }
 
-/// The field rows whose rays read each line, for one view row. At equal pitch a line has up to two.
+/// The field rows whose rays read each line, for one view row. If layer and field have the same
+/// pitch, a line has up to two field rows.
 #[derive(Clone, Debug)]
 struct RaysOfLine {
     /// Line j has `entries[starts[j]..starts[j + 1]]`.
@@ -126,7 +128,7 @@ impl FactorMap {
         // times as long. A multiple of 1 KiB costs a fifth.
         let stride = ((pad + cols + after as usize + PAD).div_ceil(LINE) | 1) * LINE;
         let layout = Layout { bins: raw.bins, size: raw.size, frames, pad, stride, outside: raw.outside };
-        // where rays read; the line after the last stands for a miss
+        // list where rays read; the line after the last one stands for a miss
         let x: Vec<_> = raw.x.iter().zip(&shifts).map(|(taps, shift)| ColumnTaps::new(taps, *shift, pad)).collect();
         let y: Vec<Vec<LineTap>> = raw
             .y
@@ -225,12 +227,12 @@ fn pieces(taps: &[Option<Tap>], pad: isize) -> Vec<Piece> {
     let mut even: Vec<Piece> = Vec::new();
     for col in 0..taps.len() {
         match even.last_mut() {
-            // t is the weight at the piece's first column, so differences do not add up
+            // the piece keeps the `t` of its first column, so small differences do not add up
             Some(piece) if alike(piece.access, access(col)) => piece.cols.end = col + 1,
             _ => even.push(Piece { cols: col..col + 1, access: access(col) }),
         }
     }
-    // short pieces are read by table, and neighbouring tables become one
+    // short pieces are read by table, and neighbouring pieces that are read by table become one
     let mut pieces: Vec<Piece> = Vec::new();
     for mut piece in even {
         if let Access::Shift { t, .. } = piece.access

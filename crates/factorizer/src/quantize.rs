@@ -2,10 +2,11 @@
 //! others compensate.
 //!
 //! The masks are confined frame by frame and layer by layer to the levels that the panel can show
-//! ([`lumistack_display::Layer::levels`]). After each mask, its layer is updated. A coordinate step
-//! goes to the level nearest to its minimum, which is exact for a parabola. Free frames and later
-//! layers then reduce the error. Confined masks still move from level to level, so a few last
-//! iterations gain more. Once all masks are confined, the objective never rises.
+//! ([`lumistack_display::Layer::levels`]). After each mask is confined, its layer is updated. A
+//! coordinate step goes to the level nearest to its minimum. That is the best level, since the
+//! objective is a parabola along a coordinate. Free frames and later layers then reduce the error.
+//! Confined masks still move from level to level, so a few last iterations gain more. Once all
+//! masks are confined, the objective never rises.
 
 use lumistack_core::Task;
 use lumistack_display::{Display, LayerStack};

@@ -97,7 +97,7 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
             let views = rays.views.len();
             let mut first = 0;
             // views go in groups whose a_m fit the buffer. Sums wait in memory between groups,
-            // since the call at the end of this loop saves no registers
+            // since the function called at the end of this loop may overwrite all registers
             loop {
                 let add = first > 0;
                 let mut squares = if add { load::<V>(all, 0) } else { V::splat(0.0) };

@@ -1,11 +1,11 @@
-//! Lines of one factor that rays read anywhere: between pixels, several field pixels per pixel, or
-//! at another pitch.
+//! Updates the lines of a factor that is not at a constant shift. Rays read it between pixels,
+//! several field pixels share one of its pixels, or it has another pitch.
 //!
-//! A ray reads the factor between lines j and j + 1, and there between columns i and i + 1. So it
-//! adds the sums of [`gather`](crate::gather) to four pixels, by the shares (1 − t_y, t_y) and (1 −
-//! t_x, t_x). Done ray by ray, these additions would take most of the time, nine times that of a
+//! A ray reads the factor between lines j and j + 1, and between columns i and i + 1. So it adds
+//! the sums of [`gather`](crate::gather) to four pixels, by the shares (1 − t_y, t_y) and (1 − t_x,
+//! t_x). If these additions were done ray by ray, an update would take nine times as long as at a
 //! constant shift. But all views of a view column have the same t_x and read the same columns. So
-//! their sums are added up first, and distributed to the columns once:
+//! the sums of these views are added up first, and distributed to the columns once:
 //!
 //! ```text
 //! for every line j, for every view column:
@@ -177,7 +177,8 @@ impl ScatterBand<'_> {
         let together = if map.short_sums { GROUP } else { SHORT_ROWS };
         let params = SumParams { brightness: plan.target.brightness, sums: needed };
         spare.mix_lines(plan, factors, at.channel);
-        // sum, per view column, by field columns, then by the pixels that these read
+        // for each view column, sum by field columns; then add these sums to the pixels that the
+        // field columns read
         for view_x in 0..plan.views[1] {
             for run in &plan.runs[view_x] {
                 let list = rays_of_column(std::mem::take(rays), plan, factors, at, (view_x, run), spare);
@@ -192,7 +193,7 @@ impl ScatterBand<'_> {
                         let squares = unsafe { (functions.block)(block) };
                         lines.iter_mut().zip(squares).for_each(|(line, squares)| line.error += squares);
                     }
-                    // high sums follow low sums in the same way
+                    // add the low sums to this line, then the high sums to the next line
                     for (columns, line) in columns.iter().zip(&mut *lines).take(if is_high { 2 } else { 1 }) {
                         let (x, columns) = (&map.x[view_x], (&columns[..], field_stride));
                         // SAFETY: the kernels have no requirements

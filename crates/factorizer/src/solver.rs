@@ -28,9 +28,8 @@ pub trait Solver: Sync {
 pub trait Run {
     /// Runs one iteration: updates every factor once.
     ///
-    /// # Errors
     /// When cancelled; the patterns so far remain usable. The check is made per line of a factor,
-    /// or per factor on a device. Also if the device is lost, and the patterns with it.
+    /// or per factor on a device. A lost device is an error too; its patterns are then lost.
     fn step(&mut self, cancel: &Cancel) -> Result<(), FactorizeError>;
 
     /// Computes the objective of the current patterns.
@@ -52,12 +51,11 @@ pub trait Run {
 
     /// Ends a run: sets unlit values to the darkest that the hardware shows. Returns the KKT
     /// residual, see [`kkt_residual`](Self::kkt_residual).
-    ///
     /// Almost no light reaches an unlit value, so the objective does not determine it. A real layer
     /// is not quite black and would leak light there. The light of a value is the light that the
-    /// other layers transmit in its frame, over its rays. A value is unlit if this is at most 10⁻⁴
-    /// of the brightness (root mean square). Pixels without a weighted ray keep their values, since
-    /// views between those of the target may see them.
+    /// other layers transmit to its pixel in its frame. A value is unlit if the root mean square of
+    /// this light over its rays is at most 10⁻⁴ of the brightness. Pixels without a weighted ray
+    /// keep their values, since views between those of the target may see them.
     fn darken_unlit(&mut self) -> f64;
 
     /// Number of rays with w > 0 that hit all layers.

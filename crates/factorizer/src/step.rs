@@ -24,8 +24,8 @@ use crate::vector::{Vector, load as get, store as put};
 pub enum Rule {
     /// f ← clamp(f·n/d): the paper's rule (eq. 16).
     ///
-    /// n is summed separately instead of as r + d. Values may shrink by orders of magnitude in one
-    /// step, and must keep their relative precision.
+    /// n is summed directly, not computed as r + d. Values may shrink by orders of magnitude in one
+    /// step and must keep their relative precision, which the sum r + d would lose.
     Multiplicative,
     /// Sweeps of exact coordinate steps on the quadratic within the box.
     Block {
@@ -67,8 +67,8 @@ pub(crate) enum Sums {
 }
 
 impl Sums {
-    /// Number of sums per pixel: M of r or n first, then the others. For G only its upper triangle
-    /// is included.
+    /// Number of sums per pixel. The M sums r or n come first, then the others. Only the upper
+    /// triangle of G is included.
     pub(crate) fn count(self, frames: usize) -> usize {
         if self == Self::Gram { frames + frames * (frames + 1) / 2 } else { 2 * frames }
     }

@@ -2,8 +2,8 @@
 //!
 //! A target in memory is `[channel][view][row][x]`. A target in a file is
 //! `[channel][row][view][x]`, since the rays through a line of a layer are in a band of rows. So
-//! updates read the file from one end to the other, and only a band is in memory. A target in
-//! memory in that order made updates 1.3 times as slow for 13 × 13 views.
+//! updates read the file from one end to the other, and only a band is in memory. With that order
+//! in memory, updates took 1.3 times as long for 13 × 13 views.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -361,7 +361,7 @@ fn exact_halves(pixels: &[[f32; 3]], rows: [&mut [u16]; 3]) -> bool {
 fn half_from_float(value: f32) -> Option<u16> {
     let bits = value.to_bits();
     let (sign, exponent, mantissa) = ((bits >> 16 & 0x8000) as u16, (bits >> 23 & 0xff) as i32, bits & 0x7f_ffff);
-    // f32 has 13 more mantissa bits; below 2^-14 a half float has one fewer per power of two
+    // f32 has 13 more mantissa bits; below 2^-14 a half float loses one bit more per power of two
     let lost = 13 + (113 - exponent).max(0);
     match exponent {
         0 if mantissa == 0 => Some(sign),

@@ -26,8 +26,8 @@ const LIFTED: f32 = 1e-4;
 
 /// Per pixel of factor `n`, the largest Σ w a_m² of an unlit pixel: (UNLIT β)² Σ w over its rays.
 ///
-/// The order is `[line][x]` as the factor's lines are stored. It is negative for pixels without
-/// rays.
+/// The order is `[line][x]` as the factor's lines are stored. The limit of a pixel without rays is
+/// negative.
 pub(crate) fn limits(plan: &Plan, n: usize) -> Vec<f32> {
     let map = &plan.maps[n];
     let stride = map.layout.stride;

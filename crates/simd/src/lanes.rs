@@ -35,7 +35,7 @@ pub trait Lanes: Copy {
     unsafe fn min(self, other: Self) -> Self;
     /// The greater value of each lane. The result for NaN is unspecified.
     unsafe fn max(self, other: Self) -> Self;
-    /// self · factor + addend. It is rounded once where the machine has an instruction for it,
+    /// self · factor + addend. It is rounded once if the instruction set has an instruction for it,
     /// otherwise twice.
     unsafe fn mul_add(self, factor: Self, addend: Self) -> Self;
     /// addend − self · factor, rounded as [`mul_add`](Self::mul_add).

@@ -14,10 +14,10 @@
 //!
 //! A multiplication or multiply-add is one operation. The clamped coordinate steps, once per pixel,
 //! are not counted.
-//!
-//! Bytes are counted per factor. All factors are read once (4 bytes a value), the target is read
-//! once (half floats, 2 bytes a value), and the factor is written. This is the smallest traffic of
-//! the memory bus if caches keep only single rows and each factor is updated separately.
+//! Bytes are counted for the update of each factor. All factors are read (4 bytes per value), and
+//! the target is read (half floats, 2 bytes per value). The updated factor is written. This is the
+//! smallest traffic of the memory bus if caches keep only single rows and each factor is updated
+//! separately.
 
 use lumistack_display::{Backlight, Display, LayerStack, LensletBacklight, LightField, Sampling, Weights};
 use lumistack_factorizer::Problem;
@@ -38,8 +38,8 @@ pub struct Case {
 
 /// The paper's number of views per axis.
 pub const PAPER_VIEWS: usize = 5;
-/// Number of views per axis at which layers of 420 × 262 pixels shift by whole pixels from view to
-/// view. Patterns that are right at these views are right between them too.
+/// Number of views per axis at which the outer layers, with 420 × 262 pixels, shift by about one
+/// pixel from view to view. Patterns that are right at these views are also right between them.
 pub const NATIVE_VIEWS: usize = 13;
 
 /// The paper's main case with `views` views per axis: three layers, nearest sampling.

@@ -10,12 +10,12 @@ use std::time::Instant;
 use lumistack_simd::{Backend, Function, Kernel, Lanes};
 use rayon::prelude::*;
 
-/// Number of independent sums per thread: more than latency × multiply-add units of any core, and
-/// few enough for 16 registers.
+/// Number of independent sums per thread. It exceeds latency × number of multiply-add units of
+/// common cores, so that all units are busy. All sums fit into 16 registers.
 const SUMS: usize = 12;
 /// Number of multiply-adds of every sum in one measurement, which takes some 20 ms.
 const ROUNDS: u64 = 6_000_000;
-/// Number of values of the array that is read, 512 MiB: far more than any cache holds.
+/// Number of values of the array that is read, 512 MiB: far more than most caches hold.
 const VALUES: usize = 64 << 20;
 
 /// Rates, in the order of their measurement.
@@ -81,7 +81,7 @@ impl Machine {
 }
 
 fn sum(values: &[u64]) -> u64 {
-    // eight chains of additions, so that memory is the limit, also with short vectors
+    // eight independent sums, so that memory limits the rate even where vectors are short
     let mut sums = [0u64; 8];
     for chunk in values.chunks_exact(8) {
         sums.iter_mut().zip(chunk).for_each(|(sum, value)| *sum = sum.wrapping_add(*value));

@@ -176,8 +176,8 @@ impl Report {
             Some(iterations) => {
                 let _ = writeln!(
                     text,
-                    "  that PSNR after {iterations} iterations: {:.3} s (fastest {:.3}) from the call until that is reported,\n  \
-                     {:.3} s (fastest {:.3}) for the whole call with as many iterations, until patterns are handed back",
+                    "  reach that PSNR after {iterations} iterations: {:.3} s (fastest {:.3}) from the call until it is reported,\n  \
+                     {:.3} s (fastest {:.3}) for a call with as many iterations, until the patterns are returned",
                     quality.until_reached.median(),
                     quality.until_reached.fastest(),
                     quality.whole_call.median(),
@@ -208,7 +208,7 @@ impl Report {
         if share < QUIET {
             let _ = writeln!(
                 text,
-                "The median of these measurements was {:.0} % of the best: other programs ran. Trust ratios and shares.",
+                "The median of these measurements was {:.0} % of the best: other programs ran. Only ratios and shares are reliable.",
                 100.0 * share
             );
         }

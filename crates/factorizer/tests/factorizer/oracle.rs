@@ -87,7 +87,8 @@ impl Oracle {
         }
     }
 
-    /// Emission of frame m; `replaced` substitutes the value of factor n.
+    /// Emission of frame m. With `replaced` = (n, value), factor n has this value instead of its
+    /// own.
     fn frame(&self, ray: &Ray, m: usize, channel: usize, replaced: Option<(usize, f64)>) -> f64 {
         let value = |k: usize| match replaced {
             Some((n, value)) if n == k => value,
@@ -203,7 +204,8 @@ impl Oracle {
         self.rays.len()
     }
 
-    /// Largest difference between factor n and a stack; `counts` weights the values.
+    /// Largest weighted difference between factor n and a stack; `counts(i)` is the weight of value
+    /// i.
     pub(crate) fn distance(&self, n: usize, stack: &LayerStack, counts: impl Fn(usize) -> f64) -> f64 {
         let mut tensors = stack.layers.iter().map(|t| t.data()).chain(stack.emission.iter().map(|t| t.data()));
         let found = tensors.nth(n).unwrap_or(&[]);

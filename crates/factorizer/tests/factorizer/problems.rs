@@ -98,7 +98,7 @@ pub(crate) fn display(resolution: [usize; 2], views: [usize; 2], d_mm: &[f64], f
     }
 }
 
-/// A random problem; the same for the same arguments.
+/// A random problem; equal arguments give equal problems.
 pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
     let mut random = Stream::new(derive(seed, &[kind as u64]));
     let mut below = |n: usize| (random.next_u64() % n as u64) as usize;

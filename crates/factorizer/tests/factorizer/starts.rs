@@ -58,7 +58,8 @@ fn plane(shift: f64, scene: f64, brightness: f64) -> Owned {
     Owned { display, target, weights: Weights::Uniform }
 }
 
-/// Largest loss of the chosen start against the other after five iterations, dB.
+/// Largest PSNR, in dB, by which the chosen start may lag behind the other start after five
+/// iterations.
 const WORST_LOSS_DB: f64 = 1.5;
 
 #[test]

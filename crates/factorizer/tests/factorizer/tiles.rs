@@ -29,7 +29,7 @@ fn regions(tile: &Tile, of: fn(&lumistack_display::TilePart) -> &Region) -> Vec<
     tile.parts.iter().map(|part| of(part).clone()).collect()
 }
 
-/// The pixels of a layer that a ray reads, [rows, columns]; empty if it misses.
+/// The pixels of a layer that a ray reads, [rows, columns]; `None` if the ray misses the layer.
 fn read(map: &RayMap, layer: usize, view: [usize; 2], row: usize, col: usize) -> Option<[[usize; 2]; 2]> {
     let pair = |tap: Tap| (!tap.is_missed()).then_some([tap.first as usize, tap.second as usize]);
     let map = &map.layers[layer];
@@ -85,7 +85,8 @@ fn every_pixel_is_one_tiles_own_and_all_rays_through_free_pixels_are_the_tiles()
                     }
                 }
             }
-            // and the tile's own geometry equals its section of the whole display's
+            // the map of the tile's own geometry must equal the tile's section of the whole
+            // display's map
             let display = tile.display(&owned.display, geometry);
             display.check().unwrap_or_else(|error| panic!("{kind:?}: {error}"));
             let anew = RayMap::new(&display, &tile.geometry(geometry));
