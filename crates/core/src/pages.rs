@@ -34,12 +34,12 @@ pub fn in_large_pages<T: Copy>(values: Vec<T>) -> Vec<T> {
 
 /// Limits how much of a mapped file is in memory.
 ///
-/// Users announce the bytes that they use next. After `limit` bytes all pages are released: the
+/// Callers announce the bytes that they use next. After `limit` bytes all pages are released. The
 /// system keeps them in its cache if it has room, and maps them again at their next use.
 ///
-/// So the pages in memory are at most the limit, and what each thread uses at a time. The system
-/// maps up to [`NEIGHBOURS`](Self::NEIGHBOURS) bytes around a byte that is read. Systems other than
-/// Linux decide themselves which pages are in memory.
+/// So the pages in memory take at most the limit, plus the bytes that all threads use at a time.
+/// The system maps up to [`NEIGHBOURS`](Self::NEIGHBOURS) bytes around a byte that is read. Systems
+/// other than Linux decide themselves which pages are in memory.
 #[derive(Debug)]
 pub struct Window {
     start: usize,
@@ -55,8 +55,9 @@ impl Window {
     /// Limits a mapping to `limit` bytes.
     ///
     /// # Safety
-    /// `memory` is a whole mapping of a file that is shared with the file. Released pages then
-    /// have the same values when they are mapped again. It exists as long as the window.
+    /// `memory` is a whole mapping of a file, and all writes to it go to the file. Released pages
+    /// then have the same values when they are mapped again. The mapping exists as long as the
+    /// window.
     pub unsafe fn new(memory: &[u8], limit: usize) -> Self {
         Self { start: memory.as_ptr() as usize, length: memory.len(), limit, announced: AtomicUsize::new(0) }
     }

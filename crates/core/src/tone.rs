@@ -158,8 +158,8 @@ fn sigmoid(x: f32) -> f32 {
     scale * t / (1.0 + t.abs().powf(POWER)).powf(1.0 / POWER) + y0
 }
 
-/// Turns the hue (of the hexcone) of `rgb` by the fraction 1 − [`HUE_AFTER`] towards the hue of the
-/// colour `before`.
+/// Turns the hue of `rgb`, in the hexcone of HSV, towards the hue of the colour `before`. The turn
+/// is the fraction 1 − [`HUE_AFTER`] of their difference.
 fn with_hue_of(rgb: [f32; 3], before: [f32; 3]) -> [f32; 3] {
     let (low, high) = (rgb[0].min(rgb[1]).min(rgb[2]), rgb[0].max(rgb[1]).max(rgb[2]));
     let (Some(after), Some(before)) = (hue(rgb), hue(before)) else { return rgb };
@@ -282,7 +282,7 @@ mod tests {
             for i in 1..=60_000 {
                 let exposed = i as f32 / 10_000.0;
                 let shown = curve.apply([exposed; 3]);
-                // never steeper than 2
+                // the slope is never above 2, except for rounding
                 let step = shown[1] - last[1];
                 assert!((-1e-6..=2.1e-4).contains(&step), "{name}: from {last:?} to {shown:?} at {exposed}");
                 assert!(shown.iter().all(|v| (v - shown[1]).abs() < 2e-3), "{name}: a grey stays grey: {shown:?}");

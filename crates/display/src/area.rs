@@ -96,7 +96,7 @@ fn cut_at_whole_numbers(cuts: &mut Vec<f64>, place: [f64; 2], count: usize) {
     for edge in first as u64..=last as u64 {
         let t = (edge as f64 - place[0]) / (place[1] - place[0]);
         if t > 0.0 && t < 1.0 {
-            // cuts are few, and the library's sort would take much of the browser's module
+            // cuts are few, and the library's sort would add much code to the browser's module
             let at = cuts.iter().take_while(|cut| **cut < t).count();
             cuts.insert(at, t);
         }

@@ -19,11 +19,12 @@
 //!    border.
 //! 2. Sums of [`LANES`] neighbouring pixels stay in registers during the loop over the weights.
 //!
-//! 840 × 525 pixels take 0.3 ms at σ = 1 and 1.9 ms at σ = 8 on a Zen 5 core. Not used:
+//! 840 × 525 pixels take 0.3 ms at σ = 1 and 1.9 ms at σ = 8 on a Zen 5 core. Two variants are not
+//! used:
 //!
-//! * 16 lanes: five times slower, since the compiler unrolls instead of using vectors.
-//! * Copies for AVX2 and AVX-512: faster by 20 and 30 %, not worth a second instruction set here.
-//!   Without fused multiply-adds every machine computes the same bytes.
+//! * 16 lanes are five times slower, since the compiler unrolls instead of using vectors.
+//! * Separate functions for AVX2 and AVX-512 are 20 and 30 % faster, which is not worth a second
+//!   instruction set here. Without fused multiply-adds every machine computes the same bytes.
 
 /// Number of neighbouring pixels whose sums are kept in registers.
 const LANES: usize = 32;

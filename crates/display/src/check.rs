@@ -2,7 +2,7 @@
 
 use crate::{Backlight, Display, DisplayError, Layer, LayerColour, Lens, Panel, Views};
 
-/// Tolerance: rows that were normalized in another program still sum to one.
+/// Tolerance of row sums: a program that wrote the file may have rounded the entries.
 const ROW_SUM_ROUNDING: f64 = 1e-6;
 
 impl Display {

@@ -41,7 +41,7 @@ pub struct Display {
     /// Interpolation between the pixel centres of a layer.
     #[serde(default)]
     pub sampling: Sampling,
-    /// Rule for a ray that leaves a layer.
+    /// Rule for a ray that misses a layer.
     #[serde(default)]
     pub missing: Missing,
     /// The light field.

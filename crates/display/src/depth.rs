@@ -173,7 +173,7 @@ mod tests {
             let near = f64::abs(z) <= lenslet / (step + 2.0 * lenslet * step * own);
             close(display.spatial_cutoff(z), if near { barrier + own } else { 0.5 / (f64::abs(z) * step) });
         }
-        // half a cycle per view is a disparity of one pixel
+        // at the finest detail, a shift of half a cycle per view is a disparity of one pixel
         let [low, high] = display.depth_of_field(0.5).unwrap();
         close(high, 0.5 / step);
         close(low, -0.5 / step);

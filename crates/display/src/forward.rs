@@ -160,7 +160,8 @@ impl<'a> Lines<'a> {
         Self { simulator, map, view, reads, formed: vec![0.0; cols * 3], sum: vec![0.0; cols * 3] }
     }
 
-    /// Mean over the frames of the emission of a row's rays, `[col][rgb]`, both valid and invalid.
+    /// Returns the emission along the rays of a row, averaged over the frames, `[col][rgb]`.
+    /// Invalid rays are included.
     fn emitted(&mut self, row: usize) -> &[f64] {
         let Self { simulator, map, view, reads, formed, sum } = self;
         let (stack, formation) = (&simulator.stack, simulator.display.formation);
@@ -224,7 +225,7 @@ enum Reads<'a> {
     Taps(&'a [Tap]),
 }
 
-/// Rays `first` to before `end` read neighbouring single pixels, the first of which is `from`.
+/// The rays `first..end` read neighbouring single pixels, from pixel `from` on.
 #[derive(Clone, Copy)]
 struct Run {
     first: usize,

@@ -12,7 +12,7 @@
 
 use crate::{Backlight, Display, FieldGeometry, Layer, LensletBacklight, OutsideBins, Sampling};
 
-/// Intersection of one axis of a ray with a layer: value = (1 − t)·f(first) + t·f(second).
+/// Intersection of a ray with a layer, along one axis: value = (1 − t)·f(first) + t·f(second).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tap {
     /// Pixel index, or [`Tap::MISSED`].
@@ -157,8 +157,8 @@ impl RayMap {
         Self::of_rays(display, display.sampling, [(&x, geometry.cols), (&y, geometry.rows)])
     }
 
-    /// Tables of any rays. Per axis (x, y), `rays` has the rays of all views, and how many of them
-    /// belong to one view.
+    /// Tables of any rays. Per axis (x, y), `rays` has the rays of all views, and the number of
+    /// rays per view.
     pub(crate) fn of_rays(display: &Display, sampling: Sampling, rays: [(&[AxisRay], usize); 2]) -> Self {
         let layers = display
             .layers

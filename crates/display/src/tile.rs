@@ -44,7 +44,7 @@ pub struct TilePart {
 /// A tile of a display.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Tile {
-    /// Field pixels of the tile. It takes their rays of all views.
+    /// Field pixels of the tile. The tile has the rays of all views through these pixels.
     pub field: Region,
     /// Pixels on the layers, rear to front, then on the lenslets.
     pub parts: Vec<TilePart>,
@@ -193,7 +193,7 @@ impl AxisCut {
         let field = even(&self.rays(&free, &middle), self.pixels);
         let held = self.parts.iter().zip(&free).map(|(part, free)| {
             let held = hull(free, &part.hits(&field));
-            // a layer that no ray of the tile hits still has one pixel there
+            // if no ray of the tile hits a layer, the tile still holds one pixel of it
             let held =
                 if held.is_empty() { held.start.min(part.count - 1)..held.start.min(part.count - 1) + 1 } else { held };
             even(&held, part.count)
@@ -217,7 +217,7 @@ impl AxisPart {
         (pixel.ceil().max(0.0) as usize).min(self.count)
     }
 
-    /// The range of field pixels whose rays read pixels of a range after the blur.
+    /// The range of field pixels whose rays depend on pixels of a range, with the blur included.
     fn rays(&self, range: &Range<usize>) -> Range<usize> {
         if range.is_empty() {
             return 0..0;
@@ -300,7 +300,7 @@ impl Tile {
             layer.resolution = [held.cols.len(), held.rows.len()];
             layer.offset_mm = [0, 1].map(|axis| layer.offset_mm[axis] + centre_mm[axis] - field_mm[axis]);
             (layer.panel_resolution, layer.panel_pitch_mm) = (None, None);
-            // stripes continue where the tile begins
+            // the stripes of colour filters continue as in the whole display
             let stripes = layer.filters.len();
             if stripes > 0 {
                 layer.filters.rotate_left(held.cols.start % stripes);

@@ -45,8 +45,8 @@ impl Weights {
     /// are solved too.
     ///
     /// # Errors
-    /// If the geometry is invalid, or an eye is not in front of the display. If σ is not above 0,
-    /// or a weight or the floor is negative or not finite.
+    /// If the geometry is invalid, or an eye is not in front of the display. Also if σ is not above
+    /// 0, or if a weight or the floor is negative or not finite.
     pub fn eye_boxes(geometry: &FieldGeometry, boxes: &[EyeBox], floor: f32) -> Result<Self, WeightError> {
         let check = |ok: bool, expected: String, found: String| {
             if ok { Ok(()) } else { Err(WeightError { expected, found }) }

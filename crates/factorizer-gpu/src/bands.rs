@@ -11,7 +11,7 @@ use crate::tables::Tables;
 /// The windows of one dispatch; ranges are in 4-byte words of a channel's buffers.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Band {
-    /// Lines of a factor, or field rows.
+    /// Lines of a factor; field rows, if errors are computed.
     pub(crate) lines: Range<usize>,
     pub(crate) own: Range<u64>,
     pub(crate) target: Range<u64>,

@@ -10,8 +10,8 @@
 //! //@ include coefficients
 //! ```
 //!
-//! Each block ends at its `//@ end`. So N and M become constants of the program, loops over them
-//! are unrolled, and sums stay in registers.
+//! Each block ends at its `//@ end`. N and M are constants of the generated program, so its loops
+//! over them are unrolled, and sums stay in registers.
 
 use std::fmt::Write;
 

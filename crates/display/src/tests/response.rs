@@ -131,7 +131,7 @@ fn an_ideal_layer_has_no_response_and_costs_nothing() {
     let stack = random_stack(&display, 1);
     assert_eq!(display.layers[0].response(), None);
     assert!(matches!(stack.effective(&display), Cow::Borrowed(_)));
-    // a mono layer has one unknown per pixel, and rays read it as it is stored
+    // a mono layer has one value per pixel, and rays read it as it is stored
     display.layers[0].colour = LayerColour::Mono;
     display.layers[1].crosstalk = Some([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
     let tied = display.layers[0].response().unwrap();

@@ -120,7 +120,8 @@ fn root_of(view: u32, row: u32, col: u32) -> f32 {
     return roots[(row * params.views_y * params.views_x + view) * params.cols + col - params.weights_base];
 }
 
-// sin and cos of (π/2) s, since WGSL permits errors of 5e-4 in the built-in functions.
+// Returns sin and cos of (π/2) s. WGSL permits errors of 5e-4 in its own functions, so they are not
+// used.
 fn wave(s: f32) -> vec2<f32> {
     let turns = round(s);
     let x = (s - turns) * 1.57079632679490;
