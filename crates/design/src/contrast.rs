@@ -29,8 +29,8 @@
 //!   [`angular_footprint`](Display::angular_footprint), as many as the bound can use. This measures
 //!   the hardware; *in between* measures the display with its own number of views.
 //!
-//! Contrast over rays in between obeys the bound, except in narrow zones: if a grating moves by at
-//! most [`HALF_SINC`] periods over the zone. Then even a picture that is the same for all slopes
+//! Contrast over rays in between obeys the bound, except in narrow zones, over which a grating
+//! moves by at most [`HALF_SINC`] periods. There, even a picture that is the same for all slopes
 //! has half of the grating's contrast.
 
 use std::f64::consts::TAU;
@@ -251,7 +251,7 @@ fn strip(display: &Display, axis: usize, views: usize) -> Result<Display, Contra
     strip.field.views = Views::Fixed([views, 1]);
     strip.field.fov_deg = [display.field.fov_deg[axis], 0.0];
     for layer in &mut strip.layers {
-        // no wider than the layer itself, no narrower than the rays require
+        // as wide as the rays require, but no wider than the layer itself
         let needed = ((width_mm + 2.0 * layer.d_mm.abs() * half) / layer.pitch_mm).ceil() as usize + 2;
         layer.resolution = [needed.min(layer.resolution[axis]).max(1), 1];
         layer.offset_mm = [layer.offset_mm[axis], 0.0];

@@ -74,7 +74,7 @@ pub struct Row {
     /// pictures.
     #[serde(default)]
     pub psnr_zone_db: Option<f64>,
-    /// The PSNR of `psnr_zone_db` for the worst tenth of the directions, dB.
+    /// As `psnr_zone_db`, but over the worst tenth of the directions, dB.
     #[serde(default)]
     pub psnr_zone_worst_tenth_db: Option<f64>,
     /// PSNR of L̃/β against L, dB, at most [`MOST_DB`].
@@ -126,8 +126,8 @@ pub struct NodeRow {
 /// Largest PSNR in the table. An exact display has an infinite PSNR, which JSON cannot store.
 pub const MOST_DB: f64 = 200.0;
 
-/// The table as CSV: a line of names, then a line per row. With several time steps there is a
-/// column for the worst one, with several nodes there are columns for each.
+/// The table as CSV: a line of names, then a line per row. Several time steps add a column for the
+/// worst one. Several nodes add columns for each node.
 pub fn csv(rows: &[Row]) -> String {
     let mut text = String::from(
         "display,layers,frames,brightness,gap_mm,fov_x_deg,fov_y_deg,lenslets_x,lenslets_y,thickness_mm,panels,refresh_hz,values_per_ray,\

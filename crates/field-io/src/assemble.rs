@@ -1,5 +1,5 @@
-//! Assembles a light field in memory or in a file from a source: selects views, focuses, crops and
-//! reduces, checks values.
+//! Assembles a light field in memory or in a file from a source. Views are selected, focused,
+//! cropped and reduced, and their values are checked.
 //!
 //! A camera at position p (in steps, right and up) sees content of disparity k (pixels per step)
 //! shifted by k·p pixels. The shift is to the left and downwards, relative to the central camera.
@@ -247,7 +247,8 @@ struct Window {
     corner: [f64; 2],
     size: [f64; 2],
     out_size: [usize; 2],
-    /// Offset of the corner, for each view column and for each view row.
+    /// Offsets of the corner: x for each view column in `shift[0]`, y for each view row in
+    /// `shift[1]`.
     shift: [Vec<f64>; 2],
 }
 
