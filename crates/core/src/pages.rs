@@ -152,7 +152,7 @@ impl<T: Plain> Array<T> {
         }
     }
 
-    /// Some values, which are announced.
+    /// Returns some values, and announces them to the window.
     #[inline(always)]
     pub fn part(&self, range: std::ops::Range<usize>) -> &[T] {
         let (values, window) = self.all();

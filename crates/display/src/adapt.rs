@@ -114,7 +114,7 @@ impl Display {
         let slopes = if axis == 0 { &geometry.grid.slope_x } else { &geometry.grid.slope_y };
         let outermost = slopes.iter().fold(0.0f64, |most, slope| most.max(slope.abs()));
         // A pinhole sees the field's edges under other slopes than its centre, so the bins must
-        // reach farther by this difference. A lens array that repeats its bins needs no more.
+        // reach farther by this difference. A lens array that repeats its bins needs no such reach.
         let fan = match (geometry.grid.projection, own.outside_bins) {
             (Projection::Perspective { distance_mm }, OutsideBins::Dark) => {
                 0.5 * geometry.size_mm()[axis] / distance_mm

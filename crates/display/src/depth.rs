@@ -140,7 +140,7 @@ mod tests {
         assert!((found - expected).abs() <= 1e-9 * expected.abs().max(1.0), "{found} instead of {expected}");
     }
 
-    /// Equations (24) and (25); ω0 is 1 cycle per millimetre at a pitch of 0.5 mm.
+    /// Equations (24) and (25) of the paper. ω0 is 1 cycle per millimetre at a pitch of 0.5 mm.
     #[test]
     fn two_and_three_layers_have_the_papers_bounds() {
         let gap = 40.0;
@@ -160,7 +160,7 @@ mod tests {
         assert!(two.depth_of_field(0.2).is_none(), "finer than both layers together");
     }
 
-    /// Equations (23) and (26), whose lens array is at z = 0.
+    /// Equations (23) and (26) of the paper. Their lens array is at z = 0.
     #[test]
     fn a_directional_backlight_has_the_papers_bounds() {
         let (lenslet, views, fov) = (2.5, 5, 48.0f64);

@@ -151,7 +151,7 @@ pub struct RayMap {
 }
 
 impl RayMap {
-    /// Computes the tables, of A_x·W and A_y·H entries per layer.
+    /// Computes the tables. Each layer has A_x·W entries along x and A_y·H entries along y.
     pub fn new(display: &Display, geometry: &FieldGeometry) -> Self {
         let [x, y] = [Axis::X, Axis::Y].map(|axis| axis.centres(geometry));
         Self::of_rays(display, display.sampling, [(&x, geometry.cols), (&y, geometry.rows)])

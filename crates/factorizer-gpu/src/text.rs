@@ -25,7 +25,7 @@ const ERRORS: &str = include_str!("shaders/errors.wgsl");
 /// Number of bindings in front of those of the factors.
 pub(crate) const FIRST_FACTOR: usize = 7;
 
-/// The properties that a program is generated for.
+/// The properties on which the text of a program depends.
 pub(crate) struct Program<'a> {
     pub(crate) plan: &'a Plan,
     pub(crate) weighted: bool,

@@ -33,8 +33,8 @@ const WIDTH_MM: f64 = 473.76;
 const RESOLUTION: [usize; 2] = [160, 100];
 const FIELD: &str = "main_5x5_160x100_fov20";
 
-/// Values of an independent implementation on the same light field: iterations and PSNR (dB,
-/// `psnr_view`).
+/// Results of an independent implementation on the same light field: pairs of the number of
+/// iterations and the PSNR (dB, `psnr_view`).
 type Figures = &'static [(u32, f64)];
 
 /// A display, its light field, and reference values.
@@ -205,7 +205,7 @@ struct Row {
     start: LayerStack,
     /// PSNR after each number of iterations.
     figures: Vec<f64>,
-    /// Mean time of an update.
+    /// Mean time of an update, milliseconds.
     update_ms: f64,
 }
 

@@ -40,7 +40,7 @@ pub(crate) fn map<T: Send + Clone + Default, S>(
 
 /// True if `holds` is true of every part of `data`.
 pub(crate) fn all<T: Sync>(data: &[T], holds: impl Fn(&[T]) -> bool + Sync + Send) -> bool {
-    /// Values of one part.
+    /// Number of values of one part.
     const PART: usize = 1 << 16;
     #[cfg(feature = "parallel")]
     {

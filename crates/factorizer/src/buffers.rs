@@ -1,7 +1,8 @@
 //! Sums of one block of a line, with the terms of each view in buffers, for any number of frames
 //! and factors. [`step`](crate::step) defines the terms a_m and e and the sums n, d, r and G.
 //!
-//! [`registers`](crate::registers) has faster functions for common cases and shares the types here.
+//! [`registers`](crate::registers) has faster functions for common cases and uses the types of this
+//! file.
 
 use lumistack_simd::{Kernel, Lanes, MAX_LANES, prefetch_far};
 
@@ -27,11 +28,11 @@ pub(crate) struct Buffers {
     pub(crate) block: Block,
     /// a_m of a group of views, `[view][frame][lane]`.
     pub(crate) products: Aligned,
-    /// e (or βL) of a group of views, `[view][lane]`.
+    /// e of a group of views, or βL for the paper's rule, `[view][lane]`.
     pub(crate) errors: Aligned,
     /// L̃ of a group of views, `[view][lane]`.
     pub(crate) emitted: Aligned,
-    /// f/M.
+    /// f/M of the block's pixels.
     pub(crate) scaled: Aligned,
     /// Σ w e² per lane.
     pub(crate) squares: Vector,
@@ -62,7 +63,7 @@ pub(crate) struct SumParams {
 
 /// One block of a line: the pixels x to x + lanes. Its sums and values go to `buffers`.
 ///
-/// If the block overlaps a view's valid range, it is within that view's padded rows.
+/// A block that overlaps a view's valid range must lie within that view's padded rows.
 pub(crate) struct BlockOfLine<'a> {
     pub(crate) rays: &'a LineRays<'a>,
     pub(crate) x: usize,
@@ -236,7 +237,7 @@ unsafe fn products_of<V: Lanes, const OWN: bool, const K: usize>(
     }
 }
 
-/// βL of one view in the block.
+/// Returns βL of one view in the block.
 ///
 /// # Safety
 /// The machine has V, and x lies within the row.
@@ -304,7 +305,8 @@ pub(crate) unsafe fn sum_views<V: Lanes, const SHARED: bool>(
             }
             return;
         }
-        // sum G: first the tiles of 3×3 frames along the diagonal with r, then the rest
+        // sum G: first the tiles of 3×3 frames along the diagonal together with r, then the rest of
+        // G
         for m in (0..frames).step_by(3) {
             match frames - m {
                 1 => tiles.diagonal::<V, 1>(m, block),

@@ -47,7 +47,8 @@ pub struct Engine {
     /// Box [low, high] of each factor's values.
     ranges: Vec<[f32; 2]>,
     fast: bool,
-    /// Read before every line. After it is set, the remaining lines keep their values.
+    /// The flag that cancels updates. It is read before every line; once it is set, the remaining
+    /// lines keep their values.
     pub(crate) cancel: Cancel,
     tries_local: bool,
     outcome: Outcome,
@@ -136,7 +137,7 @@ impl Engine {
         &self.factors[n].row(channel, line, frame)[layout.pad..layout.pad + layout.cols()]
     }
 
-    /// Selects the instruction set; `fast` permits the fast kernel.
+    /// Selects the instruction set. `fast` permits the fast kernel for factors at constant shifts.
     pub fn use_kernel(&mut self, backend: lumistack_simd::Backend, fast: bool) {
         Arc::make_mut(&mut self.plan).use_backend(backend);
         self.fast = fast;
@@ -397,7 +398,7 @@ impl Updater for Engine {
     }
 
     /// As [`download`](Updater::download), but into the memory of the previous iterate if there is
-    /// one. New memory costs more than the copy.
+    /// one. Allocation of new memory would take longer than the copy.
     fn into_stack(mut self: Box<Self>) -> Result<LayerStack, FactorizeError> {
         if self.latest.is_empty() {
             return Ok(self.download());
@@ -451,7 +452,7 @@ struct Line<'a> {
     outcome: Outcome,
 }
 
-/// Splits a factor's storage, and everything that belongs to it, into lines.
+/// Splits a factor's values, its last iterate and its sums into lines.
 fn lines_of<'a>(
     layout: &Layout,
     values: &'a mut [f32],

@@ -81,8 +81,8 @@ impl RowErrors<'_> {
 /// Number of blocks whose squares are summed in f32 before the sum goes into an f64 sum.
 const BLOCKS_PER_SUM: usize = 4;
 
-/// Squared errors along rays, with L̃ = (1/M) Σ_m Π_k f_k, where every factor is at a constant
-/// shift. [`Plan::shifted`] must hold.
+/// Squared errors along rays, with L̃ = (1/M) Σ_m Π_k f_k, where all rays of a view read each
+/// factor at a constant shift. [`Plan::shifted`] must hold.
 struct Shifted;
 
 impl Kernel for Shifted {

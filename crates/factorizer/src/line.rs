@@ -31,7 +31,7 @@ impl Outcome {
     }
 }
 
-/// A line's values and the limits of their step. x is an index into padded storage; frames are
+/// A line's values and the constraints of its step. x is an index into padded storage; frames are
 /// `stride` apart.
 pub(crate) struct LineStep<'a> {
     pub(crate) rule: Rule,
@@ -49,12 +49,13 @@ pub(crate) struct LineStep<'a> {
     pub(crate) values: &'a mut [f32],
     /// The extrapolation's factor β_k, and the line of the last iterate.
     pub(crate) extrapolation: Option<(f32, &'a mut [f32])>,
-    /// Destination of the sums, if they are stored instead of a step: `[quantity][x]` in the order
-    /// of [`Sums`]. A later step then needs the sums of other lines too.
+    /// Destination of the sums, `[quantity][x]` in the order of [`Sums`]. If it is given, the line
+    /// stores its sums and does not step, since a later step needs the sums of other lines too.
     pub(crate) sums: Option<&'a mut [f32]>,
 }
 
-/// The functions that follow the sums, for one instruction set, rule and number of frames.
+/// The functions that are called after the sums, for one instruction set, rule and number of
+/// frames.
 pub(crate) struct StepFunctions {
     lanes: usize,
     step: StepFunction,

@@ -10,7 +10,8 @@ use crate::factor::{Layout, PAD};
 /// Weights of neighbouring pixels that differ by less are taken as equal; a mask value changes by
 /// no more than this difference.
 const SAME_WEIGHT: f32 = 1e-6;
-/// Shorter pieces of equal shift are read by table, since a separate loop would not pay.
+/// Smallest length of a piece of equal shift that has a separate loop. Shorter pieces are read by
+/// table.
 const SHORTEST_PIECE: usize = 8;
 /// Number of rays, weighted by their shares, up to which a pixel's sums stay in f32.
 ///
@@ -29,8 +30,8 @@ pub(crate) struct FactorMap {
     pub(crate) y: Vec<Vec<LineTap>>,
     /// Per view row, the field rows whose rays read each line.
     rays: Vec<RaysOfLine>,
-    /// Per view row and line, the field rows whose rays read this line first and the next one
-    /// second, with the weight of the second.
+    /// Per view row and line, the field rows whose rays read between this line and the next line,
+    /// with the weight of the next line.
     after: Vec<RaysOfLine>,
     /// True if so few rays read each pixel that sums in f32 are precise.
     pub(crate) short_sums: bool,
@@ -58,7 +59,7 @@ pub(crate) struct ColumnTaps {
     pub(crate) shift: Option<isize>,
 }
 
-/// Consecutive field columns that read a factor alike.
+/// Consecutive field columns whose rays read a factor in the same way.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Piece {
     pub(crate) cols: Range<usize>,

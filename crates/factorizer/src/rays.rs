@@ -51,9 +51,9 @@ impl<'a, T> Place<'a, T> {
 
 /// One view's rays through the line.
 pub(crate) struct View<'a> {
-    /// x of the valid rays.
+    /// Range of x in which the view's rays are valid.
     valid: Range<usize>,
-    /// √w.
+    /// √w of the rays; `None` if all weights are 1.
     weights: Option<Place<'a, f32>>,
 }
 
@@ -82,7 +82,7 @@ pub(crate) enum TargetRow<'a> {
 /// Number of rows that each view prefetches. A prefetch of all rows together would stall the loads.
 const PREFETCHED: usize = 3;
 
-/// The rows along one view's rays.
+/// The rows that one view's rays read.
 pub(crate) struct RowsOfView<'a, const K: usize> {
     pub(crate) view: &'a View<'a>,
     pub(crate) target: &'a TargetRow<'a>,
@@ -91,7 +91,7 @@ pub(crate) struct RowsOfView<'a, const K: usize> {
 }
 
 impl<const K: usize> RowsOfView<'_, K> {
-    /// Prefetches the values at x of those rows that this view prefetches.
+    /// Prefetches the values at x of the rows that are assigned to this view.
     #[inline(always)]
     pub(crate) fn prefetch(&self, x: usize) {
         for row in self.ahead {

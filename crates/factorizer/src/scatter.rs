@@ -38,8 +38,8 @@ use crate::rays::{LineRays, RowOfRays, Spare, expanded_stride, rays_of_column};
 use crate::step::{Rule, Sums};
 use crate::vector;
 
-/// Number of lines per band. Two bands sum the rays between the last line of one band and the first
-/// of the next.
+/// Number of lines per band. The rays between the last line of a band and the first line of the
+/// next band are summed by both bands.
 pub(crate) const BAND: usize = 16;
 
 /// Number of rows of rays that are summed in f32 before these sums are added to f64 sums. Pixels
@@ -89,7 +89,8 @@ pub(crate) struct Scratch {
     buffers: Buffers,
     rays: LineRays<'static>,
     spare: Spare,
-    /// The sums of one view column by field columns, low and high: `[quantity][x]`.
+    /// The sums of one view column by field columns, `[quantity][x]`: low sums for this line, high
+    /// sums for the next line.
     columns: [Vec<f32>; 2],
     /// The sums of this line and of the next line.
     lines: [LineSums; 2],
@@ -231,7 +232,7 @@ struct ColumnBlock<'a> {
     field_stride: usize,
 }
 
-/// Sums a block's rays by their shares; returns Σ w e² for the line and for the next.
+/// Sums a block's rays by their shares; returns Σ w e² for the line and for the next line.
 struct Apart;
 
 impl Kernel for Apart {

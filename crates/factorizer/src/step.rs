@@ -92,8 +92,9 @@ pub(crate) enum Freedom {
     Levels,
 }
 
-/// Smallest diagonal entry of a Gram matrix. A smaller one belongs to a pixel that almost no light
-/// reaches. Its value is arbitrary until [`Rule::Darken`] darkens it.
+/// Smallest diagonal entry of a Gram matrix; smaller entries are replaced by it. They belong to
+/// pixels that almost no light reaches, whose values are arbitrary until [`Rule::Darken`] darkens
+/// them.
 const LEAST_CURVATURE: f32 = 1e-30;
 
 /// Sums and values of one vector of pixels, `[frame][lane]`.
@@ -105,7 +106,7 @@ pub(crate) struct Block {
     pub(crate) emitted: Aligned,
     /// G, `[frame][frame][lane]`; the upper triangle is the input.
     pub(crate) gram: Aligned,
-    /// f.
+    /// f, the values of the pixels.
     pub(crate) values: Aligned,
     /// r before the step.
     before: Aligned,
@@ -148,10 +149,10 @@ impl Block {
 
     /// Coordinate descent with values and r in registers.
     ///
-    /// Every coordinate step waits for the previous one: 5 instructions' latencies through
-    /// registers, three times as long through memory. Two vectors side by side do not fit into
-    /// registers and gained nothing. An update of each frame's best value instead of r saved 6 % of
-    /// an update, but lost digits if G is nearly singular.
+    /// Every coordinate step waits for the previous one. That takes the latency of 5 instructions
+    /// through registers, and three times as long through memory. Two vectors side by side do not
+    /// fit into registers and gained nothing. An update of each frame's best value instead of r
+    /// saved 6 % of an update, but lost digits if G is nearly singular.
     #[inline(always)]
     unsafe fn descend_in_registers<V: Lanes, const M: usize>(&mut self, sweeps: u32, [low, high]: [f32; 2]) -> V {
         let n = V::COUNT;

@@ -55,7 +55,7 @@ impl Order {
         if radiance.storage().is_some() { Self::Rows } else { Self::Views }
     }
 
-    /// Position of a row, where a channel has this number of views and of rows per view.
+    /// Position of a row in a channel of `views` views, each of `rows` rows.
     #[inline(always)]
     fn index(self, [views, rows]: [usize; 2], view: usize, row: usize) -> usize {
         match self {
@@ -154,8 +154,9 @@ impl Target {
 
     /// The target of coarser pixels: means over the fine ones, for the given views.
     ///
-    /// `pixels` has rows and columns; a coarse pixel is the weighted mean of three fine ones per
-    /// axis. Half floats are rounded to half floats again, since only a start depends on them.
+    /// `pixels` = [rows, columns] lists the three fine pixels per axis whose weighted mean is a
+    /// coarse pixel. Half floats are rounded to half floats again, since only a start depends on
+    /// them.
     pub(crate) fn averaged(&self, functions: &RowFunctions, views: &[usize], pixels: &[Vec<Cover>; 2]) -> Self {
         let [rows, cols] = [&pixels[0], &pixels[1]];
         let (stride, fine_cols) = (PAD + cols.len() + PAD, self.stride - 2 * PAD);
@@ -283,7 +284,7 @@ fn rows_of<T: Plain>(
     let (green, blue) = rest.split_at_mut(lines * stride);
     let channels = red.chunks_exact_mut(stride).zip(green.chunks_exact_mut(stride)).zip(blue.chunks_exact_mut(stride));
     let mut places: Vec<_> = channels.map(|((red, green), blue)| [red, green, blue]).collect();
-    // in the order of the given values, since those may be in a file as well
+    // visit the rows in the order of the given values, since these values may be in a file too
     let order = Order::of(radiance);
     let place = |line| std::mem::take(&mut places[order.index([views, rows], line / rows, line % rows)]);
     let mut places: Vec<_> = (0..lines).map(place).collect();

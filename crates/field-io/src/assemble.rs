@@ -189,8 +189,8 @@ fn left_out(
 /// (√5 − 1)/2.
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
-/// For every kept view row and view column, the rows and columns that are averaged into it, with
-/// weights: [view rows, view columns].
+/// The views that are averaged into every kept view, with their weights. The first list has a row
+/// for every kept view row, the second list one for every kept view column.
 fn averaged(
     source: &Source,
     flags: &GeometryFlags,

@@ -1,4 +1,4 @@
-//! Arrays of eight values: the scalar twin.
+//! Vectors as arrays of eight values, in scalar code. The tests compare all other backends with it.
 
 use std::array::from_fn;
 

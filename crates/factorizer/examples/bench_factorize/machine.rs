@@ -28,7 +28,8 @@ impl Rates {
         self.0.iter().copied().fold(0.0, f64::max)
     }
 
-    /// The median rate as a fraction of the best rate; other programs lower it.
+    /// The median rate as a fraction of the best rate. Other programs on the machine lower this
+    /// fraction.
     pub fn median_share(&self) -> f64 {
         let mut sorted = self.0.clone();
         sorted.sort_by(f64::total_cmp);
@@ -65,7 +66,7 @@ impl Machine {
         }
     }
 
-    /// Measures both rates once more.
+    /// Measures the rate of multiply-adds and the bandwidth once more.
     pub fn measure(&mut self) {
         let begin = Instant::now();
         // SAFETY: the kernel has no requirements

@@ -36,7 +36,8 @@ use table::{PeerRow, Quality, Report, Row, Series};
 
 /// Seed of all starts.
 const SEED: u64 = 1;
-/// Number of updates of the paper's rule whose PSNR is the quality to reach.
+/// Number of updates by the paper's rule. The PSNR after these updates is the quality that the
+/// default settings must reach.
 const PAPER_UPDATES: u32 = 50;
 /// Largest difference in transmittance that rounding may cause between masks after one update.
 const SAME_MASKS: f32 = 1e-4;
@@ -50,7 +51,7 @@ struct Arguments {
     rounds: usize,
     json: Option<PathBuf>,
     folder: PathBuf,
-    /// Python and script of each peer.
+    /// For each peer, the paths of the Python program and of the script.
     peers: Vec<[PathBuf; 2]>,
 }
 
@@ -189,7 +190,7 @@ fn own_runs(cases: &[Case]) -> Outcome<Vec<TimedRun<'_>>> {
     Ok(runs)
 }
 
-/// A peer with a row per variant.
+/// A peer, and a row of the table for each variant of its update.
 struct TimedPeer {
     peer: Peer,
     rows: Vec<PeerRow>,

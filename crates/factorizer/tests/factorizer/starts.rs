@@ -1,5 +1,5 @@
-//! Compares warm starts with fresh ones: the prediction must agree with the result of five
-//! iterations.
+//! Compares warm starts with fresh ones: the choice by `warm_start_pays` must agree with the result
+//! of five iterations.
 
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{LightField, Weights};

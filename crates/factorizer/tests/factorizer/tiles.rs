@@ -1,5 +1,5 @@
-//! Tests tiles: a tile's rays read the same values as in the whole display. With fixed borders, the
-//! whole display gains as much as the tile.
+//! Tests tiles: a tile's rays read the same values as in the whole display. If a tile is solved
+//! with fixed borders, the objective of the whole display falls by as much as that of the tile.
 
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{LayerColour, LayerStack, RayMap, Region, Tap, Tile, Tiling, Weights};
@@ -132,7 +132,7 @@ fn what_a_tile_gains_with_fixed_borders_the_whole_gains() {
             let of_tile = Problem { display: &display, target: &target, weights: &weights };
             let settings =
                 Settings { solver: "block-exact".into(), iterations: 2, levels: false, ..Settings::default() };
-            // a warm start lifts black
+            // a warm start raises black values to the floor, so do the same here
             let tensors = stack.layers.iter_mut().map(|layer| layer.data_mut());
             for values in tensors.chain(stack.emission.iter_mut().map(|emission| emission.data_mut())) {
                 values.iter_mut().for_each(|value| *value = value.max(lumistack_factorizer::FLOOR));
