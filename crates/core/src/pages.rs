@@ -8,12 +8,12 @@ use std::mem::MaybeUninit;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Size of a large page on most machines, bytes. Arrays smaller than two large pages are left
-/// alone.
+/// Size of a large page on most machines, bytes. No large pages are requested for arrays smaller
+/// than two of them.
 const LARGE_PAGE: usize = 2 << 20;
 
-/// Requests large pages from the system; it gives them on Linux alone, if some are free. Call it
-/// for untouched memory, such as the spare capacity of a new [`Vec`] or a large `vec![0; n]`: the
+/// Requests large pages from the system, which gives them only on Linux, if some are free. Call it
+/// for untouched memory, such as the spare capacity of a new [`Vec`] or a large `vec![0; n]`. The
 /// system assigns pages at the first write.
 pub fn prefer_large_pages<T>(memory: &[T]) {
     if size_of_val(memory) >= 2 * LARGE_PAGE {
@@ -133,7 +133,7 @@ impl<T: Plain> Array<T> {
         storage(count * size_of::<T>()).map(Self::Paged)
     }
 
-    /// All values, and the window to announce those that are used next.
+    /// All values, and the window, to which the values that are used next must be announced.
     #[inline(always)]
     pub fn all(&self) -> (&[T], Option<&Window>) {
         match self {

@@ -1,4 +1,4 @@
-//! Limits of a display that follow from its geometry alone: bound on depth of field, spectral
+//! Limits of a display that follow only from its description: bound on depth of field, spectral
 //! support, viewing zone, frame rate and brightness. If there is a scene, its depths are compared
 //! with these limits.
 
@@ -267,7 +267,7 @@ impl Zone {
         let step = [0, 1].map(|axis| 2.0 * half[axis] / display.views()[axis] as f64);
         let pinholes = field.distance_mm.filter(|_| field.projection == ProjectionKind::Perspective);
         // From a distance D on, the rays from the eye to both edges have slopes of at most
-        // tan(α/2). An axis with a single direction has no such distance.
+        // tan(α/2). An axis with a single direction requires no distance.
         let whole = [0, 1].map(|axis| if half[axis] > 0.0 { 0.5 * size[axis] / half[axis] } else { 0.0 });
         let whole_from_mm = pinholes.unwrap_or(whole[0].max(whole[1]));
         let at_mm = pinholes.unwrap_or(2.0 * whole_from_mm);

@@ -17,7 +17,7 @@
 //! It is 1 for an exact grating and 0 for grey. Axes are measured separately, on a strip of one row
 //! of pixels and of views. The three channels have three phases φ_0, a third of a period apart, and
 //! the result is their mean. The bound of [`Display::spatial_cutoff`] limits the frequencies that
-//! any factors could show; the contrast is that of one solver with M frames.
+//! any factors could show. The contrast is the result of one solver with M frames.
 //!
 //! There are three measures ([`Achieved`]).
 //!
@@ -48,7 +48,7 @@ use lumistack_plot::{self as plot, Axes, Curve, PlotError};
 
 /// Largest number of columns of a strip.
 const MOST_COLS: usize = 96;
-/// Contrast from which on a grating is regarded as shown.
+/// Smallest contrast at which a grating is regarded as shown.
 pub const SHOWN: f64 = 0.5;
 /// Rays per pixel of the measures over the whole zone.
 pub const POINTS: usize = 3;
@@ -445,7 +445,7 @@ mod tests {
     }
 
     /// Over the whole emission no display exceeds its bound by more than the term for narrow zones,
-    /// `alike`. At the target views alone, each of these displays does.
+    /// `alike`. At the target views, each of these displays exceeds it.
     #[test]
     fn the_bound_holds_for_all_that_is_emitted() {
         // the half-contrast frequency is interpolated between two measured frequencies

@@ -28,7 +28,7 @@ pub struct Design {
     pub thickness_mm: f64,
     /// Number of panels: the layers, and the panel behind the lenslets.
     pub panels: usize,
-    /// Refresh rate from which on the display does not flicker, hertz; 0 for a static display.
+    /// Lowest refresh rate at which the display does not flicker, hertz; 0 for a static display.
     pub refresh_hz: f64,
     /// Values of the patterns per ray of the light field: degrees of freedom. With 1 or more, each
     /// ray could have a value of its own.
@@ -81,14 +81,14 @@ pub struct Row {
     pub psnr_view_db: f64,
     /// PSNR of L̃ against βL, dB.
     pub psnr_raw_db: f64,
-    /// PSNR of L̃/β at views between those of the target, dB, if such views are known.
+    /// PSNR of L̃/β at views between the target's views, dB; `None` if these views are not known.
     pub psnr_between_db: Option<f64>,
     /// For several time steps, the PSNR of L̃/β against L of the worst one, dB. The values above
     /// are over all time steps.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub psnr_worst_db: Option<f64>,
-    /// For a job with several nodes, the results of each. The values above are those of the first
-    /// node.
+    /// For a job with several nodes, the results of each. The fields above have the results of the
+    /// first node.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub nodes: Vec<NodeRow>,
 }

@@ -3,10 +3,10 @@
 //!
 //! Layers consist of squares of constant value. So along an axis the layer pixel that a ray reads
 //! changes only where the ray crosses an edge. Each axis of a field pixel is cut at all these
-//! edges: those of every layer, of the lenslets and of their bins. All rays between two cuts read
-//! the same values. So one ray represents them, with the width of the part as its weight. The map
-//! is separable, and hence so are the parts: a pixel's area is the product of its parts along x and
-//! along y. Thus the mean over the area is exact.
+//! edges: the edges of every layer, of the lenslets and of their bins. All rays between two cuts
+//! read the same values. So one ray represents them, with the width of the part as its weight. The
+//! map is separable, so the parts are separable too: a pixel's area is the product of its parts
+//! along x and along y. Thus the mean over the area is exact.
 
 use crate::raymap::{Axis, AxisRay};
 use crate::{Backlight, Display, FieldGeometry, RayMap, Sampling};

@@ -11,8 +11,8 @@
 //! (26) a layer on a lens array   1/(2Δx) + ω0     if |z| ≤ Δx/(Δs + 2ΔxΔsω0),      else 1/(2|z|Δs)
 //! ```
 //!
-//! [`Display::spatial_cutoff`] is the general form and needs none of the assumptions. If they hold,
-//! both forms agree.
+//! [`Display::spatial_cutoff`] is the general form and needs none of the assumptions. If the
+//! assumptions hold, the two forms agree.
 
 use crate::{Backlight, Display};
 

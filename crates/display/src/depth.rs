@@ -30,7 +30,7 @@ impl Display {
 
     /// The depths, [low, high] in millimetres, at which frequencies up to `cutoff` (cycles per
     /// millimetre) can be shown; `None` if there are none. A single layer without directional
-    /// backlight shows them in its own plane alone: low = high.
+    /// backlight shows them only in its own plane: low = high.
     pub fn depths_shown(&self, cutoff: f64) -> Option<[f64; 2]> {
         let [x, y] = [0, 1].map(|axis| range(&self.generators(axis), cutoff));
         let ([x_low, x_high], [y_low, y_high]) = (x?, y?);

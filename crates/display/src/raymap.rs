@@ -1,7 +1,7 @@
 //! Intersections of the rays of a light field with the layers and the backlight.
 //!
-//! A ray of field column c at slope s hits layer n at pixel position u, computed in f64. Rows are
-//! alike, with y down:
+//! A ray of field column c at slope s hits layer n at pixel position u, computed in f64. The
+//! formula for rows is the same, with y down:
 //!
 //! ```text
 //! u = (x_c + d_n·s − o_n)/p_n + (W_n−1)/2
@@ -33,9 +33,9 @@ impl Tap {
         self.first == Self::MISSED
     }
 
-    /// The pixel or pixels around position `u` (in pixels, 0 = centre of the first) of an axis of
-    /// `count` pixels. The layer ends half a pixel outside its outermost centres, with any
-    /// sampling.
+    /// The pixel or pixels around position `u` on an axis of `count` pixels. `u` is in pixels, and
+    /// is 0 at the centre of the first pixel. The layer ends half a pixel outside its outermost
+    /// pixel centres, with any sampling.
     fn at(u: f64, count: usize, sampling: Sampling) -> Self {
         let nearest = (u + 0.5).floor();
         if !(nearest >= 0.0 && nearest < count as f64) {

@@ -1,5 +1,5 @@
-//! A display cut into tiles: the pixels that a tile decides, the rays through these pixels, and the
-//! other pixels that those rays hit.
+//! A display cut into tiles: the pixels that a tile decides, the rays through these pixels, and all
+//! other pixels that these rays hit.
 //!
 //! ```text
 //! held   ┌───────────────────────┐   hit by rays through free pixels; fixed in a solve
@@ -331,8 +331,8 @@ impl Tile {
         FieldGeometry { rows, cols, pitch_mm: whole.pitch_mm, grid }
     }
 
-    /// Where the tile's rays hit its pixels: a section of the whole display's map, so nothing is
-    /// rounded anew.
+    /// Where the tile's rays hit its pixels: a section of the whole display's map, so no position
+    /// is rounded a second time.
     pub fn map(&self, whole: &RayMap) -> RayMap {
         let tap = |tap: &Tap, first: usize| {
             let shifted = |pixel: u32| pixel.wrapping_sub(first as u32);
@@ -367,7 +367,7 @@ impl Tile {
     /// The radiance of the tile's rays.
     ///
     /// # Panics
-    /// If the light field is not that of the tiling.
+    /// If `whole` is not the light field that was divided into tiles.
     pub fn light_field(&self, whole: &LightField) -> LightField {
         let geometry = self.geometry(whole.geometry());
         let mut target = LightField::black(geometry).expect("a tile has pixels");
@@ -432,9 +432,9 @@ impl LayerStack {
 }
 
 impl LayerStack {
-    /// Copies the pixels that this stack shares with another section of the same patterns. Per
-    /// layer and for the lenslets, `regions` are this stack's pixels within the whole, and `others`
-    /// those of `other`.
+    /// Copies the pixels that this stack shares with another section of the same patterns.
+    /// `regions` are the pixels of this stack within the whole display, one region per layer and
+    /// one for the lenslets. `others` are the pixels of `other`.
     pub fn paste(&mut self, regions: &[Region], other: &Self, others: &[Region]) {
         for (n, (to, from)) in self.layers.iter_mut().zip(&other.layers).enumerate() {
             paste(to.data_mut(), &regions[n], from.data(), &others[n]);

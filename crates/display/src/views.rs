@@ -116,7 +116,7 @@ impl<'de> Visitor<'de> for Form {
     }
 
     fn visit_str<E: Error>(self, name: &str) -> Result<Views, E> {
-        // `5x3` is allowed on the command line alone; files state the same as a list
+        // `5x3` is allowed only on the command line; files state the same numbers as a list
         if name == "auto" { Ok(Views::Auto) } else { Err(E::invalid_value(Unexpected::Str(name), &self)) }
     }
 

@@ -90,8 +90,8 @@ impl Weights {
     /// Checks shape and values.
     ///
     /// # Errors
-    /// If the shape is not that of the geometry, a value is negative, infinite or NaN, or all are
-    /// 0.
+    /// If the weights have another shape than the geometry, a value is negative, infinite or NaN,
+    /// or all values are 0.
     pub fn check(&self, geometry: &FieldGeometry) -> Result<(), WeightError> {
         let [view_rows, view_cols] = geometry.grid.views();
         let (shape, expected, data) = match self {

@@ -2,7 +2,7 @@
 //!
 //! Buffers hold whole channels. A dispatch writes some lines, and binds windows of the buffers that
 //! it reads for these lines. The windows hold the field rows whose rays read the lines, and the
-//! lines of other factors that those rays read. A band whose windows are too large is halved.
+//! lines of other factors that these rays read. A band whose windows are too large is halved.
 
 use std::ops::Range;
 

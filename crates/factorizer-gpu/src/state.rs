@@ -270,7 +270,7 @@ impl State {
     }
 }
 
-/// Number of words of `Params` in front of those of the factors.
+/// Number of words of `Params` in front of the words of the factors.
 const PARAMS: usize = 23;
 
 impl Updater for State {

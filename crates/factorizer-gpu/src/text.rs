@@ -22,7 +22,7 @@ const READ: &str = include_str!("shaders/read.wgsl");
 const UPDATE: &str = include_str!("shaders/update.wgsl");
 const ERRORS: &str = include_str!("shaders/errors.wgsl");
 
-/// Number of bindings in front of those of the factors.
+/// Number of bindings in front of the factors' bindings.
 pub(crate) const FIRST_FACTOR: usize = 7;
 
 /// The properties on which the text of a program depends.

@@ -31,7 +31,7 @@ const DETERMINED: f32 = 0.1;
 const ROUNDS: usize = 4;
 /// Number of updates of a whole run.
 const UPDATES: usize = 10;
-/// Seeds of the random problems; the same for all tests, so that they share programs.
+/// Seed of the random problems. All tests use this seed, so that they share compiled programs.
 const SEED: u64 = 4;
 /// The device's emission may differ from the processor's by this multiple of the processor's own
 /// difference. That is the difference between runs whose starts and targets differ by a rounding.
@@ -101,7 +101,7 @@ fn nudge(values: &mut [f32], state: &mut u32) {
     }
 }
 
-/// Runs of the processor whose starts and targets differ by rounding alone.
+/// Runs of the processor whose starts and targets differ only by rounding.
 fn own_runs(kind: Kind, name: &str, start: &LayerStack) -> Vec<LayerStack> {
     let own_run = |number: u32| {
         let (mut state, mut owned, mut start) = (number, random(kind, SEED), start.clone());

@@ -87,8 +87,8 @@ impl Method for Extrapolated {
     }
 }
 
-/// The extrapolation's factor (β_k of Ang and Gillis), its bound, and the rates at which both
-/// change.
+/// The extrapolation's factor (β_k of Ang and Gillis), its bound, and the rates at which factor and
+/// bound change.
 #[derive(Clone, Copy, Debug)]
 struct Extrapolation {
     factor: f32,

@@ -52,8 +52,8 @@ pub struct Engine {
     pub(crate) cancel: Cancel,
     tries_local: bool,
     outcome: Outcome,
-    /// The values that [`Updater::save`] saved: those that rays read, and the stored ones if they
-    /// differ.
+    /// The values that [`Updater::save`] saved: the values that rays read, and the stored values if
+    /// they differ.
     saved: Option<(Aligned, Option<Aligned>)>,
 }
 
@@ -193,7 +193,7 @@ impl Engine {
         outcome
     }
 
-    /// Updates a factor whose stored values differ from those that rays read.
+    /// Updates a factor whose stored values differ from the values that rays read.
     fn update_stored(&mut self, n: usize, rule: Rule, extrapolation: Option<f32>, local: bool) -> Outcome {
         let layout = self.plan.maps[n].layout.clone();
         // collect the sums of all pixels that rays read
@@ -202,7 +202,7 @@ impl Engine {
         let mut effective = self.factors[n].values.clone();
         let outcome = self.update_lines(n, rule, None, local, &mut effective, Some(&mut sums));
         let Some((response, stored)) = &mut self.stored[n] else { return outcome };
-        // apply the adjoint, which gives the sums of the stored pixels, then step those pixels
+        // apply the adjoint, which gives the sums of the stored pixels, then step the stored pixels
         let adjoint = AdjointSums::of(response, &layout, rule.sums(), &sums);
         let limits = (rule == Rule::Darken).then(|| unlit::limits(&self.plan, n));
         let steps = Steps::new(&self.plan, n, rule, self.ranges[n], self.levels[n].as_ref(), limits);
@@ -244,7 +244,7 @@ impl Engine {
         let (plan, factors, fast) = (&self.plan, &self.factors, self.is_fast(n));
         let layout = &plan.maps[n].layout;
         let latest = extrapolation.map(|_| &mut self.latest[n]);
-        // if the sums are stored, a later step needs those of every line
+        // if the sums are stored, a later step needs the sums of every line
         let all = sums.is_some();
         // split the factor into lines, which threads share
         let mut lines = lines_of(layout, values, extrapolation.zip(latest), sums);

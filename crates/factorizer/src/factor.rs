@@ -7,8 +7,8 @@
 //! Padding holds the value of a miss, so inner loops have no branch for misses.
 //!
 //! The backlight has R × C lenslets per angular bin. Its line is bin_y·R + lenslet row, and its
-//! column is bin_x·C + lenslet column. So its map is separable into lines and columns, as that of a
-//! layer.
+//! column is bin_x·C + lenslet column. So its map is separable into lines and columns, like the map
+//! of a layer.
 
 use crate::aligned::Aligned;
 use crate::bands;

@@ -31,10 +31,11 @@ pub struct Settings {
     pub iterations: u32,
     /// Seed of all random numbers.
     pub seed: u64,
-    /// Kind of start, unless a warm start is given; `None` chooses by solver.
+    /// Kind of start, unless a warm start is given. With `None` the solver determines the kind.
     pub start: Option<StartKind>,
     /// Number of coarser levels at which a run begins, each at half the resolution of the next.
-    /// Levels that are too small are left out; `None` chooses by solver. A warm start uses none.
+    /// Levels that are too small are left out. With `None` the solver determines the number. A warm
+    /// start has no coarser levels.
     pub coarse_levels: Option<u32>,
     /// Number of iterations at each coarser level.
     pub coarse_iterations: u32,
@@ -92,15 +93,15 @@ impl Settings {
 /// The objective after some iterations.
 ///
 /// Before the last iteration, a solver that extrapolates may report the objective of its
-/// extrapolated patterns instead of that of its last iterate.
+/// extrapolated patterns, not of its last iterate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Iteration {
     /// Number of iterations done.
     pub iteration: u32,
     /// Σ w (βL − L̃)² over all rays and channels.
     pub objective: f64,
-    /// PSNR of L̃/β against L over all rays with w > 0, dB; NaN without such a ray, infinite if
-    /// exact.
+    /// PSNR of L̃/β against L over all rays with w > 0, dB. It is NaN if no ray has w > 0, and
+    /// infinite if the emission is exact.
     pub psnr_view: f64,
 }
 
@@ -133,8 +134,8 @@ pub struct LevelsLoss {
 /// Factorizes a light field.
 ///
 /// `warm` replaces the start of the settings: patterns of the same display, for example of the
-/// previous time step. `on_iteration` receives every evaluation of the objective, including that of
-/// the start.
+/// previous time step. `on_iteration` receives every evaluation of the objective, including the
+/// evaluation of the start.
 ///
 /// # Errors
 /// If the problem, the settings or the warm start are unusable, if no ray has a weight above 0, or
@@ -216,8 +217,9 @@ fn solve(
                 task.cancel.check()?;
             }
             let mut note = String::new();
-            // The last step may have found an objective already. It may be that of the extrapolated
-            // patterns, so after the last iteration the returned patterns are evaluated.
+            // The last step may already have found an objective. But this may be the objective of
+            // the extrapolated patterns. So the returned patterns are evaluated after the last
+            // iteration.
             if iteration == settings.iterations || iteration % settings.report_every.max(1) == 0 {
                 let known = run.known_objective().filter(|_| iteration < settings.iterations);
                 let objective = known.unwrap_or_else(|| run.objective());
@@ -284,7 +286,7 @@ fn start_run(
 
 /// A factorization for callers that read the patterns between iterations.
 ///
-/// After the same number of iterations, its patterns are those of [`factorize`] before
+/// After the same number of iterations, its patterns equal the patterns of [`factorize`] before
 /// re-optimization on few levels.
 pub struct Ongoing(Box<dyn Iterated>);
 

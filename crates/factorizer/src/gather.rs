@@ -34,7 +34,7 @@
 //! 5. **Target.** The target is read in 16 bits if half floats hold it exactly. √w multiplies a_m
 //!    and e, so that no sum needs w.
 //! 6. **Masks.** A block is masked if it crosses the border of the valid rays or if rays have
-//!    weights. Padding makes the loads of such a block legal.
+//!    weights. Padding makes the loads of a masked block legal.
 //! 7. **Expanded factors.** A factor that is not at a constant shift is first expanded along the
 //!    rays, which puts it at shift 0. Examples are a lenslet grid and a layer of another pitch.
 //!    Expanded rows are reused for the next lines as long as the rays read the same lenslets.

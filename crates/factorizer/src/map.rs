@@ -289,7 +289,8 @@ pub(crate) struct RawMap {
 
 /// Pixel index minus field column, if it is the same for all rays of the runs that hit the factor.
 ///
-/// `None` if it differs, or if the same shift would put a ray that misses inside the factor.
+/// `None` if it differs between rays, or if with this shift a ray that misses the factor would read
+/// inside of it.
 fn constant_shift(taps: &[Option<Tap>], runs: &[Range<usize>], cols: usize) -> Option<isize> {
     let mut counted = runs.iter().flat_map(Clone::clone);
     let shift = counted.clone().find_map(|c| taps[c].map(|tap| tap.first as isize - c as isize))?;

@@ -66,8 +66,8 @@ fn bytes_beside_target(display: &Display, geometry: &FieldGeometry, threads: usi
         4 * 3 * frames * (factor_rows + 1) * (factor_cols + 2 * reach + 6 * pad)
     };
     let patterns: u64 = factors.iter().map(|&(size, reach)| padded(size, reach)).sum();
-    // a layer with a response keeps two sets of sums: those of the pixels that rays read, and those
-    // of the stored pixels
+    // a layer with a response keeps two sets of sums: one of the pixels that rays read, and one of
+    // the stored pixels
     let summed = |(n, &(size, reach)): (usize, &([u64; 2], u64))| match display.layers.get(n) {
         Some(layer) if layer.response().is_some() => {
             2 * padded(size, reach) * Sums::Gram.count(display.frames) as u64 / frames
@@ -87,8 +87,9 @@ fn bytes_beside_target(display: &Display, geometry: &FieldGeometry, threads: usi
         (Backlight::Lenslets(_), _) => lines * (2 * factors.len() as u64 + view_cols * (factors.len() as u64 - 1)),
     };
     // A coarser level has a quarter of the pixels, so all levels take 4/3 of the finest. Four
-    // copies of the factors are held: the values that rays read, those before an extrapolation, the
-    // stored ones and a spare. The patterns are also held as tensors before and after the run.
+    // copies of the factors are held: the values that rays read, the values before an
+    // extrapolation, the stored values and a spare copy. The patterns are also held as tensors
+    // before and after the run.
     4 * (4 * patterns + sums + tables) / 3 + 2 * patterns + threads * expanded + SMALL
 }
 

@@ -159,7 +159,7 @@ impl LineRays<'_> {
         }
     }
 
-    /// An empty list that keeps the storage of this one.
+    /// Empties the list, and keeps its storage for the next list.
     pub(crate) fn emptied(self) -> LineRays<'static> {
         LineRays {
             views: emptied(self.views),
@@ -374,7 +374,7 @@ pub(crate) fn rays_through<'a>(
     let elsewhere = others().filter(|&k| !is_there(k)).count();
     rays.ahead.extend(own);
     // list the field rows whose rays read the line; where these rays read between two lines of
-    // another factor, mix those two lines
+    // another factor, mix these two lines
     spare.rows.clear();
     for view_y in 0..plan.views[0] {
         let of_line = map.rays_of_line(view_y, at.line).iter();

@@ -14,8 +14,8 @@ pub(crate) struct Pairs<const M: usize, const K: usize, const MASKED: bool, cons
 
 /// Sums r of all frames, and G.
 ///
-/// G's tiles along the diagonal are summed together, the rest from buffered a_m. `MASKED` as in
-/// [`Pairs`].
+/// G's tiles along the diagonal are summed together, the rest from buffered a_m. `MASKED` has the
+/// same meaning as in [`Pairs`].
 pub(crate) struct Gram<const M: usize, const K: usize, const MASKED: bool>;
 
 /// Number of registers that [`Pairs`] needs: two accumulators and a_m per frame, and a few more.
@@ -85,7 +85,7 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
     unsafe fn run<V: Lanes>(mut at: BlockOfLine<'_>) {
         // SAFETY: guaranteed by the caller
         unsafe {
-            // as in `Pairs`
+            // with too few registers, buffers are faster
             if registers_for_gram(M) > V::REGISTERS {
                 return V::call::<ByBuffers>(at);
             }

@@ -152,9 +152,9 @@ impl ScatterBand<'_> {
         Outcome { error: line.error, gain }
     }
 
-    /// Adds the rays between a line and the next to the sums of both.
+    /// Adds the rays between a line and the next line to the sums of these two lines.
     ///
-    /// With `high_alone`, the caller needs the sums of the next line alone.
+    /// With `high_alone`, the caller needs only the sums of the next line.
     fn add_rays(&mut self, at: LineOf, needed: Sums, high_alone: bool) {
         let (plan, factors, functions) = (self.plan, self.factors, self.functions);
         let Scratch { buffers, rays, spare, columns, lines, shares } = &mut *self.scratch;

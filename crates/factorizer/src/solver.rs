@@ -35,8 +35,8 @@ pub trait Run {
     /// Computes the objective of the current patterns.
     fn objective(&mut self) -> Objective;
 
-    /// The objective that the last step obtained from its own sums; it may be that of the
-    /// extrapolated patterns.
+    /// The objective that the last step obtained from its own sums. This may be the objective of
+    /// the extrapolated patterns.
     ///
     /// `None` if the sums do not contain it, or after a restart. [`Self::objective`] computes it in
     /// any case.
@@ -50,12 +50,12 @@ pub trait Run {
     fn kkt_residual(&mut self) -> f64;
 
     /// Ends a run: sets unlit values to the darkest that the hardware shows. Returns the KKT
-    /// residual, see [`kkt_residual`](Self::kkt_residual).
-    /// Almost no light reaches an unlit value, so the objective does not determine it. A real layer
-    /// is not quite black and would leak light there. The light of a value is the light that the
-    /// other layers transmit to its pixel in its frame. A value is unlit if the root mean square of
-    /// this light over its rays is at most 10⁻⁴ of the brightness. Pixels without a weighted ray
-    /// keep their values, since views between those of the target may see them.
+    /// residual, see [`kkt_residual`](Self::kkt_residual). Almost no light reaches an unlit value,
+    /// so the objective does not determine it. A real layer is not quite black and would leak light
+    /// there. The light of a value is the light that the other layers transmit to its pixel in its
+    /// frame. A value is unlit if the root mean square of this light over its rays is at most 10⁻⁴
+    /// of the brightness. Pixels without a weighted ray keep their values, since views between the
+    /// target's views may see them.
     fn darken_unlit(&mut self) -> f64;
 
     /// Number of rays with w > 0 that hit all layers.
@@ -78,6 +78,6 @@ pub struct Objective {
     /// Σ w (βL − L̃)² over all rays and channels (eq. 27).
     pub value: f64,
     /// PSNR of L̃/β against L with a peak of 1, dB. It covers all rays with w > 0 and all channels,
-    /// and is NaN without such a ray.
+    /// and is NaN if there is no such ray.
     pub psnr_view: f64,
 }

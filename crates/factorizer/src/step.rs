@@ -67,8 +67,8 @@ pub(crate) enum Sums {
 }
 
 impl Sums {
-    /// Number of sums per pixel. The M sums r or n come first, then the others. Only the upper
-    /// triangle of G is included.
+    /// Number of sums per pixel. The M sums r or n come first, then d, the diagonal of G or the
+    /// upper triangle of G.
     pub(crate) fn count(self, frames: usize) -> usize {
         if self == Self::Gram { frames + frames * (frames + 1) / 2 } else { 2 * frames }
     }
@@ -88,7 +88,7 @@ pub(crate) struct Levels {
 pub(crate) enum Freedom {
     /// Any value in the box.
     Free,
-    /// Levels alone.
+    /// Only levels.
     Levels,
 }
 
@@ -214,7 +214,7 @@ impl Block {
                 put(get::<V>(&self.residual, m * n), &mut self.before, m * n);
                 put(V::splat(0.0), &mut self.change, m * n);
             }
-            // the sweeps, as in registers
+            // the sweeps, as in `descend_in_registers`
             for _ in 0..sweeps {
                 for m in 0..frames {
                     let f = get::<V>(&self.values, m * n);
@@ -233,7 +233,7 @@ impl Block {
                     }
                 }
             }
-            // the gain, as in registers
+            // the gain, as in `descend_in_registers`
             let mut gain = V::splat(0.0);
             for m in 0..frames {
                 let both = get::<V>(&self.before, m * n).add(get::<V>(&self.residual, m * n));
@@ -333,8 +333,8 @@ pub(crate) struct Step<'a> {
     pub(crate) levels: Option<&'a Levels>,
 }
 
-/// Steps the values of a block by its sums and writes the gain to the block. The block's number of
-/// frames must be that of the function.
+/// Steps the values of a block by its sums and writes the gain to the block. The block must have
+/// the number of frames for which the function was made.
 pub(crate) type StepFunction = for<'a> unsafe fn(Step<'a>);
 
 /// Returns the function for an instruction set, a rule and a number of frames. `levels`: some

@@ -2,8 +2,8 @@
 //!
 //! A target in memory is `[channel][view][row][x]`. A target in a file is
 //! `[channel][row][view][x]`, since the rays through a line of a layer are in a band of rows. So
-//! updates read the file from one end to the other, and only a band is in memory. With that order
-//! in memory, updates took 1.3 times as long for 13 × 13 views.
+//! updates read the file from one end to the other, and only a band is in memory. In memory, the
+//! order of files made updates take 1.3 times as long for 13 × 13 views.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -219,7 +219,7 @@ impl Target {
         matches!(self.weights, RayWeights::Uniform)
     }
 
-    /// True if L may hold infinite values or NaN; half floats hold finite values alone.
+    /// True if L may hold infinite values or NaN; half floats hold only finite values.
     pub(crate) fn may_be_infinite(&self) -> bool {
         matches!(self.values, Radiance::Float(_))
     }
@@ -327,7 +327,8 @@ impl Kernel for Halve {
     #[inline(always)]
     unsafe fn run<V: Lanes>((pixels, [red, green, blue]): Self::Args<'_>) -> bool {
         let pixels = pixels.as_chunks::<3>().0;
-        // zeros, and values that are normal in both formats, without branches
+        // convert zeros and values that are normal numbers in both formats, without branches; note
+        // if there are other values
         let mut others = 0;
         let mut simple = |value: f32| {
             let (sign, bits) = ((value.to_bits() >> 16 & 0x8000) as u16, value.to_bits() & 0x7fff_ffff);

@@ -16,8 +16,8 @@ use crate::plan::Plan;
 
 /// Largest root mean square of a_m over the rays of an unlit pixel, relative to the brightness β.
 ///
-/// The full range of such a value changes the seen picture by at most a third of the smallest step
-/// of an 8-bit sRGB picture.
+/// The full range of an unlit value changes the seen picture by at most a third of the smallest
+/// step in 8-bit sRGB.
 const UNLIT: f64 = 1e-4;
 
 /// Smallest value of a warm start. An exact step moves a value to its minimum however small a_m is,

@@ -32,7 +32,7 @@ const STILL_PX: f64 = 0.5;
 /// A view of the source that is not kept, and lies between two kept ones.
 #[derive(Clone, Debug)]
 pub struct LeftOut {
-    /// Direction of the view, as a grid with this view alone.
+    /// Direction of the view, as a grid that has only this view.
     pub grid: ViewGrid,
     /// Linear radiance, `[row][col][rgb]`, with the pixels of the kept views.
     pub radiance: Vec<f32>,

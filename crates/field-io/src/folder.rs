@@ -74,7 +74,7 @@ struct ViewEntry {
     eye_mm: Option<[f64; 3]>,
 }
 
-/// Keys of the index in addition to those of [`GeometryJson`].
+/// Keys of the index in addition to the keys of [`GeometryJson`].
 #[derive(Deserialize)]
 struct Listing {
     schema: String,

@@ -143,7 +143,7 @@ impl GeometryJson {
     }
 }
 
-/// Relates the pixels of the result to those of the files.
+/// Relates the pixels of the result to the pixels of the files.
 pub(crate) struct Pixels {
     /// [columns, rows] of the result.
     pub(crate) size: [usize; 2],

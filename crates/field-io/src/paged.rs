@@ -69,7 +69,7 @@ impl FieldWriter {
     /// Returns the light field, once all views are written. `path` names it in errors.
     ///
     /// # Errors
-    /// Those of [`Paged::finish`].
+    /// The errors of [`Paged::finish`].
     pub fn finish(self, path: &Path) -> Result<LightField, FieldError> {
         let (geometry, values) = match self {
             Self::Paged(paged) => return paged.finish(),

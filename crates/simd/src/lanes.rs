@@ -56,7 +56,7 @@ pub trait Lanes: Copy {
     unsafe fn either(a: Self::Mask, b: Self::Mask) -> Self::Mask;
     /// `self` where the mask is true, `other` elsewhere.
     unsafe fn where_else(self, mask: Self::Mask, other: Self) -> Self;
-    /// One bit per lane, lane 0 lowest.
+    /// The mask as one bit per lane; lane 0 is the lowest bit.
     unsafe fn bits(mask: Self::Mask) -> u32;
 
     /// Calls another kernel with the same vectors. The call is out of line, unless the compiler

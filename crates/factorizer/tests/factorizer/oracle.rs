@@ -186,7 +186,7 @@ impl Oracle {
         let influence = |m: usize, at: usize| gram[at][m][m].sqrt() / frames as f64;
         let mut influences: Vec<f64> = (0..frames * size).map(|i| influence(i / size, i % size)).collect();
         if self.tied[n] {
-            // the sums above changed the red value alone; copy it to green and blue
+            // the sums above changed only the red value; copy it to green and blue
             for values in [&mut self.factors[n], &mut influences] {
                 values.chunks_exact_mut(3).for_each(|pixel| pixel.copy_from_slice(&[pixel[0]; 3]));
             }

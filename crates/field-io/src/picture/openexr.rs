@@ -27,8 +27,8 @@ pub enum Precision {
 const COMPRESSION: Compression = Compression::PIZ;
 /// Bytes that a chunk takes at least: its entry in the offset table and its header.
 const LEAST_BYTES_PER_CHUNK: u64 = 16;
-/// Largest factor by which pixels are larger than their file. Deflate packs 1032 bytes into one,
-/// and PXR24 keeps 24 of 32 bits.
+/// Largest size of decoded pixels, relative to the size of their file. Deflate packs 1032 bytes
+/// into one, and PXR24 keeps 24 of 32 bits.
 const MOST_EXPANSION: u64 = 1032 * 4 / 3;
 
 /// Writes one RGB picture, `[row][col][rgb]` linear, `size` = [columns, rows]. Equal values produce
