@@ -100,7 +100,7 @@ impl PointSpread {
         self.taps.len() / 2
     }
 
-    /// Scales the pixels so near to an end of a line that the point spread reaches over the end.
+    /// Scales the pixels near the ends of a line, where the point spread reaches past the end.
     fn scale_ends(&self, line: &mut [f32]) {
         let count = line.len();
         let left = self.radius().min(count);

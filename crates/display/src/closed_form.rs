@@ -133,7 +133,7 @@ mod tests {
     use super::*;
     use crate::LensletBacklight;
 
-    /// Largest relative difference between the general form and the closed ones.
+    /// Largest allowed relative difference between the general form and the closed forms.
     const AGREEMENT: f64 = 1e-6;
 
     /// A random display for which the closed form of a kind is exact.

@@ -185,7 +185,7 @@ impl Display {
         Ok(FieldGeometry { grid, ..self.field_pixels() })
     }
 
-    /// The light field's pixels with one straight view.
+    /// The light field's pixels with a single view along z.
     pub fn field_pixels(&self) -> FieldGeometry {
         FieldGeometry {
             rows: self.field.resolution[1],

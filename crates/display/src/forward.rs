@@ -24,7 +24,7 @@ pub const LEAST_SHARE: f32 = 0.5;
 #[derive(Clone, Debug, PartialEq)]
 pub struct EmittedView {
     /// Emitted radiance L̃, `[row][col][rgb]`; divided by the stack's brightness it is the picture
-    /// of an adapted viewer. Rays that leave the display are 0.
+    /// of an adapted viewer. The radiance of rays that miss the display is 0.
     pub radiance: Tensor<3>,
     /// True for a valid ray, `[row][col]` row-major: false if the ray misses the display under the
     /// display's [`Missing`] rule.

@@ -341,7 +341,7 @@ mod tests {
         for view in 0..geometry.grid.slope_y.len() {
             assert!(map.y(view).iter().all(|tap| !matches!(tap, BacklightTap::Lit { bin, .. } if *bin != view as u32)));
         }
-        // outside the bins: dark, or the neighbour's picture
+        // outside the bins a ray reads 0, or the picture of the neighbouring lenslet
         let steep = geometry.with_grid(ViewGrid::single(Projection::Oblique, [1.1 * (10f64.to_radians()).tan(), 0.0]));
         let near = LensletBacklight { d_mm: -1.0, ..backlight };
         assert_eq!(backlight_taps(&near, &Axis::X.centres(&steep), Axis::X)[geometry.cols - 1], BacklightTap::Dark);

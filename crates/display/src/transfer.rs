@@ -35,7 +35,7 @@ pub enum Transfer {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged, expecting = "one for all channels, or three: red, green, blue")]
 pub enum Channels<T> {
-    /// The same for all channels.
+    /// One value for all channels.
     Same(T),
     /// Red, green, blue.
     Rgb([T; 3]),

@@ -46,8 +46,8 @@ pub struct Begin {
     pub tries_local: bool,
 }
 
-/// Smallest fraction of the error at which the remaining error is computed as error − gain. The
-/// gain's terms are f32, so a smaller difference would be mostly rounding.
+/// The remaining error is computed as error − gain only if it exceeds this fraction of the error.
+/// The gain's terms are f32, so a smaller difference would be mostly rounding.
 const LEAST_LEFT: f64 = 0.01;
 
 /// The patterns of a run, on any device.

@@ -76,7 +76,7 @@ pub(crate) struct GatherFunctions {
     lanes: usize,
     /// For blocks in which all rays of every view are valid and have weight 1.
     whole: Function<ByBuffers>,
-    /// For all other blocks.
+    /// For blocks in which some rays are invalid or have another weight.
     masked: Function<ByBuffers>,
     step: StepFunctions,
 }

@@ -10,8 +10,8 @@ use crate::factor::{Layout, PAD};
 /// Weights of neighbouring pixels that differ by less are taken as equal; a mask value changes by
 /// no more than this difference.
 const SAME_WEIGHT: f32 = 1e-6;
-/// Smallest length of a piece of equal shift that has a separate loop. Shorter pieces are read by
-/// table.
+/// Smallest length of a piece of equal shift that has a separate loop. Shorter pieces are read
+/// through the tables of pixel indices.
 const SHORTEST_PIECE: usize = 8;
 /// Number of rays, weighted by their shares, up to which a pixel's sums stay in f32.
 ///
@@ -71,9 +71,9 @@ pub(crate) struct Piece {
 pub(crate) enum Access {
     /// Each ray reads its own column plus `by`, mixed with the next pixel by the weight `t`.
     Shift { by: isize, t: f32 },
-    /// Each ray reads one pixel, by table.
+    /// Each ray reads one pixel, whose index is in the table.
     Indexed,
-    /// Each ray reads two pixels, by table.
+    /// Each ray reads two pixels, whose indices are in the table.
     Mixed,
 }
 
@@ -233,7 +233,7 @@ fn pieces(taps: &[Option<Tap>], pad: isize) -> Vec<Piece> {
             _ => even.push(Piece { cols: col..col + 1, access: access(col) }),
         }
     }
-    // short pieces are read by table, and neighbouring pieces that are read by table become one
+    // short pieces are read through the tables, and neighbouring pieces of this kind become one
     let mut pieces: Vec<Piece> = Vec::new();
     for mut piece in even {
         if let Access::Shift { t, .. } = piece.access

@@ -56,7 +56,7 @@ pub(crate) fn reoptimize(prepared: Prepared, task: Task) -> Result<LayerStack, F
     let (frames, layers) = (display.frames, &display.layers);
     let mut engine = Engine::begin(prepared.into_begin(0.0, false));
     engine.cancel = task.cancel.clone();
-    // all frames of the layers with few bits begin free
+    // at first, no frame of the layers with few bits is confined
     let few: Vec<usize> = (0..layers.len()).filter(|&n| layers[n].bits.is_some()).collect();
     for &n in &few {
         let values = layers[n].levels();

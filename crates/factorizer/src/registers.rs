@@ -67,7 +67,7 @@ impl<const M: usize, const K: usize, const MASKED: bool, const DIAGONAL: bool> K
                     below[m] = products[m].mul_add(if DIAGONAL { products[m] } else { emitted }, below[m]);
                 }
             }
-            // the block gets n and d, or r and the diagonal
+            // the block gets n and d, or r and the diagonal of G
             for m in 0..M {
                 store(above[m], &mut buffers.block.residual, m * V::COUNT);
                 store(below[m], &mut buffers.block.emitted, m * V::COUNT);

@@ -69,7 +69,7 @@ impl AdjointSums {
                 let columns = filters.iter().cycle();
                 plane.iter().zip(columns).map(|(&value, filter)| value * filter[to]).collect::<Vec<f32>>()
             });
-            // tied channels are one variable, so their sums add up
+            // tied channels share one value, so their sums are added
             if response.is_tied() {
                 let [red, green, blue] = &stored;
                 let sum: Vec<f32> = red.iter().zip(green).zip(blue).map(|((r, g), b)| r + g + b).collect();

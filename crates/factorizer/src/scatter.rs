@@ -168,7 +168,7 @@ impl ScatterBand<'_> {
                 shares.push([1.0 - t, t]);
             }
         }
-        // without a share in the next line there are no high sums
+        // if no row of rays has a share in the next line, there are no high sums
         let is_high = shares.iter().any(|[_, high]| *high > 0.0);
         if shares.is_empty() || high_alone && !is_high {
             return;

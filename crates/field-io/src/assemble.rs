@@ -100,7 +100,7 @@ pub(crate) fn assemble(
     // Reserve a place for the result, and read views one at a time.
     let place = reading.paging.and_then(|paging| paging(&geometry));
     let mut all = match place {
-        // memory is reserved here and touched later: a header may claim any size
+        // memory is only reserved here and touched later, since a header may claim any size
         None => FieldWriter::Held { geometry: geometry.clone(), values: reserved(&path, count)? },
         Some(_) => FieldWriter::begin(geometry.clone(), place)?,
     };

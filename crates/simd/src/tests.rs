@@ -1,4 +1,4 @@
-//! Compares every operation of every backend that this machine has with the scalar twin.
+//! Compares every operation of every backend that this machine has with plain scalar code.
 
 use crate::{Backend, Kernel, Lanes, MAX_LANES, float_from_half, nearest_half};
 

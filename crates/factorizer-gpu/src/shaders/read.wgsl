@@ -1,5 +1,5 @@
-// Functions by which rays read factors, the target and weights. They are the twin of expand.rs and
-// rows.rs.
+// Functions by which rays read factors, the target and weights. They compute the same as the
+// factorizer's expand.rs and rows.rs.
 //
 // Buffers hold one channel. Factors are [line][frame][column] and the target is [field
 // row][view][field column], both cut to the window of the dispatch. Tables contain the line and

@@ -1,5 +1,5 @@
-// The update of one factor: sums over the rays through a pixel, and the step by these sums. It is
-// the twin of sums.rs and step.rs.
+// The update of one factor: sums over the rays through a pixel, and the step by these sums. It
+// computes the same as the factorizer's sums.rs and step.rs.
 
 const LEAST_CURVATURE: f32 = 1e-30;
 const LEAST_NORMAL: f32 = 1.17549435e-38;
