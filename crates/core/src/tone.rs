@@ -163,7 +163,7 @@ fn sigmoid(x: f32) -> f32 {
 fn with_hue_of(rgb: [f32; 3], before: [f32; 3]) -> [f32; 3] {
     let (low, high) = (rgb[0].min(rgb[1]).min(rgb[2]), rgb[0].max(rgb[1]).max(rgb[2]));
     let (Some(after), Some(before)) = (hue(rgb), hue(before)) else { return rgb };
-    // the shorter way round
+    // the turn goes the shorter way round the circle of hues
     let turn = (before - after + 9.0).rem_euclid(6.0) - 3.0;
     let hue = (after + (1.0 - HUE_AFTER) * turn).rem_euclid(6.0);
     // a channel has the value `high` up to 1 sextant from its own hue; it falls to `low` from 1 to

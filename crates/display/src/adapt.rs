@@ -123,7 +123,7 @@ impl Display {
         };
         let width = geometry.grid.bin_width()[axis];
         if width == 0.0 {
-            // a single view has no directions to separate: it takes the bins of one view, over all
+            // a single view has one direction, so it gets as many bins as one view, spread over all
             // of its rays
             let bins = (own_bins / own_views).round().max(1.0) as usize;
             let reach = outermost + fan;

@@ -322,7 +322,7 @@ impl Tile {
     pub fn geometry(&self, whole: &FieldGeometry) -> FieldGeometry {
         let mut grid = whole.grid.clone();
         if let Projection::Perspective { distance_mm } = grid.projection {
-            // the same eyes, relative to the tile's centre
+            // the eyes stay where they are, so their positions relative to the tile's centre change
             let [x, y] = centre_mm(&self.field, [whole.rows, whole.cols], whole.pitch_mm);
             grid.slope_x.iter_mut().for_each(|slope| *slope -= x / distance_mm);
             grid.slope_y.iter_mut().for_each(|slope| *slope -= y / distance_mm);

@@ -171,7 +171,8 @@ impl Engine {
         if self.stored[n].is_some() {
             return self.update_stored(n, rule, extrapolation, local);
         }
-        // update in place if no other line of the factor is read; otherwise into the spare storage
+        // update in place if no other line of the factor is read; otherwise write into the spare
+        // storage
         let in_place = self.is_fast(n);
         let mut values = std::mem::take(&mut self.factors[n].values);
         if !in_place {

@@ -126,7 +126,7 @@ impl FactorMap {
         let pad = (PAD + before as usize).next_multiple_of(PAD);
         // The stride is an odd number of cache lines. If the rows of all frames lie a multiple of 4
         // KiB apart, they share the same sets of the first-level cache. An update then takes 1.7
-        // times as long. A multiple of 1 KiB costs a fifth.
+        // times as long. If they lie a multiple of 1 KiB apart, it takes a fifth longer.
         let stride = ((pad + cols + after as usize + PAD).div_ceil(LINE) | 1) * LINE;
         let layout = Layout { bins: raw.bins, size: raw.size, frames, pad, stride, outside: raw.outside };
         // list where rays read; the line after the last one stands for a miss

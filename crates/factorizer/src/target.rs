@@ -417,7 +417,7 @@ mod tests {
         let halve =
             |pixel: [f32; 3], rows: [&mut [u16]; 3]| unsafe { Backend::best().function::<Halve>()((&pixel, rows)) };
         for bits in 0..=u16::MAX {
-            // by the definition of the format
+            // the value by the definition of the half-float format
             let (exponent, mantissa) = (i32::from(bits >> 10 & 31), f64::from(bits & 1023));
             let magnitude = match exponent {
                 0 => mantissa / 1024.0 * 2f64.powi(-14),

@@ -277,7 +277,7 @@ mod tests {
             assert_eq!(Folder::anywhere(&scene).read(name, 1).unwrap(), b"x", "{name}");
         }
         assert!(matches!(folder.read("none.png", 1).unwrap_err(), Refusal::Io(_)));
-        // a scene that is itself a link to a file in the folder of its textures
+        // the scene may itself be a link into the folder with its textures
         symlink(&scene, outer.path().join("alias.gltf")).unwrap();
         let folder = Folder::around(&outer.path().join("alias.gltf")).unwrap();
         assert!(folder.resolve(absolute).is_ok() && folder.resolve(root.join("textures/b.png")).is_ok());

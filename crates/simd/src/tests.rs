@@ -122,7 +122,7 @@ fn operands(seed: u32) -> Operands {
         state ^= state << 13;
         state ^= state >> 17;
         state ^= state << 5;
-        // 2^-20 to 2^20
+        // exponents from -20 to 20
         let exponent = 107 + state % 41;
         f32::from_bits((state & 0x8000_0000) | exponent << 23 | (state >> 8) & 0x7f_ffff)
     };

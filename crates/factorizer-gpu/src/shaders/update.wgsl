@@ -139,7 +139,7 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ end
 //@ end
 //@ if diagonal
-    // the steps are computed for the KKT residual alone, and the values stay
+    // the steps serve only the KKT residual, so the values do not change
     var curvature = 0.0;
     var step = 0.0;
 //@ frames

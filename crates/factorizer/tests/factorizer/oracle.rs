@@ -261,14 +261,14 @@ fn rays(problem: &Problem) -> Vec<Ray> {
     let mut rays = Vec::new();
     for [view_y, view_x] in field.grid.iter() {
         for (row, col) in (0..field.rows).flat_map(|row| (0..field.cols).map(move |col| (row, col))) {
-            // the ray at z = 0: point and slope
+            // the ray's position and slope at z = 0
             let x = (col as f64 - (field.cols as f64 - 1.0) / 2.0) * field.pitch_mm;
             let y = ((field.rows as f64 - 1.0) / 2.0 - row as f64) * field.pitch_mm;
             let (mut sx, mut sy) = (field.grid.slope_x[view_x], field.grid.slope_y[view_y]);
             if let Projection::Perspective { distance_mm } = field.grid.projection {
                 (sx, sy) = ((sx * distance_mm - x) / distance_mm, (sy * distance_mm - y) / distance_mm);
             }
-            // the pixels of each layer that it reads
+            // the pixels of each layer that the ray reads
             let mut reads = Vec::new();
             let mut counts = true;
             for layer in &display.layers {
@@ -289,7 +289,7 @@ fn rays(problem: &Problem) -> Vec<Ray> {
                     reads.push(Read::Entries(entries(layer, &pixels)));
                 }
             }
-            // the lenslet and angular bin that it hits
+            // the lenslet and angular bin that the ray hits
             if let Backlight::Lenslets(b) = &display.backlight {
                 let ([cols, rows], [bins_x, bins_y]) = (b.lenslets.map(|n| n as f64), b.views.map(|n| n as f64));
                 let i = ((x + b.d_mm * sx - b.offset_mm[0]) / b.pitch_mm + (cols - 1.0) / 2.0 + 0.5).floor();
