@@ -106,19 +106,19 @@ impl Row {
 pub struct NodeRow {
     /// Name of the node.
     pub id: String,
-    /// As in [`Row`].
+    /// Defined as in [`Row`].
     #[serde(default)]
     pub psnr_zone_db: Option<f64>,
-    /// As in [`Row`].
+    /// Defined as in [`Row`].
     #[serde(default)]
     pub psnr_zone_worst_tenth_db: Option<f64>,
-    /// As in [`Row`].
+    /// Defined as in [`Row`].
     pub psnr_view_db: f64,
-    /// As in [`Row`].
+    /// Defined as in [`Row`].
     pub psnr_raw_db: f64,
-    /// As in [`Row`].
+    /// Defined as in [`Row`].
     pub psnr_between_db: Option<f64>,
-    /// As in [`Row`].
+    /// Defined as in [`Row`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub psnr_worst_db: Option<f64>,
 }

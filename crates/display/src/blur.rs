@@ -12,7 +12,7 @@
 //! symmetric band of weights. Then the map is D·K, and its transpose K·D.
 //!
 //! The simple version makes two passes over the plane, with a loop over the weights for each pixel.
-//! Departures from it:
+//! Departures from the simple version:
 //!
 //! 1. The rows are summed into one line with zeros on both sides, and the second pass runs along
 //!    that line immediately. So the plane is read and written once, and no pixel tests for the

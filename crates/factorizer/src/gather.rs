@@ -14,7 +14,7 @@
 //! step f_n[j][..][x] by r and G
 //! ```
 //!
-//! Departures:
+//! Departures from the simple version:
 //!
 //! 1. **Blocks.** Columns are processed in blocks of one vector, and a block sums all views before
 //!    the next begins. Its values stay in the first-level cache, and accumulators stay in

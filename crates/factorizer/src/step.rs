@@ -88,7 +88,7 @@ pub(crate) struct Levels {
 pub(crate) enum Freedom {
     /// Any value in the box.
     Free,
-    /// Only levels.
+    /// Only the levels of the factor.
     Levels,
 }
 

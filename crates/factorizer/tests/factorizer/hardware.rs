@@ -11,7 +11,7 @@ use lumistack_factorizer::{Factorization, Problem, Settings, factorize};
 /// Number of iterations of every solve; PSNR differences then vary by about 0.2 dB.
 const ITERATIONS: u32 = 30;
 
-/// PSNR difference that is taken as none after so few iterations, dB.
+/// PSNR differences below this limit are ignored after so few iterations, dB.
 const NEGLIGIBLE_DB: f64 = 0.2;
 
 fn solve(display: &Display, target: &LightField, levels: bool) -> Factorization {

@@ -184,8 +184,8 @@ fn black_patterns_are_a_start_like_any_other() {
     for iterations in [1, 5] {
         let settings = Settings { solver: "block-exact".into(), iterations, ..Settings::default() };
         let (_, psnr) = solve(&owned, &settings, Some(&black));
-        // the frames stay equal, so the half that is not black can be shown only as well as by one
-        // frame
+        // all frames stay equal, so the display shows the half that is not black no better than a
+        // display with one frame
         assert!(psnr > 12.0, "{psnr} dB after {iterations} iterations from black");
     }
     // a mask that was black in one time step becomes bright in the next
