@@ -83,6 +83,7 @@ impl<'a> Executor<'a> {
 
     /// Executes one step. Results of earlier steps are read from the run folder, or else made.
     ///
+    /// # Errors
     /// The errors of [`execute`](Self::execute), and an error if there is no such step.
     pub(crate) fn execute_alone(&mut self, id: &str) -> Result<(), PipelineError> {
         self.context.check()?;
@@ -94,6 +95,7 @@ impl<'a> Executor<'a> {
     /// Executes steps of one part as a unit of work, while other processes execute other units. The
     /// caller shares the lock of the run folder with these processes. All input units must be done.
     ///
+    /// # Errors
     /// The errors of [`execute`](Self::execute), and an error if there is no such step.
     pub(crate) fn execute_unit(
         &mut self,
