@@ -68,7 +68,7 @@ pub enum PipelineError {
         /// The folder.
         folder: PathBuf,
     },
-    /// The worker has another build, whose results may differ from those of other workers.
+    /// The worker has another build, so its results may differ from the other workers' results.
     #[error(
         "{}: expected the program that planned the run ({plan}), found another ({worker}); install the same build on all workers, or plan the run again",
         folder.display()

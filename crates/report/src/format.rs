@@ -61,8 +61,8 @@ pub(crate) fn duration(seconds: f64) -> String {
     }
 }
 
-/// Round numbers of seconds without unnecessary digits: "20 ms", "0.5 s", "50 s"; longer times as
-/// [`duration`].
+/// Round numbers of seconds without unnecessary digits: "20 ms", "0.5 s", "50 s". Longer times have
+/// the format of [`duration`].
 pub(crate) fn duration_short(seconds: f64) -> String {
     match seconds {
         s if s < 0.0995 => format!("{} ms", number_short_round(1e3 * s)),

@@ -35,9 +35,9 @@ pub(crate) struct Embedded {
 /// File format of an embedded picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Encoding {
-    /// Lossless, for small groups of pictures.
+    /// Lossless; used for small groups of pictures.
     Png,
-    /// For large pictures, without chroma subsampling.
+    /// Lossy, without chroma subsampling; used for large pictures.
     Jpeg,
 }
 

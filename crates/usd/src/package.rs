@@ -82,7 +82,7 @@ pub struct Note {
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(default)]
 pub struct Contents {
-    /// Variant sets, except those inside instances.
+    /// Variant sets, except variant sets inside instances.
     pub variant_sets: Vec<VariantSet>,
     /// Paths of cameras.
     pub cameras: Vec<String>,

@@ -39,7 +39,8 @@ pub struct Figures {
     /// Overlap of the pixels that surfaces cover, 0..1. It is the number of pixels that are covered
     /// in both renders, divided by the number covered in at least one.
     pub overlap: f64,
-    /// Centroid of the covered pixels of our render minus that of Blender's, pixels (right, down).
+    /// Centroid of the covered pixels of our render minus the centroid in Blender's render, pixels
+    /// (right, down).
     pub shift: [f64; 2],
 }
 

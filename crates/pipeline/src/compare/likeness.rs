@@ -138,7 +138,7 @@ pub(super) fn target_of(run: &Path) -> Result<Option<LightField>, PipelineError>
     Ok(None)
 }
 
-/// The difference of two pictures, added to middle grey.
+/// Returns `second` minus `first`, added to middle grey.
 pub(super) fn difference(first: &[f32], second: &[f32]) -> Vec<f32> {
     // Middle grey is ½ after sRGB encoding, and 0.214 in linear light.
     first.iter().zip(second).map(|(a, b)| (0.214 + (b - a)).clamp(0.0, 1.0)).collect()

@@ -1,8 +1,8 @@
 //! Compares a photograph of panels with the simulation of their run.
 //!
 //! The homography of the display's four corners rectifies the photograph. A factor g adapts its
-//! exposure to that of the simulation. The factor minimizes Σ (g p − s)² over photograph p and
-//! simulation s, in linear light and without clipped pixels:
+//! exposure to the simulation. The factor minimizes Σ (g p − s)² over photograph p and simulation
+//! s, in linear light and without clipped pixels:
 //!
 //! ```text
 //! g = Σ s p / Σ p²

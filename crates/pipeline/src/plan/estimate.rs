@@ -275,7 +275,7 @@ struct Sizes {
 /// Memory that is used at the same time, bytes. A light field in a mapped file counts only by the
 /// part of it that is in memory.
 struct Memory {
-    /// The light fields: the target and those for the report.
+    /// The light fields: the target, and the light fields for the report.
     fields: f64,
     /// The solver, without the light fields.
     solving: f64,

@@ -373,7 +373,7 @@ fn parts(display: &Display, geometry: &FieldGeometry, window: &Window) -> Vec<Pa
     let [rows, cols] = [edge.min(geometry.rows), edge.min(geometry.cols)];
     let area = (geometry.rows * geometry.cols) as f64 / (rows * cols) as f64;
     let count = ((MOST_AREA * area) as usize).clamp(1, PARTS);
-    // a single section is in the middle
+    // if there is only one section, it is in the middle of the picture
     let places = spread(count);
     let [free_rows, free_cols] = [geometry.rows - rows, geometry.cols - cols].map(|free| free as f64);
     places

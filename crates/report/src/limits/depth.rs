@@ -45,8 +45,8 @@ const JUMP_SHARE: f32 = 1.0 / 240.0;
 const NEAR: usize = 2;
 
 impl DepthMap {
-    /// Depth of `view`, by matching it with `neighbour` in the same row of views. `None` if both
-    /// have the same direction.
+    /// Computes the depth of `view` by matching it with `neighbour`, a view in the same row of
+    /// views. `None` if both have the same direction.
     pub(crate) fn new(field: &LightField, view: [usize; 2], neighbour: [usize; 2]) -> Option<Self> {
         let geometry = field.geometry();
         let step = geometry.grid.slope_x[neighbour[1]] - geometry.grid.slope_x[view[1]];

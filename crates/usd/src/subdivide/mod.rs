@@ -5,7 +5,7 @@
 //! the next level. It depends on the topology alone, so all vertex data share its weights.
 //! Refinement is uniform, and each level reduces sharpness by 1 (DeRose, Kass, Truong 1998). A
 //! fractional sharpness blends two rules. The last level is projected to the limit surface, and the
-//! normals are those of its exact tangent planes.
+//! normals are perpendicular to its exact tangent planes.
 //!
 //! Face-varying data are vertex data of a second mesh. It has the same faces, and one vertex per
 //! distinct value at a vertex, so seams are its boundaries.

@@ -383,7 +383,7 @@ fn bilinear_surfaces_are_only_cut() {
     let normals = refinement.normals(&cube.flat());
     let flat = vectors(&normals.values);
     assert!(flat.iter().all(|normal| normal.abs().max_element() > 0.999_99));
-    // varying data of a smooth surface equal those of the bilinear surface
+    // a smooth surface has the same varying data as the bilinear surface
     let smooth = Refinement::new(&cube.cage(Scheme::CatmullClark), 2);
     assert_eq!(smooth.varying(&cube.flat(), 3), refinement.vertex(&cube.flat(), 3));
 }

@@ -225,7 +225,7 @@ fn normal_maps_arrive_through_the_nodes_that_lie_behind_them() {
         node("ND_remap_vector3FA", "tex", ends).replace("\"last\"", "\"remapped\"")
     });
     assert_eq!(through(&decoded), Some(plain.clone()));
-    // the strength of a map is the weight of a mix with the surface's normal
+    // a mix with the surface's own normal (0, 0, 1) sets the strength of the map
     let mixed = r#"def Shader "last" {
             uniform token info:id = "ND_mix_vector3"
             float3 inputs:fg.connect = </m/map.outputs:out>
