@@ -86,7 +86,7 @@ fn the_commands_of_the_readme_work_and_report_replaced_files() {
     ] {
         assert!(text.contains(expected), "{expected}: {text}");
     }
-    // an option with the value that the light field has already replaces nothing
+    // an option that gives the light field's own value replaces nothing
     let text = said(lumistack().current_dir(&folder).args(&factorize).args(&SMALL[6..]).args(["--fov", "20x20"]));
     assert!(!text.contains("replaced"), "{text}");
 }

@@ -37,7 +37,7 @@ pub(crate) enum Interpolation {
     Constant,
     /// Every face has a value.
     Uniform,
-    /// Every point has a value, which subdivision does not smooth.
+    /// Every point has a value. Subdivision does not smooth these values.
     Varying,
     /// Every point has a value.
     Vertex,

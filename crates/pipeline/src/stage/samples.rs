@@ -265,7 +265,8 @@ fn render(
     let storage = place.map(|(folder, limit)| lumistack_field_io::storage(folder, limit));
     let [rows, cols] = [traced.rows, traced.cols];
     let size = rows * cols * SplitView::VALUES;
-    // Averaged light has less noise, so the measurement averages if the job does.
+    // Light that views share has less noise. So the measurement shares light between views if the
+    // job does.
     let of_file = |error| PipelineError::write(place.map_or(Path::new(""), |(folder, _)| folder))(error);
     let mut light = match &storage {
         _ if shot.denoise() != Denoise::Shared => None,
