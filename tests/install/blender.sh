@@ -1,6 +1,7 @@
 #!/bin/sh
-# Installs the extension with its wheel by Blender's own command in Debian's Blender, and presses its button. If there is no
-# clean Debian, it uses the module bpy of $BLENDER_PYTHON, which `cargo xtask blender` fetches.
+# Installs the extension with its wheel by Blender's own command in Debian's Blender, and presses
+# its button. Without a clean Debian, uses the module bpy of $BLENDER_PYTHON, which `cargo xtask
+# blender` fetches.
 . "$(dirname "$0")/common.sh"
 case $(uname -m) in x86_64) platform=linux_x64 ;; *) platform=linux_arm64 ;; esac
 zip=$(one "lumistack-blender-*-$platform.zip")

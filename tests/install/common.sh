@@ -1,5 +1,5 @@
-# Functions for the other scripts: they find files in $DIST, and run the first job in a small size. CLEAN is set if the whole
-# machine belongs to the test.
+# Functions for the other scripts. They find files in $DIST, and run the first job in a small size.
+# CLEAN is set if the whole machine belongs to the test.
 set -eu
 : "${DIST:?names the folder target/dist}"
 HERE=$(cd "$(dirname "$0")" && pwd)
@@ -7,7 +7,7 @@ WORK=$(mktemp -d)
 trap 'rm -rf "$WORK"' EXIT
 cd "$WORK"
 
-# the one file of target/dist that fits a pattern
+# prints the only file of target/dist that matches a pattern
 one() {
     # shellcheck disable=SC2086
     set -- "$DIST"/$1
@@ -16,7 +16,7 @@ one() {
     echo "$1"
 }
 
-# installs programs of the system that a user has already
+# installs programs that a user's system has already
 packages() {
     if [ -n "${CLEAN:-}" ]; then
         apt-get update -qq
@@ -24,7 +24,7 @@ packages() {
     fi
 }
 
-# runs and times the command that installs
+# runs the command that installs, and prints its duration
 installs() {
     start=$(date +%s.%N)
     "$@"
@@ -35,13 +35,13 @@ no_rust() {
     if command -v cargo >/dev/null; then echo "cargo is on PATH: this is no clean machine" >&2; exit 1; fi
 }
 
-# unpacks the tarball; other ways use its scenes
+# unpacks the tarball; tests of other packages use its scenes
 tarball() {
     mkdir -p "$HOME/.local"
     installs tar xzf "$(one "lumistack-*-$(uname -m)-unknown-linux-gnu.tar.gz")" -C "$HOME/.local" --strip-components=1
 }
 
-# runs README's first job in a small size: first_job PROGRAM SCENES
+# runs the first job of README in a small size: first_job PROGRAM SCENES
 first_job() {
     "$1" --version
     "$1" doctor
@@ -51,7 +51,7 @@ first_job() {
     done
     "$1" simulate "$WORK/run" --view 4,-2 -o "$WORK/view.png"
     [ -s "$WORK/view.png" ]
-    # the second run finds all results cached
+    # a second run reuses all results
     small "$@" | grep PSNR
 }
 

@@ -1,5 +1,6 @@
 #!/bin/sh
-# Installs the npm package by npm, and shows it by a browser in a separate page.
+# Installs the npm package with npm. A browser then shows the viewer in a page outside of the
+# package.
 . "$(dirname "$0")/common.sh"
 packages nodejs npm chromium
 tarball
