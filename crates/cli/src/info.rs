@@ -208,8 +208,8 @@ fn toml(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, Pipel
     let job = match Job::load(path) {
         Ok(job) => job,
         Err(job_error) => {
-            // Neither kind of file can be read. A file with [[layers]] is taken as a display, any
-            // other as a job, and the error of that kind is reported.
+            // The file is neither a valid job nor a valid display. A file with [[layers]] counts as
+            // a display, any other file as a job, and the error for this kind is reported.
             return match presets::load_file(path) {
                 Ok(found) => Ok(display(&found)),
                 Err(display_error) => {

@@ -1,12 +1,12 @@
-//! Serves a folder's files on the loopback interface: no file outside of the folder, and to no
-//! other machine.
+//! Serves the files of a folder on the loopback interface. Other machines cannot connect, and files
+//! outside of the folder are not served.
 //!
-//! It answers `GET` and `HEAD` only, and closes the connection after every response.
+//! The server answers `GET` and `HEAD` only, and closes the connection after every response.
 //!
-//! Every connection has its own thread; there are at most [`MOST`]. A request has a head of at most
-//! 16 KiB, received within 5 s, and no body. So a client that sends slowly or does not read delays
-//! no other client. When there are too many connections, the oldest without a complete request is
-//! closed first.
+//! Every connection has its own thread; there are at most [`MOST`] connections. A request has a
+//! head of at most 16 KiB, received within 5 s, and no body. So a client that sends slowly or does
+//! not read delays no other client. When there are too many connections, the oldest one without a
+//! complete request is closed first.
 
 use std::fs::File;
 use std::io::{self, Read, Write};
@@ -102,7 +102,8 @@ const SCRIPT: &str = "/.live.js";
 const STATES: &str = "/.live";
 /// Path to which the script sends its viewing position.
 const LOOK: &str = "/.look";
-/// The beginning of the element that shows a preview: as the page has it, and without an address.
+/// The beginning of the element that shows a preview. A live display replaces the first text, which
+/// the page contains, by the second, which names no preview.
 const ELEMENT: [&str; 2] = ["<lumistack-viewer src=\"stack/preview.json\"", "<lumistack-viewer"];
 
 /// Serves requests until `tick` returns `None`. `tick` is called about five times a second, and
@@ -530,7 +531,7 @@ mod tests {
             assert_eq!(get(&root, "/link.txt").0, 404);
             std::os::unix::fs::symlink(folder.path(), root.join("up")).unwrap();
             assert_eq!(get(&root, "/up/secret.txt").0, 404);
-            assert_eq!(get(&root, "/up/site/index.html").0, 200, "back inside");
+            assert_eq!(get(&root, "/up/site/index.html").0, 200, "the path leads back into the folder");
         }
     }
 
@@ -641,7 +642,7 @@ mod tests {
                 let stuck: Vec<TcpStream> = (0..200)
                     .map(|_| {
                         let mut stream = connect(port);
-                        // the server may have closed it already
+                        // the server may have closed the connection already
                         let _ = stream.write_all(start.as_bytes());
                         stream
                     })

@@ -153,7 +153,7 @@ fn subject(args: &Show, dir: &Path) -> Result<Subject, PipelineError> {
         subject.file = Some(path.clone());
     }
     if args.fit {
-        // the panels differ from those of the file, so their shifts must not be saved to it
+        // the panels are not the file's panels, so their shifts must not be saved to the file
         subject.file = None;
     }
     Ok(subject)
@@ -169,7 +169,7 @@ fn calibrated(display: &Display, measured: &Display, path: &Path) -> Result<Disp
         let expected = "the layers and lenslets that the patterns were made for";
         return Err(PipelineError::value(path, "layers", expected, "others"));
     }
-    // distances and frames must stay those of the patterns
+    // distances and frames must stay as they are in the patterns' display
     let mut display = display.clone();
     for (own, measured) in display.layers.iter_mut().zip(&measured.layers) {
         own.panel.clone_from(&measured.panel);
@@ -205,7 +205,7 @@ fn params(args: &Show) -> Result<Value, PipelineError> {
         }
     };
     set("hold", args.hold.map(Value::from));
-    // for the presenter 0 means "not set", so the options refuse it
+    // for the presenter 0 means "not set", so the options refuse 0
     for (flag, value) in [("--duration-s", args.duration_s), ("--eye-mm", args.eye_mm.map(|eye| eye.0[2]))] {
         if let Some(found) = value.filter(|value| *value <= 0.0) {
             return Err(PipelineError::value(flag, "value", "a number above 0", found.to_string()));

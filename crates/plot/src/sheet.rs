@@ -81,8 +81,8 @@ const LEGEND: u32 = 214;
 /// steps are not visible.
 const FINE: u32 = 4;
 
-/// Draws curves in front of bars `[from, to, height as a fraction of the axis]` and in front of
-/// levels (name, y).
+/// Draws curves in front of bars `[from, to, height as a fraction of the axis]`, and in front of
+/// horizontal lines at `levels` (name, y).
 ///
 /// # Errors
 /// If there is nothing to draw.

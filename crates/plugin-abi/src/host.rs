@@ -29,7 +29,7 @@ pub struct HostServices {
     pub context: *const c_void,
     /// Reports a message; `level` is one of [`level`].
     pub log: unsafe extern "C" fn(context: *const c_void, level: u32, message: Str),
-    /// Starts a stage of `total` steps of kind `unit` ("files").
+    /// Starts a stage of `total` steps; `unit` names them, such as "files".
     pub progress_begin: unsafe extern "C" fn(context: *const c_void, stage: Str, total: u64, unit: Str),
     /// Reports finished steps. `note` is a short value to show next to the progress bar, or empty.
     pub progress_advance: unsafe extern "C" fn(context: *const c_void, steps: u64, note: Str),

@@ -30,8 +30,8 @@ struct Files {
 
 struct OpenFile {
     name: String,
-    /// Path of the open file, in the folder of the committed files. Its name starts with a dot,
-    /// which no name of a plugin's file may do.
+    /// Path of the open file, in the folder of the committed files. The file's name starts with a
+    /// dot, so no file that a plugin names can have it.
     path: PathBuf,
     writer: BufWriter<File>,
 }
@@ -77,7 +77,7 @@ impl Services for DiskHost<'_> {
     }
 
     fn file_open(&self, path: &str) -> Result<u64, PluginError> {
-        // stops plugins that never check for cancellation
+        // this check also stops plugins that never check for cancellation themselves
         self.task.cancel.check()?;
         path_parts(path)?;
         let mut files = self.files();

@@ -128,7 +128,7 @@ impl Host {
                     ask();
                 }
             });
-            // dropped after a panic, too; otherwise the scope would wait for ever
+            // `_done` is dropped after a panic too; otherwise the scope would wait for ever
             let _done = Done { done: &done, checker: checker.thread().clone() };
             work(Task { progress: &forward, warnings: &forward, cancel: &cancel })
         })

@@ -39,7 +39,7 @@ def random_window(chance: random.Random) -> Window:
 
 @pytest.mark.parametrize("distance_mm", [None, 600.0, 200.0])
 def test_a_view_sees_what_lies_on_its_rays(distance_mm: float | None) -> None:
-    """Compares with the rays of the design, computed independently: (x, y, 0) + z (s, 1), and those
+    """Compares with the rays of the design, computed independently: (x, y, 0) + z (s, 1), and rays
     through an eye."""
     chance = random.Random(1)
     for _ in range(200):
@@ -294,7 +294,7 @@ def test_only_the_last_files_of_a_scene_stay(tmp_path: Path) -> None:
         for number in range(KEPT + 3):
             made.append(files.next())
             made[-1].write_text(str(number))
-            # A file that is taken back is no new one.
+            # The number of a file that is taken back is used again.
             files.next().write_text("the same")
             files.back()
         assert len(set(made)) == KEPT + 3
@@ -329,7 +329,7 @@ def test_a_live_display_follows_changes_and_ends_with_its_folder(tmp_path: Path)
     live.change({"display.bright": 0.3}, time.monotonic())
     refused = until(live, lambda state: state.problem != "")
     assert "did you mean `brightness`?" in refused.problem and live.is_shown and refused.content == 2
-    # The next change takes the message back.
+    # The next change clears the message.
     live.change({"display.brightness": 0.4}, time.monotonic())
     assert until(live, lambda state: state.content == 3).problem == ""
     assert until(live, lambda state: state.address != "").address.startswith("http://localhost:")
@@ -355,11 +355,11 @@ def test_a_live_display_ends_with_the_program_that_started_it(tmp_path: Path) ->
     )
     done = subprocess.run([sys.executable, "-c", text, *live_words(tmp_path)], capture_output=True, text=True)
     assert done.returncode == -signal.SIGKILL, done
-    # Its run folder is free again: until then another display refuses it.
+    # The run folder becomes free when the program ends; until then other displays refuse it.
     for _ in range(60):
         live = Live(live_words(tmp_path), os.environ)
         if until(live, lambda state: state.states > 0 or state.code is not None).code is None:
             live.end(60.0)
             return
         time.sleep(1.0)
-    raise AssertionError("it runs on")
+    raise AssertionError("the live display still runs after its caller was killed")

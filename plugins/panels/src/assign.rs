@@ -117,7 +117,7 @@ pub fn assign(display: &Display, outputs: &[Output]) -> Result<Vec<(Shows, Outpu
             Some(name) => outputs.iter().find(|output| output.name == name),
             None => free.next(),
         };
-        (shows, output.expect("there are enough, and the named ones are there").clone())
+        (shows, output.expect("there are enough outputs, and all named outputs exist").clone())
     });
     Ok(chosen.collect())
 }

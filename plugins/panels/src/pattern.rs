@@ -107,9 +107,9 @@ pub fn crosses(display: &Display) -> [usize; 2] {
 }
 
 impl Pattern {
-    /// Codes `[row][col][red, green, blue, 255]` of the output that shows `shows`. With `only`, all
-    /// other layers are clear, and the crosses of that layer are black. `eye_mm` is the eye
-    /// position of the crosses, display space, millimetres.
+    /// Codes `[row][col][red, green, blue, 255]` of the output that shows the panel `shows`. With
+    /// `only`, all panels except `only` are clear, and its crosses are black. `eye_mm` is the eye
+    /// position for which the crosses coincide, display space, millimetres.
     ///
     /// # Errors
     /// If the display has no such lenslet or bin.

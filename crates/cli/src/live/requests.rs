@@ -1,5 +1,5 @@
-//! The newest requests: the job, as files, command line and commands have changed it, and the
-//! viewers.
+//! The newest requests: the job with the changes by files, command line and commands, and the
+//! positions of the viewers.
 
 use std::collections::HashSet;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -115,7 +115,8 @@ impl Requests {
         self.stopped.store(true, Ordering::SeqCst);
     }
 
-    /// Makes the end of standard input stop the display: a program that starts it may crash.
+    /// Makes the end of standard input stop the display. So the display also ends if the program
+    /// that started it crashes.
     pub(super) fn stop_at_end(&self) {
         self.stops_at_end.store(true, Ordering::SeqCst);
     }
@@ -146,7 +147,7 @@ pub(super) struct Once<'a> {
     seen: Mutex<HashSet<String>>,
 }
 
-/// The message of the newest request; empty without one.
+/// The message of the newest request; empty if there is none.
 #[derive(Default)]
 pub(super) struct Messages(Mailbox<String>);
 
@@ -175,7 +176,7 @@ impl<'a> Once<'a> {
 
 impl Warnings for Once<'_> {
     fn warn(&self, warning: Warning) {
-        // the page itself is the place of the display's own errors
+        // on the page, errors of the live display itself need no place in front of the message
         let is_own = warning.place == "live";
         self.messages.say(if is_own { warning.message.clone() } else { warning.to_string() });
         let mut seen = lock(&self.seen);

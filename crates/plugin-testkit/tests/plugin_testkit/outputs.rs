@@ -293,7 +293,8 @@ impl<const FAULT: u8> OutputPlugin for Faulty<FAULT> {
     }
 
     fn finish(self) -> Result<(), PluginError> {
-        // all variants write this file, so that only the violated rule differs
+        // A plugin that leaks its files writes this file, so that it does not also violate the
+        // rule that an output writes something.
         if FAULT == LEAKS_FILES { self.host.write("finished.txt", b"") } else { Ok(()) }
     }
 }

@@ -22,8 +22,8 @@ pub struct Cross {
 const DARK: f32 = 0.4;
 /// Smallest number of pixels of a component.
 const MIN_PIXELS: usize = 12;
-/// Limits of the fraction of its bounding box that a component fills: less for a cross, more than
-/// [`DISC_FILLS`] for a disc.
+/// A component that fills less than this fraction of its bounding box may be a cross. A component
+/// that fills more than [`DISC_FILLS`] may be a disc.
 const CROSS_FILLS: f64 = 0.5;
 const DISC_FILLS: f64 = 0.62;
 /// Largest distance of a neighbour from its expected position, in steps of the array.
@@ -201,7 +201,7 @@ impl Darkness {
     }
 
     /// Intersection of the lines of a cross's arms near `at`, pixels; `arm` is the arms' length.
-    /// Iterates until the shift is below 1e-4 pixels.
+    /// Iterates until the shift is below 1e-4 pixels, at most six times.
     fn centre(&self, mut at: [f64; 2], arm: f64) -> Option<[f64; 2]> {
         // slopes of the lines against the photograph's rows and columns
         let mut slope = [0.0f64; 2];

@@ -52,7 +52,7 @@ const SHADER: &str = "
 
 @vertex
 fn corner(@builtin(vertex_index) i: u32) -> @builtin(position) vec4<f32> {
-    // one triangle over everything
+    // one triangle that covers the whole target
     return vec4<f32>(f32(i32(i & 1u) * 4 - 1), f32(i32(i >> 1u) * 4 - 1), 0.0, 1.0);
 }
 

@@ -130,9 +130,9 @@ class Store:
         return entries
 
     def pull(self, names: Iterable[str], folder: Path) -> list[str]:
-        """Copies the files of lists into a folder, later lists last; returns the lists that do not exist.
+        """Copies the files that lists name into a folder; returns the lists that do not exist.
 
-        A file whose content is already that of the list is not written again. If several units wrote a file, such as
+        A file that already has the content that its list states is not written again. If several lists name a file, such as
         the run's bookkeeping, the version of the last list is used.
         """
         wanted: dict[str, dict[str, Any]] = {}
@@ -201,7 +201,7 @@ class Mirror:
         return cls.known[key]
 
     def take(self, needs: list[str], sent: list[str]) -> list[str]:
-        """Copies the files of units into the mirror. Returns the maps that lead to the files that the
+        """Copies the files of units into the mirror. Returns the path mappings to the files that the
         client sent."""
         run = self.run
         new = [unit for unit in needs if unit not in self.taken]
