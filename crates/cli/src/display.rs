@@ -41,7 +41,7 @@ pub(crate) struct New {
     /// fewer than layers; 0 stands for a single layer without a gap
     #[arg(long, value_name = "MM,...", value_delimiter = ',')]
     pub(crate) gaps_mm: Option<Vec<f64>>,
-    /// Columns and rows of every panel [default: those of the outputs]
+    /// Columns and rows of every panel [default: the size of the first output]
     #[arg(long, value_name = "CxR")]
     pub(crate) panel_resolution: Option<Size>,
     /// Pixel pitch of every panel, millimetres
@@ -67,7 +67,7 @@ pub(crate) struct New {
     /// 60, rounded down, at least 1]
     #[arg(long, value_name = "M")]
     pub(crate) frames: Option<usize>,
-    /// Refresh rate of the panels, hertz [default: that of the outputs, or 60]
+    /// Refresh rate of the panels, hertz [default: the rate of the first output, or 60]
     #[arg(long, value_name = "HZ")]
     pub(crate) refresh_hz: Option<f64>,
     /// Brightness scale β [default: 0.2]

@@ -99,7 +99,7 @@ pub(crate) struct RenderArgs {
     /// Centre and radius of a sphere, scene units; splats whose centres lie outside are left out
     #[arg(long, value_name = "X,Y,Z,R", allow_hyphen_values = true)]
     pub(crate) crop_sphere: Option<Numbers<4>>,
-    /// Environment map (Radiance HDR or EXR) instead of the scene's
+    /// Environment map (Radiance HDR or EXR) that replaces the scene's environment
     #[arg(long, value_name = "FILE")]
     pub(crate) environment: Option<PathBuf>,
     /// Factor on the light of the environment or the studio light
@@ -482,7 +482,7 @@ pub(crate) fn in_place(error: PipelineError, input: &Path) -> PipelineError {
     }
 }
 
-/// Converts the geometry flags to those of a job.
+/// Converts the geometry options to the form that the pipeline reads.
 pub(crate) fn geometry(args: &GeometryArgs) -> GeometryFlags {
     GeometryFlags {
         grid: args.grid.as_deref().map(|grid| match grid {

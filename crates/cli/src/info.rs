@@ -182,7 +182,7 @@ fn on_display(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value,
     let Prediction { depth, coverage, memory } = predict(&job, registry, task)?;
     let mut figures = depth.to_json();
     if let Some(figures) = figures.as_object_mut() {
-        // histograms are for plots; the report has them
+        // histograms are too long for this list; report.json of a run has them
         figures.retain(|key, _| !key.ends_with("histogram"));
     }
     let megabytes = |bytes: usize| format!("{:.1} MB", bytes as f64 / 1e6);

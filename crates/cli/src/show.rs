@@ -159,7 +159,7 @@ fn subject(args: &Show, dir: &Path) -> Result<Subject, PipelineError> {
     Ok(subject)
 }
 
-/// Returns the display with the panels' calibration of another file for the same layers.
+/// Returns the display with the calibration of `measured`, which must have the same layers.
 fn calibrated(display: &Display, measured: &Display, path: &Path) -> Result<Display, PipelineError> {
     let fits = |display: &Display| {
         let masks: Vec<_> = display.layers.iter().map(|layer| (layer.resolution, layer.pitch_mm.to_bits())).collect();

@@ -46,7 +46,8 @@ pub(crate) struct Sweep {
     axes: Axes,
     #[command(flatten)]
     search: Search,
-    /// Display to vary instead of the job's: a preset (see `lumistack displays`) or a display file
+    /// Display to vary instead of the job's display: a preset (see `lumistack displays`) or a
+    /// display file
     #[arg(long, value_name = "NAME|FILE", help_heading = "Display")]
     display: Option<std::ffi::OsString>,
     /// Columns and rows of the light field; the masks' resolutions change by the same factor

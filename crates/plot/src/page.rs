@@ -25,8 +25,7 @@ pub struct Bars<'a> {
     pub shares: &'a [f64],
 }
 
-/// Draws a line through finite points. The last value, in decibels, is written next to the line's
-/// end.
+/// Draws a line through finite points, and writes the last value, in decibels, at the line's end.
 /// `labels` name the horizontal and the vertical axis.
 ///
 /// # Errors

@@ -98,7 +98,7 @@ pub struct SourceVtable {
     /// Size of this struct in bytes.
     pub size: usize,
     /// Makes the light field of one time step. It should have the display's geometry; the host
-    /// accepts others. `host` offers the same as for importers.
+    /// accepts other geometries. `host` offers messages, progress and cancellation, but no files.
     pub make: Option<
         unsafe extern "C" fn(
             host: *const HostServices,
@@ -173,7 +173,7 @@ pub struct NodeVtable {
     pub size: usize,
     /// Makes the patterns of one time step. `data` is a light field of the display's geometry; its
     /// description has the further keys for nodes that [`Data::description_json`] lists. `host`
-    /// offers the same as for importers.
+    /// offers messages, progress and cancellation, but no files.
     pub make: Option<
         unsafe extern "C" fn(
             host: *const HostServices,

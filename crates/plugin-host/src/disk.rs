@@ -101,7 +101,8 @@ impl Services for DiskHost<'_> {
 
     fn file_commit(&self, file: u64) -> Result<(), PluginError> {
         let OpenFile { name, path, writer } = self.files().open.remove(&file).ok_or_else(|| not_open(file))?;
-        // synced before the rename, so that a final name never belongs to a partial file
+        // the file is synced before the rename, so that a final name never belongs to a partial
+        // file
         let written = writer.into_inner().map_err(io::IntoInnerError::into_error).and_then(|file| file.sync_all());
         written.map_err(cannot("write", &name))?;
         let target = path_parts(&name)?.iter().fold(self.folder.clone(), |path, part| path.join(part));

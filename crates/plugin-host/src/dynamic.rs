@@ -94,7 +94,7 @@ impl Registry {
                 }
             };
             for file in files {
-                // one path named twice is no conflict
+                // a path that is named twice is loaded once
                 let real = fs::canonicalize(&file).unwrap_or_else(|_| file.clone());
                 if !seen.contains(&real) {
                     seen.push(real);
@@ -155,7 +155,7 @@ pub(crate) fn open(path: &Path, id: &str) -> Result<Plugin, LoadError> {
     // preconditions.
     let library = unsafe { Shared::new(path) }
         .map_err(|error| LoadError::Open { path: path.into(), reason: loader_message(&error) })?;
-    // never unloaded, also after an error
+    // the library is never unloaded, also after an error
     let library: &'static Shared = Box::leak(Box::new(library));
     let symbol = format!("{ENTRY_PREFIX}{id}");
     // SAFETY: a function of this name is a plugin's entry, by the convention of the interface.

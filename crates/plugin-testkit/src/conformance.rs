@@ -96,7 +96,7 @@ fn output_conformance(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken
 /// The first difference.
 pub fn same_outputs(plugin: &Plugin, other: &Plugin, at_default: &[&str]) -> Result<usize, Broken> {
     let description = |plugin: &Plugin| serde_json::to_value(plugin.info()).unwrap_or_default();
-    require("describes itself alike", description(plugin) == description(other), || {
+    require("both builds describe themselves alike", description(plugin) == description(other), || {
         format!("{}\n{}", description(plugin), description(other))
     })?;
     if plugin.info().kind != PluginKind::Output {
@@ -236,7 +236,7 @@ fn reports_failing_host(plugin: &Plugin, sample: &Sample, params: &Value) -> Res
         let host = MemoryHost::failing_at(append);
         let result = write(plugin, &host, params, sample);
         let description = matches!(&result, Err(PluginError::Failed(text)) if text.contains("no space left"));
-        require("passes on why the host could not write", description, || format!("append {append}: {result:?}"))?;
+        require("reports why the host cannot write", description, || format!("append {append}: {result:?}"))?;
         closed(&host, "the disk was full")?;
     }
     Ok(())

@@ -74,7 +74,7 @@ impl LensletPanel {
     pub fn spot(&self, [x_mm, y_mm]: [f64; 2]) -> Option<Spot> {
         let (sin, cos) = self.rotation_deg.to_radians().sin_cos();
         let [dx, dy] = [x_mm - self.offset_mm[0], y_mm - self.offset_mm[1]];
-        // along the array's own axes, y down like its rows
+        // coordinates along the array's axes; y points down, as the numbers of its rows do
         let own = [cos * dx + sin * dy, sin * dx - cos * dy];
         let mut lens = [0usize; 2];
         let mut u = [0.0; 2];

@@ -23,7 +23,7 @@ pub trait ImporterPlugin: 'static {
     /// File extensions that it reads: lower case, without the dot.
     const EXTENSIONS: &'static [&'static str];
 
-    /// The schema's parameters as a struct, with a field of the same name for each.
+    /// A struct with one field per parameter of the schema; a field has its parameter's name.
     type Params: DeserializeOwned;
 
     /// The plugin's parameters. They are checked before `import`, which receives a value of the
@@ -44,7 +44,7 @@ pub trait SourcePlugin: 'static {
     /// Description for users; listings show its first sentence.
     const DOC: &'static str;
 
-    /// The schema's parameters as a struct, with a field of the same name for each.
+    /// A struct with one field per parameter of the schema; a field has its parameter's name.
     type Params: DeserializeOwned;
 
     /// The plugin's parameters. They are checked before `make`, which receives a value of the right
@@ -64,7 +64,7 @@ pub trait NodePlugin: 'static {
     /// Description for users; listings show its first sentence.
     const DOC: &'static str;
 
-    /// The schema's parameters as a struct, with a field of the same name for each.
+    /// A struct with one field per parameter of the schema; a field has its parameter's name.
     type Params: DeserializeOwned;
 
     /// The plugin's parameters. They are checked before `make`, which receives a value of the right

@@ -26,7 +26,7 @@ pub struct Step {
     pub iteration: u32,
     /// The objective that the solver minimizes.
     pub objective: f64,
-    /// PSNR of the displayed light field against the target, dB; NaN if unknown.
+    /// PSNR of the emitted light field against the target, dB; NaN if unknown.
     pub psnr_view: f64,
 }
 

@@ -27,7 +27,7 @@ pub trait OutputPlugin: Sized + Send + Sync + 'static {
     /// True for a presenter, which runs until the user closes it; see [`run`](Self::run).
     const PRESENTS: bool = false;
 
-    /// The schema's parameters as a struct, with a field of the same name for each.
+    /// A struct with one field per parameter of the schema; a field has its parameter's name.
     type Params: DeserializeOwned;
 
     /// The plugin's parameters. They are checked before `open`, which receives a value of the right

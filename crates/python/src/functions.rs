@@ -167,8 +167,8 @@ pub(crate) fn render(
 /// other arguments are optional and have the meaning of a job file's keys (docs/JOB.md); defaults()
 /// returns the defaults:
 ///
-/// * brightness: β, above 0 and at most 1, instead of the display's
-/// * frames: M, 1 to 1000, instead of the display's
+/// * brightness: β, above 0 and at most 1, instead of the display's brightness
+/// * frames: M, 1 to 1000, instead of the display's number of frames
 /// * solver: "auto", "multiplicative" (the paper's), "block-exact" or "extrapolated"
 /// * iterations: number of iterations; each updates every factor once
 /// * start: "auto", "random", "smooth" or "content"

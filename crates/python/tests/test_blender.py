@@ -73,7 +73,7 @@ def test_views_beyond_what_cameras_can_are_refused() -> None:
 
 def test_the_window_is_the_camera_frustum_at_its_focus() -> None:
     frame = [(0.6, 0.3, -1.0), (0.6, -0.3, -1.0), (-0.4, -0.3, -1.0), (-0.4, 0.3, -1.0)]
-    # Rotated by 90 degrees about z, and scaled, which has no effect.
+    # The camera is rotated by 90 degrees about z. It is also scaled by 2, which has no effect.
     matrix = [[0.0, -2.0, 0.0, 1.0], [2.0, 0.0, 0.0, 0.0], [0.0, 0.0, 2.0, 5.0], [0.0, 0.0, 0.0, 1.0]]
     window = window_of_camera(matrix, frame, False, 4.0, (400.0, 250.0))
     assert window.scale * 400.0 == pytest.approx(4.0)
@@ -97,7 +97,7 @@ def test_a_window_is_scaled_and_moved_in_its_plane() -> None:
         size, shift = chance.uniform(0.2, 3.0), (chance.uniform(-1, 1), chance.uniform(-1, 1))
         moved = window.resized(size, shift)
         width = window.size_mm[0]
-        # The position of one corner is computed in the original window.
+        # The expected position of one corner is computed in the original window.
         x, y = 0.5 * size * width + shift[0] * width, 0.5 * size * window.size_mm[1] + shift[1] * width
         assert moved.point((width / 2, window.size_mm[1] / 2, 0.0)) == pytest.approx(window.point((x, y, 0.0)))
         cage = numpy.array(outline.cage(size, shift, 7.0)).reshape(4, 4).T

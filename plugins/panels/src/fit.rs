@@ -37,7 +37,7 @@ pub fn misfits(display: &Display, assigned: &[(Shows, Output)]) -> Vec<String> {
             (_, Backlight::Lenslets(backlight)) => ("backlight".into(), backlight.panel_resolution),
             _ => continue,
         };
-        // The declared resolution must be that of the output.
+        // The declared resolution must equal the output's size.
         if let Some(declared) = declared.filter(|declared| declared != size) {
             found.push(format!(
                 "{key}.panel_resolution: expected the {} × {} pixels of output {name}, found {} × {}: check that it is the right output, at its panel's native resolution",

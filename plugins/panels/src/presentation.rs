@@ -145,7 +145,7 @@ pub enum Event {
         /// The display, with the nudges.
         display: Box<Display>,
     },
-    /// Statistics so far; the last event has those of the whole presentation.
+    /// Statistics so far; the last event has the statistics of the whole presentation.
     Report(Box<Report>),
 }
 

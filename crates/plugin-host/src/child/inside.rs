@@ -26,14 +26,15 @@ use crate::serve::Functions;
 /// Time for which an answer about cancellation stays valid. Every answer of the program, to any
 /// request, states whether the user has cancelled.
 const CANCEL_VALIDITY: Duration = Duration::from_millis(2);
-/// Stack size of a thread that runs a plugin's function, bytes. Main threads usually have the same.
+/// Stack size of a thread that runs a plugin's function, bytes; it is usual for main threads.
 const STACK: usize = 8 << 20;
 /// Longest time for the destructors of the library's statics.
 const EXIT_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// The main function of a process that runs a plugin for another process. `args` are those that
-/// [`Launcher`](crate::Launcher) appends: the library's path and the plugin's id. Call it from the
-/// main thread before standard input or output are used. Exit with the returned code.
+/// The main function of a process that runs a plugin for another process. `args` are the two
+/// arguments that [`Launcher`](crate::Launcher) appends: the library's path and the plugin's id.
+/// Call this function from the main thread, before standard input or output are used. Exit with the
+/// returned code.
 ///
 /// Standard output belongs to the program, so the library's standard output is redirected to
 /// standard error.

@@ -330,7 +330,9 @@ unsafe extern "C" fn stack_step(
         let mut built = unsafe { Builder::<Stack>::of(context) };
         let seconds = built.began.elapsed().as_secs_f64();
         if built.made.steps.last().is_some_and(|(last, _)| last.iteration >= iteration) {
-            return Err(PluginError::Refused(format!("iteration {iteration}: expected a number above that of the last report")));
+            return Err(PluginError::Refused(format!(
+                "iteration {iteration}: expected a number above that of the last report"
+            )));
         }
         built.made.steps.push((Step { iteration, objective, psnr_view }, seconds));
         Ok(())

@@ -316,7 +316,7 @@ fn a_plugin_needs_memory_for_one_plane() {
     assert_eq!(numbers[0], plane * 18.0 * 4.0);
     println!("{:.0} MB in {seconds:.2} s; most memory of the process {:.0} MB", numbers[0] / 1e6, numbers[1] / 1e3);
     if cfg!(target_os = "linux") {
-        // one plane, and copies of it in transit; all planes together have 207 MB
+        // the process holds one plane and its copies in transit; all planes would take 207 MB
         assert!(numbers[1] * 1024.0 < 6.0 * plane, "{} kB", numbers[1]);
     }
 }

@@ -171,8 +171,8 @@ const LumistackDescriptor *lumistack_plugin_entry_garbage(void) { return &descri
         let (host, sample) = (MemoryHost::new(), &samples()[0]);
         let output = Output::open(plugin, &host, &json!({}), &sample.display).unwrap();
         let error = output.submit(Time::default(), sample.data()).unwrap_err();
-        // 1234 is the plugin's status of success; otherwise it returns minus the number of calls
-        // that the host answered wrongly
+        // The plugin returns status 1234 if the host answered all calls correctly, otherwise
+        // minus the number of wrong answers.
         assert_eq!(error.to_string(), "no reason given (status 1234)");
         assert_eq!(host.files().into_keys().collect::<Vec<_>>(), ["a.txt"]);
         assert!(host.open_files().is_empty());

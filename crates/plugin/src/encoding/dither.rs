@@ -38,7 +38,10 @@ pub fn panel_codes(
     rgb: &[f32],
     pattern: usize,
 ) -> Vec<u16> {
-    assert!((1..=16).contains(&bits) && rgb.len() == 3 * rows * cols, "expected 1 to 16 bits, and three values per pixel");
+    assert!(
+        (1..=16).contains(&bits) && rgb.len() == 3 * rows * cols,
+        "expected 1 to 16 bits, and three values per pixel"
+    );
     let top = (1u32 << bits) - 1;
     let nearest = |channel: usize, value: f32| (transfer.encode(channel, value) * top as f32 + 0.5) as u16;
     if dither == Dither::None {
@@ -116,7 +119,7 @@ impl ThresholdMap {
 fn diffuse(light: &[Vec<f32>; 3], [rows, cols]: [usize; 2], rgb: &[f32]) -> Vec<u16> {
     let mut codes = vec![0; rgb.len()];
     for channel in 0..3 {
-        // errors of this row and the next, padded by a column on both sides
+        // errors carried to this row and to the next row, each padded by a column at both ends
         let (mut here, mut below) = (vec![0.0; cols + 2], vec![0.0; cols + 2]);
         for row in 0..rows {
             let reverse = row % 2 == 1;

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
 #: Width of thumbnails, pixels.
 _WIDTH = 320
-#: Largest number of views per axis in a notebook, if the light field has one axis of views, and
-#: below if it has two. More views would make the notebook's file large.
+#: Largest numbers of views per axis in a notebook: for views along one axis, and for views along
+#: two axes. More views would make the notebook's file large.
 _VIEWS = 9
 _VIEWS_OF_TWO = 5
 

@@ -65,7 +65,7 @@ impl Component {
 pub fn find_crosses(photograph: &GrayImage, counts: [usize; 2]) -> Result<Vec<Cross>, String> {
     let dark = Darkness::new(photograph);
     let components = dark.components();
-    // Classify components: crosses are those of about the median size.
+    // Classify components: thin components of about the median size are crosses.
     let mut sizes: Vec<f64> =
         components.iter().filter(|p| p.fills() < CROSS_FILLS).map(|p| p.size()[0].max(p.size()[1])).collect();
     if sizes.is_empty() {
@@ -95,7 +95,8 @@ pub fn find_crosses(photograph: &GrayImage, counts: [usize; 2]) -> Result<Vec<Cr
         .filter(|at| at[0] < disc[0] && at[1] > disc[1])
         .min_by(|a, b| apart(**a, disc).total_cmp(&apart(**b, disc)))
         .ok_or_else(|| format!("crosses: {}, none below and left of the mark", crosses.len()))?;
-    // Search breadth first: from the central cross to its four neighbours, from these to theirs.
+    // Search breadth first: from the central cross to its four neighbours, from each of these to
+    // its neighbours, and so on.
     let step = usual / (2.0 * ARM_OF_STEP);
     let mut found: BTreeMap<[i32; 2], [f64; 2]> = BTreeMap::from([([0, 0], *middle)]);
     let mut open = VecDeque::from([[0, 0]]);

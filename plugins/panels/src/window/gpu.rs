@@ -229,7 +229,8 @@ impl Gpu {
         });
         let bytes: Vec<u8> = [origin[0], origin[1], 0, 0].into_iter().flat_map(u32::to_ne_bytes).collect();
         self.queue.write_buffer(&place, 0, &bytes);
-        // submit the upload of each picture alone, so that no refresh waits for a whole period's
+        // submit the upload of each picture alone, so that no refresh waits for all uploads of a
+        // period
         self.queue.submit([]);
         self.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("picture"),

@@ -7,7 +7,7 @@ import argparse
 from dataclasses import dataclass, field
 from typing import Any, NoReturn, TextIO
 
-#: Progress that is worth another line, as a fraction of the work.
+#: Progress after which another line is printed, as a fraction of the stage.
 WORTH_A_LINE = 0.02
 
 
@@ -107,7 +107,7 @@ def parse(words: list[str]) -> Asked:
     ):
         if value is not None:
             settings[name] = value
-    # Settings with a switch turn it on.
+    # If a setting has a switch in the extension, the flag also turns the switch on.
     if found.display is not None:
         is_file = found.display.endswith(".toml")
         settings["display_from"] = "FILE" if is_file else "PRESET"

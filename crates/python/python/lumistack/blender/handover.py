@@ -78,8 +78,8 @@ def in_window(bpy: Any, scene: Any) -> Iterator[None]:
 
 
 def files_of(bpy: Any) -> tuple[list[str], list[str]]:
-    """The files that the scene depends on, and those that do not exist: libraries, pictures, fonts,
-    caches of geometry."""
+    """Returns the existing and the missing files that the scene depends on: libraries, pictures,
+    fonts, caches of geometry."""
     named = [(data, data.library) for kind in ("images", "cache_files", "volumes", "fonts") for data in getattr(bpy.data, kind, ())]
     named += [(library, None) for library in bpy.data.libraries]
     named += [(modifier, held.library) for held in bpy.data.objects for modifier in held.modifiers if modifier.type == "MESH_CACHE"]

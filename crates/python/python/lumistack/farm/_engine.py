@@ -35,7 +35,7 @@ MEMORY = "memory"
 
 
 class FarmError(Exception):
-    """A run did not finish; finished units are kept, and the same call continues."""
+    """A run did not finish. Finished units are kept, and a repeated call continues after them."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def run(
     program: Sequence[str] | None = None,
     **engine: Any,
 ) -> Outcome:
-    """Plans a job and executes it; the other arguments are those of `execute`."""
+    """Plans a job and executes it; `engine` are further arguments of `execute`."""
     return execute(plan(job, folder, options=options, program=program), program=program, **engine)
 
 
@@ -203,7 +203,7 @@ def connected(address: str | None, client: Any, workers: int, tls: tuple[str, st
             processes=True,
             host="127.0.0.1",
             dashboard_address="127.0.0.1:0",
-            # Units are child processes of the workers, which hold no data themselves.
+            # No limit: units are child processes, and the workers themselves hold no data.
             memory_limit=0,
             resources={MEMORY: memory / workers},
             silence_logs=50,
@@ -426,7 +426,7 @@ class Engine:
             if name not in needs:
                 needs[name] = None
                 waiting += self.units[name].inputs
-        # in the order of the plan: of a file that several units write, the last version is used
+        # The order is the plan's: if several units write a file, the last version is used.
         ordered = [name for name in self.units if name in needs]
         return {"url": self.store.store.url, "plan": self.plan, "needs": ordered, "sent": self.sent}
 

@@ -164,7 +164,7 @@ class Run:
         need."""
         for number, source in enumerate(sent):
             self.store.publish(f"{self.plan}/sent/{number}.json", source, _files(source))
-        # written last, since it marks the beginning of the run
+        # start.json is written last, since it marks the beginning of the run
         self.store.publish(f"{self.plan}/start.json", folder, _files(folder))
 
     def is_done(self, unit: str) -> bool:
