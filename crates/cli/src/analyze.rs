@@ -31,10 +31,10 @@ pub(crate) struct Analyze {
     #[arg(required = true, value_name = "NAME|FILE|DIR[:KEY=VALUE,...]")]
     displays: Vec<Which>,
     /// A scene (or job) in which every display is placed, to compare the scene's depth with the
-    /// display's
+    /// display's depth of field
     #[arg(long, value_name = "SCENE|JOB", conflicts_with = "run")]
     scene: Option<PathBuf>,
-    /// A finished run; the depth of its scene is compared with every display's
+    /// A finished run; its scene's depth is compared with the depth of field of every display
     #[arg(long, value_name = "DIR")]
     run: Option<PathBuf>,
     #[command(flatten)]

@@ -288,7 +288,8 @@ pub(crate) struct Preview {
 pub(crate) struct Info {
     /// The file or folder, or the name of a display preset
     pub(crate) file: PathBuf,
-    /// For a scene or a job: compare its depth with this display's; a preset or a display file
+    /// For a scene or a job: compare its depth with the depth of field of this display, a preset or
+    /// a display file
     #[arg(long, value_name = "NAME|FILE", help_heading = "Depth")]
     pub(crate) display: Option<OsString>,
     /// Camera, by name or number; its plane of focus becomes the display plane

@@ -51,7 +51,7 @@ pub(crate) struct RenderArgs {
     pub(crate) samples: Option<u32>,
     /// Program that renders the views: lumistack, blender or auto. Blender renders .blend scenes
     /// with the file's own engine and settings. With auto, lumistack renders, unless a .blend scene
-    /// has content that it does not support
+    /// has content that lumistack does not support
     #[arg(long, value_name = "NAME")]
     pub(crate) engine: Option<lumistack_pipeline::Engine>,
     /// Largest number of bounces of a path; the first hit counts as a bounce. 0 shows only emission

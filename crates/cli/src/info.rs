@@ -170,7 +170,7 @@ fn choices(contents: &SceneContents) -> Value {
     }
 }
 
-/// Compares a scene's depth with a display's, and measures the scene's memory.
+/// Compares a scene's depth with a display's depth of field, and measures the scene's memory.
 fn on_display(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, PipelineError> {
     let mut job = job_or_scene(&args.file)?;
     let display = DisplayArgs { display: args.display.clone(), ..DisplayArgs::default() };

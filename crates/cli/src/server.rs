@@ -86,11 +86,11 @@ pub(crate) trait Feed: Sync {
     /// The script that requests states.
     fn script(&self) -> &'static str;
     /// Waits for a state newer than the query's, or for a timeout. Returns the response, or `None`
-    /// without a state.
+    /// if there is no such state.
     fn frame(&self, query: &str) -> Option<Vec<u8>>;
     /// The word that a query of [`look`](Self::look) must have; `None` where pages move no viewer.
     fn word(&self) -> Option<&str>;
-    /// Moves the viewer of a page. Returns whether the query is right.
+    /// Moves the viewer of a page. Returns whether the query is valid.
     fn look(&self, query: &str) -> bool;
 }
 
@@ -433,8 +433,8 @@ fn reply(method: &str, host: Option<&str>, url: &str, site: Site<'_>, stamp: &st
         .map_or_else(|_| missing(), |(file, length)| Reply { status: 200, kind, content: Content::File(file, length) })
 }
 
-/// Finds the file of a request's path. `None` for paths that leave the folder, also by links, and
-/// for anything but a regular file.
+/// Finds the file of a request's path. `None` for paths that leave the folder, even through links,
+/// and for anything but a regular file.
 fn file_of(root: &Path, path: &str) -> Option<PathBuf> {
     let decoded = percent_decode_str(path.strip_prefix('/')?).decode_utf8().ok()?;
     let relative =

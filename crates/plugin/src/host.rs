@@ -135,8 +135,8 @@ impl Host {
     }
 
     /// Creates a file. `path` is relative to the output's folder, with `/` between names. The file
-    /// is written through [`io::Write`]. It appears after it is committed and the output has
-    /// finished; dropping it before the commit discards it.
+    /// is written through [`io::Write`]. A committed file appears when the output has finished;
+    /// dropping a file before the commit discards it.
     ///
     /// # Errors
     /// If the path is absolute or leaves the folder, or the host cannot write.

@@ -51,8 +51,8 @@ pub struct Spot {
 }
 
 impl LensletPanel {
-    /// The array of the display file, in front of a panel. Without a measured focal length, f = p /
-    /// (2 tan(α/2)): the horizontal bins then fill the width of the panel behind one lens.
+    /// The lenslet array of a display file, in front of a panel. Without a measured focal length, f
+    /// = p / (2 tan(α/2)): the horizontal bins then fill the width of the panel behind one lens.
     pub fn new(backlight: &LensletBacklight, resolution: [usize; 2], pitch_mm: f64) -> Self {
         let lens = backlight.lens.clone().unwrap_or_default();
         let fitting_mm = backlight.pitch_mm / (2.0 * (0.5 * backlight.fov_deg[0].to_radians()).tan());

@@ -27,7 +27,7 @@ pub trait ImporterPlugin: 'static {
     type Params: DeserializeOwned;
 
     /// The plugin's parameters. They are checked before `import`, which receives a value of the
-    /// right type and in range for each.
+    /// right type and in range for each parameter.
     fn schema() -> Schema;
 
     /// Reads the file `file`, and others in its folder, through `assets`. Returns a glTF 2.0
@@ -48,7 +48,7 @@ pub trait SourcePlugin: 'static {
     type Params: DeserializeOwned;
 
     /// The plugin's parameters. They are checked before `make`, which receives a value of the right
-    /// type and in range for each.
+    /// type and in range for each parameter.
     fn schema() -> Schema;
 
     /// Makes the light field of one time step: linear radiance, finite and at least 0. Its geometry
@@ -68,7 +68,7 @@ pub trait NodePlugin: 'static {
     type Params: DeserializeOwned;
 
     /// The plugin's parameters. They are checked before `make`, which receives a value of the right
-    /// type and in range for each.
+    /// type and in range for each parameter.
     fn schema() -> Schema;
 
     /// Solves the layer stack of one time step. The stack must match the display, with values in

@@ -31,7 +31,7 @@ pub trait OutputPlugin: Sized + Send + Sync + 'static {
     type Params: DeserializeOwned;
 
     /// The plugin's parameters. They are checked before `open`, which receives a value of the right
-    /// type and in range for each.
+    /// type and in range for each parameter.
     fn schema() -> Schema;
 
     /// Opens an output. As a check, a host may open and drop an output before it begins to make the

@@ -74,7 +74,7 @@ impl<'a> Guest<'a> {
         Ok(Self { word, distance_mm, requests })
     }
 
-    /// Moves the viewer to the slope of a query. Returns whether word and slope are right.
+    /// Moves the viewer to the slope of a query. Returns whether word and slope are valid.
     fn look(&self, query: &str) -> bool {
         let Some(slope) = slope_of(query).filter(|_| value(query, "viewer") == Some(&self.word)) else {
             return false;

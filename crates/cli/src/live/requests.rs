@@ -140,7 +140,7 @@ pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Forwards each warning once, since a scene is rendered many times. Pages show the newest one.
+/// Forwards each warning once, since a scene is rendered many times. Pages show the newest warning.
 pub(super) struct Once<'a> {
     to: &'a dyn Warnings,
     messages: &'a Messages,
@@ -152,12 +152,12 @@ pub(super) struct Once<'a> {
 pub(super) struct Messages(Mailbox<String>);
 
 impl Messages {
-    /// Number and text of the message; 0 before the first one.
+    /// Number and text of the message; the number is 0 before the first message.
     pub(super) fn newest(&self) -> (u64, Arc<String>) {
         self.0.after(0).unwrap_or_default()
     }
 
-    /// Replaces the message, unless it is the same.
+    /// Replaces the message, unless its text is already the same.
     pub(super) fn say(&self, text: String) {
         if *self.newest().1 != text {
             self.0.post(text);

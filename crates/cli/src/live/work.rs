@@ -85,12 +85,12 @@ impl Shared {
         self.stopped.load(Ordering::SeqCst)
     }
 
-    /// Files of the current light field, and the time at which their first reading began.
+    /// Files of the current light field, and the time at which the pass that first read them began.
     pub(super) fn files(&self) -> (Vec<PathBuf>, SystemTime) {
         lock(&self.files).clone()
     }
 
-    /// Stores the files that a pass has read, and the time at which it began.
+    /// Stores the files that a pass has read, and the time at which the pass began.
     fn note_files(&self, files: Vec<PathBuf>, begun: SystemTime) {
         let mut noted = lock(&self.files);
         if noted.0 != files {

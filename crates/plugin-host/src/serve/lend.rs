@@ -12,7 +12,7 @@ use lumistack_plugin::{PluginError, Port, Time};
 #[derive(Clone, Copy, Debug)]
 pub enum OutputData<'a> {
     /// The layer stack of a tensor display, and the light field that it was solved for. The views
-    /// of this light field are lent as well; without it the geometry is the display's.
+    /// of this light field are lent as well; without a light field, the geometry is the display's.
     LayerStack(&'a LayerStack, Option<&'a LightField>),
     /// Linear radiance of many views.
     LightField(&'a LightField),

@@ -115,7 +115,7 @@ struct Running {
     report: Receiver<Report>,
     /// Disconnected when the producer has ended.
     produced: Receiver<()>,
-    /// The present loop, and the thread that forwards its retired frame sets.
+    /// The present loop, and the thread that forwards the frame sets that it retires.
     presenting: [JoinHandle<()>; 2],
     producing: JoinHandle<()>,
     failure: Arc<OnceLock<(Instant, String)>>,
@@ -453,7 +453,7 @@ impl App<'_> {
         Ok(())
     }
 
-    /// Warns when refreshes stop: every output waits for the one whose surface is blocked.
+    /// Warns when refreshes stop: every output waits for the output whose surface is blocked.
     fn warn_if_stalled(&mut self) {
         let Some(running) = self.running.as_ref().filter(|running| running.mode != Mode::Window) else { return };
         let now = running.shared.progress.load(Ordering::Relaxed);
