@@ -44,8 +44,8 @@ pub(crate) struct Analyze {
     #[arg(long, value_name = "MM")]
     reach_mm: Option<f64>,
     /// Solve every display for gratings at many depths and frequencies (up to a minute each).
-    /// Report the contrast, compared with the bound: seen from the solver's views, seen from the
-    /// whole zone, and seen from the whole zone after a solve for more views
+    /// Report three contrasts, each compared with the bound. Two are seen from the solver's views
+    /// and from the whole zone. The third is seen from the whole zone after a solve for more views
     #[arg(long)]
     contrast: bool,
     /// Folder for analysis.json and the plots, as SVG and PNG

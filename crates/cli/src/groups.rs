@@ -160,7 +160,7 @@ pub(crate) struct FactorizeArgs {
     pub(crate) iterations: Option<u32>,
     #[arg(long, value_name = "NAME", help = format!("Solver: {}", either(solver_names())))]
     pub(crate) solver: Option<String>,
-    /// Device that solves: auto, cpu, gpu, or gpu:NAME with a name that `lumistack devices` lists
+    /// Device that solves: auto, cpu, gpu or gpu:NAME. `lumistack devices` lists the names
     /// [default: auto, which uses a graphics processor if there is one]
     #[arg(long, value_name = "DEVICE")]
     pub(crate) device: Option<String>,

@@ -80,8 +80,8 @@ fn announced(args: &Preview, site: &Path, json: bool, task: Task<'_>) -> Result<
     Ok(server)
 }
 
-/// Finds the preview to serve for a folder: the folder itself, the first preview among a run's
-/// outputs, or a preview to be written for a run.
+/// Finds the preview to serve for a folder. It is the folder itself, or the first preview among a
+/// run's outputs. For a run without previews, a preview must be written.
 fn source_of(dir: &Path, task: Task<'_>) -> Result<Source, PipelineError> {
     if dir.join(PREVIEW_JSON).is_file() {
         return Ok(Source { site: dir.to_owned(), run: None, seen: Mutex::default() });

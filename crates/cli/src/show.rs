@@ -83,8 +83,8 @@ pub(crate) struct Show {
     /// save, look X Y, report, quit
     #[arg(long)]
     pub(crate) control: bool,
-    /// CSV file to write, with a line per submitted frame: number of the refresh, position in the
-    /// cycle of frames, number of the layer stack, seconds
+    /// CSV file to write, with a line per submitted frame. The columns are the number of the
+    /// refresh, the position in the cycle of frames, the number of the layer stack, and seconds
     #[arg(long, value_name = "FILE")]
     pub(crate) log: Option<PathBuf>,
 }

@@ -52,9 +52,9 @@ pub struct HostServices {
     pub file_abort: unsafe extern "C" fn(context: *const c_void, file: u64, error: *const ErrorSink) -> Status,
     /// Computes the seen picture of a submitted layer stack from one viewpoint.
     ///
-    /// The result is emitted linear radiance `[row][col][rgb]`: the mean over the area of each of
-    /// the target's pixels, not divided by the stack's brightness. `data` is the argument of
-    /// `submit`. The plugin releases the plane.
+    /// The result is emitted linear radiance `[row][col][rgb]`, not divided by the stack's
+    /// brightness. Each value is the mean over the area of a pixel of the target. `data` is the
+    /// argument of `submit`. The plugin releases the plane.
     pub simulate: unsafe extern "C" fn(
         context: *const c_void,
         data: *const Data,

@@ -42,9 +42,9 @@ pub struct PluginPaths {
 }
 
 impl PluginPaths {
-    /// Returns the search paths in order: the paths `given` on the command line, the paths in the
-    /// environment variable `LUMISTACK_PLUGIN_PATH`, the folder `lumistack/plugins` in the user's
-    /// data folder.
+    /// Returns the search paths in order. The paths `given` on the command line come first, then
+    /// the paths in the environment variable `LUMISTACK_PLUGIN_PATH`. The folder
+    /// `lumistack/plugins` in the user's data folder is the last.
     pub fn of_system(given: &[PathBuf]) -> Self {
         Self::of(given, var_os(VARIABLE), user_data())
     }

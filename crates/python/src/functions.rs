@@ -385,9 +385,9 @@ pub(crate) fn report<'py>(
 /// Runs a whole job into a folder, like `lumistack run`. Finished results are kept, and the same
 /// call continues a run that was stopped.
 ///
-/// job: path of a job file, or a mapping with its keys (docs/JOB.md), with paths relative to the
-/// working folder; folder: the run's folder, by default runs/NAME. Returns the summary: report,
-/// psnr_view, psnr_raw, and so on.
+/// job: path of a job file, or a mapping with its keys (docs/JOB.md). Paths in a mapping are
+/// relative to the working folder. folder: the run's folder, by default runs/NAME. Returns the
+/// summary: report, psnr_view, psnr_raw, and so on.
 #[pyfunction]
 #[pyo3(signature = (job, folder=None, *, callback=None))]
 pub(crate) fn run<'py>(

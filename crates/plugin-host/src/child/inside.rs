@@ -417,8 +417,8 @@ unsafe extern "C" fn weight_plane(
 /// Fetches a plane. The plugin owns the plane until it releases the plane.
 ///
 /// # Safety
-/// `context` belongs to the data of a running call, `plane` is memory for a plane whose `size` is
-/// set, and `error` is null or a valid sink.
+/// `context` belongs to the data of a running call; `plane` is memory for a plane whose `size` is
+/// set; `error` is null or a valid sink.
 unsafe fn fetch(
     context: *const c_void,
     what: impl FnOnce(u64) -> Request,

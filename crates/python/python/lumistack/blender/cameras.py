@@ -26,8 +26,8 @@ Matrix = tuple[tuple[float, ...], ...]
 MOST_SHIFT = 10.0
 #: Width of the film of a perspective camera, millimetres; any value would do.
 SENSOR_MM = 36.0
-#: Distance of the near clipping plane, as a fraction of a distance from the camera: to the window
-#: in perspective views, to the farthest content in oblique views.
+#: Distance of the near clipping plane. It is a fraction of the distance from the camera to the
+#: window in perspective views, and to the farthest content in oblique views.
 NEAREST = 1e-4
 
 

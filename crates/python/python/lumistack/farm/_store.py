@@ -6,8 +6,8 @@ the files of units through it.
     URL/PLAN/start.json              files of the run folder before the first unit, the plan among them
     URL/PLAN/sent/N.json             files of a folder that the client sends
 
-Each worker has its own run folder, the mirror. A unit takes the files of the units on which it
-depends, is executed as in any run folder, and publishes the files that it has written.
+Each worker has its own run folder, the mirror. A unit first takes the files of the units on which
+it depends. Then it is executed as in any run folder, and publishes the files that it has written.
 """
 
 from __future__ import annotations
