@@ -4,10 +4,13 @@ import { Problem, problemOf } from "./problem.js";
 import type { Engine } from "./engine.js";
 import type { Info } from "./info.js";
 
-/** Half the angle of the zone for views without known angles, degrees. */
+/** Half the zone's angles along x and y, degrees. They are assumed, since files do not state them. */
 const HALF_ANGLE: readonly [number, number] = [17.5, 10];
 
-/** Decodes the pictures and passes them to the simulator. */
+/**
+ * Decodes the pictures of a quilt or of a light field's views, and passes them to the simulator.
+ * `report` receives the finished fraction, 0..1.
+ */
 export async function loadForeign(dropped: Extract<Dropped, { kind: "quilt" | "views" }>, engine: Engine, report: (share: number) => void, signal: AbortSignal): Promise<Info> {
   if (dropped.kind === "quilt") {
     const picture = await pixelsOf(dropped.file);
