@@ -333,7 +333,7 @@ def fit_depth(scene, compress: bool) -> str:
     display = display_of(settings)
     range_mm = display.depth_of_field_mm()
     if range_mm is None:
-        raise JobError(f"{display.name}: the display shows its own pixels sharply at no depth")
+        raise JobError(f"{display.name}: the display cannot show its pixels sharply at any depth")
     settings.moved_back_mm, settings.depth_scale = 0.0, 1.0
     depths = rig.depths_through(bpy, scene, window_of(scene, display), display.distance_mm)
     if not depths:

@@ -44,7 +44,7 @@ export function filesByName(list: Iterable<File>): Map<string, File> {
  * they are of no known kind.
  */
 export function recognize(files: ReadonlyMap<string, File>): Dropped {
-  if (files.size === 0) throw new Problem("Nothing arrived: no files in what was dropped.", WANTED, false);
+  if (files.size === 0) throw new Problem("The drop contains no files.", WANTED, false);
   const json = [...files.keys()].filter((path) => /(^|\/)preview\.json$/.test(path)).sort((a, b) => a.length - b.length)[0];
   if (json !== undefined) return { kind: "preview", files, json };
   const pictures = [...files.entries()].filter(([path]) => PICTURE.test(path));
@@ -61,10 +61,10 @@ const WANTED =
 
 function refusal(files: ReadonlyMap<string, File>): string {
   const paths = [...files.keys()];
-  if (paths.some((path) => /(^|\/)layers\/stack\.json$/.test(path))) return "This run folder holds no preview: write one with “lumistack preview” on it.";
-  if (paths.some((path) => /\.exr$/i.test(path))) return "These views are OpenEXR, which browsers do not read: the plugin “images” writes them as PNG.";
-  if (paths.length === 1 && PICTURE.test(paths[0]!)) return `${paths[0]} is a single picture and its name does not say how many views it has.`;
-  return `None of the ${paths.length} files is a preview.json or a picture.`;
+  if (paths.some((path) => /(^|\/)layers\/stack\.json$/.test(path))) return "This run folder has no preview. “lumistack preview” with this folder writes one.";
+  if (paths.some((path) => /\.exr$/i.test(path))) return "These views are OpenEXR files, which browsers cannot read. The plugin “images” writes views as PNG.";
+  if (paths.length === 1 && PICTURE.test(paths[0]!)) return `${paths[0]} is a single picture, and its name does not give the number of views.`;
+  return `There is no preview.json and no picture among the dropped files (${paths.length}).`;
 }
 
 function quiltOf(file: File): Dropped {

@@ -424,7 +424,7 @@ export class LumistackViewer extends HTMLElement {
     const first = failed[0];
     if (first) {
       const rest = failed.length > 1 ? ` (and ${failed.length - 1} more)` : "";
-      const mean = ready > 0 && ready < info.frames ? ` ${ready} of ${info.frames} frames are whole; the picture is their mean.` : "";
+      const mean = ready > 0 && ready < info.frames ? ` ${ready} of ${info.frames} frames are complete; the picture is their mean.` : "";
       this.report(new Problem(`${first.message}${rest}${mean}`, first.advice, ready === 0));
     }
     if (ready > 0) this.loader.everything.resolve();

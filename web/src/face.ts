@@ -177,8 +177,8 @@ export class Face {
 
 /** Describes the place of the viewing position relative to the zone or the views. */
 function whereabouts(info: Info, mode: Mode, inside: boolean): string {
-  if (info.layers.length === 0) return inside ? "Among the views." : "Beyond the outermost view.";
-  if (mode === "compare") return "Compared at the nearest view.";
+  if (info.layers.length === 0) return inside ? "Within the views." : "Outside the views.";
+  if (mode === "compare") return "Compared with the nearest view.";
   return inside ? "In the zone." : "Outside the zone that was optimised.";
 }
 

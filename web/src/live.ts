@@ -76,7 +76,7 @@ class Bar {
   waits(): void {
     this.viewer.dataset.waits = "";
     this.bar.className = "live waits";
-    this.say("lumistack live does not answer: it has ended, or starts again. This is its last state");
+    this.say("lumistack live does not answer; it has ended or is starting again. The picture shows its last state");
   }
 
   /** Adds a check box that a key also switches. */

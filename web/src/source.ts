@@ -57,14 +57,14 @@ export class ServerSource implements Source {
       throw url.protocol === "file:"
         ? new Problem(
             `The browser does not load ${shortName(url)} from disk.`,
-            "Open preview.html instead, which holds everything in one file, or serve the folder with “lumistack preview”.",
+            "Open preview.html instead, which contains everything in one file, or serve the folder with “lumistack preview”.",
           )
-        : new Problem(`${shortName(url)} could not be fetched: no answer from ${url.host}.`, "See that the server still runs, then load this page again.");
+        : new Problem(`${shortName(url)} could not be fetched: no answer from ${url.host}.`, "Check that the server is running, then load this page again.");
     }
     if (response.ok) return response;
     throw response.status === 404
       ? new Problem(`${shortName(url)} is missing: ${url.host} answers 404.`, REWRITE)
-      : new Problem(`${shortName(url)} could not be fetched: ${url.host} answers ${response.status}.`, "See what the server says, then load this page again.");
+      : new Problem(`${shortName(url)} could not be fetched: ${url.host} answers ${response.status}.`, "Check the server's messages, then load this page again.");
   }
 }
 

@@ -75,7 +75,7 @@ test("the views of a light field, whose rows count from the top", async () => {
 test("files that cannot be shown are refused, and the current picture stays", async () => {
   const title = await text(page, "#title");
   for (const [files, what] of [
-    [[["notes.txt", "hello"]], /None of the 1 files/],
+    [[["notes.txt", "hello"]], /no picture among the dropped files \(1\)/],
     [[["picture.png", flat([1, 2, 3])]], /single picture/],
     [[["view_00_00.exr", "x"], ["view_00_01.exr", "x"]], /OpenEXR/],
     [[["view_0_0.png", flat([9, 9, 9])], ["view_0_1.png", png(8, 8, () => [0, 0, 0])]], /8 × 8 pixels/],

@@ -218,7 +218,7 @@ test("a broken file gives the command's error, and the page stays usable", { ski
   assert.match(said, /readable Png/);
   await shot(at, "broken");
   await at.setInputFiles("#files", { name: "words.txt", mimeType: "text/plain", buffer: Buffer.from("a") });
-  assert.match(await problem(at), /nothing to solve among the one file.*Drop a \.glb/);
+  assert.match(await problem(at), /nothing to solve in this file.*Drop a \.glb/);
   await at.evaluate(() => (location.hash = ""));
   await at.click("text=Dandelion");
   await at.waitForFunction(() => performance.getEntriesByName("lumistack-first-patterns").length > 0);

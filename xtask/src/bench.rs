@@ -1,5 +1,5 @@
-//! Timings of release builds, in comparison with other programs: factorizer, solvers, path tracer,
-//! outputs and more.
+//! Measures release builds, and compares parts of them with other programs, for example the
+//! factorizer and the path tracer.
 
 use std::path::{Path, PathBuf};
 

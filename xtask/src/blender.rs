@@ -180,7 +180,9 @@ fn extension(python: &Path, wheels: &[PathBuf], platforms: &[&str]) -> Outcome<P
     let text = std::fs::read_to_string(&manifest).map_err(|error| io(&manifest, error))?;
     let version = env!("CARGO_PKG_VERSION");
     if !text.contains(&format!("version = \"{version}\"")) {
-        return Err(format!("plugins/blender/blender_manifest.toml: expected the workspace's version, {version}, found another"));
+        return Err(format!(
+            "plugins/blender/blender_manifest.toml: expected the workspace's version, {version}, found another"
+        ));
     }
     let names: Vec<String> = wheels.iter().map(|wheel| format!("./wheels/{}", name_of(wheel))).collect();
     let lines = format!("platforms = {platforms:?}\nwheels = {names:?}\n\n[permissions]");

@@ -3,8 +3,7 @@
 
 use crate::tools::{EVERYTHING, Outcome, apt, build_everything, command, run, skipped};
 
-/// Programs and their Debian packages: compositors with virtual outputs, programs that capture
-/// them, and more.
+/// Programs that the tests start, each with its Debian package.
 const NEEDED: [(&str, &str); 6] = [
     ("sway", "sway"),
     ("grim", "grim"),

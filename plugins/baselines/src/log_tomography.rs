@@ -88,7 +88,7 @@ impl NodePlugin for LogTomography {
             momentum = next;
             stage.advance(1, "");
         }
-        // Convert x = −log f to mask values, alike for all frames.
+        // Convert x = −log f to mask values, which are the same in all frames.
         let mut stack = LayerStack::filled(display, 0.0);
         for (n, layer) in display.layers.iter().enumerate() {
             let [darkest, brightest] = layer.range();

@@ -29,7 +29,7 @@ export async function builtIn(name: string): Promise<Input> {
   if (!scene) throw new Problem(`There is no scene “${name}” in this page.`, `There are ${Object.keys(SCENES).join(", ")}.`, false);
   const files = scene.files.map(async (file): Promise<[string, Blob]> => {
     const response = await fetch(new URL(`scenes/${name}/${file}`, import.meta.url));
-    if (!response.ok) throw new Problem(`scenes/${name}/${file} could not be fetched: the server answers ${response.status}.`, "See that the folder scenes lies beside this page.", false);
+    if (!response.ok) throw new Problem(`scenes/${name}/${file} could not be fetched: the server answers ${response.status}.`, "Check that the folder scenes is in the same folder as this page.", false);
     return [file, await response.blob()];
   });
   return { files: await Promise.all(files), path: scene.files[0]!, title: scene.title, isField: false, builtIn: name };
@@ -74,7 +74,7 @@ function common(a: string[], b: string[]): string[] {
 function held(files: ReadonlyMap<string, File>, needed: readonly string[], base: string, path: string): Pick<Input, "files" | "path" | "title"> {
   const bytes = needed.reduce((sum, name) => sum + files.get(name)!.size, 0);
   if (bytes > MOST_BYTES) {
-    throw new Problem(`${path}: expected at most ${MOST_BYTES / 1e6} MB, found ${Math.round(bytes / 1e6)} MB.`, "The command takes more: lumistack run.", false);
+    throw new Problem(`${path}: expected at most ${MOST_BYTES / 1e6} MB, found ${Math.round(bytes / 1e6)} MB.`, "The command “lumistack run” accepts larger files.", false);
   }
   const name = path.slice(base.length);
   const title = name === "." ? "Light field" : name.replace(/(_qs\d+x\d+[^.]*(\.\d+)?)?\.[^.]*$/, "");
@@ -82,7 +82,7 @@ function held(files: ReadonlyMap<string, File>, needed: readonly string[], base:
 }
 
 export function nothing(files: ReadonlyMap<string, File>): Problem {
-  return new Problem(files.size === 0 ? "Nothing arrived: no files in what was dropped." : `There is nothing to solve among the ${files.size === 1 ? "one file" : `${files.size} files`}.`, WANTED, false);
+  return new Problem(files.size === 0 ? "The drop contains no files." : `There is nothing to solve in ${files.size === 1 ? "this file" : `these ${files.size} files`}.`, WANTED, false);
 }
 
 function depth(path: string): number {

@@ -177,7 +177,7 @@ async function open(files: ReadonlyMap<string, File>): Promise<void> {
     // A preview already contains patterns, so the viewer shows it without the solver.
     at("empty").hidden = at("caption").hidden = true;
     at("drop").classList.remove("idle");
-    say("Shown as it is.");
+    say("This file already contains patterns.");
     await viewer.open(files);
     return undefined;
   });
@@ -224,7 +224,7 @@ at("link").addEventListener("click", async () => {
   history.replaceState(undefined, "", `#${address}`);
   await navigator.clipboard?.writeText(location.href).then(
     () => (at("link").textContent = "Link copied"),
-    () => (at("link").textContent = "It stands in the address"),
+    () => (at("link").textContent = "The link is in the address bar"),
   );
 });
 const drop = at("drop");

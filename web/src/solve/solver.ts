@@ -44,7 +44,7 @@ export class Solver {
       };
       worker.onerror = ({ message }) => {
         this.end();
-        reject(new Error(message || "a worker does not start: the page may not start any (worker-src blob:)"));
+        reject(new Error(message || "a worker does not start, since the page's policy forbids workers (worker-src blob:)"));
         this.receive({ kind: "error", message: message || "The solver’s thread does not start." });
       };
     });

@@ -73,7 +73,7 @@ Object.assign(globalThis, {
         return field(path, ...wanted);
       } catch (error) {
         if (!stopped(error)) throw error;
-        throw new Error(`${path}: content: expected a sound light field, found bytes on which its reader stops`);
+        throw new Error(`${path}: content: expected a valid light field, found bytes at which the reader fails`);
       }
     },
     pack: (display: string, names: string[], contents: Uint8Array[]): Uint8Array => ready().pack(display, names, contents),
@@ -172,8 +172,8 @@ function guarded(work: () => void): void {
     running = false;
     if (stopped(error)) {
       solver = undefined;
-      const why = "the solver stopped: most likely this takes more memory than a page can have";
-      return send({ kind: "error", message: `${title}: ${why}. Take less detail or fewer frames, or solve it with “lumistack run”.` });
+      const why = "the solver stopped, probably because it needs more memory than a page can have";
+      return send({ kind: "error", message: `${title}: ${why}. Choose less detail or fewer frames, or solve it with “lumistack run”.` });
     }
     send({ kind: "error", message: error instanceof Error ? error.message : String(error) });
   }

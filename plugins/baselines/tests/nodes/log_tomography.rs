@@ -1,5 +1,5 @@
-//! Tests that tomography recovers the light fields of known stacks, and that its solution is a
-//! minimum.
+//! Tests that tomography recovers the light fields of known stacks, and that its solution minimizes
+//! the error.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::core::seed::Stream;

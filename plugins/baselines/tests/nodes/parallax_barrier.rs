@@ -85,7 +85,7 @@ fn views_that_share_a_pixel_are_averaged() {
     let display = display([3, 1], 1);
     let mut field = random_field(&display).unwrap();
     field.radiance_mut().data_mut().fill(0.25);
-    // with a period of 1 the whole mask is open, and a constant light field has equal rear pixels
+    // with a period of 1 the whole mask is open, and a constant light field gives equal rear pixels
     let stack = made_by(&PLUGIN, r#"{"period_x": 1}"#, &display, &field).unwrap();
     assert_eq!(stack.brightness, 1.0);
     assert!(stack.layers[0].data().iter().all(|value| (value - 0.25).abs() < ROUNDING));
