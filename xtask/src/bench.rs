@@ -237,8 +237,8 @@ fn peers() -> Vec<[PathBuf; 2]> {
         let fetched = if there() || given.is_some() { Ok(()) } else { fetch(module, &python) };
         match fetched {
             Ok(()) if there() => peers.push([python.clone(), tools::root().join("xtask/bench").join(script)]),
-            Ok(()) => println!("bench: without {name}: {} cannot import it", python.display()),
-            Err(error) => println!("bench: without {name}: {error}"),
+            Ok(()) => println!("bench: {name} is not compared: {} cannot import it", python.display()),
+            Err(error) => println!("bench: {name} is not compared: {error}"),
         }
     }
     peers
@@ -248,11 +248,9 @@ fn peers() -> Vec<[PathBuf; 2]> {
 /// test needs it.
 fn fetch(module: &str, python: &Path) -> Outcome {
     if module == "numpy" {
-        tools::make_python(&tools::root().join("target/python-bench"), "to compare our speed with")?;
+        tools::make_python(&tools::root().join("target/python-bench"), "for comparing speed")?;
         return tools::install(python, &["numpy==2.*"]);
     }
-    println!(
-        "\nfetching: {module}, in target/python-bench (3 GB on x86-64 Linux; used only to compare our speed with)"
-    );
+    println!("\nfetching: {module}, in target/python-bench (3 GB on x86-64 Linux; used only for comparing speed)");
     tools::install(python, &["--no-cache-dir", "--only-binary=:all:", module])
 }

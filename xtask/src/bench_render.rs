@@ -154,7 +154,7 @@ pub fn asset(file: &str) -> Option<String> {
     let path = std::env::var_os("LUMISTACK_ASSETS").map(|assets| Path::new(&assets).join(file));
     let found = path.filter(|path| path.is_file());
     if found.is_none() {
-        println!("bench: without {file}: the folder in LUMISTACK_ASSETS does not have it");
+        println!("bench: {file} is skipped: the folder in LUMISTACK_ASSETS does not have it");
     }
     found.map(|path| text(&path))
 }
@@ -169,10 +169,9 @@ fn python() -> Option<PathBuf> {
     let made = if imports(&python, "numpy") {
         Ok(())
     } else {
-        tools::make_python(&folder, "to compare our speed with")
-            .and_then(|()| tools::install(&python, &["numpy==1.26.*"]))
+        tools::make_python(&folder, "for comparing speed").and_then(|()| tools::install(&python, &["numpy==1.26.*"]))
     };
-    made.map_err(|error| println!("bench: without peers: {error}")).ok().map(|()| python)
+    made.map_err(|error| println!("bench: no other renderer is compared: {error}")).ok().map(|()| python)
 }
 
 fn imports(python: &Path, module: &str) -> bool {
@@ -183,14 +182,14 @@ fn imports(python: &Path, module: &str) -> bool {
 /// environment that only benchmarks use.
 fn has(python: &Path, [package, module]: &[&str; 2]) -> bool {
     if !imports(python, module) && std::env::var_os("LUMISTACK_BENCH_PYTHON").is_none() {
-        println!("\nfetching: {package}, in target/python-render-bench (used only to compare our speed with)");
+        println!("\nfetching: {package}, in target/python-render-bench (used only for comparing speed)");
         if let Err(error) = tools::install(python, &["--only-binary=:all:", package]) {
             println!("bench: {error}");
         }
     }
     let there = imports(python, module);
     if !there {
-        println!("bench: without {module}: {} does not import it", python.display());
+        println!("bench: {module} is not compared: {} cannot import it", python.display());
     }
     there
 }

@@ -68,7 +68,7 @@ pub fn check() -> Outcome {
                 && (*layer > layers[name] || (*layer == layers[name] && !at_build))
             {
                 problems.push(format!(
-                    "{name} (layer {}) depends on {to} (layer {layer}): expected a dependency of a lower layer",
+                    "{name} (layer {}) depends on {to} (layer {layer}): expected a dependency in a lower layer",
                     layers[name]
                 ));
             }

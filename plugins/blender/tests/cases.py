@@ -895,7 +895,7 @@ def case_live(folder, zip_path):
             if is_right():
                 return time.monotonic() - begin
             time.sleep(0.01)
-        raise AssertionError(f"the time is over without {name}: {live.status()}")
+        raise AssertionError(f"timeout: no {name}: {live.status()}")
 
     def begin():
         assert bpy.ops.lumistack.live() == {"FINISHED"}

@@ -106,7 +106,7 @@ pub(crate) fn write(
     flushed.map_err(|error| PluginError::from_io("atlas", error))?;
     file.commit()?;
     // Write the index after the sheet is complete.
-    let text = serde_json::to_string_pretty(&index).expect("an index holds nothing that JSON cannot");
+    let text = serde_json::to_string_pretty(&index).expect("JSON can express an index");
     host.write(&format!("{folder}atlas.json"), format!("{text}\n").as_bytes())?;
     Ok([width, height])
 }

@@ -114,6 +114,6 @@ pub(crate) enum Format {
 pub(crate) fn to_json(mut entries: Vec<Entry>) -> String {
     entries.sort_by(|a, b| a.file.cmp(&b.file));
     let manifest = Manifest { schema: "lumistack/images", version: 1, files: entries };
-    let text = serde_json::to_string_pretty(&manifest).expect("a manifest holds nothing that JSON cannot");
+    let text = serde_json::to_string_pretty(&manifest).expect("JSON can express a manifest");
     format!("{text}\n")
 }

@@ -230,7 +230,7 @@ impl OutputPlugin for Quilt {
         let mut files = self.written.into_inner().unwrap_or_else(PoisonError::into_inner);
         files.sort_by_key(|entry| entry.time);
         let manifest = Manifest { schema: "lumistack/quilt", version: 1, files };
-        let text = serde_json::to_string_pretty(&manifest).expect("a manifest holds nothing that JSON cannot");
+        let text = serde_json::to_string_pretty(&manifest).expect("JSON can express a manifest");
         self.host.write("quilt.json", format!("{text}\n").as_bytes())
     }
 }
@@ -261,7 +261,7 @@ impl Quilt {
         }
         if params.sequence && layout.size.iter().any(|side| side % 2 == 1) {
             let [width, height] = layout.size;
-            self.host.warn(&format!("video encoders require even sizes, the quilt has {width} × {height} pixels"));
+            self.host.warn(&format!("video encoders require even sizes, but the quilt has {width} × {height} pixels"));
         }
         // Make the quilt. The native picture is made from it, so it is needed in any case.
         let (quilt, views) = self.fill(source, &layout, size, row)?;

@@ -197,7 +197,7 @@ impl OutputPlugin for Transparencies {
             chart_codes: if self.params.chart { &pages::CHART_CODES } else { &[] },
             files,
         };
-        let text = serde_json::to_string_pretty(&manifest).expect("a manifest holds nothing that JSON cannot");
+        let text = serde_json::to_string_pretty(&manifest).expect("JSON can express a manifest");
         self.host.write("transparencies.json", format!("{text}\n").as_bytes())
     }
 }

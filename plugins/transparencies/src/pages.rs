@@ -79,7 +79,7 @@ pub(crate) fn assembly(
         String::new(),
         "Print all pages at 100 %, without scaling and without colour management.".into(),
         format!("Cut every film at the corner lines, {:.2} x {:.2} mm.", sheet.film_mm[0], sheet.film_mm[1]),
-        "Lay the films on one another until all marks coincide; the short line is up.".into(),
+        "Lay the films on one another until all marks coincide, with the short line at the top.".into(),
         if params.mirror {
             "Films are mirrored: their printed sides face away from the viewer.".into()
         } else {

@@ -185,7 +185,7 @@ impl OutputPlugin for WebSimulator {
             "files": files,
             "rounding_db": rounding_db.is_finite().then_some(rounding_db),
         });
-        let text = serde_json::to_string(&preview).expect("a preview holds nothing that JSON cannot");
+        let text = serde_json::to_string(&preview).expect("JSON can express a preview");
         site.finish(&text)
     }
 

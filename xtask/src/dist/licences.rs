@@ -124,7 +124,7 @@ impl Licences {
         if silent.is_empty() {
             Ok(())
         } else {
-            Err(format!("expected a licence of every package, found none of {}", silent.join(", ")))
+            Err(format!("expected a licence for every package, found none for {}", silent.join(", ")))
         }
     }
 
