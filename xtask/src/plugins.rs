@@ -138,7 +138,7 @@ fn page(plugin: &Value) -> String {
     }
     // a parameter of the kind "file" has no default; its cell is empty
     let none = json!("");
-    page.push_str("\n| parameter | default | values | meaning |\n|---|---|---|---|\n");
+    page.push_str("\nThese are the parameters:\n\n| parameter | default | values | meaning |\n|---|---|---|---|\n");
     for param in params {
         let unit = param["unit"].as_str().map_or(String::new(), |unit| format!(" {unit}"));
         let (values, meaning) = match text(param, "kind") {
