@@ -70,7 +70,7 @@ export class StackContent implements Content {
     for (const file of this.info.files) this.arrived(file);
   }
 
-  /** Replaces all files of the preview by those of other patterns. */
+  /** Replaces all files of the preview by the files of other patterns. */
   async renew(files: readonly ArrayBuffer[]): Promise<void> {
     await this.engine?.call("renew", [files]);
   }

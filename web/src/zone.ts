@@ -4,7 +4,7 @@ import type { Slope } from "./state.js";
 import { REACH } from "./motion.js";
 
 const SVG = "http://www.w3.org/2000/svg";
-/** Width of the drawing, and limits of its height, in units of its own. */
+/** Width of the drawing, and limits of its height, in units of its `viewBox`. */
 const WIDTH = 240;
 const LEAST_HEIGHT = 64;
 const MOST_HEIGHT = 150;

@@ -142,7 +142,8 @@ fn measure(cases: &[Case], kinds: &[&str], rounds: usize) -> Outcome {
     Ok(())
 }
 
-/// Runs displays that choose their views, and displays with 5 × 5 views, in turn.
+/// Compares displays that choose their views with displays of 5 × 5 views. The runs of both kinds
+/// alternate.
 fn beside_fixed(cases: &[Case], rounds: usize) -> Outcome {
     println!("\n| scene | views | psnr_zone | worst tenth | SSIM | FLIP | wall s | CPU s | render s | factorize s |");
     println!("|---|---|---|---|---|---|---|---|---|---|");

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use crate::python;
 use crate::tools::{self, Outcome, command, install, output_of, run};
 
-/// The version of Blender that CI uses and that validates the zips; and the other versions that
-/// `--full` tests.
+/// The version of Blender that runs the tests and validates the zips, and the older versions that
+/// `--full` tests too.
 const BLENDER: &str = "5.0.1";
 const OLDER: [&str; 2] = ["4.5.15", "4.2.23"];
 /// The version of Python that all these versions need.
@@ -225,7 +225,8 @@ fn machine() -> Outcome<&'static str> {
         .ok_or_else(|| format!("{system} on {machine}: Blender has no such platform"))
 }
 
-/// A platform of Blender: its name, Rust's names for it, and beginning and end of its wheels' tags.
+/// A platform: Blender's name for it, Rust's names for its system and machine, and the beginning
+/// and the end of the platform tags of its wheels.
 struct Platform {
     name: &'static str,
     system: &'static str,

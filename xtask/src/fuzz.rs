@@ -96,7 +96,8 @@ fn fuzz(target: &Target, minutes: f64, cargo_fuzz: &Path, nightly: bool) -> Outc
     } else {
         fuzzer.env("RUSTC_BOOTSTRAP", "1");
     }
-    // -O builds with the release profile; fuzz/Cargo.toml adds checks to it, except for one library
+    // -O builds with the release profile. fuzz/Cargo.toml adds debug assertions and overflow checks
+    // to it.
     fuzzer.args(["run", "-O", "--sanitizer", "none", "--target-dir"]).arg(&build);
     fuzzer.arg(target.name).arg(&corpus).arg(&seeds).arg("--");
     let seconds = (60.0 * minutes).ceil().max(1.0);

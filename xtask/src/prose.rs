@@ -259,8 +259,8 @@ fn raw_string(text: &str) -> Option<usize> {
     Some(body.find(&close).map_or(text.len(), |end| start + end + close.len()))
 }
 
-/// Returns the length of the character literal of Rust at the start of `text`; for a lifetime that
-/// of its quote alone.
+/// Returns the length of the character literal of Rust at the start of `text`. For a lifetime it
+/// returns 1, the length of the quote.
 fn character(text: &str) -> usize {
     let mut letters = text.char_indices().skip(1);
     match (letters.next(), letters.next()) {

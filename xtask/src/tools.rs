@@ -122,7 +122,7 @@ pub fn apt(packages: &[&str], purpose: &str) -> Outcome {
     Ok(())
 }
 
-/// Number of attempts at an installation.
+/// Number of times that an installation is tried.
 const TURNS: u64 = 4;
 
 /// Runs a program to its end, and shows its output.

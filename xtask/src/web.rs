@@ -251,7 +251,7 @@ fn chromium() -> Outcome<PathBuf> {
     })
 }
 
-/// Installs Firefox if there is none at the places in which its test looks for it.
+/// Installs Firefox if its test would not find one.
 fn firefox() {
     let there = || {
         std::env::var_os("LUMISTACK_FIREFOX").is_some()

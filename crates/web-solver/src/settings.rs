@@ -151,8 +151,8 @@ impl Settings {
         if matches!(display.field.views, Views::Fixed(_)) { Denoise::Off } else { Denoise::Shared }
     }
 
-    /// Iterations of the last solve. The default for a display whose views are fixed, as those of a
-    /// light field are, differs from that for a display whose views the program chooses.
+    /// Iterations of the last solve. There are two defaults: one for fixed views, such as a given
+    /// light field, and one for views that the program chooses.
     pub(crate) fn iterations(&self, display: &Display) -> u32 {
         let fixed = matches!(display.field.views, Views::Fixed(_));
         let default = if fixed { lumistack_factorizer::Settings::default().iterations } else { ZONE_ITERATIONS };

@@ -109,8 +109,8 @@ def picture_of(path):
 
 
 def case_lifecycle(folder, zip_path):
-    """The extension leaves nothing behind when it is disabled, also after it was enabled again.
-    Blender exits by itself."""
+    """The extension leaves no data in Blender when it is disabled, and when it is enabled and disabled
+    again. Blender exits by itself."""
     import bpy
 
     def traces():

@@ -60,7 +60,8 @@ pub(crate) fn write_views(host: &Host, path: &str, source: &ViewSource<'_>) -> R
 
 type Archive<'a> = NpzWriter<&'a mut BufWriter<lumistack_plugin::OutputFile>>;
 
-/// An error of writing an archive: the plugin's or host's, or that of the archive's format.
+/// An error while an archive is written: one of the plugin or the host, or one of the archive's
+/// writer.
 enum Failure {
     Plugin(PluginError),
     Io(io::Error),

@@ -79,7 +79,8 @@ pub(crate) enum Content {
     ArchiveView { archive: &'static str, view: [usize; 2], slope: [f64; 2], divided_by: f64 },
 }
 
-/// One of the views in a file: its name there, its position in the grid and its slope.
+/// A view in a file with several views: its name in the file, its position in the grid and its
+/// slope.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 pub(crate) struct NamedView {

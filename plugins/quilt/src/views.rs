@@ -51,7 +51,7 @@ pub enum Source<'a> {
     Field(&'a FieldInput<'a>),
 }
 
-/// Largest distance, in units of views, at which a position counts as that of a light field's view.
+/// A position equals the position of a view if they differ by at most this number of views.
 const SAME_PLACE: f64 = 1e-6;
 
 /// Positions a_i of `count` views of a quilt, if the data have `available` views per row.

@@ -172,7 +172,7 @@ impl Calibration {
     pub fn weave(&self, quilt: &[u8], layout: &Layout) -> Vec<u8> {
         let [width, height] = self.screen;
         let (tile, views) = (layout.tile(), layout.views());
-        assert_eq!(quilt.len(), 3 * layout.size[0] * layout.size[1], "the number of codes is not that of the layout");
+        assert_eq!(quilt.len(), 3 * layout.size[0] * layout.size[1], "the number of codes does not fit the layout");
         let corners: Vec<[usize; 2]> = (0..views).map(|view| layout.corner(view)).collect();
         let lenses = self.lenses();
         let mut native = vec![0; 3 * width * height];

@@ -46,7 +46,7 @@ enum Up {
 }
 
 impl Up {
-    /// The rotation that turns the axis upwards. `axes` are those of the format, for `auto`.
+    /// The rotation that turns the axis upwards. `axes` are the format's axes, which `auto` uses.
     fn rotation(self, axes: Axes) -> glam::Quat {
         use std::f32::consts::FRAC_PI_2;
         match self {

@@ -290,8 +290,8 @@ impl Transparencies {
     }
 }
 
-/// [columns, rows] of a layer's picture in the file: at the resolution `dpi`, or for 0 those of the
-/// mask.
+/// Returns [columns, rows] of a layer's picture in the file: at the resolution `dpi`, or the mask's
+/// own size if `dpi` is 0.
 ///
 /// # Errors
 /// If a side exceeds [`SIDE_LIMIT`].

@@ -4,7 +4,7 @@
 //! |---|---|
 //! | `index.html`, `app/` | the page; works under any path of any file server |
 //! | `preview.html` | the whole site in one file, which opens by a double click |
-//! | `stack/preview.json` | title, caption, display, brightness, target, and the list of pictures. The order is that of loading: first the frames whose mean is nearest to the final picture |
+//! | `stack/preview.json` | title, caption, display, brightness, target, and the list of pictures in the order of loading: first the frames whose mean is nearest to the final picture |
 //! | `stack/poster.jpg` | the seen picture from the middle, which the page shows immediately |
 //! | `stack/around.jpg` | for large stacks: small views from the whole zone, side by side, which the page shows while the patterns load |
 //! | `stack/layerL_frameM.png` | masks: value = code / 255, linear |

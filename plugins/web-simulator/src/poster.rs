@@ -16,8 +16,8 @@ pub(crate) const AROUND: &str = "stack/around.jpg";
 /// Longest side of the poster and of a small view, pixels.
 const POSTER_PX: usize = 1200;
 const AROUND_PX: usize = 240;
-/// Largest size of the poster and of the file with all small views, bytes; and the JPEG qualities
-/// that are tried in turn.
+/// Largest size of the poster and of the file with all small views, bytes. The first of these JPEG
+/// qualities is used whose file is small enough.
 const POSTER_BYTES: usize = 45_000;
 const AROUND_BYTES: usize = 110_000;
 const QUALITIES: [u8; 6] = [88, 80, 72, 64, 56, 48];

@@ -43,8 +43,8 @@ fn folder() -> PathBuf {
     tools::root().join("target/install")
 }
 
-/// Returns a command that runs a program with mounts and processes of its own. When the program
-/// ends, the processes that it started end too.
+/// Returns a command that runs a program in its own namespaces of mounts and processes. When the
+/// program ends, the processes that it started end too.
 fn apart() -> Command {
     let mut unshare = command("unshare");
     unshare.args(["--mount", "--pid", "--fork", "--kill-child"]);
