@@ -1,6 +1,5 @@
 #!/bin/sh
-# Installs the npm package with npm. A browser then shows the viewer in a page outside of the
-# package.
+# Installs the viewer's package with npm, and opens a page that uses it in a browser.
 . "$(dirname "$0")/common.sh"
 packages nodejs npm chromium
 tarball

@@ -1,4 +1,4 @@
-//! The documentation as a web site, in `target/site`.
+//! Builds the documentation as a web site in `target/site`.
 
 use std::path::PathBuf;
 

@@ -73,8 +73,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             gib(anonymous_bytes())
         );
     }
-    let peak = gib(anonymous_bytes());
-    assert!(peak < 3.0 || cols > 3840, "{peak:.2} GiB of anonymous memory, expected less than 3");
+    let held = gib(anonymous_bytes());
+    assert!(held < 3.0 || cols > 3840, "{held:.2} GiB of anonymous memory, expected less than 3");
     std::fs::remove_file(&path)?;
     Ok(())
 }

@@ -250,8 +250,8 @@ fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// Value at x of the polyline through points in order of x. Beyond its ends the polyline is
-/// extended by its first and its last segment.
+/// Value at x of the polyline through points in order of x. Outside of the points, its first or
+/// last segment is extended as a straight line.
 fn on_line(points: &[[f64; 2]], x: f64) -> f64 {
     let next = points.iter().position(|[at, _]| *at > x).unwrap_or(points.len() - 1).max(1);
     let ([x0, y0], [x1, y1]) = (points[next - 1], points[next]);
