@@ -91,8 +91,8 @@ pub(crate) enum Command {
     /// Print the contents of a scene, a light field, a layer stack, a run folder, a display or a
     /// job
     Info(Info),
-    /// Remove files that stopped runs left in a run folder, and cached results that the last run
-    /// did not use. The results of the last run stay
+    /// Remove files that were left in a run folder by runs that were stopped, and cached results
+    /// that the last run did not use. The results of the last run stay
     #[command(
         after_help = "Examples:\n  lumistack clean runs/still-life --dry-run     sizes of the files that would be removed, by kind\n  lumistack clean runs/*                        every run, sequence and sweep\n  lumistack clean runs/still-life --all         also all cached views: the next run with other settings renders them again"
     )]

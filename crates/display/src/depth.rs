@@ -109,8 +109,8 @@ fn range(generators: &[[f64; 2]], least: f64) -> Option<[f64; 2]> {
 
 impl FieldGeometry {
     /// Shift of content at depth `z_mm` between a view and another one whose slope is larger by
-    /// `step`, in pixels of z = 0. It is positive against the direction of the step, and infinite
-    /// at an eye. With Δs = `step`:
+    /// `step`, in pixels of z = 0. A positive value is a shift against the step's direction. At the
+    /// distance of the eyes it is infinite. With Δs = `step`:
     ///
     /// ```text
     /// parallel projections        z·Δs/p

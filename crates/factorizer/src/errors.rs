@@ -174,6 +174,10 @@ struct Line<'a> {
 }
 
 /// Adds the products of frames m..m + R to `emitted`.
+///
+/// # Safety
+///
+/// Every line must hold `V::COUNT` values from `col` + its shift on, in each of these frames.
 #[inline(always)]
 unsafe fn emitted_by<V: Lanes, const R: usize>(lines: &[Line], m: usize, col: usize, emitted: V) -> V {
     // SAFETY: guaranteed by the caller

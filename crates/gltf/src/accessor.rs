@@ -265,7 +265,7 @@ impl<'a> Elements<'a> {
             stride = if followed { stride } else { size };
         }
         if stride < size {
-            let expected = format!("at least {size}, an element of {place}");
+            let expected = format!("at least {size}, the size of an element of {place}");
             return Err(Fault::new(format!("{}/byteStride", view.place), expected, stride));
         }
         // check that all elements are within the view

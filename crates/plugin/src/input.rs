@@ -10,7 +10,7 @@ use crate::viewpoint::ViewPoint;
 use crate::wire::{Description, RayWeights, Start, call, lent_text};
 use crate::{Host, PlaneView, PluginError, Port};
 
-/// The data of one `submit`. Further ports may be added.
+/// The data of one `submit`. Later versions may add ports.
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum Input<'a> {

@@ -1,8 +1,8 @@
 //! The report of a run: scores, and views of the display next to views of the target, as one HTML
 //! file.
 //!
-//! [`build`] simulates every target view once with the display's forward model and returns two
-//! texts. It writes no files, reads no clock and makes no network request. `report.html` is one
+//! [`build`] simulates the target views (at most 7 along an axis) with the display's forward model,
+//! and returns two texts. It writes no files, reads no clock and makes no network request. `report.html` is one
 //! file: pictures are data URIs, style and script are inline.
 //!
 //! ```text
@@ -33,17 +33,17 @@
 //! | `psnr_zone`, `psnr_zone_worst_tenth` | The main score: PSNR of seen pictures in dB, over directions in the whole zone, which no solver used. The second is over the worst tenth of the directions. Both are null without reference pictures |
 //! | `zone` | null, or `directions` (list of `slope`, `psnr` in dB and `pixels`), `ssim` and `flip`. The last two are means over the first eight directions, whose references have enough samples |
 //! | `psnr_view`, `psnr_raw` | dB, along the centre rays of the target views' pixels: the quality of the solver. Here and below, at most 7 views along an axis are measured |
-//! | `ssim`, `flip` | means over all target views |
+//! | `ssim`, `flip` | means over the measured target views |
 //! | `pixels_per_degree` | pixels per degree of visual angle, for FLIP |
 //! | `brightness` | β |
-//! | `light` | luminances relative to the backlight's: `emitted` (mean of L̃), `wanted` (mean of L), `open` and `text`. `open` is the luminance, from straight ahead, of a display with all pixels at their brightest |
+//! | `light` | luminances relative to the backlight's: `emitted` (mean of L̃), `wanted` (mean of L) and `open`: the luminance, from straight ahead, of a display with all pixels at their brightest. `text` says the same in words |
 //! | `views` | The target's `slope_x[view_x]`, `slope_y[view_y]` (tangents, y up), `projection`, `distance_mm`, `rows`, `cols`, `pitch_mm`. Arrays `[view_y][view_x]`: `psnr_view` (dB), `ssim`, `flip` and `counted_share` (fraction of rays that scores include, 0..1) |
 //! | `held_out`, `outside` | null, or the same keys as `views` for views that the solver did not use: held-out views, and views outside of the zone. Also `overall_psnr_view`, `overall_psnr_raw`, `overall_ssim` and `overall_flip` |
 //! | `limits` | list, the largest first, of `name`, `decibels`, `text` and `figures` (the numbers of the measurement). `decibels` is the gain of psnr_view if the effect were absent; null if one run cannot determine it |
-//! | `depth` | null, or over the rays of all views with a hit: `depth_of_field_mm` ([low, high] or null), fractions `inside` it, `inside_middle` (of the central view) and `beyond_a_pixel`. Percentiles `depth_mm` and `disparity_px` (between neighbouring views), `window_moved_back_mm`, `depth_scale`, and two histograms |
+//! | `depth` | null, or over the rays of all views with a hit: `depth_of_field_mm` ([low, high] or null), fractions `inside` it, `inside_middle` (of the central view) and `beyond_a_pixel`. Also the percentiles `depth_mm` and `disparity_px` (between neighbouring views), two histograms, and the numbers `window_moved_back_mm` and `depth_scale` |
 //! | `convergence` | list of `iteration`, `objective` (Σ w (βL − L̃)²), `psnr_view` (dB), `seconds` since the solver's start |
 //! | `reached` | list of `seconds`, `iteration`, `psnr_view`: the last point of the convergence by that time |
-//! | `denoising` | null, or `name`, and over all views and in the list `views`: `mean` (of the unbiased picture), `mean_change`, `mse_before`, `mse_after`, in exposed radiance. Each but `mean` is a pair of value and standard error. Errors are those at pixels that the filter never used |
+//! | `denoising` | null, or `name`, four numbers for all views together, and the list `views` with the same numbers for each view: `mean` (of the unbiased picture), `mean_change`, `mse_before` and `mse_after`, in exposed radiance. Each but `mean` is a pair of value and standard error. The mean squared errors are measured at pixels that the filter never used |
 //! | `stages`, `seconds_total` | list of `name`, `seconds`, `cached` |
 //! | `display`, `settings`, `scene` | the display file, the resolved job, facts about the scene or null |
 //! | `warnings`, `outputs` | lists of `place`, `message` and of `label`, `path` (relative to the report), `failed` (null, or the reason) |

@@ -214,7 +214,7 @@ static SRGB: Transfer = Transfer::Srgb;
 static LINEAR: Transfer = Transfer::Linear;
 
 impl Encode {
-    /// The transfer function for pictures that drive a panel with the transfer function `panel`.
+    /// The transfer function of pictures for a panel. `panel` is the panel's own.
     pub(crate) fn of_panel(self, panel: &Transfer) -> &Transfer {
         match self {
             Self::Panel => panel,

@@ -15,7 +15,7 @@ pub enum Packed<'a> {
     Draco {
         /// The stream.
         bytes: &'a [u8],
-        /// Unique ids of the wanted attributes, none twice.
+        /// Draco's unique ids of the wanted attributes, without duplicates.
         attributes: &'a [u32],
         /// Largest number of bytes that the mesh and the wanted attributes may take.
         max_bytes: u64,

@@ -242,7 +242,7 @@ fn pose_at(job: &Job, sequence: &SequenceJob, share: f64) -> PoseJob {
     pose
 }
 
-/// Converts a window to values of a job.
+/// Returns the keys of a job's `[window]` that give this window.
 fn given(window: &Window) -> WindowJob {
     let map = window.scene_from_display;
     WindowJob {

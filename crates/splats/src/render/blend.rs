@@ -31,7 +31,7 @@ pub(crate) struct Flat {
     pub(crate) z: f32,
 }
 
-/// Sums over the splats, per pixel of a block.
+/// Results accumulated over the splats, per pixel of a block.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Sums {
     pub(crate) rgb: [[f32; PIXELS]; 3],
