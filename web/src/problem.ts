@@ -14,7 +14,8 @@ export class Problem extends Error {
 
 /** Converts any error to one with advice. */
 export function problemOf(error: unknown, advice: string): Problem {
-  if (error instanceof Problem) return error;
+  // Scripts that are loaded later have a class of their own.
+  if (error instanceof Error && error.name === "Problem") return error as Problem;
   return new Problem(error instanceof Error ? error.message : String(error), advice);
 }
 

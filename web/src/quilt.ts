@@ -1,10 +1,17 @@
 // A quilt of what is shown: the views of one row, for lenticular displays.
 import { toPng } from "./capture.js";
 import type { Info } from "./info.js";
+import type { Views } from "./others.js";
 import type { Slope } from "./state.js";
 
-/** Columns and rows of views: those of the smallest lenticular displays. */
+/** The layout without a known panel: that of the smallest lenticular displays. */
 const [COLUMNS, ROWS] = [8, 6];
+
+/** Columns and rows of views. */
+export interface Layout {
+  columns: number;
+  rows: number;
+}
 
 /**
  * Slopes of `count` views from left to right, each at the centre of its part of the zone; on the
@@ -23,18 +30,28 @@ export function slopesAcross({ views }: Pick<Info, "views">, count: number): Slo
   });
 }
 
-/**
- * Draws all views, view 0 as the bottom-left tile; `picture` returns one in the light field's size.
- * The name's ending has the layout.
- */
-export async function quilt(info: Info, picture: (slope: Slope) => Promise<ImageData>): Promise<{ blob: Blob; ending: string }> {
+/** A quilt, the end of its file's name with its layout, and the width of a view over its height. */
+export interface Quilt {
+  blob: Blob;
+  ending: string;
+  aspect: number;
+}
+
+/** Draws all views, view 0 as the bottom-left tile. */
+export async function quilt(views: Views, { columns, rows }: Layout = { columns: COLUMNS, rows: ROWS }): Promise<Quilt> {
   const canvas = document.createElement("canvas");
   const context = canvas.getContext("2d")!;
-  for (const [i, slope] of slopesAcross(info, COLUMNS * ROWS).entries()) {
-    const view = await picture(slope);
-    if (i === 0) [canvas.width, canvas.height] = [COLUMNS * view.width, ROWS * view.height];
-    context.putImageData(view, (i % COLUMNS) * view.width, (ROWS - 1 - Math.floor(i / COLUMNS)) * view.height);
+  try {
+    for (const [i, slope] of slopesAcross(views.info, columns * rows).entries()) {
+      const view = await views.picture(slope);
+      if (i === 0) [canvas.width, canvas.height] = [columns * view.width, rows * view.height];
+      context.drawImage(view, (i % columns) * view.width, (rows - 1 - Math.floor(i / columns)) * view.height);
+      view.close();
+    }
+  } finally {
+    views.done();
   }
-  const aspect = Math.round((1e5 * info.field.width_mm) / info.field.height_mm) / 1e5;
-  return { blob: await toPng(canvas), ending: `_qs${COLUMNS}x${ROWS}a${aspect}.png` };
+  const { width_mm, height_mm } = views.info.field;
+  const aspect = Math.round((1e5 * width_mm) / height_mm) / 1e5;
+  return { blob: await toPng(canvas), ending: `_qs${columns}x${rows}a${aspect}.png`, aspect };
 }

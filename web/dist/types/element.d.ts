@@ -105,6 +105,8 @@ export declare class LumistackViewer extends HTMLElement {
     private layOut;
     /** The picture to show; undefined without patterns. */
     private shot;
+    /** The seen pictures for other displays; undefined without patterns. */
+    private views;
     /** True while a substitute is shown: the mean of a few frames is only noise. */
     private get isEarly();
     private draw;
