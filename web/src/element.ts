@@ -551,19 +551,22 @@ export class LumistackViewer extends HTMLElement {
 
   /** The seen pictures for other displays; undefined without patterns. */
   private views(): Views | undefined {
-    const { content, stage } = this;
-    if (!content || content.frames.length === 0) return undefined;
+    const info = this.content?.info;
+    if (!info || this.content?.frames.length === 0) return undefined;
     return {
-      info: content.info,
+      info,
       picture: async (slope, eyeMm) => {
         const seen: State = { ...this.state, mode: "perceived", eyeMm: eyeMm ?? this.state.eyeMm };
+        const { content } = this;
+        // The page that solves replaces patterns by better ones of the same size.
+        const same = content?.info.field.cols === info.field.cols && content.info.field.rows === info.field.rows;
         // The simulator gets both in this order, with nothing in between.
-        content.apply(seen);
-        const [picture] = await stage.pictures(content.shot(seen, slope));
+        content?.apply(seen);
+        const [picture] = same ? await this.stage.pictures(content.shot(seen, slope)) : [];
         if (!picture) throw new Error("the viewer shows something else now");
         return picture;
       },
-      done: () => content.apply(this.state),
+      done: () => this.content?.apply(this.state),
     };
   }
 

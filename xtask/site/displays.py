@@ -33,7 +33,7 @@ it stays on your computer.</p><ul class="displays">{cards}</ul>
 """
 CARD = """<li><a href="{name}/index.html"><img src="{name}/stack/poster.jpg" alt="" loading="lazy" width="400" height="250"></a>
 <h2><a href="{name}/index.html">{title}</a></h2><p>{caption}</p><p>{facts}</p>
-<p><a href="{name}/job/job.toml">Job</a> · <a href="{name}/job/{scene}">scene</a></p><p><small>Scene: {licence}</small></p></li>
+<p><a href="{name}/job/job.toml">Job</a> · <a href="{name}/job/{scene}">scene</a></p><p><small>Scene: <a href="{terms}">{licence}</a></small></p></li>
 """
 
 
@@ -94,25 +94,29 @@ def main(displays: list[dict[str, Any]], program: str, work: Path, site: Path, f
     cards = []
     for display in displays:
         name = display["name"]
-        scene = next((folder / display["scene"] for folder in folders if (folder / display["scene"]).is_file()), None)
-        if scene is None:
+        folder = next((folder for folder in folders if (folder / display["scene"]).is_file()), None)
+        if folder is None:
             print(f"gallery: {name} is left out: {display['scene']} is in none of {', '.join(map(str, folders))}")
             continue
+        scene, terms = folder / display["scene"], display["terms"]
         report = make(display, scene, work / name, program)
+        if not terms.startswith("https:"):
+            terms = f"{name}/job/LICENCE.txt"
+            shutil.copyfile(folder / display["terms"], work / name / "job/LICENCE.txt")
         [stack] = (work / name / "run/outputs").rglob("viewer/stack")
         shutil.copytree(stack.parent, site / "displays" / name)
         shutil.copytree(work / name / "job", site / "displays" / name / "job")
         preview = json.loads((stack / "preview.json").read_text())
         texts = {key: html.escape(display[key]) for key in ["title", "caption", "licence"]}
-        cards.append(CARD.format(name=name, scene=scene.name, facts=facts_of(report, preview), **texts))
+        cards.append(CARD.format(name=name, scene=scene.name, terms=terms, facts=facts_of(report, preview), **texts))
     body = INTRO.format(style=STYLE, count=len(cards), cards="".join(cards))
     page = PAGE.format(title="Displays", root="../", nav=navigation("displays/index", True), body=body)
     (site / "displays/index.html").write_text(page)
     # the page that solves, with its built-in scenes
     shutil.copytree(ROOT / "web/dist", site / "solve", ignore=shutil.ignore_patterns("types", "live.js", "sources.blake3", "index.html"))
     shutil.copyfile(ROOT / "web/dist/solve.html", site / "solve/index.html")
-    for link in re.findall(r'(?:href|src)="([^"#:]+)"', page):
-        if not (site / "displays" / link).resolve().exists():
+    for link in re.findall(r'(?:href|src)="([^"]+)"', page):
+        if not re.match("[a-z]+:", link) and not (site / "displays" / link).resolve().exists():
             sys.exit(f"gallery: {link} leads nowhere")
     size = sum(path.stat().st_size for path in site.rglob("*") if path.is_file())
     print(f"gallery: {len(cards)} displays; the site has {size / 1e6:.0f} MB")
